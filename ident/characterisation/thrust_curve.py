@@ -136,7 +136,10 @@ def find_levels(command: Channel, force: Channel, settle: float = 1.5) -> Levels
             error, memory = mean_error(held)
             visits.append((steady.level, float(held.mean()), error, held.size, memory))
     if not visits:
-        message = f"the command is nowhere held for {settle:g} s and {MIN_SAMPLES} readings of the force"
+        message = (
+            f"no command is constant for long enough: a level needs {settle:g} s to settle and {MIN_SAMPLES} samples "
+            "of the force"
+        )
         raise ValueError(f"{message}; {hold_advice(command, force, settle)}")
     return _without_offset(_merged_visits(sorted(visits)))
 
@@ -155,7 +158,8 @@ def hold_advice(command: Channel, force: Channel, settle: float) -> str:
     rate = force.t.size / float(np.ptp(force.t))
     left = max(hold - settle, 0.0)
     message = (
-        f"it is held for {hold:.2g} s, of which --settle {settle:g} s leaves {left:.2g} s, {left * rate:.0f} readings"
+        f"commands are constant for {hold:.2g} s, and after --settle {settle:g} s there remain {left:.2g} s with "
+        f"{left * rate:.0f} samples of the force"
     )
     # half of the hold to settle, or less if the rest would have too few readings
     shorter = np.floor(10.0 * min(hold / 2.0, hold - MIN_SAMPLES / rate)) / 10.0
@@ -608,18 +612,19 @@ def load_curve(path: Path) -> ThrustCurve | None:
         calibration = None if uncertainty is None else float(uncertainty)
     except (KeyError, TypeError, ValueError) as problem:
         raise SeatrialError(
-            f"{path}: the thrust curve is incomplete or has a wrong type of value: {problem}"
+            f"{path}: the thrust curve is incomplete or has a wrong type of value: {problem}; fit the curve again"
         ) from problem
     if not (n.size == force.size == se.size >= 2 and thrusters >= 1 and np.all(np.diff(n) > 0)):
         raise SeatrialError(
             f"{path}: a thrust curve needs two or more commands n in rising order, with as many values of force and "
-            "se, and one or more thrusters"
+            "se, and one or more thrusters; fit the curve again"
         )
     if not all(np.isfinite(a).all() for a in (n, force, se)):
         raise SeatrialError(f"{path}: n, force and se of a thrust curve have to be finite numbers; fit the curve again")
     if calibration is not None and not 0.0 < calibration < 1.0:
         raise SeatrialError(
-            f"{path}: calibration is {calibration:g}, but a relative standard uncertainty is between 0 and 1"
+            f"{path}: calibration is {calibration:g}, but it has to be between 0 and 1 (relative standard uncertainty "
+            "of the load cell); correct it"
         )
     return ThrustCurve(Curve(n, force, se), thrusters, calibration)
 

@@ -288,7 +288,10 @@ def thruster_channels(loaded: LoadedLog, model: Model, name: str) -> dict[str, C
     found = loaded.run.channels
     for needed in (command_of(name), shaft_speed_of(name)):
         if needed not in found:
-            raise SeatrialError(f"{loaded.about['path']}: no signal {needed!r}; it has {', '.join(sorted(found))}")
+            raise SeatrialError(
+                f"{loaded.about['path']}: no signal {needed!r}, which a fit of this thruster needs; the log has "
+                f"{', '.join(sorted(found))}; record it, or name another thruster with --thruster"
+            )
     channels = delayed_channels(found[command_of(name)], delay_step(model)) | {"n": found[shaft_speed_of(name)]}
     return channels | ({"force": found["force"]} if "force" in found else {})
 

@@ -134,16 +134,17 @@ def check_frames(c: Channels, heading: Match | None, turning: Mapping[str, int])
             "position-and-velocity-axes",
             "frame",
             "x, y and vx, vy",
-            f"positions and velocities have different axes; vx, vy against x, y: {axes}",
-            "x and vx are north, y and vy are east: correct column and sign in the import's map",
+            f"velocities and positions have different axes; in vx, vy compared with x, y: {axes}",
+            "correct columns and signs in the import map; x and vx are north, y and vy are east",
         )
         return
     for name, w in tracks.items():
         still = _motionless_axis(c, w) if "psi" in c else None
         if still is not None:
             where = "x, y" if name == "position" else "vx, vy"
-            text = f"the track hardly moves {still}, although the heading varies"
-            advice = "use another column for that axis in the import's map"
+            text = f"the boat heads in all directions, but the track hardly changes along the {still} axis"
+            signal = where.split(", ")[still == "east"]
+            advice = f"give another column for {signal} in the import map"
             yield Finding("fault", f"{name}-axes", "frame", where, text, advice)
             return
     offsets = [found.offset for found in courses.values() if found is not None]
@@ -155,7 +156,7 @@ def check_frames(c: Channels, heading: Match | None, turning: Mapping[str, int])
             "psi",
             f"the boat moves at {np.degrees(offsets[0]):.0f} deg (or 180 deg more) to its heading: the heading "
             "is not counted from north, or north and east are exchanged",
-            "heading is from north, clockwise: correct its offset, or the columns of x and y, in the import's map",
+            "correct the offset of psi (clockwise from north), or the columns of x and y, in the import map",
         )
         return
     yield from _body_velocity_fault(c, tracks)
@@ -283,17 +284,17 @@ def mirrored_signals(signs: Mapping[Relation, int]) -> tuple[str, ...] | None:
 # Code, signals, text and advice of the finding for each signal that is mirrored.
 MIRRORED = {
     "heading": ("heading-sense", "psi", "the heading counts anticlockwise",
-                "clockwise from north: sign = -1 of psi in the import's map"),
+                "psi is clockwise from north; set sign = -1 of psi in the import map"),
     "gyro": ("gyro-sign-reversed", "r", "the yaw rate has the opposite sign",
-             "positive clockwise, seen from above: sign = -1 of r in the import's map, or the mounting"),
+             "r is positive clockwise, seen from above; set sign = -1 of r in the import map, or correct the mounting"),
     "position": ("position-axes", "x, y", "the positions are mirrored",
-                 "x is north, y east: column and sign in the import's map"),
+                 "x is north, y is east; correct their columns or signs in the import map"),
     "velocity": ("velocity-axes", "vx, vy", "the velocities are mirrored",
-                 "vx is north, vy east: column and sign in the import's map"),
+                 "vx is north, vy is east; correct their columns or signs in the import map"),
     "gyro heading": ("heading-sense", "psi and r", "heading and yaw rate count anticlockwise",
-                     "clockwise from north, seen from above: sign = -1 of both in the import's map"),
+                     "psi and r are clockwise, seen from above; set sign = -1 of both in the import map"),
     "position velocity": ("position-axes", "x, y, vx, vy", "positions and velocities are mirrored",
-                          "x and vx are north, y and vy east: column and sign in the import's map"),
+                          "x and vx are north, y and vy are east; correct their columns or signs in the import map"),
 }  # fmt: skip
 
 
@@ -310,7 +311,7 @@ def _mirror_fault(names: tuple[str, ...], courses: Mapping[str, Course | None]) 
         where = ", ".join(MIRRORED[n][1] if n in MIRRORED else n for n in names)
         text = "some of these signals are mirror images of the others; the log does not show which are wrong"
         text += "; north and east may be exchanged" if quarter else ""
-        advice = "axes are north and east, angles clockwise: correct sign and columns in the import's map"
+        advice = "check sign and column of each in the import map; axes are north and east, angles clockwise"
         return Finding("fault", "frames-mirrored", "frame", where, text, advice)
     code, where, text, advice = entry
     if "heading" in names and quarter:
@@ -348,7 +349,7 @@ def half_turn(text: str) -> Finding:
     text
         Text of the finding: the observation that shows the fault.
     """
-    advice = "in the import's map: offset = 180 of psi (deg), or sign = -1 of both axes of the track, u, v or ax, ay"
+    advice = "set offset = 180 of psi (deg), or sign = -1 of both axes of the reversed signals, in the import map"
     return Finding("fault", "heading-half-turn", "frame", "psi", text, advice)
 
 
@@ -375,7 +376,7 @@ def _axes_error(tracks: Mapping[str, Windows]) -> str | None:
         power = [float(np.sum(f(moved) ** 2)) for f in (np.real, np.imag)]
         for good, bad, name in ((0, 1, "y"), (1, 0, "x")):
             if alone[good] < GOOD < BAD < alone[bad] and power[bad] > LEAST_GAIN * power[good]:
-                return f"{name} or v{name} is another column"
+                return f"{name} or v{name} is from a wrong column"
     return best
 
 
@@ -414,7 +415,7 @@ def _body_velocity_fault(c: Channels, tracks: Mapping[str, Windows]) -> Iterator
             "frame",
             "u, v",
             f"{text}: they agree with the track without being turned by the heading",
-            "name them vx (north) and vy (east) in the import's map",
+            "name them vx (north) and vy (east) in the import map",
         )
         return
     if best == "both signs are reversed":
@@ -426,7 +427,7 @@ def _body_velocity_fault(c: Channels, tracks: Mapping[str, Windows]) -> Iterator
         "frame",
         "u, v",
         f"u and v do not agree with track and heading: {best}",
-        "u is forward, v is to starboard: correct column and sign in the import's map",
+        "correct columns and signs in the import map; u is forward, v is to starboard",
     )
 
 
@@ -467,17 +468,17 @@ def check_accelerometer(c: Channels, found: Match | None) -> Iterator[Finding]:
             "frame",
             "ax, ay",
             f"ax and ay do not agree with the change of velocity: {best}",
-            "ax is forward, ay is to starboard: correct column and sign in the import's map, or the mounting",
+            "correct columns and signs in the import map, or the mounting; ax is forward, ay is to starboard",
         )
     elif found.r2 > MIN_ACCELERATION_R2 and not 0.6 < found.scale < 1.6:
-        unit = "in g?" if abs(found.scale / 9.81 - 1.0) < 0.25 else "another unit, or the axes?"
+        unit = "are these in g?" if abs(found.scale / 9.81 - 1.0) < 0.25 else "wrong unit, or wrong axes?"
         yield Finding(
             "fault",
             "velocity-and-acceleration-scale",
             "units",
             "ax, ay",
-            f"velocity changes {found.scale:.2f} times as much as by the accelerometer: {unit}",
-            'unit = "g" in the import\'s map; or the velocity is in knots or km/h',
+            f"the velocity changes {found.scale:.2f} times as much as ax and ay would cause: {unit}",
+            'correct the unit of ax and ay (unit = "g"), or of the velocity (knots, km/h), in the import map',
         )
 
 

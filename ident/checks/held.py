@@ -37,9 +37,15 @@ def check_held_inputs(c: Channels) -> Iterator[Finding]:
         interval = 0.0 if held is None else held.rows * float(np.median(np.diff(c[name].t)))
         if held is None or interval < 2.0 * LEAST_LATE_S or not is_measured(c[name].value[held.new], interval):
             continue
-        text = f"held between measurements {interval:.3g} s apart: it comes {interval / 2.0:.2g} s late on average"
-        advice = 'hold = "linear" (a measured shaft speed) or "sampled" (a command) in the import\'s map, without '
-        yield Finding(WARNING, "input-held", "repeats", name, text, f'{advice}`repeats = "keep"`')
+        text = (
+            f"each value repeats for {interval:.3g} s until the next one, so that the signal is "
+            f"{interval / 2.0:.2g} s late on average"
+        )
+        advice = (
+            'in the import map, set hold = "linear" (measured shaft speed) or "sampled" (command), and remove '
+            'repeats = "keep"'
+        )
+        yield Finding(WARNING, "input-held", "repeats", name, text, advice)
 
 
 def check_held(c: Channels) -> Iterator[Finding]:
@@ -69,8 +75,8 @@ def check_held(c: Channels) -> Iterator[Finding]:
         for names, held in group_held_signals(found):
             interval, n_again = held.rows * float(np.median(np.diff(t))), t.size - int(held.new.sum())
             text = (
-                f"held between measurements {interval:.3g} s apart: {n_again} of {t.size} values repeat the one "
-                "before, and a fit takes each for a measurement"
+                f"{n_again} of {t.size} values only repeat the value before (the sensor measures every "
+                f"{interval:.3g} s), but a fit takes each for a new measurement"
             )
-            advice = 'raise the output rate of the device; remove `repeats = "keep"` from the import\'s map'
+            advice = 'raise the output rate of the device, or remove repeats = "keep" from the import map'
             yield Finding(WARNING, "values-held", "repeats", names, text, advice)

@@ -65,11 +65,14 @@ def check_inputs(c: Channels) -> Iterator[Finding]:
     for name in (n for n in names if is_of_thruster(n, SHAFT_SPEED)):
         command = c.get(command_of(SignalId.parse(name).source))
         held = _stuck_against_command(c[name], command) if command is not None and command.t is not c[name].t else None
-        advice = "its telemetry is frozen: check cable, bus and firmware; else fit by the command"
+        advice = (
+            "check cable, bus and firmware of the controller; or leave this signal out of the import map, so that the "
+            "fit uses the command"
+        )
         if held is not None:
             value, begin, end = held
             since = f"from {begin - c[name].t[0]:.1f} s on"
-            text = f"stays at {value:.3g} for {end - begin:.1f} s, {since}, against its command"
+            text = f"stays at {value:.3g} for {end - begin:.1f} s, {since}, although the command changes"
             yield Finding(FAULT, "shaft-speed-stuck", "stuck", name, text, advice)
         elif command is None and c[name].hold == "linear" and _is_constant(name, c[name]):
             value = float(np.median(c[name].value))
@@ -88,13 +91,14 @@ def _constant_inputs(c: Channels, names: list[str]) -> Iterator[Finding]:
     n_rises = _count_motion_rises(c)
     values = ", ".join(dict.fromkeys(f"{np.median(c[n].value):.3g}" for n in names))
     stopped = all(abs(float(np.median(c[n].value))) < TURNING for n in names)
-    advice = "use another column or topic in the map; check the cable, and whether the autopilot drives this output"
+    advice = "give the right column or topic in the import map; check whether the autopilot drives this output"
     if n_rises > (0 if stopped else MAX_RISES):
-        text = f"constant in the whole log ({values}), but the boat speeds up and turns: other signals drove it"
+        text = f"constant in the whole log ({values}), but the boat speeds up and turns: other commands drove it"
         yield Finding(FAULT, "inputs-constant", "stuck", ", ".join(names), text, advice)
     elif n_rises and not stopped:
         text = f"constant in the whole log ({values}): a fit cannot separate thrust and damping"
-        yield Finding(WARNING, "inputs-never-change", "stuck", ", ".join(names), text, "record a run with steps")
+        advice = "record a run with steps of the command (seatrial mission generate)"
+        yield Finding(WARNING, "inputs-never-change", "stuck", ", ".join(names), text, advice)
 
 
 def _is_constant(name: str, channel: Channel) -> bool:
@@ -221,7 +225,7 @@ def check_frozen_force(c: Channels) -> Iterator[Finding]:
     if max(float(np.ptp(sample_and_hold(command, grid))) for command in commands) > COMMAND_CHANGE:
         since = f"{end - begin:.1f} s, from {begin - force.t[0]:.1f} s on"
         text = f"stays at {force.value[first[k]]:.4g} N for {since}, although the command changes"
-        advice = "the load cell or its amplifier is frozen, or the map names another column"
+        advice = "check the load cell, its amplifier, and the column of force in the import map"
         yield Finding(FAULT, "channel-frozen", "stuck", "force", text, advice)
 
 
@@ -246,8 +250,13 @@ def check_exchanged_telemetry(c: Channels) -> Iterator[Finding]:
         both = ((a, b), (b, a))
         clear = all(cross[p] > FOLLOWS_OTHER and 1.0 - cross[p] < BETTER * (1.0 - own[p[1]]) for p in both)
         if a < b and clear:
-            text = f"their telemetry is exchanged: the speed of {a} follows the command of {b}, and that of {b} of {a}"
-            advice = "exchange the nodes of their telemetry in the rig, or its columns in the import's map"
+            text = (
+                f"their telemetry is exchanged: the shaft speed of {a} follows the command of {b}, and that of {b} "
+                f"the command of {a}"
+            )
+            advice = (
+                "exchange the nodes of both controllers in the rig file, or the shaft-speed columns in the import map"
+            )
             yield Finding(FAULT, "telemetry-exchanged", "thrusters", f"{a} and {b}", text, advice)
 
 

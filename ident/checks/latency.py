@@ -123,7 +123,7 @@ def _attitude_velocity_delay(
     thrust, None if unknown. ``turned``, ``moved``: names of the sensors of both, for the finding.
     """
     if not _is_well_estimated(attitude) or not _is_well_estimated(velocity):
-        text = f"the delay between {ATTITUDE} and {VELOCITY} is not known: they follow the thrust too little"
+        text = f"the delay between {ATTITUDE} and {VELOCITY} is not known: the thrust explains too little of them"
         yield Finding(OK, "delay-unknown", "late", turned, text)
         return
     assert attitude is not None
@@ -132,14 +132,17 @@ def _attitude_velocity_delay(
     late, ahead, where = (ATTITUDE, VELOCITY, turned) if lag > 0.0 else (VELOCITY, ATTITUDE, moved)
     level = _level_of_delay(abs(lag), half)
     if level == OK:
-        apart = f"{abs(lag):.2f} s apart, as both follow the thrust ({delay_interval(abs(lag), half)})"
-        text = f"{ATTITUDE} and {VELOCITY} are {apart}"
+        apart = f"{abs(lag):.2f} s apart, compared by their response to the thrust"
+        text = f"{ATTITUDE} and {VELOCITY} are {apart} ({delay_interval(abs(lag), half)})"
         yield Finding(OK, "sensors-in-time", "late", turned, text)
         return
     come = "comes" if late == VELOCITY else "come"
-    text = f"{late} {come} {abs(lag):.2f} s after {ahead}, as both follow the thrust ({delay_interval(abs(lag), half)})"
-    its = "its" if late == VELOCITY else "their"
-    yield Finding(level, "sensor-late", "late", where, text, f"check {its} filters, output rate and time stamps")
+    text = (
+        f"{late} {come} {abs(lag):.2f} s after {ahead}, compared by their response to the thrust "
+        f"({delay_interval(abs(lag), half)})"
+    )
+    advice = f"check filters, output rate and time stamps of {late}"
+    yield Finding(level, "sensor-late", "late", where, text, advice)
 
 
 def _motion_thrust_delay(
@@ -155,7 +158,13 @@ def _motion_thrust_delay(
     """
     found = [estimate for estimate in (attitude, velocity) if estimate is not None and _is_well_estimated(estimate)]
     if not found:
-        yield Finding(OK, "delay-unknown", "late", push.where, "the delay between thrust and motion is not known")
+        yield Finding(
+            OK,
+            "delay-unknown",
+            "late",
+            push.where,
+            "the delay between thrust and motion is not known: the thrust explains too little of the motion",
+        )
         return
     nearest = min(found, key=lambda estimate: abs(estimate.lag))  # one of the two sensors may be late itself
     same = len({estimate.lag > 0.0 for estimate in found}) == 1
@@ -166,7 +175,7 @@ def _motion_thrust_delay(
     if level != OK and lag < 0.0:
         before = f"{-lag:.2f} s before the thrust ({delay_interval(-lag, half)})"
         text = f"the motion comes {before}: the thrust is logged late"
-        advice = "check time stamps and filters of shaft speeds or commands"
+        advice = "check time stamps and filters of the shaft speeds or commands"
         yield Finding(level, "thrust-late", "late", push.where, text, advice)
     elif level != OK and push.measured:
         text = f"the motion comes {lag:.2f} s after the measured thrust ({delay_interval(lag, half)})"

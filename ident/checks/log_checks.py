@@ -630,7 +630,7 @@ def check_copies(logs: Sequence[tuple[str, Channels]]) -> list[Finding]:
             }
             shares = [size / min(own[n].size, earlier_triples[n].size) for n, size in same.items()]
             if shares and np.median(shares) > COPIED_SHARE:
-                text = f"has the same measurements as {earlier_name}: a copy gives no new information"
+                text = f"contains the same measurements as {earlier_name}: a copy gives no new information"
                 found.append(Finding(FAULT, "log-copied", "log", name, text, "give a log of another run"))
                 break
         earlier.append((name, own))
@@ -674,6 +674,6 @@ def _silent_controllers(log: Log) -> Iterator[Finding]:
     for thruster in rig.thrusters if rig else ():
         device, node = thruster.device, thruster.node
         if thruster.output is None and node in log.nodes(Command, device) and node not in log.nodes(Esc, device):
-            text = "it is commanded, but its controller sends no telemetry"
-            advice = "check its node on the bus, its power and its cable"
+            text = "the thruster is commanded, but its controller sends no telemetry"
+            advice = "check power and cable of the controller, and `node` of the thruster in the rig file"
             yield Finding("fault", "controller-never-heard", "dead", thruster.name, text, advice)

@@ -160,8 +160,8 @@ def _thruster_faults(found: ThrustResponse, yaw: Array, surge: Array) -> Iterato
             "sides",
             " and ".join(found.names),
             "left and right are swapped: the boat turns against its thrust difference",
-            "exchange the plugs, the nodes in the rig, the columns in the import's map, or y_left and y_right (--fix); "
-            "else the signs of both thrusters, or of heading and yaw rate (frame east, north, up), are wrong",
+            "exchange the plugs, the nodes in the rig file, the columns in the import map, or y_left and y_right "
+            "(--fix); or correct the signs of both thrusters, or of heading and yaw rate (clockwise)",
         )
         return
     most = np.minimum(_relative_upper_bounds(found.yaw), _relative_upper_bounds(found.surge))
@@ -172,8 +172,8 @@ def _thruster_faults(found: ThrustResponse, yaw: Array, surge: Array) -> Iterato
                 "thruster-sign-reversed",
                 "sign",
                 name,
-                "its thrust is in reverse when it is commanded forward",
-                "correct `reversed` of the rig, exchange two of the motor's phases, or change the propeller",
+                "the thrust is in reverse when the command is forward",
+                "correct `reversed` in the rig file, exchange two phases of the motor, or change the propeller",
             )
         elif most[k] < DEAD_RATIO and not (yaw[k] > 0 or surge[k] > 0 or found.surge.t[k] > SURGE_T):
             yield Finding(
@@ -181,7 +181,7 @@ def _thruster_faults(found: ThrustResponse, yaw: Array, surge: Array) -> Iterato
                 "thruster-without-effect",
                 "dead",
                 name,
-                "it has no effect on the boat: neither yaw rate nor surge speed responds to its command",
+                "the thruster has no effect on the boat: neither yaw rate nor surge speed responds to its command",
                 "check whether the propeller is lost or fouled, and whether the shaft turns",
             )
 

@@ -41,7 +41,7 @@ def check_outliers(c: Channels) -> Iterator[Finding]:
         more = f" and {n - SHOWN} more" if n > SHOWN else ""
         text = f"{counted(n, 'outlier')} of {total} samples left out: {listed}{more}"
         level, code = (FAULT, "many-outliers") if n > MANY * total else (WARNING, "outliers-left-out")
-        advice = "look at the signal at these times; check sensor, cable and decoder"
+        advice = "plot the signal at these times, and check sensor and cable"
         yield Finding(level, code, "outlier", name, text, advice)
     if {"x", "y"} <= set(c) and np.array_equal(c["x"].t, c["y"].t):
         t, x, y = c["x"].t, c["x"].value, c["y"].value
@@ -50,10 +50,10 @@ def check_outliers(c: Channels) -> Iterator[Finding]:
         if 0 < jumps.size <= 0.02 * t.size + 2:
             k = int(jumps[0])
             far = float(np.hypot(x[k] - x[k - 1], y[k] - y[k - 1]))
-            more = f" ({jumps.size - 1} more)" if jumps.size > 1 else ""
-            text = f"jumps by {far:.0f} m in {t[k] - t[k - 1]:.2f} s, {t[k] - t[0]:.1f} s from its start{more}"
-            advice = (
-                "look for a second receiver or a change of fix, or cut the log there: [[log]] t_from, t_to in the "
-                "import's map"
+            more = f" ({counted(jumps.size - 1, 'more jump')})" if jumps.size > 1 else ""
+            text = (
+                f"jumps by {far:.0f} m in {t[k] - t[k - 1]:.2f} s, {t[k] - t[0]:.1f} s after the start of the signal"
+                f"{more}"
             )
+            advice = "look for a second receiver, or cut the log there (t_from, t_to under [[log]] in the import map)"
             yield Finding(FAULT, "position-jumps", "outlier", "x, y", text, advice)

@@ -220,8 +220,9 @@ def check_time_scale(found: Matches) -> Finding | None:
         "time-scale",
         "time",
         "all signals",
-        f"{len(scales)} pairs of sensors differ by the same factor {common:.3g}: the time has a wrong unit or rate",
-        "correct [time] format, column or rate_hz in the import's map",
+        f"rates of change of {len(scales)} pairs of sensors differ by one factor, {common:.3g}: the time stamps have a "
+        "wrong unit or rate",
+        "correct format, column or rate_hz under [time] in the import map",
     )
 
 
@@ -250,8 +251,8 @@ def gyro_and_heading(c: Channels, found: Match | None) -> Iterator[Finding]:
             "heading-and-gyro-disagree",
             "gyro",
             where,
-            f"heading and yaw rate hardly agree (R2 {found.r2:.2f})",
-            "check whether one of them is stuck, belongs to another sensor, or is disturbed by iron",
+            f"the change of heading and the yaw rate hardly agree (R2 {found.r2:.2f})",
+            "check whether one of them is stuck, belongs to another sensor, or is disturbed by iron or motors",
         )
         return
     if 30.0 < 1.0 / size < 120.0 or 30.0 < size < 120.0:
@@ -264,8 +265,8 @@ def gyro_and_heading(c: Channels, found: Match | None) -> Iterator[Finding]:
             "angle-in-degrees",
             "units",
             where,
-            f"yaw rate is {1.0 / size:.3g} times the change of heading: {cause}?",
-            "correct the unit in the sensor's settings or in the import's map",
+            f"the yaw rate is {1.0 / size:.3g} times the change of heading: {cause}?",
+            "correct the unit in the sensor's settings or in the import map",
         )
     elif not 0.7 < size < 1.4:
         yield Finding(
@@ -274,8 +275,8 @@ def gyro_and_heading(c: Channels, found: Match | None) -> Iterator[Finding]:
             "gyro-scale",
             "gyro",
             where,
-            f"yaw rate is {1.0 / size:.3g} times the change of heading",
-            "check range and scale of the gyro; or the heading lags in turns, or the log's clock runs at another rate",
+            f"the yaw rate is {1.0 / size:.3g} times the change of heading",
+            "check range and scale of the gyro, whether the heading lags in turns, and the rate of the time stamps",
         )
     elif found.scale > 0.0:
         yield Finding(
@@ -412,8 +413,8 @@ def position_and_velocity(c: Channels, found: Match | None) -> Iterator[Finding]
             "position-and-velocity-disagree",
             "gnss",
             where,
-            f"position and velocity hardly agree (R2 {found.r2:.2f})",
-            "look for outliers and multipath, and check that both columns belong to one receiver",
+            f"the change of position and the velocity hardly agree (R2 {found.r2:.2f})",
+            "look for outliers and multipath, and check that both signals are from one receiver",
         )
         return
     if not 0.75 < found.scale < 1.33:
@@ -424,8 +425,9 @@ def position_and_velocity(c: Channels, found: Match | None) -> Iterator[Finding]
             "velocity-unit",
             "units",
             where,
-            f"positions change {found.scale:.3g} times as fast as the measured velocity: is it in {unit}?",
-            "correct the unit of velocity or positions in the import's map; or the log's clock runs at another rate",
+            f"the position changes {found.scale:.3g} times as fast as the measured velocity: is the velocity in "
+            f"{unit}?",
+            "correct the unit of the velocity or position in the import map, or check the rate of the time stamps",
         )
     yield from sensor_delay("position", _source_or_name(c["x"], "x"), "velocity", where, found)
 
@@ -485,7 +487,7 @@ def sensor_delay(
     if found.gain > MIN_ERROR_REDUCTION and abs(found.lag) >= DELAY_WARNING - SENSOR_GRID_S / 2:
         level = delay_level(abs(found.lag), np.inf if confounded else found.half)
         text = f"{late} comes {abs(found.lag):.2f} s after {early} ({interval})"
-        advice = "check its filters, output rate and time stamps"
+        advice = f"check filters, output rate and time stamps of the {late}"
         yield Finding(level, "sensor-late", "late", late_source, text, advice)
     elif found.half > UNKNOWN_DELAY or abs(found.lag) >= DELAY_WARNING - SENSOR_GRID_S / 2:
         text = f"the delay between {first} and {second} is not known ({interval})"

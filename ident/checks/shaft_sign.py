@@ -88,12 +88,16 @@ def check_wrapped(c: Channels) -> Iterator[Finding]:
     """
     if "r" in c and wrapped(c["r"].value, MAX_YAW_RATE, MIN_YAW_RATE):
         text = f"goes to {np.abs(c['r'].value).max():.4g} rad/s: negative rates are wrapped to 65536 - n"
-        yield Finding(FAULT, "gyro-wrapped", "sign", "r", text, "decode it as a signed number of 16 bits")
+        advice = "decode it as a signed number of 16 bits, and import the log again"
+        yield Finding(FAULT, "gyro-wrapped", "sign", "r", text, advice)
     for name in sorted(n for n in c if is_of_thruster(n, SHAFT_SPEED)):
         value = c[name].value
         if wrapped(value):
             text = f"goes to {np.abs(value).max():.4g} of full speed: negative speeds are wrapped to 65536 - n"
-            advice = "its telemetry sends an unsigned number: correct the firmware, or fit by the command"
+            advice = (
+                "decode it as a signed number of 16 bits, or leave it out of the import map, so that the fit uses the "
+                "command"
+            )
             yield Finding(FAULT, "shaft-speed-wrapped", "sign", name, text, advice)
 
 
@@ -108,14 +112,17 @@ def _one_sided_fault(name: str, command: Channel, shaft: Channel) -> Finding | N
         return None
     text = ""
     if forward > TURNS and abs(reverse) < STOPPED:
-        text = f"its speed is zero at commands in reverse, and {forward:.2f} times the command forward"
+        text = f"the shaft speed is zero at reverse commands, but {forward:.2f} times the command at forward ones"
     elif reverse > TURNS and abs(forward) < STOPPED:
-        text = f"its speed is zero at commands forward, and {reverse:.2f} times the command in reverse"
+        text = f"the shaft speed is zero at forward commands, but {reverse:.2f} times the command at reverse ones"
     elif TURNS < forward < IMPOSSIBLE and -IMPOSSIBLE < reverse < -TURNS:
-        text = "its speed is positive in both directions: the sign is lost"
+        text = "the shaft speed is positive at forward and at reverse commands: its sign is lost"
     if not text:
         return None
-    advice = "the telemetry or the controller lacks reverse: watch the shaft; else fit by the command"
+    advice = (
+        "watch whether the shaft turns in reverse; if it does, leave the shaft speed out of the import map, so that "
+        "the fit uses the command"
+    )
     return Finding(FAULT, "shaft-speed-one-sided", "sign", name, text, advice)
 
 

@@ -123,8 +123,8 @@ def _shaft_findings(name: str, command: Channel, shaft: Channel) -> Iterator[Fin
                 "controller-fell-silent",
                 "dead",
                 name,
-                f"it is commanded, but its controller sent no telemetry after {since:.0f} s of the log",
-                "check power, bus and fuse of that controller",
+                f"the thruster is commanded, but its controller sent no telemetry after {since:.0f} s of the log",
+                "check power, bus and fuse of this controller",
             )
         return
     found = response(command, shaft)
@@ -135,7 +135,8 @@ def _shaft_findings(name: str, command: Channel, shaft: Channel) -> Iterator[Fin
             "shaft",
             name,
             "command and shaft speed overlap for too short a time to estimate the response of the shaft",
-            f"record both for {DELAYS[-1] + 2.0 * MIN_SAMPLES * SHAFT_GRID_S:.0f} s or more",
+            f"record command and shaft speed together for {DELAYS[-1] + 2.0 * MIN_SAMPLES * SHAFT_GRID_S:.0f} s or "
+            "more",
         )
         return
     if found is NoResponse.STILL:
@@ -144,7 +145,7 @@ def _shaft_findings(name: str, command: Channel, shaft: Channel) -> Iterator[Fin
             "shaft-does-not-turn",
             "dead",
             name,
-            f"the shaft does not turn, at commands up to {np.abs(command.value).max():.2f}",
+            f"the shaft does not turn at any command (largest: {np.abs(command.value).max():.2f} of full)",
             "check controller, motor and cable, and whether the controller is armed",
         )
         return
@@ -159,15 +160,15 @@ def _shaft_findings(name: str, command: Channel, shaft: Channel) -> Iterator[Fin
             "shaft-late",
             "delay",
             name,
-            f"the shaft follows {found.delay:.2f} s after its command",
-            "check the rate and the queues of the link, and the ramp of the controller",
+            f"the shaft follows {found.delay:.2f} s after its command, later than {MAX_DELAY:g} s",
+            "check the telemetry rate, the load of the bus, and the ramp of the controller",
         )
     elif found.delay_known and not any(f.check == "delay" for f in of_steps):
         yield Finding("ok", "shaft-on-time", "delay", name, f"the shaft follows {found.delay:.2f} s after its command")
     if found.band_gain > 0.2 and found.band > 0.0:
         wide = found.band > MAX_DEAD_BAND + 0.005
-        advice = "small commands have no effect: check the dead band and the start-up power of the controller"
-        text = f"commands below {found.band:.2f} do not turn the shaft"
+        advice = "check the dead band and the start-up power of the controller"
+        text = f"commands below {found.band:.2f} of full do not turn the shaft"
         code = "dead-band-wide" if wide else "dead-band-narrow"
         yield Finding("fault" if wide else "ok", code, "dead band", name, text, advice if wide else "")
 
@@ -187,7 +188,7 @@ def _scale_findings(name: str, found: Response) -> Iterator[Finding]:
             "shaft",
             name,
             f"the shaft hardly follows its command (R2 {found.r2:.2f})",
-            "look for drop-outs of the command or of the speed, a limit, or a controller that ignores commands",
+            "plot both; look for missing samples, a speed limit, or a controller that ignores commands",
         )
     elif abs(size / RAD_PER_S - 1.0) < 0.1 or abs(size * RAD_PER_S - 1.0) < 0.1:
         yield Finding(
@@ -196,7 +197,7 @@ def _scale_findings(name: str, found: Response) -> Iterator[Finding]:
             "units",
             name,
             f"the shaft speed is {size:.3g} times the command: is it in rad/s, not in rev/min?",
-            "correct rpm_max of the rig or the unit in the import's map",
+            "correct rpm_max in the rig file, or the unit of the shaft speed in the import map",
         )
     elif not 0.4 < size < 2.5:
         yield Finding(
@@ -204,8 +205,8 @@ def _scale_findings(name: str, found: Response) -> Iterator[Finding]:
             "shaft-speed-scale",
             "units",
             name,
-            f"the shaft speed is {size:.3g} times the command",
-            "correct pole_pairs and rpm_max of the rig",
+            f"the shaft speed is {size:.3g} times the command, but both are fractions of full speed",
+            "correct pole_pairs and rpm_max in the rig file, or the scale in the import map",
         )
     elif found.scale < 0.0:
         yield Finding(
@@ -213,8 +214,8 @@ def _scale_findings(name: str, found: Response) -> Iterator[Finding]:
             "shaft-sign-reversed",
             "sign",
             name,
-            "the shaft turns against its command",
-            "correct `reversed` of the rig or the direction of the controller",
+            "the shaft turns in reverse at forward commands",
+            "correct `reversed` in the rig file, or the direction set in the controller",
         )
 
 
@@ -383,14 +384,17 @@ def _step_findings(name: str, command: Channel, shaft: Channel) -> Iterator[Find
             done = np.flatnonzero((now.values - before.settled) / change > 0.5)
             half += [float(now.times[done[0]]) - now.t] if done.size else []
     if len(half) >= 3 and np.median(half) > MAX_RISE_TIME_S:
-        text = f"half of a step shows {np.median(half):.1f} s after its command (median of {len(half)})"
+        text = (
+            f"the shaft speed reaches half of a step only {np.median(half):.1f} s after the command (median of "
+            f"{len(half)} steps)"
+        )
         yield Finding(
             "fault",
             "shaft-step-late",
             "delay",
             name,
             text,
-            "slow telemetry or a ramp of the controller hides the lag of the shaft: raise the telemetry rate",
+            "raise the telemetry rate, and remove the ramp of the controller: they hide the lag of the shaft",
         )
     yield from _saturation_findings(name, held)
     n_drop_outs = sum(_count_drop_outs(h) for h in held if abs(h.settled) > 0.5 * abs(h.level) > 0.05)
@@ -400,9 +404,9 @@ def _step_findings(name: str, command: Channel, shaft: Channel) -> Iterator[Find
             "shaft-speed-drops-out",
             "drop-out",
             name,
-            f"its speed falls to zero {'once' if n_drop_outs == 1 else f'{n_drop_outs} times'} "
-            "while it is commanded to turn",
-            "check its speed sensor and its power; fit with --robust",
+            f"the shaft speed falls to zero {'once' if n_drop_outs == 1 else f'{n_drop_outs} times'} "
+            "while the command is not zero",
+            "check the speed sensor and the power of the thruster; fit with --robust",
         )
 
 
@@ -439,6 +443,6 @@ def _saturation_findings(name: str, held: list[HeldCommand]) -> Iterator[Finding
             "shaft-speed-limited",
             "limit",
             name,
-            f"commands above {top:.2f} do not turn the shaft faster",
-            "lower limits.n_max of the rig to this value, or raise the limit of the controller",
+            f"commands above {top:.2f} of full do not turn the shaft faster",
+            "set n_max under [limits] in the rig file to this value, or raise the speed limit of the controller",
         )

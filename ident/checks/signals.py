@@ -74,19 +74,20 @@ def check_intervals(c: Channels) -> Iterator[Finding]:
             far = f"{pause[k] / YEAR:.1f} years" if pause[k] > YEAR else f"{pause[k] / DAY:.1f} days"
             text = f"its times jump by {far}, {c[name].t[k] - c[name].t[0]:.1f} s after its start"
             advice = (
-                "the clock was not set yet, or these are two runs: cut the log there, [[log]] t_from, t_to in the map"
+                "the device's clock was set, or these are two runs; cut the log there (t_from, t_to under [[log]] in "
+                "the import map)"
             )
             yield Finding("fault", "times-jump", "time", name, text, advice)
             return
         if step > LONGEST_INTERVAL or step < SHORTEST_INTERVAL:
-            unit = "ms" if LONGEST_INTERVAL < step < 1e4 else "us" if step > 1.0 else "another unit than s"
+            unit = "ms" if LONGEST_INTERVAL < step < 1e4 else "us" if step > 1.0 else "a unit other than s"
             yield Finding(
                 "fault",
                 "time-scale",
                 "time",
                 name,
                 f"one sample every {step:.3g} s: is its time in {unit}?",
-                "correct [time] format in the import's map: s, ms, us, ns",
+                "correct format (s, ms, us or ns) under [time] in the import map",
             )
             return
 
@@ -113,27 +114,31 @@ def check_ranges(c: Channels) -> Iterator[Finding]:
             pulses = float(np.median(value)) > 700.0 and float(value.max()) < 2600.0  # microseconds of a servo output
             unit = "a pulse width in us" if pulses else "percent" if most <= 110.0 else "rev/min, or a wrong offset"
             fix = "scale = 0.0025, offset = -3.75" if pulses else f"scale = {0.01 if most <= 110.0 else 1.0 / most:.3g}"
+            advice = f"set {fix} for this signal in the import map, or correct rpm_max in the rig file"
             yield Finding(
                 "fault",
                 "n-out-of-range",
                 "units",
                 name,
                 f"goes from {value.min():.4g} to {value.max():.4g}, but 1 is full speed: is it {unit}?",
-                f"{fix} in the import's map (value = sign * (scale * cell + offset)); or correct rpm_max of the rig",
+                advice,
             )
     if "r" in c and (most := float(np.quantile(np.abs(c["r"].value), 0.99))) > MAX_YAW_RATE:
         text = f"reaches {most:.3g} rad/s: is it in deg/s?"
-        yield Finding("fault", "angle-in-degrees", "units", "r", text, 'unit = "deg/s" in the import\'s map')
+        advice = 'if so, set unit = "deg/s" for r in the import map'
+        yield Finding("fault", "angle-in-degrees", "units", "r", text, advice)
     if "psi" in c and np.abs(c["psi"].value).max() > 7.0:
         t = np.arange(c["psi"].t[0], c["psi"].t[-1], max(1.0, 2.0 * float(np.median(np.diff(c["psi"].t)))))
         rate = np.diff(np.interp(t, c["psi"].t, np.unwrap(c["psi"].value, period=360.0))) / np.diff(t)
         if rate.size and float(np.quantile(np.abs(rate), 0.95)) > MAX_YAW_RATE:
             text = f"goes from {c['psi'].value.min():.4g} to {c['psi'].value.max():.4g} rad: is it in degrees?"
-            yield Finding("fault", "angle-in-degrees", "units", "psi", text, 'unit = "deg" in the import\'s map')
+            advice = 'if so, set unit = "deg" for psi in the import map'
+            yield Finding("fault", "angle-in-degrees", "units", "psi", text, advice)
     psi = c["psi"].value if "psi" in c else np.zeros(2)
     if 0.9 * TWICE < np.ptp(psi) < 1.02 * TWICE and np.abs(np.diff(psi)).max() > 0.8 * TWICE:
         text = f"jumps by {TWICE:.3f} rad: radians were converted as if they were degrees"
-        yield Finding("fault", "angle-in-degrees", "units", "psi", text, 'unit = "rad" in the import\'s map')
+        advice = 'set unit = "rad" for psi in the import map'
+        yield Finding("fault", "angle-in-degrees", "units", "psi", text, advice)
     if {"x", "y"} <= set(c):
         span = [float(np.ptp(c[n].value)) for n in ("x", "y")]
         away = [abs(float(np.median(c[n].value))) for n in ("x", "y")]
@@ -141,10 +146,11 @@ def check_ranges(c: Channels) -> Iterator[Finding]:
         if small and max(away) > 20.0 * max(span):
             distance = f"{away[0]:.4g} m north and {away[1]:.4g} m east"
             text = f"the track spans {max(span):.2g} m, {distance} of its origin: are positions in degrees?"
-            yield Finding(
-                "fault", "positions-in-degrees", "units", "x, y", text,
-                "x and y are metres north and east: scale = 111200 for latitude, 111200 cos(latitude) for longitude",
-            )  # fmt: skip
+            advice = (
+                "if so, set scale = 111200 for x (latitude) and 111200 cos(latitude) for y (longitude) in the import "
+                "map; x and y are in metres"
+            )
+            yield Finding("fault", "positions-in-degrees", "units", "x, y", text, advice)
 
 
 def check_frozen(c: Channels) -> Iterator[Finding]:
@@ -186,7 +192,10 @@ def check_frozen(c: Channels) -> Iterator[Finding]:
                 code = "channel-frozen"
                 since = f"for {end - begin:.1f} s, from {begin - start:.1f} s on"
                 text = f"stays at {value:.6g} {since}, but the boat moves"
-            advice = "use another column, or leave this time out: [[log]] t_from, t_to in the import's map"
+            advice = (
+                "check the sensor; give another column, or leave this time out (t_from, t_to under [[log]]), in the "
+                "import map"
+            )
             yield Finding("fault", code, "stuck", name, text, advice)
 
 
@@ -202,8 +211,8 @@ def check_quantised(c: Channels) -> Iterator[Finding]:
         steps = {name: coarse_step(c, name) for name in group if name in c}
         if any(steps.values()):
             unit = "m" if group == ("x", "y") else "m/s"
-            text = f"is rounded to steps of {max(steps.values()):.2g} {unit}: the rounding error adds to its noise"
-            advice = "set the receiver or the export to more decimals"
+            text = f"rounded to steps of {max(steps.values()):.2g} {unit}: the rounding error adds to the noise"
+            advice = "set more decimals in the receiver, or in the program that exported the log"
             where = ", ".join(name for name, step in steps.items() if step)
             yield Finding("warning", "channel-quantised", "resolution", where, text, advice)
 
@@ -392,14 +401,14 @@ def check_alternating(c: Channels) -> Iterator[Finding]:
         shares = {name: _alternating_share(c[name]) for name in group if name in c}
         found = [name for name, share in shares.items() if share > ALTERNATES]
         if found:
-            text = "its values alternate from sample to sample: two sensors, or two receivers, are in one signal"
+            text = "the values alternate from sample to sample: two sensors, or two receivers, are in one signal"
             advice = "give each sensor its own topic, column or port, and import only one"
             yield Finding("fault", "two-sensors", "alike", ", ".join(found), text, advice)
         elif group == ("x", "y") and len(shares) == 2 and np.array_equal(c["x"].t, c["y"].t):
             x, y = c["x"], c["y"]
             if x.t.size >= FEWEST and (other := second_receiver(x.t, x.value, y.value)) is not None:
                 text = (
-                    f"{100 * other.share:.0f} % of its fixes, at regular times, lie {other.offset:.1f} m beside the "
+                    f"{100 * other.share:.0f} % of the fixes, at regular times, lie {other.offset:.1f} m beside the "
                     "others: two receivers of unequal rate are in one signal"
                 )
                 advice = "give each receiver its own topic, column or port, and import only one"
@@ -437,9 +446,10 @@ def check_smoothing(c: Channels) -> Iterator[Finding]:
     """
     smooth = smoothed(c)
     if smooth:
-        text = "no white noise of a sensor: a filter has smoothed the signal, and its errors last for seconds"
+        text = "a filter has smoothed the signal: it lacks the noise of a sensor, and its errors last for seconds"
         advice = (
-            "give the noise of these signals (--fix e_psi=0.03, ...); else a fit assumes at least that of usual sensors"
+            "log the raw sensor, or give the noise to the fit (--fix e_psi=0.03, ...); otherwise the fit assumes at "
+            "least the noise of usual sensors"
         )
         yield Finding("warning", "channel-smoothed", "noise", ", ".join(smooth), text, advice)
 

@@ -602,11 +602,14 @@ def design(
         raise click.BadParameter("give exactly two effects, such as delay,lag", param_hint="--discriminate")
     if between and rest["robust"]:
         raise click.BadParameter(
-            "cannot be used with --discriminate, whose criterion is not averaged over samples; leave one out",
+            "cannot be used with --discriminate, whose criterion is not averaged over parameter samples; leave out one "
+            "of the two options",
             param_hint="--average-over",
         )
     if rest["criterion"] == "Ds" and not rest["chosen"]:
-        raise click.BadParameter("Ds needs --parameters, the parameters of the criterion", param_hint="--criterion")
+        raise click.BadParameter(
+            "Ds needs the parameters to estimate; give them by --parameters, such as d_v,m_v", param_hint="--criterion"
+        )
     from seatrial.ident.experiment_design import DesignLimits
     from seatrial.ident.workflows.design import DesignRequest, design_summary, make_design
 
@@ -651,5 +654,5 @@ def _parse_interval(text: str) -> tuple[float, float]:
     except ValueError:
         raise click.BadParameter(f"{text!r} is not T0:T1 in seconds of the log, such as 60:90") from None
     if not -math.inf < begin < end < math.inf:
-        raise click.BadParameter(f"{text!r}: the end is not after the beginning")
+        raise click.BadParameter(f"{text!r}: the end is not after the beginning; write T0:T1, such as 60:90")
     return begin, end

@@ -75,7 +75,7 @@ def parse_values(_context: click.Context, _parameter: click.Parameter, items: Se
         try:
             found[name] = _parse_finite(value)
         except ValueError:
-            raise click.BadParameter(f"{item!r} is not NAME=NUMBER") from None
+            raise click.BadParameter(f"{item!r} is not NAME=NUMBER, such as m_u=30") from None
     return found
 
 
@@ -101,7 +101,7 @@ def parse_rates(context: click.Context, parameter: click.Parameter, items: Seque
     found = parse_values(context, parameter, items)
     for name, rate in found.items():
         if rate <= 0.0:
-            raise click.BadParameter(f"{name}={rate:g} is not above 0 Hz")
+            raise click.BadParameter(f"{name}={rate:g}: the rate has to be above 0 Hz")
     return found
 
 
@@ -116,7 +116,7 @@ def check_jobs(_context: click.Context, _parameter: click.Parameter, number: int
         If it is 0 or below -1.
     """
     if number < 1 and number != -1:
-        raise click.BadParameter(f"{number} is neither a number of processes nor -1 (one for each core)")
+        raise click.BadParameter(f"{number} is not a number of processes; give 1 or more, or -1 (one for each core)")
     return number
 
 
@@ -154,7 +154,7 @@ def parse_priors(
         try:
             mean, sd = (_parse_finite(part) for part in value.split(":"))
         except ValueError:
-            raise click.BadParameter(f"{item!r} is not NAME=MEAN:SD") from None
+            raise click.BadParameter(f"{item!r} is not NAME=MEAN:SD, such as m_u=30:2") from None
         if not sd > 0:
             raise click.BadParameter(f"{item!r}: SD in NAME=MEAN:SD, the standard deviation, has to be above 0")
         found[name] = (mean, sd)
@@ -184,7 +184,9 @@ def window_option(f: Callable[..., Any]) -> Callable[..., Any]:
 
         t_to = math.inf if t_to is None else t_to
         if not t_from < t_to:
-            raise click.BadParameter(f"{t_to:g} s is not after --from, {t_from:g} s", param_hint="--to")
+            raise click.BadParameter(
+                f"{t_to:g} s is not after --from, {t_from:g} s; give a later end", param_hint="--to"
+            )
         return f(*args, window=TimeWindow(t_from, t_to), **rest)
 
     seconds, of = FiniteRange(0.0), "[s of the log] of the interval of LOGS that is used."

@@ -708,8 +708,8 @@ def parts_with_sensors(log: LoadedLog) -> list[LoadedLog]:
     path, short = log.about["path"], counted(n_short, "part") + f" shorter than {SHORTEST_PIECE_S:g} s"
     if not found:
         raise SeatrialError(
-            f"{path}: no segment of the log between two gaps is as long as {SHORTEST_PIECE_S:g} s, so none is left to "
-            f"use; {gap_line(gaps)}"
+            f"{path}: no segment of the log between two gaps is as long as {SHORTEST_PIECE_S:g} s, so none can be "
+            f"used; check the sensors with `seatrial check {path}` ({gap_line(gaps)})"
         )
     omitted = f"; {short} {'is' if n_short == 1 else 'are'} left out" if n_short else ""
     warnings.warn(f"{path}: {gap_line(gaps)}{omitted}", SeatrialWarning, stacklevel=2)

@@ -247,7 +247,7 @@ class Record:
         if missing:
             raise ValueError(
                 f"{self.name}: no signal for the input {missing[0]!r} of model {model.name}; "
-                f"the record has {', '.join(self.inputs) or 'no inputs'}"
+                f"the record has {', '.join(self.inputs) or 'no inputs'}; use another model, or a log with this signal"
             )
         columns, y = [self.inputs.index(n) for n in inputs], self.y
         if tuple(outputs) != self.outputs:
@@ -362,7 +362,7 @@ def build_record(
     window = min((windows[s.name] for s in present if _has_feedthrough(model, s)), default=0.0)
     exact = [i for i in own if i.hold == "zero" and not (i.prefilter and window)]
     switches = [_change_times(channels[i.name]) for i in exact]
-    t = _row_times([times for times, _ in samples.values()], switches, start, end, max_step or model.max_step)
+    t = _row_times(name, [times for times, _ in samples.values()], switches, start, end, max_step or model.max_step)
     missing = tuple(s.name for s in model.sensors if s.name not in samples)
     lost_s, first = max(ends.values()) - end, min(ends, key=lambda n: ends[n])
     cut = {"cut": (first, lost_s)} if t_to is None and lost_s > SHARE_LOST * (lost_s + end - start) else {}
@@ -391,12 +391,16 @@ def _present_sensors(model: Model, channels: Mapping[str, Channel], name: str) -
     if missing:
         available = ", ".join(sorted(channels)) or "no signals"
         raise ValueError(
-            f"{name}: no signal for the input {missing[0]!r} of model {model.name}; the log has {available}"
+            f"{name}: no signal for the input {missing[0]!r} of model {model.name}; the log has {available}; use "
+            "another model, or a log with this signal"
         )
     present = [s for s in model.sensors if all(o.name in channels for o in s.outputs)]
     if not present:
         names = ", ".join(s.name for s in model.sensors)
-        raise ValueError(f"{name}: none of the sensors of model {model.name} is in the log; it needs one of {names}")
+        raise ValueError(
+            f"{name}: none of the sensors of model {model.name} is in the log; it needs one of {names}; use another "
+            "model, or a log with such a sensor"
+        )
     return present
 
 
@@ -508,8 +512,8 @@ def _sensor_samples(
         if not times.size and inside.any():
             names = " and ".join(o.name for o in sensor.outputs)
             raise ValueError(
-                f"{name}: {names} are read together as the sensor {sensor.name}, and no row has them at the same time: "
-                "give them the same time stamps"
+                f"{name}: {names} are used together as the sensor {sensor.name}, but they have no common time stamp; "
+                "give both the same time stamps"
             )
         if faster:
             times = _nearest_to_block_middles(times, start, end, rate)
@@ -585,13 +589,14 @@ def _has_feedthrough(model: Model, sensor: Sensor) -> bool:
 
 
 def _row_times(
-    measured: Sequence[Array], switches: Sequence[Array], start: float, end: float, max_step: float
+    name: str, measured: Sequence[Array], switches: Sequence[Array], start: float, end: float, max_step: float
 ) -> Array:
     """Return the times of the rows of a record [s] from ``start`` to ``end`` [s], increasing.
 
     The times are the union of ``measured`` (times of the samples of each sensor), of ``switches`` (times at which an
     input changes) inside the record, and of both ends. Times closer than `SAME_TIME` (1 us) become one row. Where two
-    rows are farther apart than ``max_step`` [s] by more than 10 %, rows at equal intervals are added.
+    rows are farther apart than ``max_step`` [s] by more than 10 %, rows at equal intervals are added. ``name`` is that
+    of the record, for messages.
 
     Raises
     ------
@@ -605,8 +610,8 @@ def _row_times(
     if pieces.max(initial=1) > MAX_GAP_ROWS or pieces.sum() > MAX_ROWS:
         longest = int(np.argmax(gaps))
         raise ValueError(
-            f"no sample from {t[longest]:.1f} to {t[longest + 1]:.1f} s: too long to bridge; "
-            "choose a part of the log by its times, or split the log at the gap"
+            f"{name}: no sensor has a sample from {t[longest]:.1f} to {t[longest + 1]:.1f} s, which is too long for a "
+            "record; use only the part before or after it (--from, --to)"
         )
     pieces = pieces.astype(int)
     if pieces.max(initial=1) == 1:

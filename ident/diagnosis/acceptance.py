@@ -154,7 +154,7 @@ def comparison(
     failed_before = {f.record for f in before.failed}
     lost = [f for f in after.failed if f.record not in failed_before]
     if lost:
-        raise ValueError(f"{lost[0].record} cannot be evaluated with the added effect: {lost[0].reason}")
+        raise ValueError(f"{lost[0].record} cannot be predicted with the added effect: {lost[0].reason}")
     return Comparison(before, after, policy)
 
 

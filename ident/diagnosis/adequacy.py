@@ -160,7 +160,7 @@ def _strong_remaining_test_reasons(strong: Sequence[Score], n: int) -> list[str]
     best = max(strong, key=lambda s: s.criterion(n))
     return [
         f"with this effect the score tests still find {_finding_in_words(best)} "
-        f"({best.criterion(n):.0f} more in 2 ln L)"
+        f"(a gain of {best.criterion(n):.0f} in 2 ln L)"
     ]
 
 
@@ -172,7 +172,7 @@ def _many_remaining_tests_reasons(remaining: Sequence[Score], policy: SearchPoli
     if len(remaining) <= policy.max_remaining_tests:
         return []
     return [
-        f"with this effect {len(remaining)} score tests still pass; "
+        f"with this effect {len(remaining)} score tests are still significant; "
         f"the strongest finds {_finding_in_words(remaining[0])}"
     ]
 
@@ -198,7 +198,7 @@ def _form_correction_reasons(chosen: Sequence[Refit], refit: Refit, policy: Sear
     """
     strong = [c.effect for c in chosen if refit.criterion < policy.form_share * c.criterion]
     related = [e for e in strong if e.name in refit.effect.alternatives or refit.effect.name in e.alternatives]
-    return [f"it may only correct the formula of {related[0].title}"] if related else []
+    return [f"this effect may only correct the formula of {related[0].title}"] if related else []
 
 
 def _undetermined_size_reasons(effect: Effect, fitted: FittedModel, policy: SearchPolicy) -> list[str]:
@@ -388,7 +388,8 @@ def _failed_candidate_reasons(search_round: Round) -> list[str]:
     Such a candidate may be the right one. Only the first is named; the list is empty if there is none.
     """
     return [
-        f"{u.effect.title} passes the test too and could not be fitted: {u.reason}" for u in search_round.untested[:1]
+        f"{u.effect.title} passes the score test too, but could not be fitted: {u.reason}"
+        for u in search_round.untested[:1]
     ]
 
 

@@ -232,7 +232,10 @@ class Round:
             return "no candidate that passed could be fitted"
         match self.outcome:
             case Outcome.SMALL:
-                return f"the rest is small compared with the effects found: {best.effect.title} gains {best.gain:.0f}"
+                return (
+                    "other effects are small compared with the effects found: "
+                    f"{best.effect.title} gains {best.gain:.0f} in 2 ln L"
+                )
             case Outcome.WORSE_PREDICTION:
                 return f"{best.effect.title} makes the prediction worse"
             case Outcome.NO_BETTER_PREDICTION:

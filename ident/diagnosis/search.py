@@ -666,7 +666,10 @@ class _Search:
         except np.linalg.LinAlgError as problem:
             names = ", ".join(r.name for r in self.records)
             message = f"the residuals of model {fitted.model.name} cannot be tested"
-            raise ValueError(f"{names}: {message}: {problem}; the fit {fitted.fit.message}") from problem
+            raise ValueError(
+                f"{names}: {message}: {problem}; check the estimates, and free fewer parameters (the fit "
+                f"{fitted.fit.message})"
+            ) from problem
 
     def uncertainty(self, passing: Sequence[Score]) -> ModelUncertainty | None:
         """Compute how the candidates that pass would shift the estimates of the model that was scored last.

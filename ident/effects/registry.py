@@ -45,7 +45,8 @@ def catalogue() -> Mapping[str, Effect]:
         for effect in _effects_of_plugin(load_or_warn(point, object), point.value):
             if effect.name in found:
                 warnings.warn(
-                    f"the effect {effect.name!r} of {point.value} is left out: the name is in use; rename it",
+                    f"the effect {effect.name!r} of the package {point.value} is left out, because another effect has "
+                    "this name; rename it",
                     SeatrialWarning,
                     stacklevel=2,
                 )
@@ -76,7 +77,8 @@ def _effects_of_plugin(loaded: object, place: str) -> tuple[Effect, ...]:
     found = tuple(effect for effect in effects if isinstance(effect, Effect))
     if len(found) < len(effects) and loaded is not None:
         warnings.warn(
-            f"{place} is left out: it has to be a seatrial.ident.model.Effect or a list of them",
+            f"the effects of the package {place} are left out; name a seatrial.ident.model.Effect, or a list of them, "
+            "in its entry point",
             SeatrialWarning,
             stacklevel=3,
         )

@@ -497,7 +497,10 @@ def _scalar_column(model: Model, values: Mapping[str, Any], names: list[str], ro
     column = []
     for name in names:
         if name not in values:
-            raise ValueError(f"model {model.name} gives no {role} {name}; it gives {', '.join(values) or 'none'}")
+            raise ValueError(
+                f"model {model.name} returns no {role} {name}; it returns {', '.join(values) or 'none'}; correct the "
+                "name, or add the entry"
+            )
         value = ca.SX(values[name])
         if value.numel() != 1:
             raise ValueError(
@@ -505,8 +508,8 @@ def _scalar_column(model: Model, values: Mapping[str, Any], names: list[str], ro
             )
         if _contains_nan(value):
             raise ValueError(
-                f"model {model.name}: the {role} {name} has lost its symbols (math.sin, float() and assignment "
-                "into np.zeros convert symbols to numbers; use numpy's functions)"
+                f"model {model.name}: the {role} {name} is a number and not a symbolic expression (math.sin, float() "
+                "and assignment into np.zeros convert symbols to numbers); use numpy's functions"
             )
         column.append(ca.densify(value))
     return ca.densify(ca.vertcat(*column))

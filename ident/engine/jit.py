@@ -151,7 +151,7 @@ def load_machine_code(ir: str, symbol: str, has_loops: bool = False) -> tuple[An
         If llvmlite is not installed.
     """
     if not AVAILABLE:
-        raise RuntimeError("llvmlite is not installed, so kernels cannot be compiled; install llvmlite")
+        raise RuntimeError("llvmlite is not installed, so models cannot be compiled; pip install llvmlite")
     key = machine_code_key(ir, has_loops)
     cached = load_cached_machine_code(key, symbol)
     if cached is not None:

@@ -135,7 +135,7 @@ class Kernel:
             if not compiled and not _warned:
                 _warned.append("llvmlite")
                 warnings.warn(
-                    "llvmlite is not installed: estimation works, but thousands of times slower; install llvmlite",
+                    "llvmlite is not installed: estimation works, but thousands of times slower; pip install llvmlite",
                     SeatrialWarning,
                     stacklevel=2,
                 )

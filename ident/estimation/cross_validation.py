@@ -121,7 +121,7 @@ def leave_one_block_out(
         if not (np.isfinite(score.value) and np.isfinite(score.information).all()):
             raise ValueError(
                 f"{row.name}: the likelihood of model {model.name} is not finite for the estimated parameters on this "
-                "part of the record"
+                "part of the record; check the log with `seatrial check`, or leave it out"
             )
         gradients[b, own] = slope[own] * score.gradient
         informations[b][np.ix_(own, own)] = np.outer(slope[own], slope[own]) * score.information

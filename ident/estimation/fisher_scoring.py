@@ -667,8 +667,8 @@ class Problem:
         for record, values in zip(self.records, self.values(z), strict=True):
             if not np.isfinite(self.likelihood.value(record, values)):
                 raise ValueError(
-                    f"record {record.name}: the likelihood of model {self.model.name} cannot be "
-                    "evaluated at the initial values"
+                    f"record {record.name}: the likelihood of model {self.model.name} cannot be evaluated at the "
+                    "initial values of the parameters; give others (--initial NAME=VALUE)"
                 )
 
     def _for_each_record(self, work: Callable[[int, Array], T], z: Array) -> list[T]:

@@ -331,7 +331,10 @@ def fit(
         known, robust = _assess_uncertainty(problem, optimum, settings.robust_errors)
     except np.linalg.LinAlgError as error:
         names = ", ".join(r.name for r in records)
-        raise ValueError(f"{names}: the search for the parameters of model {model.name} diverged: {error}") from error
+        raise ValueError(
+            f"{names}: the search for the parameters of model {model.name} diverged: {error}; give other initial "
+            "values, or fix some parameters"
+        ) from error
     coloured = options.process_noise and _residuals_are_coloured(problem, robust)
     if coloured or (not options.process_noise and settings.robust_errors):
         lost = np.isfinite(known.errors) & np.isnan(robust.errors)

@@ -330,7 +330,7 @@ def load_model(path: Path) -> SavedModel:
         raise SeatrialError(f"{path}: is a folder; give the model in it: {path / 'model.toml'}")
     text = read_text(path)
     if text.lstrip().startswith("{"):
-        raise SeatrialError(f"{path}: is JSON, as a result is; give the model.toml beside it")
+        raise SeatrialError(f"{path}: is a JSON file such as result.json, not a model; give the model.toml beside it")
     table = parse_toml(text, path).values
     if table.get("format") != FORMAT:
         raise SeatrialError(f"{path}: format is {table.get('format')!r}, not {FORMAT!r}: give a model.toml of seatrial")
@@ -353,7 +353,8 @@ def load_model(path: Path) -> SavedModel:
         calibration = None if calibration is None else float(calibration)
     except (AttributeError, KeyError, TypeError, ValueError) as problem:  # AttributeError: a value instead of a table
         raise SeatrialError(
-            f"{path}: the model in this file is incomplete or does not match this version: {problem}"
+            f"{path}: the model in this file is incomplete or does not match this version of seatrial, so fit it "
+            f"again: {problem}"
         ) from problem
     return SavedModel(
         model,
@@ -409,7 +410,7 @@ def _build_model(table: Mapping[str, Any], source: str, own: Mapping[str, Effect
         if name not in {e.name for e in model.effects}:
             effect = own[name] if name in own else _effect_by_name(name, model, table.get("curves", {}))
             if name == ESTIMATOR_ERROR and not {p.name for p in effect.parameters} <= written:
-                raise ValueError("its navigation errors are stored in an older format; fit the model again")
+                raise ValueError("its navigation errors are stored in an older format")
             if _is_scaled_to_boat(effect, own):
                 _check_units(effect, table["parameter"])
                 effect = _with_bounds_around_values(scale_priors(effect, size), table["parameter"])
@@ -459,8 +460,7 @@ def _check_units(effect: Effect, rows: Sequence[Mapping[str, Any]]) -> None:
         if effect.kind.nonparametric and row.get("unit", "") != units.get(row["name"], row.get("unit", "")):
             now = units[row["name"]] or "1"
             raise ValueError(
-                f"parameter {row['name']} is stored in {row['unit'] or '1'}, but this version has it in {now}; "
-                "fit the model again"
+                f"parameter {row['name']} is stored in {row['unit'] or '1'}, but this version has it in {now}"
             )
 
 

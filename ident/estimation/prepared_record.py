@@ -136,8 +136,8 @@ class Preparer:
             partly = np.flatnonzero(columns.any(axis=1) & ~whole)
             if partly.size:
                 raise ValueError(
-                    f"record {record.name}: a sample of {sensor.name} at {record.t[partly[0]]:g} s has "
-                    "some of its outputs and lacks others"
+                    f"record {record.name}: the sample of the sensor {sensor.name} at {record.t[partly[0]]:g} s has "
+                    f"only some of its outputs {', '.join(o.name for o in sensor.outputs)}; give all of them, or none"
                 )
             of_sensor = outliers[:, first_output - len(sensor.outputs) : first_output]
             of_sensor |= of_sensor.any(axis=1, keepdims=True)  # a sample is used or left out with all its outputs
@@ -166,13 +166,19 @@ class Preparer:
                     f"{model.name} needs the shape {shape}"
                 )
         if n < 2 or not (np.diff(record.t) > 0).all():
-            raise ValueError(f"record {record.name}: its times do not increase, or it has fewer than two rows")
+            raise ValueError(
+                f"record {record.name}: its times t do not increase, or there are fewer than two; sort the samples by "
+                "time, and leave out repeated times"
+            )
         known = np.isfinite(record.u) & np.isfinite(record.u_next)
         whole = np.asarray(known.all(axis=0))  # fast for hundreds of inputs
         for j, signal in enumerate(model.inputs):
             if not whole[j]:
                 at = record.t[np.argmin(known[:, j])]
-                raise ValueError(f"record {record.name}: the input {signal.name} has no value at {at:g} s")
+                raise ValueError(
+                    f"record {record.name}: the input {signal.name} has no value at {at:g} s; use a part of the log in "
+                    "which it is known"
+                )
 
 
 def _first_measurements(model: Model, record: Record, measured: NDArray[np.bool_]) -> tuple[Array, NDArray[np.bool_]]:

@@ -83,7 +83,8 @@ def _with_antenna(model: Model, rig: Rig) -> tuple[Model, list[str]]:
     if not model.accepts(part):
         return model, [
             f"model {model.name} cannot include the lever arm of the rig's antenna ({where}): "
-            f"it takes {', '.join(seen)} as measured at the origin"
+            f"it takes {', '.join(seen)} as measured at the origin; use a horizontal or kinematic model if the boat "
+            "turns"
         ]
     note = f"the rig has {len(arms)} antennas; model {model.name} uses the first of them ({where}) for all GNSS"
     return model + part, [note] if len(set(arms)) > 1 else []

@@ -133,8 +133,8 @@ def profile(fit: Fit, records: Sequence[Record], name: str, *, threads: int = 2)
     notes = [f"{word} side: {side.note}" for word, side in zip(("lower", "upper"), sides, strict=True) if side.note]
     if objective.best_found[0] > before + MIN_GAIN:
         notes.append(
-            f"a better fit was found during the search, by {objective.best_found[0] - before:.2g} in log-likelihood; "
-            "the profile is of that fit: fit again from there"
+            f"the profile found a fit with a log-likelihood larger by {objective.best_found[0] - before:.2g}, and "
+            "belongs to that fit: fit again from these values (--initial)"
         )
     error = fit.errors[objective.coordinate] / np.abs(objective.parameter.slope(fit.values[objective.coordinate]))
     return _profile_in_own_unit(

@@ -128,7 +128,8 @@ def linearise(saved: SavedModel, speed: float) -> Linearisation:
     names = [s.name for s in model.states if s.name not in POSE]
     if "u" not in names:
         raise SeatrialError(
-            f"model {model.name} has no forward speed u among its states, so it has no such operating point"
+            f"model {model.name} has no forward speed u among its states, so it has no such operating point; "
+            "use a model with u, such as horizontal"
         )
     if not np.isfinite(speed) or speed == 0.0:
         raise SeatrialError(f"speed {speed:g} m/s: give a speed other than zero, at which the model has a slope")

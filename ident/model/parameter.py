@@ -148,7 +148,7 @@ class Parameter:
                 f"parameter {self.name}: a considered parameter needs a prior and one value for all records"
             )
         if self.transform == "log" and self.value <= 0:
-            raise ValueError(f"parameter {self.name}: {self.value} is not positive, as its transform log requires")
+            raise ValueError(f"parameter {self.name}: {self.value} is not positive, but this parameter has to be")
         nearest = min(max(self.value, low), high)
         if 0 < abs(self.value - nearest) <= ROUNDING * abs(nearest):
             object.__setattr__(self, "value", nearest)

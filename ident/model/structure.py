@@ -634,12 +634,15 @@ class Model:
             *((f"sd0 of the state {s.name}", s.sd0) for s in self.states),
         ):
             if isinstance(name, str) and name not in parameters:
-                raise ValueError(f"model {self.name}: {field_name} names no parameter: {name!r}")
+                raise ValueError(
+                    f"model {self.name}: {field_name} is {name!r}, which is not a parameter of the model; correct the "
+                    "name, or define the parameter"
+                )
         for s in self.states:
             if s.from_output and s.from_output not in outputs:
                 raise ValueError(
-                    f"model {self.name}: from_output of the state {s.name} names no output: "
-                    f"{s.from_output!r}; there is {', '.join(sorted(outputs))}"
+                    f"model {self.name}: from_output of the state {s.name} is {s.from_output!r}, which is not an "
+                    f"output of the model; there is {', '.join(sorted(outputs))}"
                 )
 
     @property
@@ -845,7 +848,8 @@ class Model:
         missing = self._missing_signals(effect)
         if missing:
             raise ValueError(
-                f"effect {effect.name} needs the signal {sorted(missing)[0]!r}, which model {self.name} does not have"
+                f"effect {effect.name} needs the signal {sorted(missing)[0]!r}, which model {self.name} does not have; "
+                "use another model, or leave the effect out"
             )
         own = {i.name: i for i in self.inputs}
         return replace(
@@ -957,7 +961,9 @@ def _checked_dictionary(found: Any, function: str, expected: str) -> Mapping[str
         If the result is not a dictionary (Mapping).
     """
     if not isinstance(found, Mapping):
-        raise TypeError(f"{function} returns a {type(found).__name__}, not a dictionary {expected}")
+        raise TypeError(
+            f"{function} returns a {type(found).__name__}, not a dictionary {expected}; return such a dictionary"
+        )
     return found
 
 

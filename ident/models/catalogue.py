@@ -146,9 +146,15 @@ def _model_of_package(source: str, kind: str, options: Sequence[str]) -> Model:
     try:
         model = make(*options)
     except Exception as error:  # code of others may raise anything
-        raise SeatrialError(f"model {source!r} ({point.value}): {type(error).__name__}: {error}") from error
+        raise SeatrialError(
+            f"model {source!r} ({point.value}): the package cannot make it: {type(error).__name__}: {error}; ask the "
+            "author of the package"
+        ) from error
     if not isinstance(model, Model):
-        raise SeatrialError(f"model {source!r} ({point.value}) is a {type(model).__name__}, not a seatrial Model")
+        raise SeatrialError(
+            f"model {source!r} ({point.value}) is a {type(model).__name__}, not a seatrial Model; ask the author of "
+            "the package"
+        )
     return replace(model, source=source)  # model.toml finds the model again by its source
 
 
@@ -287,5 +293,8 @@ def own_model(source: str) -> Model:
     file, _, name = source.rpartition(":")
     model = load_object(source)
     if not isinstance(model, Model):
-        raise SeatrialError(f"{file}: {name} is no seatrial.ident.model.structure.Model but {type(model).__name__}")
+        raise SeatrialError(
+            f"{file}: {name} is a {type(model).__name__}, not a seatrial Model; name a Model, or a function without "
+            "arguments that returns one"
+        )
     return check_user_model(replace(model, source=source), Path(file))  # model.toml stores the source to load it again

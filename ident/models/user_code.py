@@ -155,7 +155,7 @@ def load_python(path: Path) -> ModuleType:
     """
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if not path.is_file() or spec is None:
-        raise SeatrialError(f"{path}: no such Python file")
+        raise SeatrialError(f"{path}: no such Python file; correct the path")
     module = importlib.util.module_from_spec(spec)
     try:
         # The loader is not used, because it would run bytecode in the folder of the file instead of the file
@@ -208,7 +208,10 @@ def load_effects(path: Path) -> dict[str, Effect]:
     module = load_python(path)
     effects = getattr(module, "EFFECTS", None) or ((module.EFFECT,) if hasattr(module, "EFFECT") else ())
     if not effects or not all(isinstance(e, Effect) for e in effects):
-        raise SeatrialError(f"{path}: defines neither EFFECT nor EFFECTS of seatrial.ident.model.structure.Effect")
+        raise SeatrialError(
+            f"{path}: defines neither EFFECT nor EFFECTS; set EFFECT to a seatrial.ident.model.Effect, or EFFECTS to a "
+            "list of them"
+        )
     return {e.name: e for e in effects}
 
 

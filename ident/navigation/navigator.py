@@ -234,7 +234,8 @@ def navigate(
     ]
     if missing:
         raise ValueError(
-            f"model {model.name} has no position: {missing[0]} must be both a state and an output of the model"
+            f"model {model.name} has no position: {missing[0]} must be both a state and an output; use a model with "
+            "the position, such as horizontal"
         )
     model = navigator(model)
     record = record.for_model(model)
@@ -311,7 +312,9 @@ def _without_gnss_samples(
     for begin, end in intervals:
         inside = (record.t >= begin) & (record.t < end)
         if not (inside & has_fix).any():
-            raise ValueError(f"{record.name}: no GNSS position between {begin:g} s and {end:g} s to withhold")
+            raise ValueError(
+                f"{record.name}: no GNSS position between {begin:g} s and {end:g} s to withhold; give another interval"
+            )
         in_outage |= inside
     if not (has_fix & ~in_outage).any():
         raise ValueError(f"{record.name}: no GNSS position is left; withhold shorter intervals")

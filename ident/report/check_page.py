@@ -93,7 +93,7 @@ def check_answer(report: CheckReport) -> str:
         return f"{subject} {verdict}: {_with_full_stop(_finding_phrase(first))}{rest}"
     if warnings:
         named = _findings_in_words(warnings)
-        return f"{subject} can be used{' for a run' if rig else ''}; check the warnings first: {named}."
+        return f"{subject} can be used{' for a run' if rig else ''}; read these warnings first: {named}."
     if not found:
         return f"{subject}: no check applies."
     return f"{subject} is {'ready' if rig else 'in order'}: {counted(len(found), 'check')}, no faults or warnings."

@@ -80,23 +80,26 @@ def change_sentence(change: PredictionChangeRow, horizon: float) -> str:
     horizon
         Prediction horizon [s].
     """
-    begin = f"{horizon:g} s ahead on {change.role} data, all channels: "
+    begin = f"Prediction {horizon:g} s ahead on {change.role} data, all channels: "
     if change.low is None or change.high is None:
-        return f"{begin}the data are too short to tell whether the prediction error changes."
+        return (
+            f"{begin}the data are too short to tell whether the added effects change the error; give longer "
+            f"{change.role} logs."
+        )
     shift, low, high = (100 * (r - 1) for r in (change.ratio, change.low, change.high))
     places = 0 if abs(shift) >= FINE_SHIFT_PERCENT else 1
     rounded = [round(r, places) + 0.0 for r in (shift, low, high)]  # + 0.0 turns -0 into 0
     by, least, most = (f"{abs(r):.{places}f}" for r in rounded)
     if change.verdict == "unchanged":
         by, least, most = (f"{r:+.{places}f}" for r in rounded)
-        effect = f"no significant change of the prediction error ({by} %; 95 %: {least} to {most} %)"
+        effect = f"no significant change of the error by the added effects ({by} %; 95 % interval: {least} to {most} %)"
     elif change.verdict == "fell":
-        effect = f"prediction error falls by {by} % (95 %: {most} to {least} %)"
+        effect = f"with the added effects the error falls by {by} % (95 % interval: {most} to {least} %)"
     elif change.ratio < FACTOR_FROM:
-        effect = f"prediction error rises by {by} % (95 %: {least} to {most} %)"
+        effect = f"with the added effects the error rises by {by} % (95 % interval: {least} to {most} %)"
     else:
-        effect = f"prediction error is {format_number(change.ratio)} times as large "
-        effect += f"(95 %: {format_number(change.low)} to {format_number(change.high)})"
+        effect = f"with the added effects the error is {format_number(change.ratio)} times as large "
+        effect += f"(95 % interval: {format_number(change.low)} to {format_number(change.high)})"
     named = [("better", change.better, MOST_NAMES), ("worse", change.worse, len(change.worse))]
     parts = [effect, *(f"{word}: {_first_names(names, most)}" for word, names, most in named if names)]
     return f"{begin}{'; '.join(parts)}."
@@ -155,21 +158,24 @@ def _fit_sentence(prediction: PredictionFit, errors: Errors, horizon: float) -> 
     prediction of some channels diverges, the sentence names only them. A 95 % interval wider than 50 per cent points
     is replaced by the interval of time with the largest errors.
     """
-    begin = f"{horizon:g} s ahead on {prediction.role} data, all channels: "
+    begin = f"Prediction {horizon:g} s ahead on {prediction.role} data, all channels: "
     table = errors.estimation if errors.validation is None else errors.validation
     lost = [n for n, row in table.horizon.items() if row.after is None]
     if lost:
-        return f"{begin}the prediction diverges ({_first_names(lost)})."
+        return (
+            f"{begin}it diverges ({_first_names(lost)}). Check the signals with `seatrial check`, and the estimates; "
+            "do not use this model for predictions."
+        )
     each = {n: 1 - (row.after or 0.0) / row.spread for n, row in table.horizon.items() if row.spread}
     low, high, largest = prediction.low, prediction.high, prediction.largest_errors
-    interval = "" if low is None or high is None else f" (95 %: {100 * low:.0f} to {100 * high:.0f} %)"
+    interval = "" if low is None or high is None else f" (95 % interval: {100 * low:.0f} to {100 * high:.0f} %)"
     if low is not None and high is not None and high - low > WIDE_INTERVAL and largest is not None:
         interval = (
-            f" (without a useful interval: {_percent(largest.share)} of the squared errors are from "
-            f"{largest.begin:.0f} to {largest.end:.0f} s of {largest.record})"
+            f" (without a useful 95 % interval: {_percent(largest.share)} of the squared errors are from "
+            f"{largest.begin:.0f} to {largest.end:.0f} s of {largest.record}; look at the signals there)"
         )
     ends = [f"{_percent(each[n])} ({NAMES.get(n, n)})" for n in sorted(each, key=lambda n: -each[n])]
-    span = f", from {ends[0]} to {ends[-1]}" if len(ends) > 1 else ""
+    span = f", best channel {ends[0]}, worst channel {ends[-1]}" if len(ends) > 1 else ""
     return f"{begin}fit {_percent(prediction.fit)}{interval}{span}."
 
 
@@ -189,8 +195,10 @@ def _whiteness_sentence(
     correlated_inputs = {c.input for c in significant}
     coloured = any(p is not None and p * len(tests) < LEVEL for p in tests)
     if not tests:
-        least = f"the test takes {FEWEST} samples of a channel"
-        return f"There are too few samples to test whether the residuals are white: {least}."
+        return (
+            "There are too few samples to test whether the residuals are white; record at least "
+            f"{FEWEST} samples of a channel."
+        )
     if not correlated_inputs and not coloured:
         hidden = ". Disturbance forces can still hide an effect: `seatrial ident diagnose` tests for it"
         untested = _untested_channels(errors, residuals)
@@ -198,13 +206,17 @@ def _whiteness_sentence(
     if correlated_inputs and correlated_inputs <= MEASURED_INPUTS:
         named = " and ".join(sorted(correlated_inputs))
         return (
-            f"The residuals are correlated with {named}, which the model takes as measured: the cause can be the noise "
-            f"of these measurements rather than a missing effect{'. They are not white' if coloured else ''}."
+            f"The residuals are correlated with {named}, which the model uses as measured inputs: the cause can be "
+            f"the noise of these sensors rather than a missing effect{'. They are not white' if coloured else ''}. If "
+            "the prediction error is too large, use a model that predicts these signals."
         )
     end = f"The residuals are correlated with the inputs{_largest_correlation(significant)}"
     if not correlated_inputs:
         end = "The residuals are not white"
-    either = ": an effect is missing, or the noise of a sensor is autocorrelated"
+    either = (
+        ": an effect is missing, or the noise of a sensor is autocorrelated. Look at the residuals in the report, or "
+        "try another --model"
+    )
     how = ": run `seatrial ident diagnose` to see whether an effect is missing" if searchable else either
     return f"{end}{how}."
 
@@ -249,22 +261,22 @@ def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
     if table is None:
         role, table = "estimation", calibration.estimation
     kinds = (
-        ("one step ahead", table.one_step),
-        (f"{horizon:g} s ahead", table.horizon),
-        ("simulated", table.simulation),
+        ("errors one step ahead", table.one_step),
+        (f"errors {horizon:g} s ahead", table.horizon),
+        ("errors of the simulation", table.simulation),
     )
     notes = []
     for verdict, size in (("overconfident", "larger"), ("underconfident", "smaller")):
         for words, channels in kinds:
             wrong = [
-                f"{n} {'diverged' if c.scale is None else format(c.scale, '.2g')}"
+                f"{NAMES.get(n, n)} {'diverged' if c.scale is None else format(c.scale, '.2g')}"
                 for n, c in channels.items()
                 if c.verdict == verdict
             ]
             if wrong:
                 notes.append(
-                    f"On {role} data, {words}, errors are {size} than the model predicts, by these factors: "
-                    f"{', '.join(wrong)}."
+                    f"On {role} data, the {words} are {size} than the model predicts, by these factors: "
+                    f"{', '.join(wrong)}. Multiply the predicted standard deviations of these channels by them."
                 )
     return notes
 
@@ -290,8 +302,9 @@ def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | Non
         mean, sd = p.prior or (math.nan, math.nan)
         if p.name in fit.model.noises:
             text = (
-                f"The residuals contradict the declared {p.meaning}: {p.name} = {mean:.3g} {p.unit} was given, the "
-                f"estimate is {value:.3g} {p.unit}. The fit uses the estimate; the given value is only its prior."
+                f"The residuals contradict the given {p.meaning}: {p.name} = {mean:.3g} {p.unit} was given, the "
+                f"estimate is {value:.3g} {p.unit}. The fit uses the estimate, and the given value as its prior only; "
+                "check the given value."
             )
             warnings.append(ResultWarning(code="noise-contradicted", text=text))
             continue
@@ -317,8 +330,9 @@ def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | Non
     least = least_yaw_inertia(fit, length)
     if least is not None and fit.estimate("m_r")[0] < least:
         text = (
-            f"m_r is {fit.estimate('m_r')[0]:.3g} kg m2, but a rigid body with this mass has at least {least:.2g} "
-            "kg m2. Check the thrust, the arms and the unit of the yaw rate."
+            f"The estimated moment of inertia in yaw, m_r, is {fit.estimate('m_r')[0]:.3g} kg m2, but a rigid body "
+            f"with the mass of this boat has at least {least:.2g} kg m2. Check the thrust, the arms of the thrusters "
+            "and the unit of the yaw rate."
         )
         warnings.append(ResultWarning(code="inertia-too-small", text=text))
     return warnings + cut_records(records) + stuck_sensors(records)
@@ -344,15 +358,16 @@ def design_warnings(model: Model, thrust: float, pole: float | None) -> list[Res
     forces = [i.name for i in model.inputs if i.unit in ("N", "N m")]
     if forces:
         text = (
-            f"The model takes {', '.join(forces)} as input, not commands: the design assumes thrusters with a "
-            f"built-in thrust of {thrust:.0f} N at full speed on built-in arms. The standard errors hold for such "
-            "thrusters."
+            f"The model has the inputs {', '.join(forces)}, not commands: the design assumes thrusters with a "
+            f"built-in thrust of {thrust:.0f} N at full speed on built-in arms, and the standard errors hold for such "
+            "thrusters. For your own thrusters, use a model with shaft speeds as inputs (horizontal:shaft)."
         )
         warnings.append(ResultWarning(code="thrust-scale-unknown", text=text))
     if pole is not None:
         text = (
             f"The design assumes a built-in time constant of the shafts of {1e3 / pole:.0f} ms, even if a bench test "
-            "found another. With slower shafts the standard errors of a fit will be larger."
+            "found another. With slower shafts the standard errors of a fit will be larger; a model with commands as "
+            "inputs (horizontal:command) uses its own time constant."
         )
         warnings.append(ResultWarning(code="shaft-lag-built-in", text=text))
     return warnings
@@ -367,17 +382,17 @@ def scale_warnings(scale: ThrustScale) -> list[ResultWarning]:
     warnings = []
     if scale.relative:
         text = (
-            "The thrust was not given, and motion alone determines only ratios. Masses, damping and forces are divided "
-            "by T, the full forward thrust of one thruster (c1 + c2); multiply them by T. Give --thruster MODEL, "
-            "--fix c1=..., --prior c1=MEAN:SD, or [scale] in the import map."
+            "The thrust was not given, and motion alone determines only ratios: masses, damping and forces are divided "
+            "by T, the full forward thrust of one thruster (c1 + c2). For values in kg and N, multiply them by T, or "
+            "give --thruster MODEL, --fix c1=..., --prior c1=MEAN:SD, or [scale] in the import map."
         )
         warnings.append(ResultWarning(code="thrust-scale-unknown", text=text))
     if scale.relative_yaw:
         text = (
             "The thrusters' arms were not given: inertia and damping in yaw are divided by the arm y_arm. The Munk "
             "moment (m_u - m_v) u v determines y_arm only roughly, and wrongly if the hull has other moments of that "
-            "form. Give the rig's [[thruster]] position_m, --fix y_left=... --fix y_right=..., or [geometry] in the "
-            "import map."
+            "form. Give position_m under [[thruster]] in the rig file, --fix y_left=... --fix y_right=..., or "
+            "[geometry] in the import map."
         )
         warnings.append(ResultWarning(code="arm-unknown", text=text))
     return warnings
@@ -403,7 +418,7 @@ def outlier_lines(residuals: Sequence[ChannelResiduals], model: Model) -> list[s
             lines.append(
                 f"{r.record}: {r.tests.outliers} of {r.e.size} innovations of {r.channel} are beyond {OUTLIER_SDS:g} "
                 f"standard deviations, the largest at {r.tests.largest:.2g}: outliers, or an event that the model "
-                "lacks. --robust gives outliers little weight."
+                "lacks. Look at them in the report; --robust gives outliers little weight."
             )
     return lines
 
@@ -419,7 +434,10 @@ def faults_first(made: Provenance) -> str:
         Provenance of the result, with the findings of the checks of each log.
     """
     faults = [f"{log.path}: {f.where}: {f.text}" for log in made.logs for f in log.findings if f.spoils]
-    return f"The logs have faults that can make this result meaningless ({'; '.join(faults)}). " * bool(faults)
+    return (
+        f"The logs have faults that can make this result meaningless ({'; '.join(faults)}). Correct them and fit "
+        "again. "
+    ) * bool(faults)
 
 
 def check_warnings(made: Provenance) -> list[ResultWarning]:
@@ -458,9 +476,9 @@ def late_sensor_warnings(made: Provenance, model: Model) -> list[ResultWarning]:
     if not logs or not biased:
         return []
     text = (
-        f"{_first_names(logs)}: a signal is late, but the fit assumes that it is on time: {', '.join(biased)} are "
-        "biased, by more than their standard errors. Correct its time stamps; for a late GNSS receiver, --effect "
-        "gnss-latency estimates the latency."
+        f"{_first_names(logs)}: a signal is late (`seatrial check` names it), but the fit assumes that it is on time: "
+        f"{', '.join(biased)} are biased by more than their standard errors. Correct its time stamps; for a late GNSS "
+        "receiver, --effect gnss-latency estimates the latency."
     )
     return [ResultWarning(code="late-sensor-bias", text=text)]
 
@@ -493,7 +511,8 @@ def frame_warnings(model: Model, unplaced: Sequence[str], *, saved_origin_unknow
     )
     text = (
         f"The fixed point of {_first_names(points)} is the same for all logs, but {why}: all x and y are "
-        "assumed to have one origin. If they do not, the point and its force are wrong."
+        "assumed to have one origin. If they do not, the point and its force are wrong: fit the model to logs with "
+        "latitude and longitude."
     )
     return [ResultWarning(code="frame-assumed", text=text)]
 
@@ -520,13 +539,17 @@ def not_converged(fit: Fit) -> str | None:
         return None
     return (
         f"The fit did not converge: it {fit.message}. Do not use its estimates or errors. First look for a stuck or "
-        "missing signal; then give --initial or --prior, or use a model with fewer free parameters."
+        "missing signal (seatrial check LOG); then give --initial or --prior, or use a model with fewer free "
+        "parameters."
     )
 
 
 def failed_run_warnings(failed: Sequence[FailedRun]) -> list[ResultWarning]:
     """Return one warning for each validation run that could not be evaluated, with the reason."""
-    text = "Left out of the validation: {0.record}, which cannot be evaluated: {0.reason}."
+    text = (
+        "{0.record} is left out of the validation, because the model cannot be evaluated on it: {0.reason}. Check this "
+        "log with `seatrial check`."
+    )
     return [ResultWarning(code="validation-run-failed", text=text.format(f)) for f in failed]
 
 
@@ -536,7 +559,8 @@ def cut_records(records: Sequence[Record]) -> list[ResultWarning]:
     return [
         ResultWarning(
             code="record-cut",
-            text=f"{r.name}: {name} ends {lost:.0f} s before the other signals; the data after its end are not used.",
+            text=f"{r.name}: the signal {name} ends {lost:.0f} s before the others, and the data after its end are not "
+            "used. Check its sensor, or leave this signal out.",
         )
         for r, name, lost in cuts
     ]
@@ -618,7 +642,7 @@ def thruster_answer(
     )
     if not has_force:
         return shaft[0].upper() + shaft[1:] + "; its thrust is unknown without a load cell."
-    included = "statistical only" if calibration is None else "with the load cell's calibration"
+    included = "errors: statistical only" if calibration is None else "errors include the load cell's calibration"
     ends, lost = [], []
     for direction, word in ((1.0, "forward"), (-1.0, "in reverse")):
         force, error = (float(z[0]) for z in steady_thrust(fitted, np.array([direction])))
@@ -627,7 +651,10 @@ def thruster_answer(
         else:
             lost.append(f"{word}: not {'identifiable' if direction in directions else 'measured'}")
     if not ends:
-        return f"The logs do not determine the thrust ({', '.join(lost)}); {shaft}."
+        return (
+            f"The logs do not determine the thrust ({', '.join(lost)}); add a log with the load cell and steps forward "
+            f"and in reverse. {shaft[0].upper()}{shaft[1:]}."
+        )
     also = "".join(f"; {line}" for line in lost)
     return f"The thruster gives {' and '.join(ends)} at full speed ({included}{also}); {shaft}."
 
@@ -688,24 +715,24 @@ def curve_notes(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) -> 
     )
     test = f"F with {quadratic.df} and {levels.dof}" if levels.dof else f"chi-squared with {quadratic.df}"
     between = (
-        f"and a scatter between visits to one level of {levels.scatter:.2g} N ({levels.dof} degrees of freedom)"
+        f"and the scatter of {levels.scatter:.2g} N between repetitions of a level ({levels.dof} degrees of freedom)"
         if levels.dof
-        else "but not the scatter between visits, since no level was visited twice"
+        else "but not the scatter between repetitions, since no level was repeated"
     )
     zero = (
-        f"The load cell's reading at rest, {plus_minus(levels.offset, levels.offset_se)} N, is subtracted from all "
+        f"The force on the load cell at rest, {plus_minus(levels.offset, levels.offset_se)} N, is subtracted from all "
         "levels."
         if levels.offset is not None
         else ""
     )
     notes = [
         *filter(None, [zero]),
-        f"Quadratic: c1 = {plus_minus(quadratic.c1, errors[0])} N, {c2}; misfit against the levels' own errors: "
-        f"p = {quadratic.p:.2g} ({test} degrees of freedom).",
-        f"Standard errors of levels include the autocorrelation of the readings {between}. They do not include "
-        "friction in the rig, the charge of the battery, or differences between days.",
-        "The error of the load cell's calibration was not given (newton_per_count_sd, lever_ratio_sd of the rig, or "
-        "`calibration` in model.toml): masses and forces by this curve have statistical errors only."
+        f"Quadratic curve: c1 = {plus_minus(quadratic.c1, errors[0])} N, {c2}; test of its misfit against the errors "
+        f"of the levels: p = {quadratic.p:.2g} ({test} degrees of freedom).",
+        f"The standard errors of the levels include the autocorrelation of the force {between}. They do not include "
+        "friction of the bench, the charge of the battery, or differences between days.",
+        "The error of the load cell's calibration was not given, so masses and forces by this curve have statistical "
+        "errors only. Give newton_per_count_sd and lever_ratio_sd in the rig file, or `calibration` in model.toml."
         if calibration is None
         else f"The errors of fits with this curve include the load cell's calibration, ± {100 * calibration:.2g} %.",
     ]
@@ -713,7 +740,10 @@ def curve_notes(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) -> 
     if moved.any():
         pooled = zip(levels.n[moved], levels.force[moved], levels.error[moved], strict=True)
         shown = ", ".join(f"{plus_minus(f, s)} N at {n:g}" for n, f, s in pooled)
-        notes.append(f"Levels that do not rise with the command were averaged with their neighbours: {shown}.")
+        notes.append(
+            "At some levels the measured force does not rise with the command; they were averaged with their "
+            f"neighbours: {shown}. Repeat these levels if this matters."
+        )
     return notes
 
 
@@ -727,13 +757,18 @@ def homogeneity_sentence(a: HomogeneityTest) -> str:
     each = ", ".join(f"{v:.3g} ± {e:.2g}" for v, e in zip(a.values, a.errors, strict=True))
     low, high = a.interval
     verdict = "agree" if a.agree else "do not agree"
-    silent = f" {', '.join(a.left_out)} do{'es' if len(a.left_out) == 1 else ''} not inform it." if a.left_out else ""
+    use = "the mean with this scatter is" if a.agree else "use the mean with this scatter,"
+    one = len(a.left_out) == 1
+    silent = f" {', '.join(a.left_out)} contain{'s' * one} no information about it." if a.left_out else ""
     if a.df == 0:
-        return f"{a.name}: the logs cannot be compared, as fewer than two inform it.{silent}"
+        return (
+            f"{a.name}: the logs cannot be compared, because fewer than two contain information about it; give more "
+            f"logs.{silent}"
+        )
     return (
         f"{a.name}: {a.value:.3g} ± {a.error:.2g} {a.unit} from all logs together (robust error {a.robust_error:.2g}); "
-        f"one by one {each}: they {verdict} (likelihood ratio {a.lr:.1f}, chi-square with {a.df} "
-        f"degree{'s' if a.df > 1 else ''} of freedom: p = {a.p:.2g}). "
-        f"Scatter between logs {a.scatter:.2g}; with it {a.mean:.3g} ± {a.mean_error:.2g}, "
+        f"from each log alone {each}. The logs {verdict} in one value (likelihood ratio {a.lr:.1f}, chi-square with "
+        f"{a.df} degree{'s' if a.df > 1 else ''} of freedom: p = {a.p:.2g}). The scatter between the logs is "
+        f"{a.scatter:.2g}; {use} {a.mean:.3g} ± {a.mean_error:.2g}, "
         f"95 % interval {low:.3g} to {high:.3g} {a.unit}.{silent}"
     )

@@ -187,8 +187,8 @@ def diagnosis_answer(diagnosis: Diagnosis, prediction: parts.PredictionChangeRow
         sentences.append(change_sentence(prediction, horizon))
     if diagnosis.cross_validated:
         sentences.append(
-            "Validated without separate runs, by blocked cross-validation: each block in time of the estimation data "
-            "is predicted by the fit to the others."
+            "Without --validate, the model is validated by blocked cross-validation: each block of time of the "
+            "estimation data is predicted by a fit to the other blocks."
         )
     return " ".join(sentences)
 
@@ -217,7 +217,10 @@ def _missing_effects_sentence(diagnosis: Diagnosis, prediction: parts.Prediction
     last = diagnosis.rounds[-1]
     if diagnosis.untested:
         titles = _joined_titles([u.effect.title for u in diagnosis.untested])
-        return f"No effect is confirmed, but candidates that may be missing could not be fitted: {titles}."
+        return (
+            f"No effect is confirmed, but candidates that may be missing could not be fitted: {titles}. The warnings "
+            "give the reasons."
+        )
     if immaterial := [r.effect.title for r in diagnosis.removed if is_immaterial(r, diagnosis.policy)]:
         do, them = ("explains", "it") if len(immaterial) == 1 else ("explain", "them")
         return (
@@ -232,7 +235,10 @@ def _missing_effects_sentence(diagnosis: Diagnosis, prediction: parts.Prediction
     )
     if min(s.p for s in last.scores) > CHANCE_P:
         return f"The data show no missing effect: {_passed_candidates(last)} passed the score test, but {why}."
-    return f"The residuals contradict the model, but no candidate explains them: {why}."
+    return (
+        f"The residuals contradict the model, but no candidate explains them: {why}. Look at the residuals in the "
+        "report, or record longer runs."
+    )
 
 
 def _short_data_sentence(diagnosis: Diagnosis) -> str:
@@ -246,7 +252,7 @@ def _short_data_sentence(diagnosis: Diagnosis) -> str:
         if short is None
         else (
             f"No effect was found, but {short.seconds:.0f} s of estimation data are too short to test "
-            f"{short.untestable} of {short.candidates} candidates: give {short.needed:.0f} s or more."
+            f"{short.untestable} of {short.candidates} candidates: give logs of {short.needed:.0f} s or more."
         )
     )
 
@@ -289,9 +295,12 @@ def mismatch_sentence(m: ValidationMismatch) -> str:
     )
     shift = m.shift
     if shift is None:
-        return f"{mismatch}."
+        return f"{mismatch}. Check what was different in that run (load, wind, sensors)."
     value = f"{shift.value:.4g} ± {shift.value_error:.2g} {shift.unit}".rstrip()
-    return f"{mismatch}. The best explanation is {shift.name} = {value} in that run, instead of {shift.fitted:.4g}."
+    return (
+        f"{mismatch}. The best explanation is {shift.name} = {value} in that run, instead of {shift.fitted:.4g}. Check "
+        "what was different in that run."
+    )
 
 
 def _mismatch_row(m: ValidationMismatch) -> parts.ValidationMismatchRow:
@@ -386,12 +395,18 @@ def diagnosis_caveat(diagnosis: Diagnosis) -> str | None:
     For the name, only the first reason of the first ambiguous effect is given. For the end, the number of added effects
     and the candidates that were not tried are given. The result is None if neither applies.
     """
-    reasons = [reason for j in diagnosis.attributions if j.attribution == "ambiguous" for reason in j.reasons]
-    sentences = [f"The name is uncertain: {reasons[0]}."] if reasons else []
+    titles = {r.effect.name: r.effect.title for r in diagnosis.effects}
+    doubted = [j for j in diagnosis.attributions if j.attribution == "ambiguous" and j.reasons]
+    sentences = [
+        f"It is uncertain whether the missing effect is {titles.get(j.effect, j.effect)}: {j.reasons[0]}."
+        for j in doubted[:1]
+    ]
     if diagnosis.remaining and diagnosis.untried_scores:
         many = counted(sum(search_round.chosen is not None for search_round in diagnosis.rounds), "effect")
-        limit = "the limit set by --max-effects"
-        sentences.append(f"The search ended with {many}, {limit}; not tried: {_remaining_names(diagnosis)}.")
+        sentences.append(
+            f"The search ended at {many}, the limit of --max-effects; give a larger one to try the other candidates: "
+            f"{_remaining_names(diagnosis)}."
+        )
     return " ".join(sentences) or None
 
 
@@ -566,8 +581,12 @@ def _untested_warnings(diagnosis: Diagnosis) -> list[parts.ResultWarning]:
     Candidates could not have a score test or a refit. The importance of an effect is unknown if the model without it
     could not be fitted. A nonparametric curve could not be fitted in place of an ambiguous effect.
     """
-    texts = [f"Not tested, because it could not be fitted: {u.effect.title} ({u.reason})." for u in diagnosis.untested]
-    texts += [f"Not tested: {u.effect.title} ({u.reason})." for u in diagnosis.untestable]
+    texts = [
+        f"The boat may have this effect, but it could not be fitted: {u.effect.title} ({u.reason}). Longer logs "
+        "may help."
+        for u in diagnosis.untested
+    ]
+    texts += [f"This effect was not tested: {u.effect.title} ({u.reason})." for u in diagnosis.untestable]
     texts += [
         f"The importance of {r.effect.title} is unknown, because the model without it could not be fitted: "
         f"{w.untested}."
@@ -624,21 +643,23 @@ def _notes(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.remaining and not diagnosis.untried_scores:
         if diagnosis.effects:
             notes.append(
-                f"Candidates that still pass the score test after the last effect: {_remaining_names(diagnosis)}."
+                "These candidates still pass the score test after the last effect, but no fit with them was accepted: "
+                f"{_remaining_names(diagnosis)}."
             )
         elif diagnosis.removed:
             notes.append(
-                f"Candidates that pass the score test of the model without effects: {_remaining_names(diagnosis)}."
+                "These candidates pass the score test of the model without effects, but no fit with them was accepted: "
+                f"{_remaining_names(diagnosis)}."
             )
     if diagnosis.effects and diagnosis.rounds[-1].chosen is None:
         why = diagnosis.rounds[-1].explanation
         notes.append(f"{why[0].upper()}{why[1:]}.")
     notes += [
         f"{r.effect.title} was added and removed again: {_removal_reason(r, diagnosis.policy)} "
-        f"(d ln L of the validation data {r.validation_gain:.0f}, t = {r.t:.1f})."
+        f"(its gain in log-likelihood of the validation data is {r.validation_gain:.0f}, t = {r.t:.1f})."
         for r in diagnosis.removed
     ]
     if diagnosis.effects:
         notes += [mismatch_sentence(m) for m in reported_mismatches(diagnosis)]
-    notes += [f"{name}: {flag}" for name, flag in diagnosis.after.fit.flags]
+    notes += [f"Parameter {name}: {flag}" for name, flag in diagnosis.after.fit.flags]
     return notes

@@ -676,7 +676,7 @@ def common_errors_notes(found: CommonErrorsFit | None, beside: str) -> list[str]
     support = (
         "they were in the model that was given"
         if gains is None
-        else f"d ln L of the validation data {gains.validation_gain:.0f}, t = {gains.t:.1f}"
+        else f"their gain in log-likelihood of the validation data is {gains.validation_gain:.0f}, t = {gains.t:.1f}"
     )
     return [f"Small errors that every craft has are estimated together with {beside}: {titles} ({support})."]
 
@@ -705,7 +705,8 @@ def model_uncertainty_notes(found: ModelUncertainty | None, fit: Fit) -> list[st
     if not grown:
         return []
     return [
-        f"The standard errors include the uncertainty of the model: {counted(len(found.candidates), 'candidate')} "
-        f"still pass the score tests, and each would shift the estimates. This multiplies the standard errors: "
-        f"{', '.join(grown[:3])}."
+        "The standard errors include the uncertainty of the model: "
+        f"{counted(len(found.candidates), 'possible effect')} still pass{'es' * (len(found.candidates) == 1)} the "
+        "score tests, and each would shift the estimates. The standard errors are larger by these factors: "
+        f"{', '.join(grown[:3])}. `seatrial ident diagnose` searches for missing effects."
     ]

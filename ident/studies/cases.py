@@ -354,7 +354,7 @@ def case_from_file(source: str, seconds: float | None, seed: int) -> Case:
     if source.endswith(".toml"):
         path = Path(source)
         if not path.is_file():
-            raise SeatrialError(f"{source}: no such file")
+            raise SeatrialError(f"{source}: no such file; correct the path of the model")
         saved = load_model(path)
         case = _case_of_fitted_model(saved, source, seconds or SECONDS, seed)
         return _with_file_hash(replace(case, reml=saved.reml), path)
@@ -366,7 +366,9 @@ def case_from_file(source: str, seconds: float | None, seed: int) -> Case:
             "give a seatrial.ident.studies.monte_carlo.Case, which has both"
         )
     if not isinstance(case, Case):
-        raise SeatrialError(f"{file}: {name} is no seatrial.ident.studies.monte_carlo.Case but {type(case).__name__}")
+        raise SeatrialError(
+            f"{file}: {name} is a {type(case).__name__}, not a seatrial.ident.studies.monte_carlo.Case; name a Case"
+        )
     if seconds is not None:
         raise SeatrialError(f"--seconds: the length of {name} is set in {file}; leave the option out")
     check_user_model(case.model, Path(file))

@@ -215,7 +215,9 @@ def compare_models(request: CompareRequest, reporter: Reporter) -> ModelComparis
         rate = rate or usual
         views, failed = evaluate_records(model, [make_record(model, s, rate) for s in segments])
         if failed:
-            raise SeatrialError(f"{path}: {failed[0].record} cannot be predicted: {failed[0].reason}")
+            raise SeatrialError(
+                f"{path}: this model cannot predict {failed[0].record}: {failed[0].reason}; leave out this log or model"
+            )
         errors = {v.record.name: horizon_errors(v.model, v.record, v.values, v.run.x_filt, horizon) for v in views}
         compared.append((known, views, errors))
     first, rows = compared[0], list[ComparedModel]()

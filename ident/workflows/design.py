@@ -251,15 +251,17 @@ def _design_warnings(made: Design) -> list[ResultWarning]:
     if assumed := [s.name for s in task.model.sensors if s.name not in given_rates]:
         text = (
             f"The design assumes {RATE:g} Hz for sensors whose rate neither --rate nor the model.toml gives: "
-            f"{', '.join(assumed)}. With slower sensors the standard errors of a fit will be larger."
+            f"{', '.join(assumed)}. With slower sensors the standard errors of a fit will be larger: give their rates "
+            "by --rate."
         )
         warnings.append(ResultWarning(code="rates-assumed", text=text))
     fitted = {n: task.fitted_rates[n] for n, hz in task.rates.items() if hz > 1.05 * task.fitted_rates.get(n, hz)}
     if fitted:
         rows = ", ".join(f"{n} {hz:.3g} Hz" for n, hz in fitted.items())
         text = (
-            f"--rate is above the rate of the rows that the model was fitted to ({rows}), and the model has the noise "
-            "of these rows. If a sensor was averaged over the rows, its samples have more noise: leave its --rate out."
+            f"--rate is above the rate of the data that the model was fitted to ({rows}), and the model has the noise "
+            "of these data. If the fit averaged the samples of a faster sensor, its single samples have more noise: "
+            "leave out --rate for this sensor."
         )
         warnings.append(ResultWarning(code="rates-assumed", text=text))
     if beyond := beyond_validity(made):
@@ -422,7 +424,7 @@ def make_task(source: str, request: DesignRequest) -> DesignProblem:
     unknown = set(request.rates) - {s.name for s in model.sensors}
     if unknown:
         raise SeatrialError(
-            f"model {model.name} has no sensor {sorted(unknown)[0]!r}; it has "
+            f"--rate {sorted(unknown)[0]}: model {model.name} has no such sensor; it has "
             f"{', '.join(s.name for s in model.sensors)}"
         )
     n_channels = len(ThrusterResponse(model, np.array([0.0, 1.0])).channels)
@@ -552,10 +554,12 @@ def with_effect(model: Model, name: str) -> Model:
     """
     own = next((e for e in model.effects if e.name == name), None)
     if own is None and name not in catalogue():
-        raise SeatrialError(f"there is no effect {name!r}; the effects are {', '.join(catalogue())}")
+        raise SeatrialError(f"--discriminate: there is no effect {name!r}; the effects are {', '.join(catalogue())}")
     effect = own or catalogue()[name]
     if own is None and not model.accepts(effect):
-        raise SeatrialError(f"effect {name!r} does not apply to model {model.name}; use another effect or model")
+        raise SeatrialError(
+            f"--discriminate: effect {name!r} does not apply to model {model.name}; use another effect or model"
+        )
     with_it = model if own is not None else model + effect
     # Only these parameters are sizes. Others are places or shapes: they are not zero without the effect, or follow the
     # amplitude of a one-sided effect.
@@ -636,10 +640,11 @@ def _design_answer(
     if apart is not None:
         first, second = apart.effects
         least = min(apart.if_second, apart.if_first)
-        verdict = "tells them apart" if apart.clear else "may not tell them apart: T should be above 30"
+        verdict = "distinguishes" if apart.clear else "may not distinguish"
+        advice = "" if apart.clear else "; T should be above 30: give a longer --duration"
         return (
-            f"This mission {verdict}: {first} against {second} differ by at least T = {format_number(least)} "
-            f"(random missions: {format_number(float(np.median(apart.random)))})"
+            f"This mission {verdict} {first} from {second}: criterion T is at least {format_number(least)} "
+            f"(random missions: {format_number(float(np.median(apart.random)))}){advice}"
         )
     parts = []
     rows = [p for p in parameters if p.chosen]
@@ -668,9 +673,9 @@ def warn_worse_than_baseline(baseline: BaselineSignal, made: Design) -> str:
     """
     free = ", which ignores the limits," if made.problem.limits.bind else ""
     return (
-        f"Worse than {baseline.kind}: its {made.problem.criterion} criterion is {format_number(made.value)}, the best "
-        f"of 20 {baseline.kind}{free} has {format_number(baseline.value)}. Give the search more --evaluations or other "
-        "--steps, a longer mission or wider limits."
+        f"The designed mission is worse than a random sequence: its {made.problem.criterion} criterion is "
+        f"{format_number(made.value)}, the best of 20 {baseline.kind}{free} has {format_number(baseline.value)}. Give "
+        "more --evaluations, other --steps, a longer --duration or wider limits."
     )
 
 

@@ -285,12 +285,12 @@ def _information_answer(parameters: Sequence[InformedParameter], n_segments: int
     """
     known = [p for p in parameters if p.se is not None]
     if not known:
-        return "These logs contain no information about any parameter."
+        return "These logs contain no information about any parameter; record runs in which the commands change."
     first = max(known, key=lambda p: np.inf if p.weight is None else p.weight)
     if n_segments == 1:
-        words = "There is only one segment; give more logs, or shorter segments with --seconds"
+        words = "There is only one segment, so nothing can be compared; give more logs, or a smaller --seconds"
     elif first.weight is None:
-        words = f"Only {_segment_text(first)} informs {first.name}"
+        words = f"Only {_segment_text(first)} contains information about {first.name}"
     elif first.weight >= NOTABLE_GROWTH:
         words = (
             f"The most informative segment is {_segment_text(first)}: without it the standard error of {first.name} "
@@ -309,11 +309,11 @@ def _information_notes(parameters: Sequence[InformedParameter], records: Sequenc
     the poorly known parameters.
     """
     notes = [
-        f"{r.name}: not in the log and therefore not used: {', '.join(missing)}."
+        f"{r.name}: the log lacks these sensors of the model, which are not used: {', '.join(missing)}."
         for r in records
         if (missing := r.meta.get("missing", ()))
     ]
-    notes += [f"{p.name}: these logs contain no information about it." for p in parameters if p.se is None]
+    notes += [f"These logs contain no information about the parameter {p.name}." for p in parameters if p.se is None]
     poor = ",".join(p.name for p in parameters if not p.known)
     if poor and not reason_without_mission(model):
         notes.append(

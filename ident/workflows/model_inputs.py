@@ -56,7 +56,8 @@ def known_curve(thruster: Path | None) -> ThrustCurve | None:
     curve = load_curve(thruster) if thruster is not None else None
     if thruster is not None and curve is None:
         raise SeatrialError(
-            f"{thruster}: contains no static curve; a model with shaft speeds as inputs already contains its thrust"
+            f"{thruster}: contains no static thrust curve; a model with shaft speeds as inputs already contains its "
+            "thrust: leave out --thruster"
         )
     return curve
 
@@ -169,9 +170,10 @@ def choose_model(source: str, loaded: Sequence[LoadedLog]) -> Model:
         fitting = [kind for kind, wanted in options.items() if wanted <= names]
         if not fitting:
             hints = dict.fromkeys(h for n in sorted(names) if (h := _advice_on_other_name(n)) and "shaft speed" in h)
+            advice = "; ".join(hints) or "import such signals, or give another --model"
             raise SeatrialError(
                 f"{loaded[0].about['path']}: no inputs for the horizontal model (n_left and n_right, or f_left and "
-                f"f_right, or X and N); the log has {', '.join(sorted(names))}{''.join(f'; {h}' for h in hints)}"
+                f"f_right, or X and N); the log has {', '.join(sorted(names))}; {advice}"
             )
         kinds = {item.propulsion for item in loaded} if fitting[0] == "shaft" else set()
         late = PropulsionInput.COMMAND not in kinds and PropulsionInput.TELEMETRY in kinds
@@ -183,17 +185,17 @@ def choose_model(source: str, loaded: Sequence[LoadedLog]) -> Model:
 
 # Names that other programs use for signals (also followed by _ and any text), and advice on the name or unit to use
 OTHER_NAMES = {
-    "speed_x": "velocity over ground to the north is called vx",
-    "speed_y": "velocity over ground to the east is called vy",
-    "lat": "positions are x, y in metres north and east",
-    "lon": "positions are x, y in metres north and east",
-    "sog": "velocity over ground is called vx, vy (m/s, north and east)",
-    "cog": "velocity over ground is called vx, vy (m/s, north and east)",
-    "pwm": "a pulse is no shaft speed: map it to n_left, n_right (-1..1) by scale and offset",
-    "servo": "a pulse is no shaft speed: map it to n_left, n_right (-1..1) by scale and offset",
-    "yaw": "the heading is called psi",
-    "heading": "the heading is called psi",
-    "yaw_rate": "the yaw rate is called r",
+    "speed_x": "import the velocity over ground to the north by the name vx",
+    "speed_y": "import the velocity over ground to the east by the name vy",
+    "lat": "import positions as x, y in metres north and east",
+    "lon": "import positions as x, y in metres north and east",
+    "sog": "import the velocity over ground as vx, vy (m/s, north and east)",
+    "cog": "import the velocity over ground as vx, vy (m/s, north and east)",
+    "pwm": "a pulse width is no shaft speed: import it as n_left, n_right (-1..1) by scale and offset",
+    "servo": "a pulse width is no shaft speed: import it as n_left, n_right (-1..1) by scale and offset",
+    "yaw": "import the heading by the name psi",
+    "heading": "import the heading by the name psi",
+    "yaw_rate": "import the yaw rate by the name r",
 }
 
 
@@ -252,7 +254,7 @@ def _unused_signal(name: str, logs: tuple[str, ...], model: Model, there: set[st
     sensors = [[o.name for o in s.outputs] for s in SENSORS.values()]
     needs = [missing for names in sensors if name in names for missing in names if missing not in there]
     if needs:
-        reason = f"the model takes it together with {', '.join(needs)}, which no log has"
+        reason = f"the model uses it only together with {', '.join(needs)}, which no log has"
         return UnusedSignal(signal=name, logs=logs, code="incomplete-sensor", reason=reason)
     if advice is not None:
         return UnusedSignal(signal=name, logs=logs, code="other-name", reason=advice)
@@ -274,7 +276,7 @@ def unused_lines(found: Sequence[UnusedSignal]) -> list[str]:
         Signals that the model does not use. Without any, the list is empty.
     """
     reasons = dict.fromkeys(s.reason for s in found)
-    return [f"not used: {', '.join(s.signal for s in found if s.reason == r)}: {r}" for r in reasons]
+    return [f"signals not used: {', '.join(s.signal for s in found if s.reason == r)} ({r})" for r in reasons]
 
 
 def thrust_from(model: Model, loaded: Sequence[LoadedLog]) -> str:
@@ -312,7 +314,10 @@ def thrust_from(model: Model, loaded: Sequence[LoadedLog]) -> str:
     where = "" if all(command_only) else f" in {', '.join(x.run.name for x in affected)}"
     hint = ""
     if any(_has_held_shaft_speeds(x) for x in affected):
-        hint = ' (n_left and n_right have hold = "zero"; hold = "linear" of the map makes them measured shaft speeds)'
+        hint = (
+            ' (n_left and n_right have hold = "zero"; hold = "linear" in the import map makes them measured shaft '
+            "speeds)"
+        )
     text = "thrust from the commands, or an autopilot's outputs, without a lag: no shaft speed is measured"
     return f"{text}{where}{hint}"
 
@@ -524,7 +529,8 @@ def _check_sensors_and_set_holds(
     lost = [s.name for s in model.sensors if s.name in SENSORS and s.name not in present]
     if len(lost) == len(model.sensors):
         raise SeatrialError(
-            f"{loaded[0].about['path']}: none of the sensors of {path} is in the log: {', '.join(lost)}"
+            f"{loaded[0].about['path']}: none of the sensors of {path} is in the log: {', '.join(lost)}; give a log "
+            "with one of them, or another model"
         )
     return with_logged_holds(model, loaded[0].holds)
 

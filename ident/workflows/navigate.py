@@ -381,10 +381,11 @@ def navigation_answer(found: Sequence[Outage], done: Sequence[Navigation]) -> st
     judged = [o for o in found if o.error is not None]
     if worst.error is not None:
         # An outage without an end is compared with its last withheld fix, which may be long before its end.
-        words += f"; against {'the last fix withheld' if worst.open else 'the fix then'} it was "
+        words += f"; compared with the {'last withheld fix' if worst.open else 'first fix after it'}, it was "
         words += f"{format_number(worst.error)} m off"
     if len(judged) > 1:
-        words += f". {sum(bool(o.inside) for o in judged)} of {len(judged)} ends are inside their 95 % regions"
+        inside = sum(bool(o.inside) for o in judged)
+        words += f". At {inside} of {len(judged)} outages the fix is inside the predicted 95 % region"
     return ". ".join([words, *late]) + "."
 
 
@@ -401,7 +402,7 @@ def _navigation_notes(parts: Sequence[tuple[Navigation, float, list[Outage]]], k
         name = done.record.name
         missing = done.record.meta.get("missing", ())
         if missing:
-            notes.append(f"{name}: not in the log and therefore not used: {', '.join(missing)}.")
+            notes.append(f"{name}: the log lacks these sensors of the model, which are not used: {', '.join(missing)}.")
         e = done.run.standardised
         loud = [
             o.name
@@ -410,16 +411,20 @@ def _navigation_notes(parts: Sequence[tuple[Navigation, float, list[Outage]]], k
         ]
         if loud:
             notes.append(
-                f"{name}: the innovations of {', '.join(loud)} are larger than the model predicts, so its "
-                "standard deviations are too small: it was fitted to other conditions, or lacks an effect."
+                f"{name}: the innovations of {', '.join(loud)} are larger than the model predicts, so the standard "
+                "deviations of position and states are too small: the model was fitted to other conditions, or lacks "
+                "an effect. Fit it to this log too, or run `seatrial ident diagnose`."
             )
         outside = [o for o in found if o.inside is False]
         notes += [
-            f"{name}: the outage that ends at {o.end + t0:.0f} s is {format_number(float(o.error or 0.0))} m off, "
-            "outside "
-            f"its 95 % region of {format_number(float(o.allowed or 0.0))} m."
+            f"{name}: at the end of the outage, at {o.end + t0:.0f} s, the prediction is "
+            f"{format_number(float(o.error or 0.0))} m off, outside its 95 % region of "
+            f"{format_number(float(o.allowed or 0.0))} m. Check wind, current and load of this run."
             for o in outside
         ]
     if not known.names:
-        notes.append("The model contains no standard errors: its parameters are taken as exact.")
+        notes.append(
+            "The model contains no standard errors, so its parameters are taken as exact. Fit it with `seatrial ident "
+            "vehicle` to have them."
+        )
     return notes

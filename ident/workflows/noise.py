@@ -107,18 +107,20 @@ class NoiseEstimate:
         """
         predictable, line, band = self.fit.departures
         rate = 1.0 / self.fit.interval
-        hum = [(f"a line at {line.frequency * rate:.3g} Hz holds {_percent(line.share)} of its innovations", HUM)]
+        share = _percent(line.share)
+        words = f"a spectral line at {line.frequency * rate:.3g} Hz has {share} of the variance of its innovations"
         if line.matters and line.share > predictable.share / 2:
-            return hum
+            return [(words, HUM)]
+        hum = [(words, HUM)] if line.matters else []
         found = []
         if predictable.matters:
             correlated = f"its innovations are correlated by {self.fit.largest_correlation:+.2f}"
             found += [(f"{correlated}, {_percent(predictable.share)} of their variance could be predicted", COLOUR)]
         if band.matters and (band.low == 0 or not found):
             span = f"{band.low * rate:.2g} to {band.high * rate:.2g} Hz"
-            words = f"at {span} its density is {band.ratio:.2g} times the model's"
+            words = f"at {span} its power spectral density is {band.ratio:.2g} times that of the noise model"
             found += [(words, COLOUR if band.low else DRIFT)]
-        return hum if line.matters and not found else found
+        return found or hum
 
 
 def noise(logs: Sequence[Path], out: Path, *, signals: Sequence[str], command: str, reporter: Reporter) -> NoiseResult:
@@ -199,7 +201,7 @@ def _channels_to_estimate(path: Path, loaded: LoadedLog, signals: Sequence[str])
     everything = {n: _with_unwrapped_angles(c) for n, c in everything.items() if c.t.size > 1}
     lost = [n for n in signals if n not in everything]
     if lost:
-        raise SeatrialError(f"{path}: no signal {lost[0]!r}; it has {', '.join(sorted(everything))}")
+        raise SeatrialError(f"{path}: no signal {lost[0]!r}; the log has {', '.join(sorted(everything))}")
     return {n: everything[n] for n in signals} if signals else everything
 
 
@@ -277,7 +279,8 @@ def _noise_notes(found: Sequence[NoiseEstimate]) -> list[str]:
     lines = [f"{x.label}: not white noise plus a random walk: {x.reason}. {x.remedy}" for x in found if x.fit.rejected]
     lines += [
         f"{x.label}: the innovations are not quite white, but no more than {_percent(x.fit.departures.share)} of their "
-        "variance could be predicted and their density is nowhere wrong by a factor of two: accepted."
+        "variance could be predicted and their density is nowhere wrong by a factor of two: the noise model is "
+        "accepted, and no action is needed."
         for x in found
         if not x.fit.rejected and x.fit.departures.significant
     ]

@@ -86,7 +86,7 @@ def run_study(
         reporter.progress(f"{case.name}: {len(done)} replicates exist already")
         if any(r["code"] != estimator_code_hash() for r in done.values()):
             reporter.warning(
-                f"some replicates of {out} are from another version of the code; give another --out to start again"
+                f"{out}: some replicates are from another version of the code; give another --out to start again"
             )
     out.parent.mkdir(parents=True, exist_ok=True)
     with append_to(out) as file:

@@ -305,7 +305,7 @@ def static_curve(
     if "force" not in channels:
         raise SeatrialError(
             f"{where}: no signal 'force' of a load cell, which a static curve needs; the log has "
-            f"{', '.join(sorted(channels))}"
+            f"{', '.join(sorted(channels))}; record the load cell, or import it by the name force"
         )
     (log,), drifts = _without_zero_drift([log], lambda x: names[0], request.settle)
     channels = log.run.channels
@@ -441,7 +441,7 @@ def curve_answer(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) ->
             lost = f"; {word}: not measured"
     thrust = (
         f"{words.get(thrusters, f'The {thrusters} thrusters together give')} {' and '.join(ends)} at the largest "
-        f"commands ({'statistical only' if calibration is None else 'with the calibration'}{lost}), "
+        f"commands ({'errors: statistical only' if calibration is None else 'errors include the calibration'}{lost}), "
         f"{levels.n.size} steady levels in all."
     )
     if adequate(quadratic):
@@ -452,7 +452,7 @@ def curve_answer(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) ->
     largest = f"{'+' * (quadratic.largest > 0.0)}{_format_force(quadratic.largest)}"
     return (
         f"{thrust} {quadratic.formula} does not describe them: its misfit is {_format_force(quadratic.rms)} (rms); the "
-        f"largest is {largest} at n = {quadratic.at:g}. Its error at a level that is left out is "
-        f"{_format_force(quadratic.left_out)}, that of the monotone curve through the others is "
+        f"largest is {largest} at n = {quadratic.at:g}. Use the monotone curve (--thruster). In leave-one-out "
+        f"validation, the error of the quadratic is {_format_force(quadratic.left_out)}, that of the monotone curve "
         f"{_format_force(curve_left_out(levels))}."
     )

@@ -153,5 +153,8 @@ def _assess(request: VehicleRequest, problem: VehicleProblem, reporter: Reporter
     try:
         return assess_model(model, problem.segments, problem.validation, rate=request.rate, reporter=reporter)
     except FIT_ERRORS as failure:
-        reporter.warning(f"the score tests of the model failed, and the fit goes on without them: {failure}")
+        reporter.warning(
+            "the score tests of the model failed, so the standard errors exclude the uncertainty of the model: "
+            f"{failure}"
+        )
         return None

@@ -139,7 +139,10 @@ def with_calibration(model: Model, curve: ThrustCurve, user_defined: bool) -> tu
         or if the uncertainty of the curve is unknown.
     """
     if curve.calibration is None:
-        return model, ["The thrust curve has no calibration error: the standard errors exclude this error."]
+        return model, [
+            "The thrust curve has no calibration error, so the standard errors exclude it; add `calibration` to the "
+            "file of the curve."
+        ]
     calibrated = f"The thrust curve is calibrated to ± {100 * curve.calibration:.2g} %"
     if user_defined:
         return model, [f"{calibrated}; the standard errors of a user-defined model exclude this error."]
@@ -178,7 +181,8 @@ def with_sampled_inputs(source: str, loaded: Sequence[LoadedLog]) -> tuple[str, 
         return source, []
     chosen = ":".join((name, "sampled", *options))
     return chosen, [
-        f"Outputs are sampled every {slowest:.2g} s: the times of their changes are uncertain (--model {chosen})."
+        f"The thruster outputs are sampled every {slowest:.2g} s, so the times of their changes are uncertain; the "
+        f"model {chosen} includes this, and is used."
     ]
 
 

@@ -413,7 +413,7 @@ class FittedResult(FitReport):
         if `on` is "validation" and there are no validation data.
         """
         if on == "validation" and not self.fitted.validation:
-            raise SeatrialError("this fit has no validation data; give logs to validate")
+            raise SeatrialError("this fit has no validation data; fit again with logs as the argument `validate`")
         return self.fitted.validation if on != "estimation" and self.fitted.validation else self.fitted.estimation
 
 
@@ -668,7 +668,8 @@ def window_of(logs: Logs) -> Any:
     windows = {TimeWindow(x.start, x.end) if isinstance(x, Log) else WHOLE for x in several}
     if len(windows) > 1:
         raise SeatrialError(
-            "the logs have different windows, and one window is used for all: open them with the same start and end"
+            "the logs were opened with different intervals of time, but a fit uses one interval for all: open them "
+            "with the same start and end"
         )
     return windows.pop() if windows else WHOLE
 
@@ -683,7 +684,7 @@ def _paths_or_none(logs: Logs) -> list[Path]:
     """
     several = [logs] if isinstance(logs, str | Path | Log) else list(logs)
     if any(isinstance(x, Log) and (x.start > 0.0 or np.isfinite(x.end)) for x in several):
-        raise SeatrialError("validation logs are used whole: open them without start and end")
+        raise SeatrialError("validation logs are always used as a whole: open them without start and end")
     return as_paths(several) if several else []
 
 

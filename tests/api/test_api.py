@@ -321,7 +321,10 @@ def test_navigated_states_are_those_of_the_files(logs: list[Path], fit: st.Fitte
         (lambda logs, fit: st.fit(logs[0], despite=True), "there is no option 'despite'; the options are"),
         (lambda logs, fit: st.fit(logs[0], model="boat"), "boat"),
         (lambda logs, fit: st.fit(logs[0], validate=logs[0]), "for the fit and for the validation"),
-        (lambda logs, fit: st.fit(logs[0], validate=st.open_log(logs[1], 5.0)), "validation logs are used whole"),
+        (
+            lambda logs, fit: st.fit(logs[0], validate=st.open_log(logs[1], 5.0)),
+            "validation logs are always used as a whole",
+        ),
         (lambda logs, fit: st.diagnose("nowhere", logs[0]), "nowhere: no such file"),
         (lambda logs, fit: st.compare([fit], logs[2]), "a comparison needs two models or more"),
         (lambda logs, fit: st.load(logs[0].parent), "contains neither model.toml nor result.json"),

@@ -117,6 +117,6 @@ def navigation(seed: int = 4) -> NavigationResult:
         ],
         "outages": [one, tail],
         "inputs": [{"record": "lake", "name": "n_left", "unit": "", "t": t, "value": np.where(t % 20 < 10, 0.4, 0.6)}],
-        "notes": ["lake: not in the log and therefore not used: ground_velocity."],
+        "notes": ["lake: the log lacks these sensors of the model, which are not used: ground_velocity."],
     }
     return msgspec.convert(content, NavigationResult, dec_hook=arrays)

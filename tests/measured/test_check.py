@@ -50,7 +50,7 @@ def test_delay_limit_and_drop_outs_of_the_ferry_are_found(tmp_path: Path, thrust
     found = {(f.code, f.where): f for f in reversed(ferry(tmp_path, thruster, csv="", missing=""))}
     delay = found["shaft-step-late", "pod"]
     assert delay.level == "fault"
-    assert 1.5 < float(delay.text.split("shows ")[1].split()[0]) < 3.0
+    assert 1.5 < float(delay.text.split("only ")[1].split()[0]) < 3.0
     assert "above 0.75" in found["shaft-speed-limited", "pod"].text
     assert found["shaft-speed-drops-out", "pod"].level == "warning"
     assert ("lost-zeros-restored", "log.mcap") in found

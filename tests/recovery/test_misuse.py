@@ -49,6 +49,6 @@ def test_rejection_names_the_fault_its_place_and_the_remedy(tmp_path: Path) -> N
     assert line is not None
     assert line.startswith("run.mcap: n_left: ")
     assert "[n-out-of-range]" in line
-    assert "import's map" in line
+    assert "import map" in line
     assert "--despite-faults" in line
     assert "\n" not in line

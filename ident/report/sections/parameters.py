@@ -87,8 +87,9 @@ def common_errors_blocks(row: CommonErrorsRow | None) -> list[Any]:
     words = "They were in the model that was given."
     if row.gain is not None and row.validation_gain is not None and row.t is not None:
         words = (
-            f"Together they gain {formatting.plain(row.gain)} in 2 ln L with {row.df} parameters; d ln L of the "
-            f"validation data {formatting.plain(row.validation_gain)}, t = {formatting.plain(row.t, 2)}."
+            f"Together they gain {formatting.plain(row.gain)} in 2 ln L of the estimation data with {row.df} "
+            f"parameters, and {formatting.plain(row.validation_gain)} in ln L of the validation data "
+            f"(t = {formatting.plain(row.t, 2)})."
         )
     return [Heading("Common errors", note), Prose(words), Table(columns, cells)]
 

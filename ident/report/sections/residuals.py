@@ -51,8 +51,8 @@ def section(canvas: Canvas, result: FitResult) -> Section:
     lead = (
         "One-step prediction errors divided by their predicted standard deviation. The residuals of a complete model "
         "are white: 95 % of the values are inside the grey bands. Each channel is tested alone, by both tests "
-        "together at 1 % (Bonferroni): ✗ if either p is below 0.5 %. The answer at the top tests all channels "
-        "together."
+        "together at 1 % (Bonferroni): ✗ if either p is below 0.5 %. The sentence at the top of the page tests all "
+        "channels together."
     )
     compared = any(r.after is not None for r in result.residuals) or any(c.after is not None for c in result.cross)
     key = [Key([("before-dots", "before"), ("after-dots", "after the effects were added")])] if compared else []

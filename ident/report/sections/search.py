@@ -52,8 +52,8 @@ def section(canvas: Canvas, result: DiagnosisResult) -> Section:
     blocks: list[Any] = common_errors_blocks(result.common_errors) + tabbed(rounds)
     blocks += _residual_force_blocks(canvas, result) + _curve_blocks(canvas, result.nonparametric_effects)
     lead = (
-        "Each round tests all candidates on the residuals (score test) and refits the model with the best of them. "
-        "Validation data decide whether an effect is added."
+        "Each round tests all candidates (effects that the model may lack) on the residuals by score tests, and refits "
+        "the model with the best of them. The validation data decide whether an effect is added."
     )
     return Section("search", "Search for missing effects", blocks, lead if found else "")
 

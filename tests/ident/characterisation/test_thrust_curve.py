@@ -96,7 +96,7 @@ def test_settling_time_is_left_out_and_visits_are_joined() -> None:
     assert levels.force[1] == pytest.approx(11.0, abs=0.3)
     # The visits with 10 and 12 N differ by far more than their own errors.
     assert levels.se[1] == pytest.approx(1.0, abs=0.05)
-    with pytest.raises(ValueError, match="nowhere held for 9 s"):
+    with pytest.raises(ValueError, match="a level needs 9 s to settle"):
         find_levels(Channel(t, command), Channel(t, force), settle=9.0)
 
 
@@ -125,7 +125,7 @@ def test_zero_of_the_load_cell_is_subtracted_with_its_error() -> None:
     assert adequate(found)
     assert found.covariance[1, 1] > 2 * levels.offset_se**2  # The error of c2 includes that of the zero.
     (note,) = [line for line in curve_notes(levels, ThrustCurve(curve, 1), found) if "at rest" in line]
-    assert note.startswith("The load cell's reading at rest, 5.")
+    assert note.startswith("The force on the load cell at rest, 5.")
     assert curve_warnings(levels) == []
 
 
@@ -198,7 +198,9 @@ def test_scatter_at_rest_does_not_estimate_the_scatter_of_thrust() -> None:
 
 def test_too_short_hold_is_reported_with_a_suitable_settling_time() -> None:
     t, n = plan(0, 0.2, 0.4, 0.6, 0.8, hold=1.8, rate=20.0)
-    with pytest.raises(ValueError, match=r"held for 1\.8 s, of which --settle 1\.5 s leaves 0\.3 s.*try --settle 0\.8"):
+    with pytest.raises(
+        ValueError, match=r"constant for 1\.8 s, and after --settle 1\.5 s there remain 0\.3 s.*try --settle 0\.8"
+    ):
         find_levels(Channel(t, n), Channel(t, pull(n)))
     assert find_levels(Channel(t, n), Channel(t, pull(n)), settle=0.8).n.size == 5
     assert "more than 3.5 s (seatrial bench steps --hold)" in hold_advice(Channel(t, n), Channel(t[::2], n[::2]), 1.5)
@@ -352,4 +354,4 @@ def test_too_few_levels_are_reported_with_the_remaining_hold(
 ) -> None:
     log = write_bench(tmp_path)
     run("ident", "thruster", log, "--settle", "9.9", "--out", str(tmp_path / "t"), status=1)
-    assert "held for 10 s, of which --settle 9.9 s leaves 0.1 s" in capsys.readouterr().err
+    assert "constant for 10 s, and after --settle 9.9 s there remain 0.1 s" in capsys.readouterr().err

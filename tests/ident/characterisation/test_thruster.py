@@ -96,7 +96,10 @@ def test_direction_that_was_not_measured_has_no_thrust(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("shaft", "force", "message"),
-    [(1.0, -1.0, "the force falls as the command rises"), (-1.0, 1.0, "left: the shaft turns against its command")],
+    [
+        (1.0, -1.0, "the force falls as the command rises"),
+        (-1.0, 1.0, "left: the shaft turns in reverse at forward commands"),
+    ],
 )
 def test_wrong_sign_gives_a_one_line_error(
     shaft: float, force: float, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -119,7 +122,9 @@ def test_each_direction_has_its_own_error_by_the_covariance() -> None:
     np.testing.assert_allclose(force, [41.0, -39.0, 0.0])
     np.testing.assert_allclose(error, np.sqrt([0.25 - 2 * 0.096, 0.25 + 2 * 0.096, 0.0]))
     answer = thruster_answer(estimates(-0.8), has_force=True)
-    assert "gives 41.00 ± 0.24 N forward and 39.00 ± 0.66 N in reverse at full speed (statistical only)" in answer
+    assert (
+        "gives 41.00 ± 0.24 N forward and 39.00 ± 0.66 N in reverse at full speed (errors: statistical only)" in answer
+    )
     answer = thruster_answer(estimates(-0.8), has_force=True, calibration=0.1)
     assert "gives 41.0 ± 4.1 N forward and 39.0 ± 4.0 N in reverse" in answer
     assert "The logs do not determine the thrust" in thruster_answer(estimates(np.nan), has_force=True)

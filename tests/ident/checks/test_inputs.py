@@ -78,7 +78,7 @@ def test_shaft_speed_stuck_against_its_command_is_found() -> None:
     value[inside] = value[begin]
     (found,) = check_inputs(c | {"n_left": replace(shaft, value=value)})
     assert (found.code, found.where) == ("shaft-speed-stuck", "n_left")
-    assert "against its command" in found.text
+    assert "although the command changes" in found.text
 
 
 def test_slow_shaft_at_its_limit_is_not_stuck() -> None:
@@ -96,4 +96,4 @@ def test_exchanged_telemetry_is_reported_and_not_swapped_sides() -> None:
     c["n_left"], c["n_right"] = c["n_right"], c["n_left"]
     (found,) = [f for f in check_signals(c, SIDES) if f.level != "ok"]
     assert found.code == "telemetry-exchanged"
-    assert "the speed of left follows the command of right" in found.text
+    assert "the shaft speed of left follows the command of right" in found.text

@@ -126,7 +126,7 @@ def test_vehicle_command(fitted: Path) -> None:
     assert set(result["errors"]) == {"estimation", "validation"}
     assert result["errors"]["validation"]["horizon"]["r"]["after"] < 0.1
     assert result["horizon_seconds"] == 10.0
-    assert result["answer"].startswith("10 s ahead on validation data, all channels: fit ")
+    assert result["answer"].startswith("Prediction 10 s ahead on validation data, all channels: fit ")
     saved = load_model(fitted / "vehicle" / "model.toml")
     low, high = saved.validity["u"]
     assert -1.0 < low < 0.3 < high < 2.0

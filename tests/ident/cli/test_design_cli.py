@@ -90,7 +90,7 @@ def test_design_that_is_worse_than_a_random_signal_is_reported_first(
         assert run(capsys, *words, "--out", str(out))[0] == 0
         result = json.loads(out.with_suffix(".json").read_text())
         assert (result["value"] < max(row["value"] for row in result["baselines"])) == worse
-        assert result["answer"].startswith("Worse than " if worse else "After this mission")
+        assert result["answer"].startswith("The designed mission is worse than " if worse else "After this mission")
 
 
 def test_existing_files_are_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -133,7 +133,7 @@ def test_rate_above_the_row_rate_gives_a_warning(
     made = json.loads(out.with_suffix(".json").read_text())
     assert made["rates"] == {"attitude": float(rate), "gyro": 10.0, "position": 5.0}
     assert warned == any(
-        "attitude 10 Hz), and the model has the noise of these rows" in w["text"] for w in made["warnings"]
+        "attitude 10 Hz), and the model has the noise of these data" in w["text"] for w in made["warnings"]
     )
     assert f"attitude {rate} Hz, gyro 10 Hz" in out.with_suffix(".html").read_text(encoding="utf-8")
 
@@ -218,16 +218,20 @@ def test_each_hypothesis_of_a_discrimination_has_only_its_own_effect() -> None:
     ("words", "status", "says"),
     [
         (("horizontal", "--area", "40"), 2, "not NORTHxEAST"),
-        (("horizontal", "--criterion", "Ds"), 2, "Ds needs --parameters"),
+        (("horizontal", "--criterion", "Ds"), 2, "Ds needs the parameters to estimate; give them by --parameters"),
         (("horizontal", "--discriminate", "delay"), 2, "exactly two effects"),
         (("horizontal", "--parameters", "mass"), 1, "'mass' cannot be estimated"),
         (("horizontal", "--discriminate", "delay,ghost"), 1, "no effect 'ghost'"),
-        (("horizontal", "--rate", "sonar=1"), 1, "no sensor 'sonar'"),
+        (("horizontal", "--rate", "sonar=1"), 1, "--rate sonar: model horizontal"),
         (("horizontal", "--thrusters", "one"), 1, "--thrusters names 1"),
         (("horizontal", "--thrusters", "left,left"), 1, "--thrusters: thrusters: names a thruster twice"),
         (("horizontal", "--steps", "100"), 1, "do not fit"),
-        (("horizontal", "--rate", "position=0"), 2, "position=0 is not above 0 Hz"),
-        (("horizontal", "--discriminate", "delay,lag", "--average-over", "4"), 2, "is not averaged over samples"),
+        (("horizontal", "--rate", "position=0"), 2, "position=0: the rate has to be above 0 Hz"),
+        (
+            ("horizontal", "--discriminate", "delay,lag", "--average-over", "4"),
+            2,
+            "is not averaged over parameter samples",
+        ),
         (("horizontal:shaft:no-current", "--current", "0.2"), 1, "--current cannot be simulated"),
         (("catamaran",), 1, "no model 'catamaran'"),
         (

@@ -126,7 +126,7 @@ def test_gap_of_ten_years_is_rejected_at_once(averaged: bool) -> None:
     }
     boat = model()
     sensors = tuple(replace(sensor, averaged=averaged) for sensor in boat.sensors)
-    with pytest.raises(ValueError, match=r"no sample from .* too long to bridge; choose a part"):
+    with pytest.raises(ValueError, match=r"no sensor has a sample from .* too long for a record; use only the part"):
         build_record(replace(boat, sensors=sensors), signals)
 
 
@@ -355,8 +355,18 @@ def test_missing_sensor_is_left_out_and_reported() -> None:
 @pytest.mark.parametrize(
     ("drop", "change", "says"),
     [
-        (("w",), {}, "run 7: no signal for the input 'w' of model cart; the log has a, b, psi"),
-        (("psi", "a"), {}, "run 7: none of the sensors of model cart is in the log; it needs one of compass, pair"),
+        (
+            ("w",),
+            {},
+            "run 7: no signal for the input 'w' of model cart; the log has a, b, psi; use another model, or a log with "
+            "this signal",
+        ),
+        (
+            ("psi", "a"),
+            {},
+            "run 7: none of the sensors of model cart is in the log; it needs one of compass, pair; use another model, "
+            "or a log with such a sensor",
+        ),
         (
             (),
             {"w": channel(1.0, 10.0, 20.0)},
@@ -366,7 +376,7 @@ def test_missing_sensor_is_left_out_and_reported() -> None:
         (
             (),
             {"b": channel(4.0, 9.0, 0.1)},
-            "run 7: a and b are read together as the sensor pair, and no row has them at the same time: give them the "
+            "run 7: a and b are used together as the sensor pair, but they have no common time stamp; give both the "
             "same time stamps",
         ),
     ],

@@ -104,7 +104,7 @@ def test_remaining_score_makes_an_effect_ambiguous_above_a_threshold(worth: floa
     assert found.attribution == attribution
     if found.reasons:
         assert found.reasons == (
-            "with this effect the score tests still find that N depends on u and r (21 more in 2 ln L)",
+            "with this effect the score tests still find that N depends on u and r (a gain of 21 in 2 ln L)",
         )
 
 
@@ -210,7 +210,9 @@ def test_alternative_whose_refit_failed_is_not_excluded() -> None:
     lost = UntestedCandidate(refit("mismatch", 0.0).effect, "tau_b is outside its bounds")
     (found,) = attributions_of(replace(one_round(refit("heading-moment", 300.0)), untested=(lost,)))
     assert found.attribution == "ambiguous"
-    assert found.reasons == ("mismatch passes the test too and could not be fitted: tau_b is outside its bounds",)
+    assert found.reasons == (
+        "mismatch passes the score test too, but could not be fitted: tau_b is outside its bounds",
+    )
 
 
 @pytest.mark.parametrize(
@@ -302,7 +304,7 @@ def test_small_alternative_of_a_strong_effect_is_ambiguous_as_a_correction_of_it
     )
     assert (curve.attribution, limit.attribution) == ("identified", attribution)
     if limit.reasons:
-        assert limit.reasons == ("it may only correct the formula of speed curve",)
+        assert limit.reasons == ("this effect may only correct the formula of speed curve",)
     (_, unrelated) = attributions_of(one_round(refit("speed-curve", 4357.0)), one_round(refit("rod-flex", criterion)))
     assert unrelated.attribution == "identified"
 

@@ -65,7 +65,10 @@ def test_error_without_the_curve_names_the_thruster_option(folder: Path) -> None
 
 @pytest.mark.parametrize(
     ("curve", "message"),
-    [("left", "--thruster left: no such file"), ("vehicle/model.toml", "vehicle/model.toml: contains no static curve")],
+    [
+        ("left", "--thruster left: no such file"),
+        ("vehicle/model.toml", "vehicle/model.toml: contains no static thrust curve"),
+    ],
 )
 def test_file_without_a_curve_is_rejected(
     folder: Path, monkeypatch: pytest.MonkeyPatch, curve: str, message: str

@@ -203,13 +203,14 @@ def test_data_too_short_for_the_tests_are_reported() -> None:
         Diagnosis(blank(), blank(cross_validated=False), (), (), (), short_data=short), None, 10.0
     )
     assert answer == (
-        "No effect was found, but 60 s of estimation data are too short to test 2 of 3 candidates: give 105 s or more."
+        "No effect was found, but 60 s of estimation data are too short to test 2 of 3 candidates: give logs of "
+        "105 s or more."
     )
     missed = ValidationMismatch("run 2", "x", 3.0, None)
     answer = diagnosis_answer(
         Diagnosis(blank(), blank(cross_validated=False), (), (), (), short_data=short, mismatches=(missed,)), None, 10.0
     )
-    assert answer.endswith("too short to test 2 of 3 candidates: give 105 s or more.")
+    assert answer.endswith("too short to test 2 of 3 candidates: give logs of 105 s or more.")
     assert search._short_data([replace(s, blocks=21) for s in scores], blank()) is None
     assert [scores[k].least_blocks() for k in range(3)] == [7, 14, 21]
 
@@ -249,11 +250,15 @@ def test_search_that_reached_its_limit_names_the_untried_candidates(monkeypatch:
     chosen = refit("hump", 900.0)
     after = blank(fit=blank(flags=()))
     found = Diagnosis(after, after, (Round((), (), (chosen,), chosen),), (score,), (), untried_scores=(score,))
-    caveat = "The search ended with 1 effect, the limit set by --max-effects; not tried: wind."
+    caveat = (
+        "The search ended at 1 effect, the limit of --max-effects; give a larger one to try the other candidates: wind."
+    )
     assert diagnosis_caveat(found) == caveat  # The caveat is also shown on the screen.
     assert caveat not in _notes(found)
     doubted = replace(found, attributions=(EffectAttribution("hump", "ambiguous", ("a lag resembles it",)),))
-    assert diagnosis_caveat(doubted) == f"The name is uncertain: a lag resembles it. {caveat}"
+    assert (
+        diagnosis_caveat(doubted) == f"It is uncertain whether the missing effect is hump: a lag resembles it. {caveat}"
+    )
 
 
 def test_removal_never_leaves_effects_that_predict_worse_than_the_nominal_model(
@@ -467,7 +472,10 @@ def test_user_candidate_that_cannot_be_tested_is_listed() -> None:
     ]
     found = Diagnosis(blank(), blank(), (), (), (), untestable=refused)
     (first, *_) = _untested_warnings(found)
-    assert (first.code, first.text) == ("effect-untested", "Not tested: a tide (tue/run lacks its input tide).")
+    assert (first.code, first.text) == (
+        "effect-untested",
+        "This effect was not tested: a tide (tue/run lacks its input tide).",
+    )
 
 
 def test_halved_initial_value_is_clipped_to_its_bounds() -> None:

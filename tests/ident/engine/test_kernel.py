@@ -221,7 +221,7 @@ def bad_model(rate: object) -> Model:
 
 @pytest.mark.parametrize("rate", [math.sin, float, lambda a: np.array([0.0, float(a)])[1]])
 def test_numbers_in_place_of_symbols_are_reported(rate: object) -> None:
-    with pytest.raises(ValueError, match="model bad: the rate of the state a has lost its symbols"):
+    with pytest.raises(ValueError, match="model bad: the rate of the state a is a number and not a symbolic"):
         filter_kernels_for(bad_model(rate))
 
 
@@ -237,7 +237,7 @@ def test_missing_and_misshapen_results_are_reported() -> None:
         sensors=(Sensor("s", (Output("y", noise="e"),)),),
         parameters=(Parameter("e", 1.0),),
     )
-    with pytest.raises(ValueError, match="model empty gives no rate of the state a"):
+    with pytest.raises(ValueError, match="model empty returns no rate of the state a"):
         filter_kernels_for(model)
 
 

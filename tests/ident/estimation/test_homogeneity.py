@@ -142,13 +142,14 @@ def test_log_that_does_not_inform_the_parameter_is_left_out(prior: tuple[float, 
     assert (found.df, found.left_out) == (1, ("still",))
     np.testing.assert_allclose([found.lr, found.p], [without.lr, without.p], atol=1e-3)
     np.testing.assert_allclose(found.interval, without.interval, rtol=1e-2)
-    assert "still does not inform it" in homogeneity_sentence(found)
+    assert "still contains no information about it" in homogeneity_sentence(found)
     assert homogeneity_row(found).left_out == ("still",)
     lone = [data[0], still, replace(still, name="also")]
     alone = homogeneity_test(fit(model, lone), lone, "m")
     assert (alone.df, alone.left_out) == (0, ("still", "also"))
     assert homogeneity_sentence(alone) == (
-        "m: the logs cannot be compared, as fewer than two inform it. still, also do not inform it."
+        "m: the logs cannot be compared, because fewer than two contain information about it; give more logs. "
+        "still, also contain no information about it."
     )
     assert homogeneity_row(alone).low is None
 

@@ -73,9 +73,9 @@ def test_invalid_records_are_named_in_errors() -> None:
     gap = record.u.copy()
     gap[7] = np.nan
     for bad, words in (
-        (replace(record, y=partly), "record run: a sample of gyros at .* has some of its outputs"),
+        (replace(record, y=partly), "record run: the sample of the sensor gyros at .* has only some of its outputs"),
         (replace(record, u=gap), "record run: the input N has no value"),
-        (replace(record, t=record.t[::-1].copy()), "record run: its times do not increase"),
+        (replace(record, t=record.t[::-1].copy()), "record run: its times t do not increase"),
         (replace(record, inputs=("M",)), "no signal for the input 'N'"),
         (replace(record, y=record.y[:-1]), r"record run: y is \(119, 3\)"),
     ):

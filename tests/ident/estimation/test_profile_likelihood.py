@@ -213,8 +213,8 @@ def test_better_optimum_found_by_the_profile_replaces_the_estimate(y: float, z: 
     assert profiled.drop.min() == 0.0
     gain = global_fit.log_likelihood - found.log_likelihood
     assert profiled.notes == (
-        f"a better fit was found during the search, by {gain:.2g} in log-likelihood; the profile is of that fit: "
-        "fit again from there",
+        f"the profile found a fit with a log-likelihood larger by {gain:.2g}, and belongs to that fit: fit again from "
+        "these values (--initial)",
     )
     assert same.notes == ()
 

@@ -121,7 +121,7 @@ def rig_with(arm: tuple[float, float, float]) -> SimpleNamespace:
             "surge:shaft",
             [],
             "model surge cannot include the lever arm of the rig's antenna (0.5 m ahead, -0.3 m to starboard, "
-            "-0.8 m down): it takes x as measured at the origin",
+            "-0.8 m down): it takes x as measured at the origin; use a horizontal or kinematic model if the boat turns",
         ),
         ("yaw:both", [], ""),  # The yaw model has no GNSS outputs.
     ],

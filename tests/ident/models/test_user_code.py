@@ -95,10 +95,14 @@ def refusal(folder: Path, text: str) -> str:
         ('return {"level": max(p.k * u.pump, 0.0)}', "tank.py:6: `if`, `and`, `or`, `max` and"),
         ("return [p.k * u.pump]", "tank.py:5: f returns a list, not a dictionary {state: rate}"),
         ("pass", "tank.py:5: f returns a NoneType, not a dictionary {state: rate}"),
-        ('return {"lvl": p.k}', "tank.py:5: model tank gives no rate of the state level; it gives lvl"),
+        (
+            'return {"lvl": p.k}',
+            "tank.py:5: model tank returns no rate of the state level; it returns lvl; correct the name, or "
+            "add the entry",
+        ),
         ('return {"level": [1.0, 2.0]}', "tank.py:5: model tank: the rate of the state level is not a scalar"),
         ('return {"level": "full"}', "tank.py:5: one of the returned rates or outputs is not a number"),
-        ('return {"level": math.sin(x.level)}', "tank.py:5: model tank: the rate of the state level has lost its"),
+        ('return {"level": math.sin(x.level)}', "tank.py:5: model tank: the rate of the state level is a number and"),
         (
             'return {"level": (1, 2)[x.level]}',
             "tank.py:6: tuple indices must be integers or slices, not SX (the function is called with symbols",
@@ -114,10 +118,25 @@ def test_error_in_a_user_function_is_reported_with_its_line(tmp_path: Path, rate
 @pytest.mark.parametrize(
     ("state", "message"),
     [
-        ('"", "q", x0="lv0"', "x0 of the state level names no parameter: 'lv0'"),
-        ('"", "q", sd0="sv0"', "sd0 of the state level names no parameter: 'sv0'"),
-        ('"", "qq"', "the noise of level names no parameter: 'qq'"),
-        ('"", "q", from_output="gage"', "from_output of the state level names no output: 'gage'; there is gauge"),
+        (
+            '"", "q", x0="lv0"',
+            "x0 of the state level is 'lv0', which is not a parameter of the model; correct the name, "
+            "or define the parameter",
+        ),
+        (
+            '"", "q", sd0="sv0"',
+            "sd0 of the state level is 'sv0', which is not a parameter of the model; correct the name, "
+            "or define the parameter",
+        ),
+        (
+            '"", "qq"',
+            "the noise of level is 'qq', which is not a parameter of the model; correct the name, "
+            "or define the parameter",
+        ),
+        (
+            '"", "q", from_output="gage"',
+            "from_output of the state level is 'gage', which is not an output of the model; there is gauge",
+        ),
     ],
 )
 def test_misspelt_name_in_a_state_is_reported(tmp_path: Path, state: str, message: str) -> None:

@@ -14,5 +14,7 @@ WORST = Outage(
 
 
 def test_outage_that_never_ends_is_compared_with_its_last_fix() -> None:
-    assert "; against the fix then it was 2.3 m off" in navigation_answer([WORST], [])
-    assert "; against the last fix withheld it was 2.3 m off" in navigation_answer([replace(WORST, open=True)], [])
+    assert "; compared with the first fix after it, it was 2.3 m off" in navigation_answer([WORST], [])
+    assert "; compared with the last withheld fix, it was 2.3 m off" in navigation_answer(
+        [replace(WORST, open=True)], []
+    )

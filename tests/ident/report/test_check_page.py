@@ -123,7 +123,7 @@ def test_answer_is_one_sentence() -> None:
     assert check_answer(replace(report, findings=ok)) == "boat.toml is ready: 2 checks, no faults or warnings."
     assert (
         check_answer(replace(report, findings=warned))
-        == "boat.toml can be used for a run; check the warnings first: gnss (late)."
+        == "boat.toml can be used for a run; read these warnings first: gnss (late)."
     )
     assert check_answer(CheckReport("a.mcap", ok)) == "a.mcap is in order: 2 checks, no faults or warnings."
     assert check_answer(replace(report, findings=3 * rows[:2])).endswith(

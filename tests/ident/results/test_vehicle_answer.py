@@ -173,7 +173,7 @@ def test_sentence_reports_a_change_only_beyond_its_interval(
     assert ("better: " in sentence) == bool(change.better and known)
     assert ("worse: " in sentence) == bool(change.worse and known)
     assert "nan" not in sentence
-    assert sentence.startswith(f"{horizon:g} s ahead on validation data, all channels: ")
+    assert sentence.startswith(f"Prediction {horizon:g} s ahead on validation data, all channels: ")
 
 
 def test_change_is_reported_with_its_interval_and_channels() -> None:
@@ -181,23 +181,28 @@ def test_change_is_reported_with_its_interval_and_channels() -> None:
         role="validation", ratio=0.58, low=0.54, high=0.63, verdict="fell", better=("psi", "x"), worse=("ax",)
     )
     assert change_sentence(change, 10.0) == (
-        "10 s ahead on validation data, all channels: prediction error falls by 42 % (95 %: 37 to 46 %); "
-        "better: heading, north; worse: surge specific force."
+        "Prediction 10 s ahead on validation data, all channels: with the added effects the error falls by 42 % (95 % "
+        "interval: 37 to 46 %); better: heading, north; worse: surge specific force."
     )
     rose = msgspec.structs.replace(change, ratio=1.12, low=1.05, high=1.2, verdict="rose", better=(), worse=("ax",))
-    assert "rises by 12 % (95 %: 5 to 20 %); worse: surge" in change_sentence(rose, 10.0)
+    assert "rises by 12 % (95 % interval: 5 to 20 %); worse: surge" in change_sentence(rose, 10.0)
     same = msgspec.structs.replace(change, ratio=0.97, low=0.9, high=1.05, verdict="unchanged", better=(), worse=())
-    assert "no significant change of the prediction error (-3 %; 95 %: -10 to +5 %)." in change_sentence(same, 10.0)
+    assert (
+        "no significant change of the error by the added effects (-3 %; 95 % interval: -10 to +5 %)."
+        in change_sentence(same, 10.0)
+    )
     little = msgspec.structs.replace(same, ratio=0.996, low=0.991, high=0.9996, verdict="fell")
-    assert "falls by 0.4 % (95 %: 0.0 to 0.9 %)." in change_sentence(little, 10.0)
+    assert "falls by 0.4 % (95 % interval: 0.0 to 0.9 %)." in change_sentence(little, 10.0)
     least = msgspec.structs.replace(same, ratio=0.9999, low=0.98, high=1.02)
-    assert "(+0.0 %; 95 %: -2.0 to +2.0 %)" in change_sentence(least, 10.0)
+    assert "(+0.0 %; 95 % interval: -2.0 to +2.0 %)" in change_sentence(least, 10.0)
     short = msgspec.structs.replace(change, low=None, high=None, verdict="unchanged", better=(), worse=())
-    assert change_sentence(short, 1.0).endswith("the data are too short to tell whether the prediction error changes.")
+    assert change_sentence(short, 1.0).endswith(
+        "the data are too short to tell whether the added effects change the error; give longer validation logs."
+    )
     lost = msgspec.structs.replace(change, ratio=50.0, low=20.0, high=90.0, verdict="rose")
-    assert "is 50 times as large (95 %: 20 to 90)" in change_sentence(lost, 1.0)
+    assert "is 50 times as large (95 % interval: 20 to 90)" in change_sentence(lost, 1.0)
     far = msgspec.structs.replace(lost, ratio=120.0, low=99.6, high=150.0)
-    assert "is 120 times as large (95 %: 100 to 150)" in change_sentence(far, 1.0)
+    assert "is 120 times as large (95 % interval: 100 to 150)" in change_sentence(far, 1.0)
 
 
 @pytest.mark.parametrize(
@@ -223,23 +228,22 @@ def test_fit_of_all_channels_comes_first(horizon: float, words: str) -> None:
     fitted = PredictionFit(role="estimation", fit=0.905, low=0.88, high=0.92)
     answer = vehicle_answer(fitted, errors, horizon, [], [], searchable=True)
     assert answer.startswith(
-        f"{words} ahead on estimation data, all channels: fit 90 % (95 %: 88 to 92 %), from 99 % (north) to 10 % "
-        "(surge specific force). "
+        f"Prediction {words} ahead on estimation data, all channels: fit 90 % (95 % interval: 88 to 92 %), best "
+        "channel 99 % (north), worst channel 10 % (surge specific force). "
     )
     worst = LargestErrorsRow(record="morning", begin=20.0, end=40.0, share=0.61)
     wide = PredictionFit(role="estimation", fit=0.78, low=-17.65, high=1.0, largest_errors=worst)
-    assert "fit 78 % (without a useful interval: 61 % of the squared errors are from 20 to 40 s of morning)" in (
-        vehicle_answer(wide, errors, horizon, [], [], searchable=True)
+    assert (
+        "fit 78 % (without a useful 95 % interval: 61 % of the squared errors are from 20 to 40 s of morning; look "
+        in (vehicle_answer(wide, errors, horizon, [], [], searchable=True))
     )
     far["ax"] = ErrorComparison(after=None, unit="", spread=1.0)
-    assert "all channels: the prediction diverges (surge" in vehicle_answer(
-        fitted, errors, horizon, [], [], searchable=True
-    )
+    assert "all channels: it diverges (surge" in vehicle_answer(fitted, errors, horizon, [], [], searchable=True)
 
 
 def test_untested_residuals_are_not_called_white() -> None:
     assert said([], []) == (
-        "There are too few samples to test whether the residuals are white: the test takes 60 samples of a channel."
+        "There are too few samples to test whether the residuals are white; record at least 60 samples of a channel."
     )
     assert said([0.4], [], "xy") == f"{WHITE} (too few samples to test: y)."
 
@@ -261,11 +265,14 @@ def test_correlation_with_an_input_is_quantified() -> None:
         "diagnose` to see whether an effect is missing."
     )
     assert said([1e-9], [], searchable=True).endswith("to see whether an effect is missing.")
-    assert said([1e-9], []).endswith(": an effect is missing, or the noise of a sensor is autocorrelated.")
+    assert said([1e-9], []).endswith(
+        ": an effect is missing, or the noise of a sensor is autocorrelated. Look at the residuals in the report, or "
+        "try another --model."
+    )
 
 
 def test_correlation_with_a_measured_input_is_reported_separately() -> None:
-    assert "correlated with phi and theta, which the model takes as measured" in said(
+    assert "correlated with phi and theta, which the model uses as measured inputs" in said(
         [0.5], [("theta", 1e-9), ("phi", 1e-9)]
     )
     assert said([0.5], [("theta", 1e-9), ("n_left", 1e-9)]).startswith("The residuals are correlated with the inputs")

@@ -444,7 +444,7 @@ def test_number_of_processes_is_positive_or_minus_one(
     with pytest.raises(SystemExit) as leaving:
         command_line.main(["ident", "study", "surge", "--jobs", jobs, "--out", str(tmp_path)])
     assert leaving.value.code == 2
-    assert "is neither a number of processes nor -1" in capsys.readouterr().err
+    assert "is not a number of processes; give 1 or more, or -1" in capsys.readouterr().err
     asked: list[int] = []
     monkeypatch.setattr(study, "run_study", lambda *args, jobs, **more: asked.append(jobs) or [])
     for words in ([], ["--jobs", "-1"], ["--jobs", "3"]):

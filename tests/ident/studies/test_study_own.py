@@ -118,7 +118,7 @@ def test_changed_file_is_another_study(tmp_path: Path) -> None:
     ("source", "says"),
     [
         ("{file}:model", "is a Model without a mission; give a seatrial.ident.studies.monte_carlo.Case"),
-        ("{file}:number", "number is no seatrial.ident.studies.monte_carlo.Case but int"),
+        ("{file}:number", "number is a int, not a seatrial.ident.studies.monte_carlo.Case"),
         ("{file}:nothing", "nothing cannot be loaded"),
         ("{file}.no:mine", "no such Python file"),
         ("nowhere/model.toml", "no such file"),

@@ -100,7 +100,7 @@ def test_horizon_of_a_boat_can_be_chosen(boat: list[Path], tmp_path: Path) -> No
         ).output
         result = result_of(tmp_path)
         assert result["horizon_seconds"] == horizon
-        assert result["answer"].startswith(f"{horizon:g} s ahead on validation data, all channels: fit ")
+        assert result["answer"].startswith(f"Prediction {horizon:g} s ahead on validation data, all channels: fit ")
         assert 0.0 < result["prediction"]["low"] < result["prediction"]["fit"] < result["prediction"]["high"] < 1.0
         assert f"{horizon:g} s ahead" in output
         page = (tmp_path / "report.html").read_text(encoding="utf-8")
@@ -157,7 +157,8 @@ def test_notes_contain_the_horizon() -> None:
     wrong = Calibrations(estimation=CalibrationTable(one_step={}, horizon={"n": row}, simulation={}))
     (line,) = calibration_notes(wrong, 2.5)
     assert line == (
-        "On estimation data, 2.5 s ahead, errors are larger than the model predicts, by these factors: n 1.5."
+        "On estimation data, the errors 2.5 s ahead are larger than the model predicts, by these factors: shaft speed "
+        "1.5. Multiply the predicted standard deviations of these channels by them."
     )
 
 

@@ -217,12 +217,14 @@ def test_answer_names_the_most_informative_segment() -> None:
         "The most informative segment is a, 0 to 30 s: "
         "without it the standard error of m_v would be 2.5 times as large."
     )
-    assert _information_answer([replace(row, weight=None)], 2) == "Only a, 0 to 30 s informs m_v."
+    assert _information_answer([replace(row, weight=None)], 2) == "Only a, 0 to 30 s contains information about m_v."
     assert _information_answer([replace(row, weight=1.1)], 2).startswith("No segment matters much more")
     assert _information_answer([replace(row, se=30.0, known=False)], 2).endswith(
         "Poorly known from all logs together: m_v."
     )
-    assert _information_answer([replace(row, se=None)], 2) == "These logs contain no information about any parameter."
+    assert _information_answer([replace(row, se=None)], 2) == (
+        "These logs contain no information about any parameter; record runs in which the commands change."
+    )
     assert "--seconds" in _information_answer([row], 1)
 
 

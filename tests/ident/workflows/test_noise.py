@@ -84,7 +84,7 @@ def test_only_the_named_signals_are_analysed(still: Path, tmp_path: Path, capsys
     run("ident", "noise", still, "--signal", "psi", "--signal", "r", "--out", tmp_path / "some")
     assert list(read(tmp_path / "some")[1]) == ["psi", "r"]
     run("ident", "noise", still, "--signal", "rr", "--out", tmp_path / "x", status=1)
-    assert "still.mcap: no signal 'rr'; it has dead, psi, r, smooth" in " ".join(capsys.readouterr().err.split())
+    assert "still.mcap: no signal 'rr'; the log has dead, psi, r, smooth" in " ".join(capsys.readouterr().err.split())
     run("ident", "noise", still, "--signal", "dead", "--out", tmp_path / "x", status=1)
     assert "all samples have the same value" in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "x").exists()
@@ -112,7 +112,7 @@ def test_hum_is_reported_with_its_frequency(tmp_path: Path) -> None:
     run("import", tmp_path / "map.toml", tmp_path / "hum.csv", "-o", tmp_path / "hum.mcap")
     run("ident", "noise", tmp_path / "hum.mcap", "--out", tmp_path / "noise")
     result, channels = read(tmp_path / "noise")
-    assert channels["r"]["reason"].startswith("a line at 3.2 Hz holds 3")
+    assert channels["r"]["reason"].startswith("a spectral line at 3.2 Hz has 3")
     assert "Find what turns or hums" in result["notes"][0]
 
 

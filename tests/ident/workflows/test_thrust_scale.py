@@ -139,7 +139,7 @@ def test_unused_signal_is_listed_with_its_reason(bare: tuple[dict[str, Any], str
         "lat": "other-name",
         "mystery": "unknown-name",
     }
-    assert "not used: u: the model takes it together with v" in output
+    assert "signals not used: u (the model uses it only together with v" in output
 
 
 TABLES = "[scale]\nc1 = 12.0\nc2 = 0.0\n[geometry]\ny_left = -0.2\ny_right = 0.2\nlength = 1.2\n"

@@ -103,7 +103,7 @@ def test_shaft_speeds_with_a_zero_hold_are_reported(source: str, hold: str, hint
     }
     log = replace(log, run=replace(log.run, channels=found), holds={**log.holds, "n_left": hold, "n_right": hold})
     note = thrust_from(make_model("nomoto"), [with_derived_signals(log, "nomoto", None)])
-    assert ('hold = "linear" of the map' in note) == hinted
+    assert ('hold = "linear" in the import map' in note) == hinted
 
 
 def test_inputs_that_only_some_logs_have_are_not_used() -> None:
@@ -112,7 +112,9 @@ def test_inputs_that_only_some_logs_have_are_not_used() -> None:
 
 
 def test_log_with_pulses_only_is_rejected_with_advice() -> None:
-    with pytest.raises(SeatrialError, match=r"the log has psi, pwm_left, pwm_right, r; a pulse is no shaft speed: map"):
+    with pytest.raises(
+        SeatrialError, match=r"the log has psi, pwm_left, pwm_right, r; a pulse width is no shaft speed: import"
+    ):
         choose_model("auto", [loaded("pwm_left", "pwm_right", "psi", "r")])
 
 

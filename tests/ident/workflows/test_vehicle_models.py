@@ -135,7 +135,7 @@ def test_user_model_with_a_static_curve(logs: Path, tmp_path: Path) -> None:
     (row,) = found["homogeneity"]
     assert row["agree"]
     assert row["df"] == 1
-    assert "they agree" in found["answer"]
+    assert "The logs agree in one value" in found["answer"]
     assert found["errors"]["validation"]["simulation"]["speed"]["after"] < 0.05
     assert "diagnose" not in found["answer"]  # A model without a hull has no candidates to search.
     again = load_model(tmp_path / "v/model.toml")
@@ -148,7 +148,7 @@ def test_logs_with_different_masses_are_reported(
 ) -> None:
     words = ["--model", f"{logs / 'mine.py'}:mine", "--thruster", logs / "curve.toml", "--test-homogeneity", "m"]
     run("ident", "vehicle", logs / "run0.mcap", logs / "heavy.mcap", *words, "--out", tmp_path / "v")
-    assert "they do not agree" in " ".join(capsys.readouterr().out.split())
+    assert "The logs do not agree in one value" in " ".join(capsys.readouterr().out.split())
     (row,) = result(tmp_path / "v")["homogeneity"]
     assert np.abs(np.array(row["values"]) - [MASS, 55.0]).max() < 4 * max(row["ses"])
     run("ident", "vehicle", logs / "run0.mcap", logs / "run1.mcap", *words[:-1], "M", "--out", tmp_path / "x", status=1)
