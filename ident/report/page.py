@@ -170,7 +170,7 @@ def _count_traces(result: Result) -> int:
 def _script_safe_json(value: Any) -> str:
     """Return a value as JSON text that may stand inside an HTML script element: ``<``, ``>`` and ``&`` are escaped.
 
-    NaN or infinity in the value raises ValueError.
+    The line separators U+2028 and U+2029 are escaped too. NaN or infinity in the value raises ValueError.
     """
     written = json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     for character in "<>&\u2028\u2029":
