@@ -84,7 +84,7 @@ def figure_page(title: str, figure: Figure) -> str:
     title : str
         Headline of the page.
     figure : dict
-        Figure in the JSON of Plotly, with its height [px] in the layout.
+        Figure in the JSON of Plotly, with its height [px] in the layout; without one it is 500 px.
     """
     canvas = Canvas(Budget())
     plot = canvas.plot(figure, int(figure["layout"].get("height", 500)), title)

@@ -235,9 +235,9 @@ def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
     """Return sentences on prediction intervals that are too narrow or too wide, with the channels concerned.
 
     There is at most one sentence on narrow and one on wide intervals for each kind of prediction: one step ahead, over
-    the horizon, simulated. The factor of each channel is its RMS error over the predicted one. The sentences are about
-    the validation data, or about the estimation data if there are no validation data. The list is empty if no channel
-    is overconfident or underconfident.
+    the horizon, simulated. The factor of each channel is its RMS error over the predicted one, or the word diverged.
+    The sentences are about the validation data, or about the estimation data if there are no validation data. The list
+    is empty if no channel is overconfident or underconfident.
 
     Parameters
     ----------
