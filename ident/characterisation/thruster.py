@@ -312,7 +312,7 @@ def thruster_runs(loaded: Sequence[LoadedLog], model: Model, name: str | None) -
     Returns
     -------
     list of LogSegment
-        One for each log, with the channels of the model only.
+        One for each log, with the channels of the model only, and the force if the log has it.
 
     Raises
     ------

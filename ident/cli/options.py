@@ -62,7 +62,7 @@ def parse_values(_context: click.Context, _parameter: click.Parameter, items: Se
     Returns
     -------
     dict
-        Value by name; empty if the option is not given. A repeated name has its last value.
+        Value by name; empty if the option is not given. A repeated name has its last value. The names are not checked.
 
     Raises
     ------
@@ -247,7 +247,11 @@ def out_option(default: str) -> Callable[..., Any]:
 
 
 def _trust_files(context: click.Context, _parameter: click.Parameter, trusted: bool) -> None:
-    """Allow the Python files of users until the command ends, if ``--trust-code`` is given (click callback)."""
+    """Allow the Python files of users until the command ends, if ``--trust-code`` is given (click callback).
+
+    The hashes of the files that are run are stored, so that these files, if unchanged and in the folder of their
+    model.toml, may be run later without the option.
+    """
     if trusted:
         from seatrial.ident.models import trusting_code
 
@@ -257,7 +261,8 @@ def _trust_files(context: click.Context, _parameter: click.Parameter, trusted: b
 def trust_option(f: Callable[..., Any]) -> Callable[..., Any]:
     """Decorate a command with the flag ``--trust-code``: run any Python file that a model.toml names.
 
-    The command does not receive the flag, which takes effect while the command runs.
+    The command does not receive the flag, which takes effect while the command runs. A file that was run stays trusted
+    later, if it is unchanged and in the folder of its model.toml.
     """
     words = (
         "Run the Python files that a model.toml names, even if they are new, changed or moved, and trust them later."

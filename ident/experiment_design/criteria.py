@@ -46,8 +46,8 @@ class Criterion:
     def __call__(self, information: Array) -> Array:
         """Return the criterion (n,) of information matrices (n, q, q) in the units of the parameters.
 
-        A larger value is better. It is ``SINGULAR`` (-1e9) for a matrix that is singular, that is not finite, or that
-        has a diagonal element of zero or below.
+        A larger value is better. It is ``SINGULAR`` (-1e9) for a matrix that is not finite, that has a diagonal element
+        of zero or below, or that is singular: scaled to a unit diagonal, its smallest eigenvalue is below 1e-12.
         """
         F = information * np.outer(self.scale, self.scale)
         good = np.isfinite(F).all(axis=(1, 2)) & (np.diagonal(F, axis1=1, axis2=2) > 0).all(axis=1)
@@ -58,7 +58,8 @@ class Criterion:
     def _value(self, F: Array) -> Array:
         """Return the criterion (n,) of finite information matrices F (n, q, q) in characteristic steps.
 
-        The diagonal of F must be positive. The criterion of a singular matrix is ``SINGULAR`` (-1e9).
+        The diagonal of F must be positive. The criterion of a singular matrix is ``SINGULAR`` (-1e9): scaled to a unit
+        diagonal, its smallest eigenvalue is below 1e-12.
         """
         if not len(F):
             return np.zeros(0)

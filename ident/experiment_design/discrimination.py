@@ -91,7 +91,8 @@ class HypothesisPair:
         Returns
         -------
         Array (n,)
-            The least sum that the steps reach, prior included; never below 0. Not finite if a simulation diverges.
+            The least sum that the steps reach, prior included; never below 0. NaN or infinite if the simulation at the
+            nominal values diverges; a later step that diverges does not count.
         """
         n = command.shape[2]
         values = np.tile([p.value for p in self.fitted.parameters], (n, 1))
@@ -283,11 +284,13 @@ def discriminate(
     model_a, model_b
         The models with fitted values, also of their effects. With both effects at zero the models would be equal.
     problem
-        Design problem with input class, sensor rates and limits. Its model is used for the limits only.
+        Design problem with input class, sensor rates and limits. Its model is used for the limits only, but must have
+        the sensors of both models.
     evaluations
         Number of evaluations of T, without those of 128 random start points.
     progress
-        Function of the number of evaluations and the best logarithm of T, called during the search.
+        Function that is called after each batch of points, with the number of evaluations and the best logarithm of T
+        of the current search (a large negative number if limits are violated).
 
     Returns
     -------

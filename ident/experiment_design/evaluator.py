@@ -151,8 +151,9 @@ class DesignEvaluator:
     def evaluate(self, command: Array) -> tuple[Array, Array]:
         """Return the criterion (n,) and the violation (n,) of commands (n_rows, n_channels, n).
 
-        The violation is the relative excess over the limits, plus the share of the parameter samples with a singular
-        information matrix. It is 0 for an admissible command.
+        The violation is the relative excess over the limits, plus for a robust design the share of the parameter
+        samples with a singular information matrix. It is 0 for an admissible command. At nominal values a singular
+        information matrix adds nothing to it; the criterion is then ``SINGULAR`` (-1e9).
         """
         value, singular = self.mean_criterion(command)
         return value, self.violation(command) + singular
@@ -173,7 +174,8 @@ class DesignEvaluator:
         tuple of Array
             As from ``evaluate``. Commands that cannot exceed the merit are not fully evaluated. If ``least`` is the
             merit of a violation, a command that violates a limit has the criterion ``SINGULAR`` (-1e9). Otherwise a
-            command with a lower criterion has a violation without that of the limits.
+            command whose criterion does not exceed ``least``, or with singular samples, has a violation without that of
+            the limits. Without a limit of area or speed, all commands are fully evaluated.
         """
         if not self.problem.limits.concern_the_track:
             return self.evaluate(command)
@@ -248,8 +250,8 @@ class DesignEvaluator:
         """Return the violation of the limits by commands (n_rows, n_channels, n).
 
         The violation (n,) is the sum of the relative excesses over both sides of the area, speed and energy: 0.1 means
-        10 % too much of one of them. It is 0 if all limits are kept, and 1e6 (``DIVERGED``) or more if a simulation
-        diverges.
+        10 % too much of one of them. It is 0 if all limits are kept, and 1e6 (``DIVERGED``) or more if a simulation of
+        the track diverges. Without a limit of area or speed, no track is simulated.
         """
         broken = np.zeros(command.shape[2])
         if self.problem.limits.energy is not None:

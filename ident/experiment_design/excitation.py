@@ -158,7 +158,10 @@ class ThrusterResponse:
 
     @property
     def shafts_are_states(self) -> bool:
-        """Return whether the shaft speeds are states of the model, so that its inputs are commands."""
+        """Return whether the shaft speeds are states of the model, so that its inputs are commands.
+
+        They are if the command of the left thruster, ``n_cmd_left``, is an input of the model.
+        """
         return any(i.name == command_of("left") for i in self.model.inputs)
 
     def shaft(self, command: Array) -> Array:
@@ -206,9 +209,10 @@ class ThrusterResponse:
 
         ``n`` has the shaft speeds by channel, or the commands by name of the input if the shafts are states of the
         model. The time input is ``t``. The work input is the integral of ``|n|^3`` over time, summed over the channels
-        and divided by 150 s. An input ``n_SIDE`` is a shaft speed, and ``f_SIDE`` is a thrust [N]. ``X`` is the sum of
-        both thrusts [N]. ``N`` is the moment [N m] of both thrusts at arms of 0.15 m, positive for more thrust on the
-        left. A model of surge alone has the same speed on both sides; a model of yaw alone has opposite speeds.
+        and divided by 150 s; in a row it includes the interval from this row to the next. An input ``n_SIDE`` is a
+        shaft speed, and ``f_SIDE`` is a thrust [N]. ``X`` is the sum of both thrusts [N]. ``N`` is the moment [N m] of
+        both thrusts at arms of 0.15 m, positive for more thrust on the left. A model of surge alone has the same speed
+        on both sides; a model of yaw alone has opposite speeds. Any other input has the value of its channel in ``n``.
         """
         if name == TIME_INPUT:
             return np.broadcast_to(self.t[:, None], next(iter(n.values())).shape)

@@ -515,8 +515,9 @@ def errors_of(information: Array) -> Array:
     Array (..., q)
         Standard errors in the units of the parameters. They are inf for a parameter without information, and for a
         parameter that cannot be separated from others: the part of its unit vector in the null space is 0.1
-        (``NULL_PART``) or more. The errors of the other parameters are computed with the pseudo-inverse. All are inf
-        for a matrix with elements that are not finite.
+        (``NULL_PART``) or more. The errors of the other parameters are computed with the pseudo-inverse. A parameter
+        whose diagonal element is NaN or infinite gets inf and is left out for the others. All are inf if an element
+        between the others is not finite.
     """
     size = np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 0.0))
     found = np.full(size.shape, np.inf)

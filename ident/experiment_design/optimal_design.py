@@ -54,7 +54,8 @@ class Design:
     value
         Optimality criterion, with the prior information.
     information : Array (q, q)
-        Information of the experiment about the parameters ``problem.free``, without the prior information.
+        Information of the experiment about the parameters ``problem.free`` at nominal values, reduced by the inflation
+        of the standard errors in earlier logs, without the prior information.
     found
         Result of the search: best point and number of evaluations.
     """
@@ -85,22 +86,29 @@ class Design:
 
     @property
     def before(self) -> dict[str, float]:
-        """Standard errors before the experiment, by observed parameter; inf for one without prior information."""
+        """Standard errors before the experiment, from the prior information, by observed parameter.
+
+        They are inf for a parameter that has no prior information, or that it does not separate from others.
+        """
         return self._errors_by_name(self.evaluator.prior_information)
 
     @property
     def errors(self) -> dict[str, float]:
         """Standard errors after the experiment, by observed parameter.
 
-        They follow from the information in the search, which treats the noise parameters as known.
+        They follow from the prior information and the information in the search, which treats the noise parameters as
+        known. They are inf for a parameter that cannot be separated from others.
         """
         return self._errors_by_name(self.information + self.evaluator.prior_information)
 
     @cached_property
     def predicted(self) -> dict[str, float]:
-        """Standard errors that a fit can reach after the experiment, by observed parameter.
+        """Standard errors that a fit can reach after the experiment, in the units of the parameters.
 
-        They follow from prediction error with all sensors at their rates and with unknown noise parameters.
+        The keys are the shared dynamic parameters on which an output of the model depends, whatever the experiment
+        (``problem.observed_parameters``). A parameter that cannot be separated from others has the value inf. The
+        errors follow from prediction error with all sensors at their rates and with unknown noise parameters. They
+        include the prior information, and the inflation of the standard errors in earlier logs.
         """
         return predicted_errors(self.problem, self.command_on(self.problem.finer))
 
@@ -118,14 +126,13 @@ def predicted_errors(problem: DesignProblem, command: Array) -> dict[str, float]
     problem
         Design problem.
     command
-        Command (n_rows, n_channels), -1 to 1, on the rows of ``problem.finer``, which are as frequent as the samples of
-        the fastest sensor.
+        Command (n_rows, n_channels), -1 to 1, on the rows of ``problem.finer``.
 
     Returns
     -------
     dict
-        Standard error of each parameter that the sensors observe, by name, in the unit of the parameter. It is inf for
-        a parameter that cannot be separated from others.
+        Standard error of each shared dynamic parameter that the sensors observe (``problem.observed_parameters``), by
+        name, in the unit of the parameter. It is inf for a parameter that cannot be separated from others.
 
     Notes
     -----
@@ -182,6 +189,8 @@ class Track:
 def predicted_track(made: Design, points: int = 61) -> Track | None:
     """Predict the track of a design by simulation of the nominal boat and of 64 sampled boats with process noise.
 
+    Each sampled boat has its own random current, of up to ``limits.current`` of the problem.
+
     Parameters
     ----------
     made
@@ -229,13 +238,16 @@ def design(
     problem
         Design problem.
     evaluations
-        Number of evaluations of the criterion in the whole search.
+        Number of evaluations of the criterion in the search, without those of random start points. If a block is
+        designed first (see ``warm``), the search of the whole experiment has half of them, and that of the block takes
+        as much time as the other half.
     warm
         Search points (n, size) to start from, as `StepInput` describes them. By default the search starts from the best
         of 512 random sequences. For prediction error it starts from a shorter block that is designed first and
-        repeated, if the experiment can be divided into such blocks of 100 to 200 s.
+        repeated, if the experiment can be divided into such blocks of 100 to 200 s with at least 8 steps.
     progress
-        Function of the number of evaluations and the best value, called during the search.
+        Function that is called after each batch of points, with the number of evaluations and the best merit of the
+        current search (one for each start point). The merit is a large negative number if limits are violated.
 
     Returns
     -------
@@ -245,7 +257,8 @@ def design(
     Raises
     ------
     SeatrialError
-        If no sequence that was found keeps to the limits, or if none informs all parameters.
+        If the best sequence exceeds the limits by more than 0.001, or if its information matrix is singular (of a
+        robust design: for any parameter sample).
     """
     if warm is None and problem.process_noise:
         warm = _repeated_block(problem, evaluations, progress)
@@ -276,8 +289,8 @@ def _repeated_block(problem: DesignProblem, evaluations: int, progress: Progress
     Returns
     -------
     Array (1, size) or None
-        Search point of the long experiment. None if the experiment cannot be divided into 2 to 12 equal blocks of whole
-        rows and whole steps.
+        Search point of the long experiment. None if the experiment cannot be divided into 2 to 12 such blocks of equal
+        length, whole rows and whole steps. If there are several ways, the length is the one closest to 140 s.
     """
     steps = problem.steps
     parts = [
@@ -302,7 +315,7 @@ def _search_within_limits(
 ) -> SearchResult:
     """Search the step sequence with the largest criterion within the limits of the design problem.
 
-    ``warm``: search points (n, size) to start from; None: the best of 512 random points.
+    ``warm``: search points (n, size) to start from; None: the best four of 512 random points.
     """
     problem = evaluator.problem
     return search_design(
@@ -346,7 +359,8 @@ def search_design(
         Search points (n, size) to start from. None: the best four of ``n_start`` random points, those without violation
         first.
     progress
-        Function of the number of evaluations and the best value, called during the search.
+        Function that is called after each batch of points, with the number of evaluations and the best merit of the
+        current search (one for each start). The merit is the value, or a large negative number with a violation.
     n_start
         Number of random points.
     above
@@ -474,7 +488,8 @@ def baseline_signals(problem: DesignProblem, n: int = 20, seed: int = 1) -> dict
 def _rgs_of_share(t: Array, corner: float, channels: int, size: float, n_max: float, rng: np.random.Generator) -> Array:
     """Return random Gaussian sequences (n_rows, n_channels) with the standard deviation ``size * n_max``.
 
-    They are low-pass filtered at the corner frequency [Hz] and clipped at the largest command ``n_max``.
+    They are low-pass filtered at the corner frequency [Hz], scaled to that deviation, and then clipped at the largest
+    command ``n_max``.
     """
     return rgs(t, corner, channels, size * n_max, n_max, rng)
 
@@ -482,7 +497,8 @@ def _rgs_of_share(t: Array, corner: float, channels: int, size: float, n_max: fl
 def _with_slew_limit(command: Array, slew: float, step: float) -> Array:
     """Return commands (n_rows, n_channels, n) that follow the given ones at no more than ``slew`` [1/s].
 
-    Rows are ``step`` [s] apart. The first row is zero. Without a finite limit the commands are returned unchanged.
+    Rows are ``step`` [s] apart. The first row is zero, and each row follows the given ones before it. Without a finite
+    limit the commands are returned unchanged.
     """
     if not np.isfinite(slew):
         return command

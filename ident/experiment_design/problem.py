@@ -72,7 +72,7 @@ class DesignProblem:
     criterion
         Kind of the optimality criterion: D, A, E or Ds.
     chosen
-        Names of the parameters of the criterion. Empty: all shared parameters that the sensors observe.
+        Names of the parameters of the criterion. Empty: all shared dynamic parameters that the sensors observe.
     rates
         Rates of sensors [Hz] that the user gives, by sensor.
     limits
@@ -96,7 +96,8 @@ class DesignProblem:
         Seed of the search and of all samples.
     grid
         Interval between rows [s]. It must be short enough for the fastest state of the model (`row_spacing`). If a
-        sensor cannot have its rate on the rows, its noise is scaled by the square root of the ratio.
+        sensor cannot have its rate on the rows, its noise is scaled by the square root of the ratio of its rate on the
+        rows to its rate.
     """
 
     model: Model
@@ -138,12 +139,14 @@ class DesignProblem:
         Parameters
         ----------
         command
-            Commands (n_rows, n_channels, n) at the times ``t``. Commands at rest and in coasting are zero.
+            Commands (n_rows, n_channels, n) of n missions at the times ``t``. Commands at rest and in coasting are
+            zero. The last row, at which the coasting starts, is replaced by zero too.
 
         Returns
         -------
         Array (n_rows_whole, n_inputs, n)
-            Inputs at the times ``t_whole``, with the lag of the shafts.
+            Inputs of the n missions at the times ``t_whole``, with the lag of the shafts. If the model has the shaft
+            speeds as states, the inputs are the commands, without a lag.
         """
         before, after = (np.zeros((n, *command.shape[1:])) for n in self._rest_and_coasting_rows)
         whole = np.concatenate([before, command[:-1], np.zeros((1, *command.shape[1:])), after])
@@ -189,9 +192,10 @@ class DesignProblem:
 
     @cached_property
     def finer(self) -> DesignProblem:
-        """The same problem on rows at least as frequent as the samples of the fastest sensor.
+        """The same problem on rows about as frequent as the samples of the fastest sensor, or more frequent.
 
-        The new ``grid`` is the old one divided by a whole number.
+        The new ``grid`` is the old one divided by the rate of the fastest sensor times the old one, rounded to a whole
+        number of at least 1. The grid of ``steps`` is unchanged.
         """
         most = max([self.rate(s.name) for s in self.model.sensors])
         return replace(self, grid=self.grid / max(1, round(most * self.grid)))

@@ -56,7 +56,8 @@ class Content:
         Integral time scale [s] of the noise that stands for removed states, by output. Outputs without such noise are
         left out.
     states_without_noise : tuple of str
-        Removed states that are neither in ``state_noise`` nor in ``output_noise``, because they have no effect at rest.
+        Removed states that decay but are neither in ``state_noise`` nor in ``output_noise``, because they have no
+        effect at rest. Removed random walks are in neither noise and are not listed.
     """
 
     name: str
@@ -201,7 +202,8 @@ def without_nuisance(model: Model) -> tuple[Model, tuple[State, ...]]:
     """Return the model without its nuisance effects, and the removed states.
 
     Nuisance effects are disturbance forces and random-walk sensor biases. Their states, parameters and inputs are
-    removed. An input that another effect also needs is kept.
+    removed. So are nuisance states and parameters of disturbances that belong to no effect. An input that another
+    effect also needs is kept.
     """
     effects = [e for e in model.effects if e.kind.nuisance]
     states = {s.name for e in effects for s in e.states} | {s.name for s in model.states if s.nuisance}
@@ -233,7 +235,7 @@ class EquivalentNoise:
     noise_time_scale : Array (n_outputs,)
         Integral time scale of the noise added to each output [s]; 0 if no noise is added.
     states_without_noise : tuple of str
-        Removed states that have no effect at rest, and are therefore in neither noise.
+        Removed states that decay but have no effect at rest, and are therefore in neither noise.
     """
 
     process: Array
@@ -763,7 +765,8 @@ def write(program: Program, syntax: Syntax, taken: Iterable[str]) -> tuple[list[
 class _Writer:
     """Writer of a program: decides which nodes become variables, and puts the others into expressions.
 
-    A node becomes a variable if it is used more than once, has a label, or is longer than 50 characters.
+    An operation becomes a variable if it is used more than once, has a label, or is longer than 50 characters. So does
+    the operand of an operation whose template repeats it, for example a square. Symbols and constants never do.
 
     Attributes
     ----------

@@ -61,9 +61,9 @@ class Linearisation:
 
     @property
     def time_constants(self) -> Array:
-        """Time constants (n,) [s] of the poles in their order: ``-1 / Re``; infinite for an integrator.
+        """Time constants (n,) [s] of the poles in their order: ``-1 / Re``.
 
-        A negative time constant belongs to an unstable pole.
+        A finite negative time constant belongs to an unstable pole. That of an integrator is infinite, of either sign.
         """
         with np.errstate(divide="ignore"):
             return np.asarray(-1.0 / self.poles.real)
@@ -122,7 +122,8 @@ def linearise(saved: SavedModel, speed: float) -> Linearisation:
     Raises
     ------
     SeatrialError
-        If the model has no forward speed, or if no operating point is found within the limits of the inputs.
+        If the model has no forward speed, if ``speed`` is zero or not finite, or if no operating point is found with
+        shaft speeds and commands (inputs ``n_...``) from -1 to 1. Forces have no limit.
     """
     model = collect_content(saved).model
     names = [s.name for s in model.states if s.name not in POSE]

@@ -76,8 +76,8 @@ def check_answer(report: CheckReport) -> str:
     """Return the headline of the page of a check: whether the rig is ready or the log is in order, and why not.
 
     If there are faults, the first is given in full, and the others by place and name of the check. If there are only
-    warnings, they are given by place and name of the check. If there is no finding at all, the headline states that no
-    check applies.
+    warnings, they are given by place and name of the check. If all findings are ``ok``, the headline has their number.
+    If there is no finding at all, it states that no check applies.
 
     Parameters
     ----------

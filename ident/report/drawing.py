@@ -146,7 +146,9 @@ def escaped(words: str) -> str:
 def line_trace(
     x: Array, y: Array, name: str, limit: int, *, color: str = MODEL, dash: str = "solid", turn: float | None = None
 ) -> Trace:
-    """Return the trace of a line through x and y, with gaps at NaN and where a wrapped angle jumps by a full turn.
+    """Return the trace of a line through x and y, with gaps at NaN and where a wrapped angle jumps.
+
+    A jump is a difference of neighbouring points of more than half a turn.
 
     Parameters
     ----------
@@ -155,7 +157,7 @@ def line_trace(
     name
         Text in the legend and on hover.
     limit
-        Largest number of points that are drawn; a longer line is thinned.
+        Largest number of points that are drawn; a longer line is thinned, which may close short gaps of NaN.
     color
         Colour, for example ``#0072B2``.
     dash
@@ -189,7 +191,7 @@ def dots(x: Array, y: Array, name: str, limit: int, *, color: str = MEASURED, tu
     """Return the trace of measured values as dots, or as a thin line with gaps if there are more than 700.
 
     Values of y that are not finite are left out. The line has a gap where samples are more than eight times the median
-    interval apart, and where a wrapped angle jumps by a full turn.
+    interval apart, and where a wrapped angle jumps by more than half a turn.
 
     Parameters
     ----------
@@ -198,7 +200,8 @@ def dots(x: Array, y: Array, name: str, limit: int, *, color: str = MEASURED, tu
     name
         Text in the legend and on hover.
     limit
-        Largest number of points of the thin line; up to a quarter more may be added to keep its gaps. Dots are kept.
+        Largest number of points of the thin line; up to a quarter more may be added to keep its gaps. If there are more
+        gaps than that, some are closed. Dots are kept.
     color
         Colour, for example ``#5b6470``.
     turn

@@ -155,8 +155,8 @@ def with_error(value: float | None, se: float | None, unit: str = "") -> str:
     """Return a value with its standard error as text, ``40.05 ± 0.12 N``.
 
     Both have the decimals of two significant digits of the standard error. Without a positive standard error, the value
-    has four significant digits and no ±. If the larger of both is below 1e-4, or 1e6 or more, they have a common power
-    of ten: ``(1.20 ± 0.15) ×10⁻⁶``.
+    has up to four significant digits, without trailing zeros, and no ±. If the larger of both is below 1e-4, or 1e6 or
+    more, or if the standard error is below 1e-8, they have a common power of ten: ``(1.20 ± 0.15) ×10⁻⁶``.
 
     Parameters
     ----------
@@ -201,8 +201,10 @@ def noise_level(value: float, se: float | None, limit: float | None, factor: flo
 def pair(value: float | None, se: float | None) -> tuple[str, str]:
     """Return a value and its standard error as two texts with the same number of decimals.
 
-    The decimals are those of two significant digits of the standard error. If one of both is None, or if the standard
-    error is not positive, the value has four significant digits and the second text is empty.
+    The decimals are those of two significant digits of the standard error. If the larger of both is below 1e-4, or 1e6
+    or more, or if the standard error is below 1e-8, each has a power of ten, the same for both. If one of both is None,
+    or if the standard error is not positive, the value has up to four significant digits (a dash for None), and the
+    second text is empty.
     """
     if value is None or se is None or not se > 0:
         return short(plain(value, 4)), ""

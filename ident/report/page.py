@@ -84,7 +84,7 @@ def figure_page(title: str, figure: Figure) -> str:
     title : str
         Headline of the page.
     figure : dict
-        Figure in the JSON of Plotly, with its height [px] in the layout.
+        Figure in the JSON of Plotly, with its height [px] in the layout; without one it is 500 px.
     """
     canvas = Canvas(Budget())
     plot = canvas.plot(figure, int(figure["layout"].get("height", 500)), title)
@@ -170,7 +170,7 @@ def _count_traces(result: Result) -> int:
 def _script_safe_json(value: Any) -> str:
     """Return a value as JSON text that may stand inside an HTML script element: ``<``, ``>`` and ``&`` are escaped.
 
-    NaN or infinity in the value raises ValueError.
+    The line separators U+2028 and U+2029 are escaped too. NaN or infinity in the value raises ValueError.
     """
     written = json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     for character in "<>&\u2028\u2029":

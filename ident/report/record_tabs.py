@@ -40,7 +40,10 @@ class RecordTab:
 
     @property
     def title(self) -> str:
-        """Label of the tab, ``ROLE · NAME``. An empty part is left out; ``record`` if both are empty."""
+        """Label of the tab, ``ROLE · NAME``. An empty part is left out, and a name equal to the role is not repeated.
+
+        The label is ``record`` if both are empty.
+        """
         return " · ".join(dict.fromkeys(part for part in (self.role, self.name) if part)) or "record"
 
 

@@ -161,7 +161,7 @@ def print_result(result: Result, console: Console) -> None:
     """Print the warnings, the answer, the caveat of a diagnosis and the tables of a result to the console.
 
     The tables of a fit are its parameters, profile likelihoods and prediction errors; a diagnosis adds the candidates.
-    A table without rows is left out. The answer of a fit that did not converge is printed as a warning.
+    A table of a fit without rows is left out. The answer of a fit that did not converge is printed as a warning.
 
     Parameters
     ----------
@@ -186,7 +186,10 @@ def print_result(result: Result, console: Console) -> None:
 
 
 def _all_tables(result: Result) -> Sequence[Table | None]:
-    """Return the tables for the terminal of any result in the order of printing; None for a table without rows."""
+    """Return the tables for the terminal of any result, in the order of printing.
+
+    A table of a fit that would have no rows is None.
+    """
     if not isinstance(result, FitResult):
         return tables_of(result)
     diagnosis = result if isinstance(result, DiagnosisResult) else None
@@ -201,8 +204,9 @@ def _all_tables(result: Result) -> Sequence[Table | None]:
 def _parameters_table(fit: FitSummary, added: Sequence[EffectRow]) -> Table | None:
     """Return the table of up to nine estimated parameters: those of the added effects first, then those of the model.
 
-    Noise parameters and fixed parameters are left out (the report has them), and per-record parameters come last. The
-    result is None if no parameter is left. ``added`` has the effects that a diagnosis added; empty for other fits.
+    Noise parameters (with the word noise in their meaning) and fixed parameters of the model are left out, and its
+    per-record parameters come last. The result is None if no parameter is left. ``added`` has the effects that a
+    diagnosis added; empty for other fits.
     """
     effects = [row for effect in added for row in effect.parameters]
     effect_names = {row.name for row in effects}

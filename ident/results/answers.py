@@ -154,9 +154,10 @@ def vehicle_answer(
 def _fit_sentence(prediction: PredictionFit, errors: Errors, horizon: float) -> str:
     """Return the sentence on the fit (per cent) of all channels over the horizon [s], with the best and worst channel.
 
-    The fits of the channels are those on the validation data, or on the estimation data if there are no others. If the
-    prediction of some channels diverges, the sentence names only them. A 95 % interval wider than 50 per cent points
-    is replaced by the interval of time with the largest errors.
+    The fits of the channels are those on the validation data, or on the estimation data if there are no others. The
+    best and worst are left out if fewer than two channels have a fit. If the prediction of some channels diverges, the
+    sentence names only them. A 95 % interval wider than 50 per cent points is replaced by the interval of time with the
+    largest errors, if that is known.
     """
     begin = f"Prediction {horizon:g} s ahead on {prediction.role} data, all channels: "
     table = errors.estimation if errors.validation is None else errors.validation
@@ -246,9 +247,9 @@ def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
     """Return sentences on prediction intervals that are too narrow or too wide, with the channels concerned.
 
     There is at most one sentence on narrow and one on wide intervals for each kind of prediction: one step ahead, over
-    the horizon, simulated. The factor of each channel is its RMS error over the predicted one. The sentences are about
-    the validation data, or about the estimation data if there are no validation data. The list is empty if no channel
-    is overconfident or underconfident.
+    the horizon, simulated. The factor of each channel is its RMS error over the predicted one, or the word diverged.
+    The sentences are about the validation data, or about the estimation data if there are no validation data. The list
+    is empty if no channel is overconfident or underconfident.
 
     Parameters
     ----------
@@ -520,8 +521,9 @@ def frame_warnings(model: Model, unplaced: Sequence[str], *, saved_origin_unknow
 def frames_assumed(fitted: FittedModel) -> list[ResultWarning]:
     """Return the warning of ``frame_warnings`` for the records of a fit: their x and y may have different origins.
 
-    The records are those of the estimation data and of the validation runs. The list is empty for a single record, if
-    the origin of each record is known, or if the model has no effect at a fixed point.
+    The records are those of the estimation data and of separate validation runs; only those with the output ``x``
+    count. The list is empty for a single record, if the origin of each record is known, or if the model has no effect
+    at a fixed point.
     """
     records = {
         r.name: r for r in (*fitted.records, *(v.record for v in fitted.validation if not fitted.cross_validated))
@@ -615,6 +617,8 @@ def thruster_answer(
 ) -> str:
     """Return the answer of a thruster fit: thrust at full shaft speed, delay, time constant and dead zone.
 
+    If the thrust of neither direction is known, the answer states that the logs do not determine it.
+
     Parameters
     ----------
     fitted : Fit
@@ -625,8 +629,8 @@ def thruster_answer(
         Directions in which the shaft turned: 1 forward, -1 reverse. A direction that is missing is called not measured.
         A direction without a finite standard error is called not identifiable.
     calibration : float, optional
-        Relative standard uncertainty of the load cell's force, which is added to the standard errors of the thrust. If
-        it is None, the errors are called statistical only.
+        Relative standard uncertainty of the load cell's force, which is added in quadrature to the standard errors of
+        the thrust. If it is None, the errors are called statistical only.
     smallest : float
         Smallest command that was tried, as a part of full command. If the fitted dead zone is below 0.05 % of full
         command, the answer states that there is none above this command.
@@ -752,7 +756,7 @@ def homogeneity_sentence(a: HomogeneityTest) -> str:
 
     It has the common value, the value of each log, the verdict (the logs agree if p is above 0.01), and the mean with
     the scatter between the logs. Logs that do not inform the parameter are named. If fewer than two logs inform it, the
-    sentence states only that.
+    sentence states only that, and these names.
     """
     each = ", ".join(f"{v:.3g} ± {e:.2g}" for v, e in zip(a.values, a.errors, strict=True))
     low, high = a.interval

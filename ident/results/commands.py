@@ -170,7 +170,7 @@ def thruster_result(
 ) -> ThrusterResult:
     """Return the result of `seatrial ident thruster` for logs with a shaft speed, from a fit and its evaluation.
 
-    If the fit did not converge, the answer states only that.
+    If the fit did not converge, the answer states only that. If the logs have faults, the answer begins with them.
 
     Parameters
     ----------

@@ -335,8 +335,8 @@ def what_is_lacking(diagnosis: Diagnosis, *, fell: bool) -> str:
     """Return the beginning of the answer, ``The model lacks ...``, with the titles of the effects, without a full stop.
 
     Identified effects come first, then ambiguous effects as "an effect that resembles ...", then nonparametric effects.
-    Nonparametric effects come first if the most important effect is nonparametric. The diagnosis must have at least
-    one effect.
+    Nonparametric effects come first if the most important effect is nonparametric. If ambiguous effects come first, the
+    text begins with "The missing effect resembles ...". The diagnosis must have at least one effect.
 
     Parameters
     ----------

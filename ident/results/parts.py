@@ -470,7 +470,7 @@ class PredictionFit(Part, frozen=True, kw_only=True):
 class LargestErrorsRow(Part, frozen=True, kw_only=True):
     """Interval of time that has the largest share of the squared prediction errors over the horizon.
 
-    It is two horizons long.
+    It is two horizons long, or shorter at the end of the record.
     """
 
     record: Annotated[str, Meta(description="name of the record")]

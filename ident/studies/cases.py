@@ -303,7 +303,8 @@ def make_case(
     Raises
     ------
     SeatrialError
-        If there is no such case or no such parameter.
+        If there is no such case or no such parameter, if a true value is outside the bounds of its parameter, or as
+        `case_from_file`.
     """
     if is_file(name):
         case = case_from_file(name, seconds, MISSION_SEED)
@@ -327,7 +328,10 @@ def make_case(
 
 
 def is_file(source: str) -> bool:
-    """Return whether ``source``, the argument MODEL of the command, is a file: ``NAME.toml`` or ``FILE.py:NAME``."""
+    """Return whether ``source``, the argument MODEL of the command, names a file: ``NAME.toml`` or ``FILE.py:NAME``.
+
+    Any text that ends in ``.toml`` or contains a colon does. The file need not exist.
+    """
     return source.endswith(".toml") or ":" in source
 
 
@@ -504,8 +508,9 @@ class RepeatStatistics:
 def designed_case(designed: Design, name: str = "designed") -> Case:
     """Return a designed mission as a case of a Monte Carlo study with this name, estimated as `ident vehicle` does.
 
-    The rows are as frequent as the samples of the fastest sensor. No parameter without a transform is bounded, because
-    a bound, for example zero for damping, makes the errors one-sided.
+    The rows are those of ``designed.problem.finer``, about as frequent as the samples of the fastest sensor, or more
+    frequent. No parameter without a transform is bounded, because a bound, for example zero for damping, makes the
+    errors one-sided.
     """
     fine = designed.problem.finer
     unbounded = [replace(p, bounds=(-INF, INF)) for p in fine.model.parameters if p.transform == "none"]

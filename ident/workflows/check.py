@@ -205,7 +205,7 @@ def with_noise_floors(model: Model, logs: Sequence[LoadedLog]) -> tuple[Model, l
     """Set lower bounds for the free noise parameters of smoothed channels, and raise their values above the bounds.
 
     A channel is smoothed if it has less white noise than any sensor, for example the output of a filter. Values below
-    1.5 times the bound are set to 1.5 times the bound.
+    1.5 times the bound are set to 1.5 times the bound. Upper bounds of these parameters are removed.
 
     Parameters
     ----------

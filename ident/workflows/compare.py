@@ -102,7 +102,7 @@ class InformationCriteria:
         Change of Akaike's and of the Bayesian information criterion; negative if the second model is better.
     p
         p value of the likelihood-ratio test of the hypothesis that the additional parameters of the second model are
-        not needed. None unless the first model is the second one with some of its free parameters fixed.
+        not needed. None unless the first model is the second one with some of its free parameters fixed or missing.
     """
 
     gain: float
@@ -195,8 +195,8 @@ def compare_models(request: CompareRequest, reporter: Reporter) -> ModelComparis
     ------
     SeatrialError
         If there are fewer than two models, if a file cannot be read, if the logs have faults that make a fit
-        meaningless (unless ``despite_faults``), if no log is longer than the horizon, or if a model cannot predict a
-        log.
+        meaningless (unless ``despite_faults``), if no log is longer than a given horizon, or if a model cannot predict
+        a log.
     """
     if len(request.models) < 2:
         raise SeatrialError("a comparison needs two models or more; give another model.toml")
@@ -289,7 +289,7 @@ def _criteria(first: Model, second: Model, first_views: Sequence[RecordEvaluatio
     Returns
     -------
     InformationCriteria
-        Its p value is None unless the first model is the second one with at least one free parameter fixed.
+        Its p value is None unless the first model is the second one with at least one free parameter fixed or missing.
     """
     more = _n_estimates(second, len(first_views)) - _n_estimates(first, len(first_views))
     n = sum(int(np.isfinite(v.record.y).sum()) for v in first_views)
@@ -307,7 +307,7 @@ def _is_nested(first: Model, second: Model) -> bool:
 
     Both models must have the same source (name of the structure). Each parameter of the first must exist in the second,
     and each free parameter of the first must be free there. A parameter that is fixed in the second must have the same
-    value in the first, to nine digits.
+    value in the first, to nine digits or to 1e-8 in its unit.
     """
     free = [{p.name for p in m.parameters if p.free} for m in (first, second)]
     fixed = [p for p in second.parameters if not p.free and p.name in first.values]
@@ -334,8 +334,9 @@ def _log_score(before: Sequence[RecordEvaluation], after: Sequence[RecordEvaluat
     """Return the difference in log-likelihood of the samples between two models, ``before`` and ``after``.
 
     Each sequence has the evaluation of a model on the same logs in the same order. The blocks of time are twice as long
-    as residuals may be correlated. Only the time that both records of a log cover is used. The result is None if the
-    models do not predict the same samples: then the likelihoods are not comparable.
+    as residuals may be correlated; the last one of a log has up to twice this length. Only the time that both records
+    of a log cover is used. The result is None if the models do not predict the same number of samples of each channel
+    in it: then the likelihoods are not comparable. The interval is NaN with fewer than four blocks.
     """
     gains: list[float] = []
     for a, b in zip(before, after, strict=True):

@@ -325,8 +325,10 @@ def designed_mission(
 ) -> Mission:
     """Return a designed mission: a segment at rest of 5 s, then the steps of the design.
 
-    Numbers are rounded: times to 1 ms, levels to six digits, positions to 1 cm. Levels are limited to ``n_max``. The
-    mission ends with the last step: the coasting after it is part of the predicted track only.
+    Numbers are rounded: times to 1 ms, levels to six digits, positions to 1 cm, standard errors to four digits. The
+    standard errors are in reported units (ratios to the thrust if the scale of the forces is unknown); infinite ones
+    are left out. Levels are limited to ``n_max``. The mission ends with the last step: the coasting after it is part of
+    the predicted track only.
 
     Parameters
     ----------
@@ -413,8 +415,9 @@ def make_task(source: str, request: DesignRequest) -> DesignProblem:
     Raises
     ------
     SeatrialError
-        If the model cannot be read, lacks a sensor that ``request.rates`` names, has no free parameters, or has inputs
-        that no mission commands.
+        If the model cannot be read, lacks a sensor that ``request.rates`` names, has no free parameters of the
+        dynamics, has inputs that no mission commands, or has no current although the limits have one. Also if the steps
+        do not fit into the duration, or if the two effects of ``request.between`` cannot be compared (`hypotheses`).
     """
     is_path = source.endswith((".toml", ".json")) or ("/" in source and Path(source).is_dir())
     saved = load_model(Path(source)) if is_path else None
@@ -474,8 +477,9 @@ def _discrimination_design(
 
     The search has an eighth of the ``evaluations`` of the request, but at least 500. The first result is the mission as
     a design. Its value is the criterion of the parameters, so that its page is that of any design. The second result
-    has the separation T of the two effects by this mission and by eight random missions. T is the expected value of
-    twice the log-likelihood ratio of the true model against the wrong model.
+    has the separation T of the two effects by this mission, with either effect as the true one, and the smaller T of
+    each of eight random missions. T is the expected value of twice the log-likelihood ratio of the true model against
+    the wrong model.
     """
     a, b = hypotheses(task.model, request.between)
     made: DiscriminationDesign = discriminate(
@@ -599,7 +603,7 @@ def _rows_of_finer_grid(task: DesignProblem) -> NDArray[np.intp]:
     """Return, for each time of the finer time grid of a design problem, the index of the last row at or before it.
 
     The rows are those of the design problem, between which commands are constant. The finer grid, that of
-    ``task.finer``, is at least as fast as the fastest sensor. The result has the shape (n_rows_finer,).
+    ``task.finer``, is about as fast as the fastest sensor, or faster. The result has the shape (n_rows_finer,).
     """
     return np.asarray(np.searchsorted(task.t, task.finer.t + 1e-9, side="right") - 1)
 

@@ -149,8 +149,8 @@ def diagnose_model(request: DiagnosisRequest, command: str, reporter: Reporter) 
     Raises
     ------
     SeatrialError
-        If model or logs cannot be used, if no log is longer than the horizon, or if the logs have faults that make a
-        fit meaningless (unless ``despite_faults``).
+        If model or logs cannot be used, if no validation log (without any: no log) is longer than a given horizon, or
+        if the logs have faults that make a fit meaningless (unless ``despite_faults``).
     """
     loaded, validation_logs = load_all(request.logs, request.validation, request.window, device_faults)
     horizon, effects_file = request.estimation.horizon, request.effects_file

@@ -257,7 +257,8 @@ def _informed_parameter(
 def _longest_mission_step(segments: Sequence[tuple[float, str]], begin: float, end: float) -> str:
     """Return the name of the mission step that takes up most of the time from ``begin`` to ``end`` [s].
 
-    ``segments``: start [s] and name of each step, in order of time. An empty text if the log has no step in that time.
+    Steps with the same name count together. ``segments``: start [s] and name of each step, in order of time; the last
+    one has no end. An empty text if the log has no step in that time.
     """
     length: dict[str, float] = {}
     ends = [t for t, _ in segments[1:]] + [np.inf]

@@ -146,9 +146,9 @@ def choose_model(source: str, loaded: Sequence[LoadedLog]) -> Model:
 
     The model has the sensors whose signals occur in the logs. Its inputs are interpolated between samples (hold) as in
     the first log. ``auto`` selects the horizontal model with inputs that all logs have: shaft speeds, else thrusts,
-    else force and moment. In place of shaft speeds, the inputs are commands and the shafts are states if the thruster
-    signals of a log are commands. If a log has relayed telemetry and no log has commands, the model includes the age of
-    the telemetry.
+    else force and moment. In place of shaft speeds, ``auto`` takes commands as inputs and the shafts as states if the
+    thruster signals of a log are commands. If a log has relayed telemetry and no log has commands, it adds the age of
+    the telemetry to the model.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def choose_model(source: str, loaded: Sequence[LoadedLog]) -> Model:
     Raises
     ------
     SeatrialError
-        If the name is unknown, or the logs have no inputs for the horizontal model.
+        If the name is unknown, or if ``auto`` is given and not all logs have inputs for the horizontal model.
     """
     names = set.intersection(*[set(item.run.channels) for item in loaded])
     anywhere = set.union(*[set(item.run.channels) for item in loaded])
@@ -331,7 +331,10 @@ def _has_held_shaft_speeds(log: LoadedLog) -> bool:
 
 
 def _has_commands_for_shaft_speeds(log: LoadedLog) -> bool:
-    """Return whether the log has no shaft speeds, so that its commands are used as such (`with_derived_signals`)."""
+    """Return whether the log has no shaft speeds, so that its commands are used as such (`with_derived_signals`).
+
+    Only the signals of the left thruster are compared.
+    """
     shaft, command = (log.run.channels.get(names[0]) for names in (SHAFTS, COMMANDS))
     return shaft is command and log.propulsion is PropulsionInput.COMMAND
 
@@ -470,8 +473,9 @@ def model_of_logs(
     Raises
     ------
     SeatrialError
-        If the logs lack an input or all sensors of the model, if there is no such file of a curve, or if the thruster
-        is not unique.
+        For a vehicle model: if a log lacks an input that a thrust curve gives (``f_left``, ``f_right``, ``X``,
+        ``X_n``), if no log has a sensor of the model, or if there is no such file of a curve. Other missing inputs are
+        not detected here. For a thruster model: if a log lacks a signal, or if the thruster is not unique.
     """
     if model.kind is ModelKind.BENCH:
         runs, validation_runs = (thruster_runs(part, model, thruster) for part in (loaded, validation_logs))
@@ -522,7 +526,8 @@ def _check_sensors_and_set_holds(
     """Return a saved vehicle model whose inputs are interpolated between samples (hold) as in the first log.
 
     Raise SeatrialError if no log has any sensor of the model. Sensors that only some logs lack are accepted, and so are
-    missing sensors beside others. ``path``: file of the model, for the message.
+    missing sensors beside others. A sensor of a user-defined model that is not in ``SENSORS`` counts as present.
+    ``path``: file of the model, for the message.
     """
     logs = [*loaded, *validation_logs]
     present = [n for n, s in SENSORS.items() if any(all(o.name in x.run.channels for o in s.outputs) for x in logs)]

@@ -64,14 +64,14 @@ class NavigationRequest:
     model
         The model.toml.
     logs
-        Logs, whose file names must differ.
+        Logs, whose file names without folder and ending must differ.
     out
         Folder for the results.
     smoothed
         True: states are estimated from all samples of a log (smoother). False: from the samples up to each time
         (filter).
     gnss_outages
-        Intervals (from, to) in which GNSS is withheld from the filter.
+        Intervals (from, to) in which GNSS is withheld from the filter; the end does not belong to the interval.
     window
         Interval of time of each log to use.
     rate
@@ -114,8 +114,8 @@ def navigate_logs(request: NavigationRequest, command: str, reporter: Reporter) 
     Raises
     ------
     SeatrialError
-        If two logs have the same file name, if a file cannot be read, if a log has no GNSS position, or none in an
-        interval to withhold, or if the model has no position.
+        If two logs have the same file name without ending, if a file cannot be read, if a log has no GNSS position, or
+        none in an interval to withhold, or if the model has no position.
     """
     logs, saved = request.logs, load_model(request.model)
     # First order: in a long outage the heading may be too uncertain for a second-order expansion.
@@ -206,8 +206,8 @@ def _navigate_log(
 def _check_fixes(rows: Record, t0: float, without: Sequence[tuple[float, float]], path: str) -> None:
     """Raise SeatrialError if a log has no position, or no position in an interval that is to be withheld.
 
-    ``t0``: log time [s] of the first row. ``without``: intervals (from, to) [s of the log]. ``path``: file of the log,
-    for the message. A model without a position is accepted here.
+    ``t0``: log time [s] of the first row. ``without``: intervals [s of the log], from the first time to before the
+    second. ``path``: file of the log, for the message. A model without a position is accepted here.
     """
     if POSITION[0] not in rows.outputs:  # the model has no position; ``navigate`` raises the error
         return
@@ -247,7 +247,9 @@ def _csv_columns(done: Navigation, t0: float) -> Columns:
 
 
 def write_csv(path: Path, columns: Columns) -> None:
-    """Write a CSV file: a line of names, then one line for each row. Times are rounded to 0.1 ms.
+    """Write a CSV file: a line of names, then one line for each row.
+
+    Times are rounded to 0.1 ms, other numbers to seven significant digits.
 
     Parameters
     ----------

@@ -125,7 +125,7 @@ class Series(NamedTuple):
     Attributes
     ----------
     t : Array (n,)
-        Times [s] from the start of the record, or from the first sample of the inputs that were simulated.
+        Times [s] from the start of the record; of a simulation for given inputs, in the time ``t`` of the inputs.
     value : Array (n,)
         Values at these times.
     """
@@ -184,7 +184,10 @@ class FitReport:
 
     @property
     def converged(self) -> bool:
-        """Whether the search for the maximum of the likelihood converged. Otherwise do not use the estimates."""
+        """Whether the search for the maximum of the likelihood converged. Otherwise do not use the estimates.
+
+        Of a diagnosis: whether the fit without the added effects and the fit with them both converged.
+        """
         return self.result.converged
 
     @property
@@ -449,7 +452,7 @@ class FittedDiagnosis(FittedResult):
     found : Diagnosis
         All steps and findings of the search (`seatrial.ident.diagnosis.Diagnosis`).
     effects_file : Path or None
-        Python file with user-defined effects; None if none was given.
+        Python file with user-defined effects that was given, or that the diagnosed model.toml names; None without one.
     """
 
     result: DiagnosisResult
@@ -467,7 +470,11 @@ class FittedDiagnosis(FittedResult):
 
     @property
     def recommended_experiment(self) -> str | None:
-        """Command line of an experiment that distinguishes the competing effects; None without competing effects."""
+        """Experiments that would show which effect is missing, as sentences, with a command line where there is one.
+
+        They are for ambiguous effects and effects with competing ones. Without an added effect they are for the best
+        effect of each round. None if no experiment is recommended.
+        """
         return self.result.recommended_experiment
 
     def save(self, folder: PathLike) -> Path:

@@ -57,7 +57,7 @@ class Saved:
 
     @property
     def standard_errors(self) -> dict[str, float]:
-        """Standard errors of the parameters by name; NaN if a parameter has none.
+        """Standard errors of the parameters by name, in the units of `params`; NaN if a parameter has none.
 
         Raises
         ------

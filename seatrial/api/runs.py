@@ -216,14 +216,15 @@ class Navigated(WrittenResult):
     result : NavigationResult
         Content of result.json.
     files : dict of str to bytes
-        Files that ``save`` writes: a CSV file for each log, result.json and report.html.
+        Files that ``save`` writes: a CSV file for each log, or for each segment of a log that is cut at long times
+        without a sample; result.json and report.html.
     """
 
     result: NavigationResult
 
     @property
     def states(self) -> dict[str, dict[str, NDArray[np.float64]]]:
-        """Columns of the estimated states: for each name of a log a dictionary of arrays (n_rows,) by name.
+        """Columns of the estimated states: for each name of a log or segment a dictionary of arrays (n_rows,) by name.
 
         The columns are the time ``t`` [s of the log], the states, their standard deviations (such as ``sd_u``), the
         current if the model estimates it, the covariance ``cov_x_y`` [m2] of the position, and ``gnss``: 1 for a fix

@@ -203,8 +203,8 @@ def attribution_words(effect: EffectRow) -> str:
 def key_parameters(fit: FitSummary) -> list[Any]:
     """Return the first nine estimated parameters of a fit, with standard errors, as labelled values, and a caption.
 
-    The caption has the number of the others. Noise parameters, per-record parameters, and parameters without a standard
-    error are left out. The list is empty if no parameter is left.
+    The caption has the number of the others. Noise parameters (with the word noise in their meaning), per-record
+    parameters, and parameters without a standard error are left out. The list is empty if no parameter is left.
     """
     found = []
     for row in fit.parameters:

@@ -72,7 +72,8 @@ def common_errors_blocks(row: CommonErrorsRow | None) -> list[Any]:
     """Return heading, sentence and table of the common errors; an empty list if ``row`` is None.
 
     Common errors are small errors that every craft has: sensor timing, mounting, hull form. The sentence has the gain
-    of the likelihood by them. The table has the estimates of their parameters.
+    of the likelihood by them; if it is unknown, it states that they were in the given model. The table has the
+    estimates of their parameters.
     """
     if row is None:
         return []
@@ -156,7 +157,8 @@ def _change_cells(row: ParameterChange) -> list[Cell | str]:
     """Return the table cells of one parameter before and after effects were added: values, unit and change.
 
     The change is in standard errors of the value before, or of the value after if the former is unknown or zero. If
-    both are unknown, it is a dash. A change beyond 1.96 standard errors is in bold.
+    both are unknown, or there is no value after, it is a dash; without a value before it is ``new``. A change beyond
+    1.96 standard errors is in bold.
     """
     factor, unit = formatting.degrees_for(row.unit)
     before, before_se, after, after_se = formatting.scaled(factor, row.before, row.before_se, row.after, row.after_se)
@@ -294,8 +296,9 @@ def interval(low: float | None, high: float | None) -> str:
 def _profile_plot(canvas: Canvas, row: ProfileCurve) -> Plot | None:
     """Return the plot of a profile likelihood: drop of the log-likelihood over the parameter, with its 95 % interval.
 
-    The parabola that follows from the standard error is added if the interval of the latter is known. The plot is added
-    to ``canvas``. The result is None if the profile has fewer than three points, or no finite value.
+    The parabola that follows from the standard error is added if the interval of the latter is known and contains the
+    value. The shaded interval goes to the end of the profile on a side where it is open. The plot is added to
+    ``canvas``. The result is None if the profile has fewer than three points, or no finite value.
     """
     value = row.value
     if row.grid.size < 3 or drawing.drawable(row.drop) is None:

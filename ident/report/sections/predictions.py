@@ -140,8 +140,8 @@ def _grouped_table(
 def _error_cells(channel: str, row: ErrorComparison) -> list[Cell | str]:
     """Return the table cells of one channel: name, RMS error of the model, unit, and fit in per cent.
 
-    The fit is 1 - error / standard deviation of the measured output, or a dash if one of both is unknown. An error of
-    None is written as ``diverged``.
+    The fit is 1 - error / standard deviation of the measured output, or a dash if one of both is unknown or the
+    standard deviation is zero. An error of None is written as ``diverged``.
     """
     factor, unit = formatting.degrees_for(row.unit)
     error = row.after
@@ -165,8 +165,8 @@ def error_words(error: float | None) -> str:
 def _before_after_cells(channel: str, row: ErrorComparison) -> list[Cell | str]:
     """Return the table cells of one channel: name, errors before and after, unit, their ratio and its 95 % interval.
 
-    A mark at the ratio shows whether the error fell or rose significantly. An unknown ratio or interval is a dash; an
-    error of None is written as ``diverged``.
+    A mark at the ratio shows whether the error fell or rose significantly. An unknown ratio or interval, or a ratio to
+    an error of zero, is a dash; an error of None is written as ``diverged``.
     """
     factor, unit = formatting.degrees_for(row.unit)
     before, after = formatting.scaled(factor, row.before, row.after)

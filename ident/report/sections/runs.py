@@ -98,7 +98,8 @@ def _input_blocks(canvas: Canvas, inputs: Sequence[InputTrace], tab: RecordTab) 
 def prediction_section(canvas: Canvas, result: FitResult) -> Section:
     """Return the section of the channels measured and predicted over the horizon, one tab for each record.
 
-    The errors in the headline of the page are those of these predictions. The section is empty without predictions.
+    The errors in the headline of the page are those of these predictions. A channel without predictions has only its
+    measurements. The section is empty without finite values.
 
     Parameters
     ----------
@@ -219,7 +220,7 @@ def _simulation_blocks(canvas: Canvas, result: FitResult, rows: Sequence[Trace],
 def _errors_of(result: FitResult, role: str) -> ErrorTable:
     """Return the prediction errors of a result on the data of ``role``, ``estimation`` or ``validation``.
 
-    They are those on the estimation data if there are no validation data.
+    They are those on the estimation data if there are no validation data, or for any other role.
     """
     estimation, validation = result.errors.estimation, result.errors.validation
     return validation if role == "validation" and validation is not None else estimation
@@ -229,7 +230,8 @@ def _fit_note(row: ErrorComparison | None) -> str:
     """Return the fit of one channel for the title of its panel: ``fit 87 %``, or ``fit 60 % → 87 %``.
 
     The second form is that before and after effects were added. An error of None is written as ``diverged``. The text
-    is empty if ``row`` is None, or if the measured channel is constant, so that it has no fit.
+    is empty if ``row`` is None, or if the standard deviation of the measured channel is zero or unknown, so that it has
+    no fit.
     """
     if row is None or not row.spread:
         return ""
@@ -299,7 +301,8 @@ def _channel_panel(canvas: Canvas, row: Trace, curves: _Curves, note: str) -> dr
 def _wrapped_angle(angle: Array | None, turn: float | None) -> Array | None:
     """Return an angle wrapped to half a turn about zero. If ``angle`` or ``turn`` is None, return ``angle`` unchanged.
 
-    ``turn`` is a full turn in the unit of the angle, None for signals that are no angles.
+    Half a turn becomes minus half a turn. ``turn`` is a full turn in the unit of the angle, None for signals that are
+    no angles.
     """
     return angle if angle is None or turn is None else np.mod(angle + turn / 2, turn) - turn / 2
 
