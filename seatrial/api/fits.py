@@ -473,7 +473,8 @@ class FittedDiagnosis(FittedResult):
         """Experiments that would show which effect is missing, as sentences, with a command line where there is one.
 
         They are for ambiguous effects and effects with competing ones. Without an added effect they are for the best
-        effect of each round. None if no experiment is recommended.
+        effect of each round. None if no experiment is recommended. If the diagnosed model was no file, the command
+        names ``model.toml``: save the model, and give the path of this file.
         """
         return self.result.recommended_experiment
 
@@ -582,6 +583,8 @@ def diagnose(
     >>> found.effects
     {'mismatch': 'identified'}
     """
+    from msgspec import structs
+
     from seatrial.ident.estimation import EstimationOptions
     from seatrial.ident.workflows.diagnose import DiagnosisRequest, diagnose_model
 
@@ -601,7 +604,11 @@ def diagnose(
             **known_options(given, DiagnosisRequest),
         )
         done: DiagnosedModel = diagnose_model(request, python_call("diagnose", request.logs), Messages(progress))
-    return FittedDiagnosis(done.result, done.found.after, done.found, done.effects_file)
+        result, advice = done.result, done.result.recommended_experiment
+        if isinstance(model, FittedResult) and advice:
+            # The file of a fitted model was temporary. The user saves the model to run the command.
+            result = structs.replace(result, recommended_experiment=advice.replace(str(path), "model.toml"))
+    return FittedDiagnosis(result, done.found.after, done.found, done.effects_file)
 
 
 class Messages:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from tests.recovery.realistic_page import DATA, PAGE, attribution_of, document
+from tests.recovery.realistic_page import DATA, PAGE, attribution_of, certainty, document
 from tests.recovery.resumable import read
 
 
@@ -32,8 +32,10 @@ def test_counts_of_the_page() -> None:
     assert [attribution_of(r) for r in rows[1:]] == ["identified", "ambiguous", ""]
     text = " ".join(document(rows).split())
     assert "identified on 1 of 3 boats, found but ambiguous on 1, and not found on 1." in text
-    assert "2 of the effects raise the error by 30 % or more; 1 of these are identified." in text
-    assert "Of the 3 effects that are called identified, 1 are not in the boat" in text
+    assert "2 of the effects raise the error by 30 % or more; 1 of these are identified" in text
+    assert "and 2 are found." in text
+    assert certainty(rows)[1][:4] == ["identified", "5", "3", "60 %"]
+    assert certainty(rows)[2][:4] == ["ambiguous", "1", "1", "100 %"]
     assert "3 of 6 masses and inertias are within three standard errors." in text
     assert "On 1 boats with the small imperfections alone, 2 effects are called identified (mooring, wind)" in text
     assert "of which 1 are not in the boat." in text

@@ -185,7 +185,7 @@ def test_a_heading_with_a_date_that_does_not_exist_is_left_out(tmp_path: Path) -
         at = next(k for k, line in enumerate(lines) if "date" in line.lower())
         lines[at] = heading_line or lines[at].replace("12:5:2024", "30:2:2024")
         assert lines[at] != DIALECTS[dialect][0][at]
-        with pytest.warns(SeatrialWarning, match=f"1 line left out, not CAN frames; the first is line {at + 1}"):
+        with pytest.warns(SeatrialWarning, match=f"1 line left out, not CAN frames; check the first, line {at + 1}"):
             assert len(read_frames(write(tmp_path, lines))) == N
 
 

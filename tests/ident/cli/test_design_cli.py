@@ -240,7 +240,7 @@ def test_each_hypothesis_of_a_discrimination_has_only_its_own_effect() -> None:
             "thrusters do not produce its input phi, theta, psi, p, q, r; choose a model without",
         ),
         (("thruster",), 1, "no mission can be designed for model thruster: it describes a thruster on its bench"),
-        (("none.toml",), 1, "none.toml: No such file"),
+        (("none.toml",), 1, "none.toml: cannot be read: No such file"),
         (("horizontal:shaft:no-current", "--area", "1x1"), 1, "give more room"),
     ],
 )

@@ -141,7 +141,7 @@ def test_distant_logs_keep_their_own_origins_and_reject_a_common_point(tmp_path:
     with pytest.raises(SeatrialError, match="more than 10 km from the first fix of log0, but mooring has one position"):
         require_one_frame(moored, logs)
     untested = _untestable_candidates(nominal_model(plain), catalogue(), [one.run for one in logs])
-    assert sorted(u.effect.name for u in untested) == ["mooring", "tether"]
+    assert sorted(u.effect.name for u in untested) == ["bank", "mooring", "shallow-water", "tether"]
     assert "fixed point over ground" in untested[0].reason
     assert not _untestable_candidates(nominal_model(plain), catalogue(), [logs[0].run])
 

@@ -292,7 +292,7 @@ def test_file_that_is_not_toml_gives_a_one_line_error(tmp_path: Path, content: b
     with pytest.raises(SeatrialError, match=r"model\.toml: ") as problem:
         load_model(path)
     assert "\n" not in str(problem.value)
-    with pytest.raises(SeatrialError, match=r"absent\.toml: No such file"):
+    with pytest.raises(SeatrialError, match=r"absent\.toml: cannot be read: No such file"):
         load_model(tmp_path / "absent.toml")
 
 

@@ -66,6 +66,11 @@ OTHERS = {
     "tau_gnss",
     "V_dx",
     "V_dy",
+    "V_xx",
+    "V_xy",
+    "V_yx",
+    "V_yy",
+    "t_shift",
     "f_wave",
 }
 LENGTH = 4.0  # Factor of the length of the catalogue's boat.
