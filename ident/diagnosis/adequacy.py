@@ -239,9 +239,9 @@ def _undetermined_position_reasons(effect: Effect, fitted: FittedModel, policy: 
     """Return the reason for ambiguity that the data do not determine the position of an effect (such as a mooring).
 
     The position is undetermined if ``policy.position_reach`` joint standard errors are not less than its RMS distance
-    from the boat. Return [] otherwise, for an effect without a scanned position over ground
-    (``effect.fixed_point``), or if a coordinate is not fitted. A short track determines the direction to the position. The prior determines its distance, so all positions along that
-    direction fit equally well.
+    from the boat. Return [] otherwise, for an effect without a scanned position over ground (`Effect.fixed_point`), or
+    if a coordinate is not fitted. A short track determines the direction to the position. The prior determines its
+    distance, so all positions along that direction fit equally well.
     """
     fit, scan = fitted.fit, effect.scan
     # A position on the boat, such as that of its thrusters, has the same names, but is not over ground.
