@@ -207,18 +207,20 @@ class ThrusterResponse:
     def _column(self, name: str, n: Mapping[str, Array]) -> Array:
         """Return one input (n_rows, n) of the model by its name, from the shaft speeds (n_rows, n) of the channels.
 
-        ``n`` has the shaft speeds by channel, or the commands by name of the input if the shafts are states of the
-        model. The time input is ``t``. The work input is the integral of ``|n|^3`` over time, summed over the channels
-        and divided by 150 s; in a row it includes the interval from this row to the next. An input ``n_SIDE`` is a
-        shaft speed, and ``f_SIDE`` is a thrust [N]. ``X`` is the sum of both thrusts [N]. ``N`` is the moment [N m] of
-        both thrusts at arms of 0.15 m, positive for more thrust on the left. A model of surge alone has the same speed
-        on both sides; a model of yaw alone has opposite speeds. Any other input has the value of its channel in ``n``.
+        ``n`` has the shaft speeds by channel, or the commands by name of the input if the shafts are states of
+        the model. The time input is ``t``. The work input is the integral of ``|n|^3`` over time, summed over
+        the channels and divided by 150 s (trapezoids), zero in the first row. An input ``n_SIDE`` is a shaft
+        speed, and ``f_SIDE`` is a thrust [N]. ``X`` is the sum of both thrusts [N]. ``N`` is the moment [N m]
+        of both thrusts at arms of 0.15 m, positive for more thrust on the left. A model of surge alone has the
+        same speed on both sides; a model of yaw alone has opposite speeds. Any other input has the value of its
+        channel in ``n``.
         """
         if name == TIME_INPUT:
             return np.broadcast_to(self.t[:, None], next(iter(n.values())).shape)
         if name == WORK_INPUT:
             power = np.sum([np.abs(v) ** 3 for v in n.values()], axis=0)
-            return np.cumsum(power * np.append(np.diff(self.t), 0.0)[:, None], axis=0) / WORK_UNIT
+            steps = np.diff(self.t)[:, None] * (power[1:] + power[:-1]) / 2.0  # as the work of a log
+            return np.concatenate([np.zeros((1, power.shape[1])), np.cumsum(steps, axis=0)]) / WORK_UNIT
         thruster, quantity, _ = SignalId.parse(name)
         if quantity == SHAFT_SPEED and thruster in n:
             return n[thruster]

@@ -10,6 +10,7 @@ import pytest
 from scipy import stats
 
 from seatrial.daq.errors import SeatrialError
+from seatrial.ident.data.record import Channel, build_record
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.maximum_likelihood import SearchSettings, fit
 from seatrial.ident.estimation.output_error import simulate
@@ -321,6 +322,19 @@ def test_error_of_a_gain_falls_with_the_root_of_the_rate() -> None:
         error[rate] = predicted_errors(problem, problem.finer.actuation.limited(levels, durations)[:, :, 0])["a"]
     for rate, found in error.items():
         assert found == pytest.approx(error[10.0] * np.sqrt(10.0 / rate), rel=0.03)
+
+
+def test_work_of_the_thrusters_equals_that_of_a_log() -> None:
+    t = np.arange(0.0, 8.0, 0.1)
+    n = np.stack([np.sin(t), np.where(t < 4.0, 0.6, -0.3)], axis=1)
+    model = horizontal_model(current=False) + catalogue()["battery-sag"]
+    actuation = replace(ThrusterResponse(model, t), pole=np.inf)
+    shafts = {f"n_{side}": Channel(t, n[:, k]) for k, side in enumerate(("left", "right"))}
+    record = build_record(model, shafts | {"psi": Channel(t, np.zeros(t.size))}, rate=10.0)
+    designed = actuation.inputs(n[:, :, None])[:, [i.name for i in model.inputs].index("work"), 0]
+    logged = record.u[:, record.inputs.index("work")]
+    np.testing.assert_allclose(designed, np.interp(t, record.t, logged), atol=1e-6)
+    assert designed[0] == 0.0 < designed[-1]
 
 
 def test_inputs_of_other_models() -> None:
