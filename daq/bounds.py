@@ -168,8 +168,8 @@ def continue_in_child(paths: Sequence[Path]) -> None:
     Parameters
     ----------
     paths
-        Files and folders that the command reads, at least one. The limits grow with their total size, later segments
-        of a log and journals of a database included: 1.9 GB of memory plus 64 times the size, at most the memory of the
+        Files and folders that the command reads, at least one. The limits grow with their total size, later segments of
+        a log and journals of a database included: 1.9 GB of memory plus 64 times the size, at most the memory of the
         computer if it has more than 1.9 GB; 15 s of processor time plus 20 us for each byte; 268 MB of disk plus 64
         times the size.
 

@@ -159,8 +159,8 @@ class _SampleKindTimes:
         was not.
     back, back_at
         Delay [s] in excess of `least`, and run time [s], of a sample whose device time ran back and that is more than
-        0.05 s late. `back` is 0 without one, and again after a sample whose excess is smaller by more than 0.05 s or
-        by more than half.
+        0.05 s late. `back` is 0 without one, and again after a sample whose excess is smaller by more than 0.05 s or by
+        more than half.
     after
         Number of samples since then that are about as late.
     """
