@@ -99,8 +99,8 @@ def require_files(path: Path) -> None:
 def _walk_files(path: Path) -> Iterator[Path]:
     """Yield all files in the folder `path` and its subfolders, or `path` itself if it is not a folder.
 
-    A path that does not exist is yielded too. Links to folders are not followed. A folder with more than 10,000 files
-    (MAX_FILES) raises SeatrialError.
+    A path that does not exist is yielded too. Below `path`, links to folders are neither followed nor yielded. A folder
+    with more than 10,000 files (MAX_FILES) raises SeatrialError.
     """
     if not path.is_dir():
         yield path
@@ -121,21 +121,24 @@ def bounded(
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Return a decorator for a command of the command line that reads files from strangers.
 
-    The command then runs in a child process with limited memory, time and disk. The decorator adds the option
-    `--trust-file`, which turns the limits off.
+    The command then runs in a child process with limited memory, time and disk, if `enable` was called before. The
+    decorator adds the option `--trust-file`, which turns the limits off.
 
     Parameters
     ----------
     names
-        Names of the parameters of the command that are files to read: paths, tuples of paths, or None for no file. At
-        least one of them must be a file.
+        Names of the parameters of the command that are files or folders to read: paths, tuples of paths, or None for no
+        file. At least one of them must be a path.
     when
         Function that returns whether the limits apply, from a dictionary of the parameters of the command by name. By
         default they always apply.
     """
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
-        """Return the command with the option `--trust-file`. Without this option it runs in a limited child process."""
+        """Return the command with the option `--trust-file`. Without this option it runs in a limited child process.
+
+        It runs without limits also if `enable` was not called or `when` returns false.
+        """
 
         @functools.wraps(command)
         def run(*args: Any, trust_file: bool, **options: Any) -> Any:
@@ -159,20 +162,24 @@ def bounded(
 def continue_in_child(paths: Sequence[Path]) -> None:
     """Continue the program in a new child process with limits for these files.
 
-    This function returns in the child only. The parent waits for the child, and ends with the exit status of the
-    child.
+    This function returns in the child only. The parent waits for the child and passes signals on to it. It ends with
+    the exit status of the child, or by the same signal if SIGINT, SIGTERM or SIGHUP ended the child.
 
     Parameters
     ----------
     paths
-        Files and folders that the command reads, at least one. The limits grow with their total size: 1.9 GB of memory
-        plus 64 times the size, at most the memory of the computer if it has more than 1.9 GB; 15 s of processor time
-        plus 20 us for each byte; 268 MB of disk plus 64 times the size.
+        Files and folders that the command reads, at least one. The limits grow with their total size, later segments of
+        a log and journals of a database included: 1.9 GB of memory plus 64 times the size, at most the memory of the
+        computer if it has more than 1.9 GB; 15 s of processor time plus 20 us for each byte; 268 MB of disk plus 64
+        times the size.
 
     Raises
     ------
     SeatrialError
-        If a path is not a regular file. In the parent also if a limit ended the child, or if the child crashed.
+        If a path is neither a regular file nor a folder of such files (`require_files`). In the parent also if a limit
+        killed the child, or if the child crashed.
+    click.exceptions.Exit
+        In the parent, with the exit status of the child.
     """
     for path in paths:
         require_files(path)
@@ -306,8 +313,8 @@ def _disk_message(bounds: Bounds) -> str:
 def limit_message(error: BaseException) -> str:
     """Return the message for the user if a limit of this process caused an error: the limit of memory or of file size.
 
-    The causes of the error (`__cause__`) are searched too. The text is empty for other errors, and if this process has
-    no limits.
+    The causes of the error (`__cause__`) are searched too. Each MemoryError counts as the limit of memory. The text is
+    empty for other errors, and if this process has no limits.
     """
     if _bounds is None:
         return ""
@@ -325,7 +332,7 @@ def _wait_for_child(child: int, incoming: int, bounds: Bounds, scratch: Path) ->
     """Wait until the child ends, delete the scratch files of a killed child, and end with its exit status.
 
     The child is killed if its temporary folder grows beyond the limit. If SIGINT, SIGTERM or SIGHUP ended the child,
-    this process ends by the same signal.
+    this process ends by the same signal. Only scratch files that are regular files are deleted.
 
     Parameters
     ----------
@@ -344,7 +351,7 @@ def _wait_for_child(child: int, incoming: int, bounds: Bounds, scratch: Path) ->
     click.exceptions.Exit
         With the exit status of the child.
     SeatrialError
-        If a limit ended the child, or if the child crashed.
+        If a limit killed the child, or if another signal ended it (a crash).
     """
     created, full = b"", False
     poll = select.poll()

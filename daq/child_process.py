@@ -32,8 +32,8 @@ def module_command(module: str, *arguments: str) -> list[str]:
 def module_environment() -> dict[str, str]:
     """Return environment variables for a child process that runs a `module_command` from any working folder.
 
-    They are those of this process, with the folder that contains this program first in PYTHONPATH. Empty and relative
-    entries of PYTHONPATH are left out, because they refer to the working folder.
+    They are those of this process, with the folder that contains `daq` first in PYTHONPATH. Empty and relative entries
+    of PYTHONPATH are left out, because they refer to the working folder.
     """
     here = str(Path(__file__).resolve().parent.parent)
     before = os.environ.get("PYTHONPATH", "").split(os.pathsep)

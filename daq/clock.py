@@ -133,7 +133,7 @@ class _Hull:
         """Return the slope [s/s] of the hull in the middle of its device times: the skew of the device clock.
 
         It is the gain of the run clock on the device clock per second, negative if the device clock is fast. It is 0
-        for a single point.
+        for a single point. There must be a point.
         """
         xs, ys = self.x, self.offset
         middle = 0.5 * (xs[0] + xs[-1])
@@ -155,10 +155,12 @@ class _SampleKindTimes:
     least
         Smallest delay [s].
     since
-        Run time [s] since which all samples are late; infinite if the last one was not.
+        Run time [s] since which all samples are late, by 0.5 s or more in excess of `least`; infinite if the last one
+        was not.
     back, back_at
-        Delay [s] in excess of `least`, and run time [s], of a sample whose device time ran back; `back` is 0 without
-        one, and again after a sample with a much smaller delay.
+        Delay [s] in excess of `least`, and run time [s], of a sample whose device time ran back and that is more than
+        0.05 s late. `back` is 0 without one, and again after a sample whose excess is smaller by more than 0.05 s or by
+        more than half.
     after
         Number of samples since then that are about as late.
     """
@@ -232,13 +234,14 @@ class ClockMap:
     def update(self, t_device: float, t_rx: float) -> float:
         """Update the map from device time to run time by one message, and return the run time [s] at which it was sent.
 
-        The estimate is never later than `t_rx` and never decreases.
+        The estimate is never later than `t_rx` and never decreases. It is `t_rx` for the first message of a map.
 
         Parameters
         ----------
         t_device : float
-            Device time of the message [s]. It must not be smaller than that of the message before; otherwise a new map
-            begins. If it is not finite, `t_rx` is returned and the map does not change.
+            Device time of the message [s]. A new map begins if it is smaller than that of the message before, or after
+            another jump of the clock (`_has_jumped`). If it is not finite, `t_rx` is returned and the map does not
+            change.
         t_rx : float
             Run time of receipt [s].
         """
@@ -258,7 +261,7 @@ class ClockMap:
             sample is mapped, but does not change the map. If false, a device time that runs back begins a new map.
         kind : object
             Kind of the sample, such as its class. Times of one kind ascend. If they run back and the samples stay late,
-            the clock was set back, and a new map begins.
+            the clock was set back, and a new map begins. It also begins after the other jumps of `_has_jumped`.
 
         Returns
         -------
@@ -294,7 +297,8 @@ class ClockMap:
     def bias(self) -> float:
         """Mean delay [s] since the last `forget_statistics`: receive time minus estimated run time; NaN without one.
 
-        Samples whose device time runs back are not counted.
+        Samples without a finite device time, and samples whose device time runs back in an old map, are not counted. A
+        new map does not reset the mean.
         """
         return self._mean if self._count else math.nan
 
@@ -316,9 +320,9 @@ class ClockMap:
 
         The parameters are those of `estimate`. A jump is a device time more than 0.5 s ahead of the map (`JUMP`), or a
         device time that runs back (with `unordered` by more than 1 s). It is also a jump if all samples of a kind are
-        more than 0.5 s later than the quickest for 10 s (`LATER`), or, after a device time of the kind ran back, stay
-        as late for 1 s and 3 samples (`AGAIN`). The stored times of this kind of sample (`_kinds`) are updated. There
-        must be a map.
+        at least 0.5 s later than the quickest for 10 s (`LATER`), or, after a device time of the kind ran back in a
+        sample more than 0.05 s late, stay as late for 1 s and 3 samples (`AGAIN`). Without a jump, the stored times of
+        this kind of sample (`_kinds`) are updated. There must be a map.
         """
         late = t_rx - self._to_run_time(t_device)
         if late < -self.JUMP or self._last_device - t_device > (self.LATE if unordered else 0.0):

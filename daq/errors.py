@@ -55,7 +55,7 @@ _ESCAPES = _EscapeTable()
 def printable(text: str) -> str:
     """Return a text from an untrusted source in a form that is safe to print on a terminal.
 
-    Control characters, which could move the cursor, change colours or reverse the text, are replaced by their escape
-    sequences. Other white space becomes a space. Line ends stay.
+    Characters that are not printable, such as control characters, which could move the cursor, change colours or
+    reverse the text, are replaced by their escape sequences. White space becomes a space, but line ends (LF) stay.
     """
     return text if text.isprintable() else text.translate(_ESCAPES)

@@ -66,7 +66,7 @@ def require_new(path: Path, force: bool = False, option: str = "-o") -> None:
     Raises
     ------
     SeatrialError
-        If the path is a symbolic link or a special file, or if it is an existing file and `force` is false.
+        If the path is a symbolic link, a folder or a special file, or if it is an existing file and `force` is false.
     """
     try:
         mode = os.lstat(path).st_mode
@@ -101,7 +101,8 @@ def new_file(path: Path, force: bool = True) -> Iterator[Path]:
     SeatrialError
         If the output may not be created (see `require_new`).
     OSError
-        If the output cannot be written. The error has the name of the output, not of the scratch file.
+        If the output cannot be written. The error has the name of the output, not of the scratch file. An OSError of
+        the block without a file name gets this name too; one with the name of another file is not changed.
     """
     require_new(path, force)
     scratch = path.with_name(f".{path.name[:200]}.{secrets.token_hex(8)}.part")  # random: nobody can guess the name
@@ -169,7 +170,7 @@ def append_to(path: Path) -> IO[str]:
     Raises
     ------
     SeatrialError
-        If the path is a symbolic link or a special file.
+        If the path is a symbolic link, a folder or a special file.
     OSError
         If the file cannot be opened.
     """

@@ -28,7 +28,8 @@ def local_ned(lat: NDArray[np.float64], lon: NDArray[np.float64]) -> tuple[NDArr
     Returns
     -------
     north, east : Array (n,)
-        Distances from the first point [m]. NaN for a point with NaN; all NaN if the first point has NaN.
+        Distances from the first point [m]. A latitude of NaN gives NaN north, and a longitude of NaN gives NaN east. If
+        it is the latitude of the first point, all are NaN; if it is the longitude of the first point, all of `east`.
 
     Notes
     -----
@@ -61,7 +62,8 @@ def geodetic(x: float, y: float, z: float) -> tuple[float, float]:
 def ecef_to_ned(x: float, y: float, z: float, lat: float, lon: float) -> tuple[float, float, float]:
     """Rotate a vector (x, y, z) from ECEF to NED at a latitude and longitude [deg] (Farrell 2008, eq. 2.24).
 
-    The result (north, east, down) has the unit of the vector. It is NaN if the latitude or longitude is NaN.
+    The result (north, east, down) has the unit of the vector. It is NaN if the longitude is NaN. If only the latitude
+    is NaN, north and down are NaN.
     """
     phi, lam = math.radians(lat), math.radians(lon)
     outward = math.cos(lam) * x + math.sin(lam) * y

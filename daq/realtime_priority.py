@@ -16,17 +16,17 @@ REAL_TIME = 2
 
 
 def set_realtime_priority(behind: int = 0) -> None:
-    """Raise the priority of this thread and of threads that it starts, as far as the system allows.
+    """Raise the priority of this thread, and of threads and processes that it starts later, as far as possible.
 
-    On Linux the thread gets real-time scheduling (SCHED_RR); the niceness -10 is set on every system. Without the right
-    to do so, the priority stays, and no error is raised.
+    On Linux the thread gets real-time scheduling (SCHED_RR). The niceness -10 is set on every system, on macOS for the
+    whole process. Without the right to do so, the priority stays, and no error is raised.
 
     Parameters
     ----------
     behind : int
-        By how much the priority is lower than the highest one of this program. 1 is for a thread that may be delayed
-        by the other threads of this program, but not by other programs. With equal priorities, threads on one core
-        would take turns of 100 ms.
+        By how much the real-time priority is lower than the highest one of this program, 0 or 1. 1 is for a thread that
+        may be delayed by the other threads of this program, but not by other programs. With equal priorities, threads
+        on one core would take turns of 100 ms.
     """
     with contextlib.suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
@@ -39,7 +39,8 @@ def set_realtime_priority(behind: int = 0) -> None:
 def realtime_priority() -> Iterator[None]:
     """Raise the priority of this thread for a `with` block as far as the system allows, and then restore the old one.
 
-    The priority is the highest one of this program (`set_realtime_priority`). A missing right is no error.
+    The priority is the highest one of this program (`set_realtime_priority`). A missing right is no error. Of a thread
+    that had real-time scheduling before, only the policy is restored; its real-time priority stays 2 (REAL_TIME).
     """
     niceness = os.getpriority(os.PRIO_PROCESS, 0)
     policy = os.sched_getscheduler(0) if hasattr(os, "sched_getscheduler") else 0

@@ -159,7 +159,7 @@ class MavlinkSettings:
         They are the messages of RATES, with the rates there, and of `rates`, which take precedence. `rate_hz` is the
         rate of the device in the rig file [Hz], which applies to messages whose rate in RATES is None. Messages with
         rate 0 are left out. If `gnss` is "fused", the position estimate of the autopilot takes the place of the fixes
-        of its receiver.
+        of its receiver in RATES, at the same rate.
         """
         rates = {name: rate_hz if rate is None else rate for name, rate in RATES.items()}
         if self.gnss == "fused":
@@ -241,8 +241,8 @@ class Device:
     def is_rated(self, kind: type, yaw: Any, with_attitudes: bool) -> Any:
         """Return whether a sample, or each sample of a table, counts for the rate ``rate_hz`` of the rig file.
 
-        All samples of a device with one kind of samples count. Of a device with several kinds, only attitudes count. On
-        a ship's bus without attitudes, the fixes count.
+        All samples of a device with one kind of samples count. Of an autopilot or a ship's bus, only attitudes count.
+        On a ship's bus (nmea2000) without attitudes, the fixes count.
 
         Parameters
         ----------
@@ -257,6 +257,7 @@ class Device:
         Returns
         -------
         bool or Array (n_samples,)
+            An array only if `yaw` is an array and decides; otherwise one bool, which applies to all samples.
         """
         if not self.sends_many_kinds:
             return True
@@ -297,8 +298,8 @@ class AutopilotOutput:
     def applied(self, pwm: float) -> float:
         """Return the command, -1..1, that belongs to a pulse width [us] at the servo output of the autopilot.
 
-        It is linear between full reverse, neutral and full forward (`pwm_us`). It is NaN without a pulse (0), and out
-        of -1..1 if the pulse is out of the range of the output.
+        It is linear between full reverse, neutral and full forward (`pwm_us`). It is NaN without a pulse (0 or less),
+        and out of -1..1 if the pulse is out of the range of the output.
         """
         low, neutral, high = self.pwm_us
         if pwm <= 0.0:
@@ -349,7 +350,7 @@ Named = TypeVar("Named", Device, Thruster)
 
 @dataclass(frozen=True)
 class Limits:
-    """Guard limits of a run. A limit is None if the rig does not set it.
+    """Guard limits of a run. A limit that the rig does not set is None; `n_max` and `link_test_n` have defaults.
 
     Attributes
     ----------

@@ -15,7 +15,10 @@ NAN = float("nan")
 
 
 def wrap_angle(angle: float) -> float:
-    """Return an angle [rad] plus or minus whole turns, so that it is within -pi..pi. NaN stays NaN."""
+    """Return an angle [rad] plus or minus whole turns, so that it is within -pi..pi. NaN stays NaN.
+
+    Raise ValueError if the angle is infinite.
+    """
     return math.remainder(angle, math.tau)
 
 
@@ -121,7 +124,8 @@ class Gnss:
     def __post_init__(self) -> None:
         """Complete a GNSS fix whose receiver reports no speed or no dimensions.
 
-        The speed is then the norm of the velocity, and the dimensions follow from `fix`.
+        The speed is then the norm of the horizontal velocity (NaN if that is unknown). The dimensions follow from `fix`
+        if it is 0, 2 or 3, and else stay -1.
         """
         if self.speed != self.speed:
             object.__setattr__(self, "speed", math.hypot(self.vel_n, self.vel_e))
@@ -136,7 +140,7 @@ class Esc:
     Attributes
     ----------
     node
-        Controller id on the bus.
+        Controller id on the bus, or number of the servo output of an autopilot.
     rpm
         Speed of the shaft [rev/min], positive forward: the electrical speed divided by the pole pairs. The sign of a
         thruster with `reversed` in the rig is changed, except with the protocol dbc. Behind an autopilot, a speed
@@ -205,7 +209,7 @@ class Servo:
     pwm
         Pulse width [us]; 0 without a pulse.
     n
-        Command, -1..1, by the pulse widths in the rig, positive forward; NaN without a rig.
+        Command, -1..1, by the pulse widths in the rig, positive forward; 0 without a pulse, and NaN without a rig.
     """
 
     node: int
@@ -318,11 +322,12 @@ class PortHealth:
     unparsed_bytes
         Number of received bytes that belong to no valid frame.
     dropped
-        Number of samples and reads for which the log queue had no room.
+        Number of samples, and of reads and writes without samples, for which the log queue had no room.
     reconnects
         How often the port was opened again after a loss.
     clock_bias
-        Mean of receive time minus estimated sample time [s]; NaN for a device without a clock.
+        Mean of receive time minus estimated sample time [s]; NaN for a device without a clock, or before its first
+        sample.
     clock_spread
         Standard deviation of the same difference [s]; NaN for a device without a clock.
     """

@@ -299,7 +299,8 @@ class DeviceLoop(threading.Thread):
     def _wait_for_bytes(self, fd: int, seconds: float) -> bool:
         """Wait until there are bytes at the file descriptor `fd`, `wake` is called, or `seconds` (wall) have passed.
 
-        Return whether there are bytes. If `fd` is negative, no bytes are awaited, and False is returned.
+        Return whether there are bytes, or the end of the port. If `fd` is negative, no bytes are awaited, and False is
+        returned.
         """
         fds = [self._wake_read] if fd < 0 else [fd, self._wake_read]
         ready, _, _ = select.select(fds, [], [], seconds)
@@ -310,9 +311,9 @@ class DeviceLoop(threading.Thread):
     def _decode_received(self, data: bytes, t_rx: float) -> None:
         """Decode the bytes `data` that were received from the port at run time `t_rx` [s].
 
-        The newest samples, the counters and the checks of the sensor are updated. Transducers and events are not
-        stored as newest samples, and do not count for rate and age. Bytes and samples are put into the queue of the
-        log.
+        The newest samples, the counters and the checks of the sensor are updated. Transducers and events are not stored
+        as newest samples, and do not count for rate and age, but for the number of samples. Bytes and samples are put
+        into the queue of the log.
         """
         frames_before = self._decoder.frames
         frames = [
@@ -379,8 +380,9 @@ class DeviceLoop(threading.Thread):
     def _send_setpoints(self, dues: list[Due]) -> None:
         """Send the set-points `dues`, which are due, to the thrusters of the port, and put them into the log queue.
 
-        Only new set-points are logged as commands; repetitions are logged as bytes. The run time from which all
-        thrusters have got zero is stored in `zeroed`. Nothing is done without a driver or due set-points.
+        All sent bytes are logged; only new set-points are also logged as commands. The run time from which all
+        thrusters that have had a command have got zero is stored in `zeroed`. Nothing is done without a driver or due
+        set-points.
         """
         if self._driver is None or self._setpoints is None or not dues:
             return
@@ -399,14 +401,16 @@ class DeviceLoop(threading.Thread):
     def zeroed(self) -> float:
         """Run time [s] at which zero was first sent to every thruster of the port after the last other command.
 
-        It is NaN if no set-point was sent yet, or if another command than zero has followed.
+        Thrusters that never had a command do not count. It is NaN if no set-point was sent yet, or if another command
+        than zero has followed.
         """
         return self._zeroed
 
     def _send_final_zero(self) -> None:
         """Send zero to every thruster of the port three times, send the driver's last bytes, and close the port.
 
-        If the port is not open, nothing is sent. An error of the port is suppressed.
+        Thrusters that never had a command are left out. If the port is not open, nothing is sent. An error of the port
+        is suppressed, and ends the sending.
         """
         with contextlib.suppress(PortError):
             if self._setpoints is not None and self._open:
@@ -428,8 +432,8 @@ class DeviceLoop(threading.Thread):
         Parameters
         ----------
         action : str
-            `arm`, `disarm`, `mode`, `mute` (send no frame, except a zero command) or `leave` (disarm at the end of the
-            run).
+            `arm`, `disarm`, `mode`, `mute` (send nothing while thrust is commanded) or `leave` (disarm at the end of
+            the run, if this program has armed).
         value : float
             Number of the mode for `mode`, wall seconds for `mute`; unused otherwise.
         """
@@ -458,8 +462,8 @@ class DeviceLoop(threading.Thread):
     def health(self) -> PortHealth:
         """Return the counters of the port since the start of the log, as they are written to the log every second.
 
-        They are bytes, frames, checksum errors, lost samples, reopenings, and bias and spread of the device clock (NaN
-        without one).
+        They are received bytes, frames, checksum errors, unparsed bytes, lost samples, reopenings, and bias and spread
+        of the device clock (NaN without one).
         """
         decoder, port = self._decoder, self._port
         return PortHealth(
@@ -505,8 +509,9 @@ class DeviceLoop(threading.Thread):
     def _message(self) -> str:
         """Return the most severe present fault of the port or its device in one line.
 
-        The order is: lost port, fault that the driver reports, no valid frame in the last 2000 bytes (MUTE_BYTES),
-        implausible samples. Without a fault return the remark of the decoder on the received data, or an empty text.
+        The order is: port that was lost or cannot be opened, fault that the driver reports, no valid frame in the last
+        2000 bytes (MUTE_BYTES), implausible samples. Without a fault return the remark of the decoder on the received
+        data, or an empty text.
         """
         if self._problem:
             return self._problem
@@ -547,9 +552,9 @@ class RateMeter:
         Returns
         -------
         float
-            Rate [1/run s]. It is NaN if the counter is zero, at the first value above zero, and while the counter has
-            not grown since the oldest stored value and this value is less than a window old. After a window without
-            events it is 0.
+            Rate [1/run s] since the oldest stored value, which is about a window old. It is NaN if the counter is zero,
+            at the first value above zero, and while the counter has not grown since the oldest stored value and this
+            value is less than a window old. After a window without events it is 0.
         """
         if count == 0:
             return math.nan

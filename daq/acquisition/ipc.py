@@ -132,7 +132,7 @@ class DriverRequest:
     device
         Name of the device.
     action
-        `arm`, `disarm`, `mode` or `mute` (send no frame, except a zero command).
+        `arm`, `disarm`, `mode` or `mute` (send nothing while thrust is commanded).
     value
         Number of the mode for `mode`, wall seconds for `mute`; unused otherwise.
     """

@@ -149,7 +149,7 @@ class LogThread(threading.Thread):
     Attributes
     ----------
     messages : int
-        Number of samples written.
+        Number of samples written, without events.
     stream : SampleStream or None
         Queue of the samples for the parent process; None unless the parent has requested them.
     size : int
@@ -182,7 +182,8 @@ class LogThread(threading.Thread):
         """Write the queued data to the log until `end` is called, then close the log. This is the code of the thread.
 
         Data are written every 10 ms, and the counters of the ports every second. While a full disk pauses the recorder,
-        data wait in the queue. An error of the log ends the thread and is stored in `failure`.
+        data wait in the queue, and the recorder keeps the counters. An error of the log ends the thread and is stored
+        in `failure`; the log is closed also then.
         """
         set_realtime_priority(behind=1)  # below the ports and set-points, because this thread compresses data
         health_at = time.monotonic() + HEALTH_S
@@ -218,7 +219,7 @@ class LogThread(threading.Thread):
     def _write_queue(self) -> None:
         """Write all queued bytes, samples and events to the log, and pass samples on to the parent if requested.
 
-        Samples of transducers are only written to the log, because the parent does not use them.
+        Events and samples of transducers are only written to the log, because the parent does not use them.
         """
         for item in self._sink.take():
             if item.direction:

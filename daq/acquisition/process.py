@@ -202,7 +202,7 @@ class Process:
 
         Without heartbeats the watchdog kills this process and sends zero itself. The heartbeat contains whether thrust
         is commanded, or zero not yet repeated. With `at_once` it is sent even if the last one was sent a moment ago.
-        Without a watchdog nothing happens.
+        Without a watchdog nothing happens. Thrust is stopped only while it is commanded or scheduled.
         """
         now = time.monotonic()
         if self._heartbeat is None or any(loop.is_stuck(now) for loop in self._loops.values()):
@@ -216,10 +216,10 @@ class Process:
     def _check_timeouts(self) -> None:
         """Request the end of the acquisition, or stop thrust, after a time-out or a failure.
 
-        The end is requested after SIGTERM and after a failure of the log. While thrust is commanded it is also
-        requested if no message of the parent, or no heartbeat of the mission's runner, has arrived for 0.25 s
-        (SILENCE_S, wall). Thrust is stopped if no data can be written to the log at present. The method must be called
-        after messages were received, so that a pause of this process does not count as one of the parent.
+        The end is requested after SIGTERM and after a failure of the log. While thrust is commanded or scheduled, it is
+        also requested if no message of the parent, or no heartbeat of the mission's runner, has arrived for 0.25 s
+        (SILENCE_S, wall), and thrust is stopped if no data can be written to the log at present. The method must be
+        called after messages were received, so that a pause of this process does not count as one of the parent.
         """
         now = time.monotonic()
         if self._terminated:
@@ -277,8 +277,8 @@ class Process:
     def _append_setpoints(self, message: ScheduleSetpoints) -> None:
         """Append set-points of the parent to the schedules of the devices, and wake the threads of their ports.
 
-        They are ignored after this process has stopped thrust by itself. The message also counts as a heartbeat of the
-        mission's runner.
+        They are ignored after this process has stopped thrust by itself. In each case the message also counts as a
+        heartbeat of the mission's runner.
         """
         self._runner_seen = self._parent_seen
         nodes = {thruster.name: (thruster.device, thruster.node) for thruster in self._rig.thrusters}
@@ -310,8 +310,8 @@ class Process:
     def _stop_thrust(self, reason: str) -> None:
         """Command zero to all thrusters without a request of the parent, and go on with the recording.
 
-        Later set-points of this run are ignored. The `reason` is logged as an event and reported in the status. Any
-        thread may call this method.
+        Later set-points of this run are ignored. The `reason` is logged as an event. The status reports only the first
+        reason. Any thread may call this method.
         """
         with self._thrust:
             self._stopped = self._stopped or reason
@@ -321,7 +321,8 @@ class Process:
     def _log_event(self, kind: str, text: str) -> None:
         """Put an event, with the present run time, into the queue of the log, from which it is written.
 
-        `kind` is a word such as "stop", and `text` describes the event in one line.
+        `kind` is a word such as "stop", and `text` describes the event in one line. The event is lost if the queue is
+        full.
         """
         t = self._clock.now()
         self._sink.put(LogItem("", "", b"", t, [(Frame(Event(kind, text), t, NAN), t)]))
@@ -386,7 +387,8 @@ class Process:
         """Send the samples that were logged since the last call to the parent, if it has requested samples.
 
         A message has up to 100 samples (BATCH). The method never waits for a parent that does not read, because this
-        thread also checks the time-outs; the samples then stay in the queue.
+        thread also checks the time-outs; the samples then stay in the queue. Samples for a parent that is gone are
+        lost.
         """
         if (stream := self._writer.stream) is None:
             return

@@ -33,9 +33,9 @@ class _RepeatedSample(NamedTuple):
     key
         Values of the compared fields of these samples; 0 stands for NaN.
     since
-        Run time [s] of the first sample with these values.
+        Run time [s] of the receipt of the first sample with these values.
     until
-        Run time [s] of the last sample with these values.
+        Run time [s] of the receipt of the last sample with these values.
     repeats
         Number of samples with these values, at least 1.
     """
@@ -96,6 +96,8 @@ class SensorHealth:
     def count(self, t: float, frames: int, errors: int, jumps: int = 0) -> None:
         """Store the counters of a device's decoder and of its clock map, after every read from its port.
 
+        The counters of the decoder are stored at most every 0.5 s, and kept for 5 s (FLOOD_S).
+
         Parameters
         ----------
         t : float
@@ -119,7 +121,8 @@ class SensorHealth:
     def stuck(self) -> tuple[type, ...]:
         """Classes of samples of the device whose values do not change any more, as those of a dead sensor.
 
-        The compared values and the limits are in STUCK_LIVE (daq/sensor_limits.py): 20 equal samples in 5 s or more.
+        The compared values and the limits are in STUCK_LIVE (daq/sensor_limits.py): 20 equal samples or more over 5 s
+        or more. A class that the device has not sent for 5 s, while it sends others, is left out.
         """
         return tuple(dict.fromkeys(form[0] for form in self._same if self._is_stuck(form)))
 
@@ -128,7 +131,7 @@ class SensorHealth:
 
         A form is the class of a sample together with which of its compared fields are not NaN; there must be a sample
         of it. Too long is at least the number of samples and the time in STUCK_LIVE, for example 20 attitudes in 5 s.
-        Return False for a form that the device does not send any more.
+        Return False for a form that the device has not sent for this time, while it has sent others.
         """
         same, limit = self._same[form], STUCK_LIVE[form[0]]
         still_sent = self._last - same.until < limit.seconds

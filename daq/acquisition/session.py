@@ -60,7 +60,8 @@ class Acquisition:
     """Acquisition of all devices of a rig into a new log while the context lasts.
 
     It is done by a process of its own, the acquisition process; this class is its interface in the parent process. Any
-    thread may call the methods. All methods except `alive` raise SeatrialError if the process has failed.
+    thread may call the methods. All methods except `alive`, and a second call of `stop`, raise SeatrialError if the
+    process has failed.
 
     Parameters
     ----------
@@ -83,8 +84,9 @@ class Acquisition:
 
     Notes
     -----
-    A failure of the parent cannot leave thrust on. If the parent ends or stops answering, or if `alive` is not called
-    for 0.25 s (wall) while thrust is commanded, the process commands zero, records one more second and closes the log.
+    A failure of the parent cannot leave thrust on. If the parent ends, or if while thrust is commanded it sends nothing
+    or neither `alive` nor `schedule` is called for 0.25 s (wall), the process commands zero, records one more second
+    and closes the log.
     """
 
     def __init__(
@@ -199,8 +201,9 @@ class Acquisition:
     def schedule(self, rows: Sequence[tuple[float, Mapping[str, float]]]) -> None:
         """Append set-points to the schedule of the acquisition process, which sends each at its run time.
 
-        A set-point holds until the next one. A set-point whose time has passed is sent at once. If the process has
-        stopped thrust by itself (`Status.stopped`), set-points are ignored until a new run.
+        A set-point holds until the next one. A set-point whose time has passed is sent at once; of several for one
+        thruster only the newest is sent. If the process has stopped thrust by itself (`Status.stopped`), set-points are
+        ignored until a new run. The call also counts as a call of `alive`.
 
         Parameters
         ----------
@@ -261,7 +264,8 @@ class Acquisition:
         device : str
             Name of the autopilot.
         action : str
-            `arm`, `disarm`, `mode` (change the mode), or `mute` (send no frame to it, except a zero command).
+            `arm`, `disarm`, `mode` (change the mode), or `mute` (send nothing to it while thrust is commanded, as if
+            the link was cut).
         value : float
             Number of the mode for `mode`, wall seconds for `mute`; unused otherwise.
 
@@ -276,8 +280,8 @@ class Acquisition:
     def alive(self) -> None:
         """Report that the program that commands thrust is still working.
 
-        It must be called every 0.1 s (wall) while thrust is commanded. After 0.25 s without a call the acquisition
-        process commands zero and ends.
+        It must be called every 0.1 s (wall) while thrust is commanded. After 0.25 s without a call, and without a call
+        of `schedule`, the acquisition process commands zero and ends.
         """
         self._alive.set()
 
@@ -287,7 +291,7 @@ class Acquisition:
         Raises
         ------
         SeatrialError
-            If the process has failed or has ended by itself.
+            If the process has failed, or has ended by itself before `stop`.
         """
         with self._changed:
             self._raise_failure()

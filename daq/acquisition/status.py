@@ -63,11 +63,12 @@ class PortStatus:
     expected
         Samples per run second by the rig file (`rate_hz`).
     rate
-        Measured samples per run second over the last few seconds; NaN before the second sample.
+        Measured samples per run second over the last few seconds, of the kind to which `expected` applies; NaN before
+        the second sample.
     age
-        Run seconds since the last sample; infinite before the first.
+        Run seconds since the last sample of any kind, except transducers; infinite before the first.
     samples
-        Number of decoded samples.
+        Number of decoded samples of all kinds.
     frames
         Number of valid frames.
     checksum_errors
@@ -75,7 +76,8 @@ class PortStatus:
     unparsed_bytes
         Number of received bytes that belong to no valid frame.
     dropped
-        Number of samples and reads that were not logged, because the queue of the log was full.
+        Number of samples, and of reads and writes without samples, that were not logged, because the queue of the log
+        was full.
     reconnects
         How often the port was opened again after a loss.
     bytes_in
@@ -149,10 +151,10 @@ class Status:
     links
         State of each autopilot, by name of the device.
     zeroed
-        Run time [s] at which zero was sent to all thrusters of a device, by name of the device. A device is missing if
-        nothing was sent yet, or if another command has followed.
+        Run time [s] at which zero was sent to all thrusters of a device that have had a command, by name of the device.
+        A device is missing if nothing was sent yet, or if another command has followed.
     alarm
-        Why no data are written to the log at present; it is also the first of the warnings.
+        Why no data are written to the log at present; it is also the first of the warnings. Empty otherwise.
     hints
         Possible improvements that are no faults, one line each.
     """
@@ -191,7 +193,8 @@ def count_senders(status: Status, device: str) -> tuple[int, int]:
     Returns
     -------
     tuple of int
-        Number of kinds of samples that it has sent, and number of its nodes that have sent a sample; both at least 1.
+        Number of kinds of samples that it has sent, and number of its nodes that have sent a sample; both at least 1,
+        also if it has sent none.
     """
     sent = [(source, latest) for source, latest in status.latest.items() if source[0].partition("/")[0] == device]
     nodes = {source[1] for source, _ in sent if source[1] is not None}
@@ -199,7 +202,10 @@ def count_senders(status: Status, device: str) -> tuple[int, int]:
 
 
 def fields_of(sample: Sample) -> list[Any]:
-    """Return the values of a sample in the order of its fields, ten times as fast as `dataclasses.astuple`."""
+    """Return the values of a sample in the order of its fields, ten times as fast as `dataclasses.astuple`.
+
+    Of a `Transducer` the inherited field `value` is missing.
+    """
     return [getattr(sample, name) for name in type(sample).__slots__]
 
 

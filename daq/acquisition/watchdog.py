@@ -219,8 +219,8 @@ class FailsafeSender(threading.Thread):
     Attributes
     ----------
     outcome : str
-        Result in words: "not tried", "zero thrust was sent" with the device's confirmation
-        (`DeviceDriver.confirmation`), or the last error of the port.
+        Result in words: "not tried", "zero thrust was sent" with the device's confirmation, or with the words that it
+        is missing (`DeviceDriver.confirmation`), or the last error of the port.
     """
 
     def __init__(self, device: Device, rig: Rig) -> None:
@@ -261,8 +261,8 @@ class FailsafeSender(threading.Thread):
     def run(self) -> None:
         """Open the port, send zero to its thrusters for 1 s (`ZERO_S`), and close the port (code of the thread).
 
-        After an error of the port this is tried again, until 3 s (`OPEN_S`) have passed. All times are wall seconds.
-        The result is stored in `outcome`.
+        After an error of the port this is tried again, until 3 s (`OPEN_S`) have passed since the start. All times are
+        wall seconds. The result is stored in `outcome`.
         """
         deadline = time.monotonic() + OPEN_S
         if self._driver is not None:

@@ -148,10 +148,11 @@ def _check_devices_present(log: Log, rig: Rig | None) -> Iterator[Finding]:
 def _check_rate(source: str, device: Device | None, log: Log, tables: Tables, gaps_known: bool) -> Iterator[Finding]:
     """Compare the rate of the samples of one device with `rate_hz` of the rig, and yield the finding.
 
-    A fault is a difference of more than 20 %, or fewer than three samples. Of an autopilot only attitudes count, after
-    the first third of the log (at most 10 s), in which it still sends at its own rates. The rate of an autopilot in a
-    log imported from a tlog is reported and not compared. The samples of all controllers of a bus count together. A
-    device without tables has no finding, except an autopilot.
+    A fault is a difference of more than 20 %, fewer than three samples, or samples of one time only. Of an autopilot or
+    NMEA 2000 bus not all samples count (`_rated_times`). Those of an autopilot are its attitudes after the first third
+    of the log (at most 10 s), in which it still sends at its own rates. The rate of an autopilot in a log imported from
+    a tlog is reported and not compared. The samples of all controllers of a bus count together. A device without tables
+    has no finding, except an autopilot.
 
     Parameters
     ----------
@@ -207,8 +208,9 @@ def _check_rate(source: str, device: Device | None, log: Log, tables: Tables, ga
 def _rated_times(device: Device | None, tables: Tables) -> FloatArray:
     """Return the sorted times (n,) [s] of the samples that count for the rate of a device.
 
-    They are the samples of the kind to which `rate_hz` of the rig applies, for example the attitudes of an autopilot.
-    If `device` is None, all samples count. `tables` has kind, name and table of the samples of the device.
+    They are the samples of the kind to which `rate_hz` of the rig applies (`Device.is_rated`), for example the
+    attitudes of an autopilot. If `device` is None, all samples count. `tables` has kind, name and table of the samples
+    of the device.
     """
     with_attitudes = any(kind is Ahrs and np.isfinite(table["yaw"]).any() for kind, _, table in tables)
     found = [np.empty(0)]
@@ -299,11 +301,11 @@ def _constant_intervals(kind: type, table: Any) -> Iterator[tuple[float, float]]
 def _check_ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
     """Check noise, specific force and mounting of an AHRS in a log, and yield the findings.
 
-    Faults are white noise above 2 deg in yaw or 0.05 rad/s in yaw rate; lower noise is reported. Warnings are a median
-    specific force that differs from 9.81 m/s2 by more than 15 %, and a median roll or pitch beyond 20 deg. Samples in
-    turns above 0.1 rad/s do not count for the specific force if more than 5 % others remain. Quantities that the AHRS
-    does not report, and noise of fewer than 23 values, are not checked. `table` has the samples of the AHRS, `name` is
-    the device in the findings, and `rig` is not used.
+    Faults are white noise above 2 deg in yaw or 0.05 rad/s in yaw rate; lower noise of both is reported, if that of the
+    yaw rate is known. Warnings are a median specific force that differs from 9.81 m/s2 by more than 15 %, and a median
+    roll or pitch beyond 20 deg. Samples in turns above 0.1 rad/s do not count for the specific force if more than 5 %
+    others remain. Quantities that the AHRS does not report, and noise of fewer than 23 values, are not checked. `table`
+    has the samples of the AHRS, `name` is the device in the findings, and `rig` is not used.
     """
     is_quiet, noises = True, dict[str, float]()
     for column, (limit, unit) in NOISE.items():
@@ -382,8 +384,8 @@ def _check_gnss(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
 
     Warnings are positions at 0 N 0 E, more than 5 % of the samples without a position, and a median below 6 satellites.
     It is a fault if no sample has a position. A sample has one if its `fix` is 2 or more and it is not at 0 N 0 E.
-    Unreported satellites (-1) do not count. `table` has the samples of the receiver, `name` is the device in the
-    findings, and `rig` is not used.
+    Satellites count in samples with a position only, and unreported ones (-1) do not. `table` has the samples of the
+    receiver, `name` is the device in the findings, and `rig` is not used.
     """
     at_zero = (table["fix"] >= 2) & (table["lat"] == 0.0) & (table["lon"] == 0.0)
     if at_zero.any():
@@ -593,8 +595,9 @@ def _is_limit(value: float, held: Any, rpm: Any, commands: Any) -> bool:
 def _check_imported_signals(log: Log) -> Iterator[Finding]:
     """Check the imported signals of a log, and yield the findings.
 
-    They are about rows that the import left out, unknown inputs, damaged or repeated time stamps, missing sections, and
-    outputs with the same value in all samples. A log without imported signals has no finding.
+    They are about rows that the import left out, unknown inputs, damaged or repeated time stamps, missing sections of
+    outputs, and outputs with the same value in all of more than 20 samples. A log that was not imported has no finding,
+    except about the signals of transducers, which are checked like outputs.
     """
     by_map = log.attachments.get("import.toml", b"").replace(b"'", b'"')
     yield from check_rows_left_out(log.metadata)
@@ -624,10 +627,10 @@ def _check_imported_signals(log: Log) -> Iterator[Finding]:
 def check_timestamps(name: str, table: Any, end: float | None, speed: float = 1.0) -> Iterator[Finding]:
     """Check the times of the samples of one device or signal, and yield the findings.
 
-    Of an imported signal, times that do not increase for more than 2 % of the samples are a fault. Of a device, more
-    than 10 % such samples (at least 5), which have arrived in bunches, are a warning, and an end more than 5 s before
-    that of the log is a fault. Gaps (`_check_gaps`) and the device's clock (`_check_clock`) are checked too. Fewer than
-    three samples are not checked.
+    Of an imported signal, times that do not increase for more than 2 % of the samples are a fault; its gaps are then
+    not checked. Of a device, more than 10 % such samples (at least 5), which have arrived in bunches, are a warning,
+    and an end more than 5 s of the run clock, and more than 1 s of wall time, before that of the log is a fault. Gaps
+    (`_check_gaps`) and the device's clock (`_check_clock`) are checked too. Fewer than three samples are not checked.
 
     Parameters
     ----------
@@ -685,13 +688,13 @@ def _check_gaps(name: str, t: FloatArray, pauses: FloatArray, speed: float, impo
     name : str
         Name of the device or signal.
     t : Array (n,)
-        Times of the samples [s].
-    pauses : Array (n - 1,)
+        Times of the samples [s], at which the pauses begin. It may have one item more than `pauses`.
+    pauses : Array (n - 1,) or (n,)
         Times between successive samples [s].
     speed : float
         Run seconds per wall second.
     imported : bool
-        Whether the signal is imported. An imported signal with long pauses after 2 % of its samples or more is written
+        Whether the signal is imported. An imported signal of n samples with 0.02 n + 1 long pauses or more is written
         only when it changes, and gives no warning.
     """
     least = max(GAP_S, GAP_PERIODS * float(np.median(pauses)), 4.0 * WALL_JITTER_S * speed)
@@ -714,11 +717,13 @@ def _check_gaps(name: str, t: FloatArray, pauses: FloatArray, speed: float, impo
 def _check_clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
     """Check a device's clock for jumps, delays and drift against the run clock, and yield the findings.
 
-    A clock that ran back, or jumps by more than 0.1 s, gives one fault, and nothing else is checked then. Samples of
-    which 5 % are more than 0.1 s late, and a drift above 500 ppm over more than 60 s, give warnings; a clock without
-    them is reported as in order. On a run clock faster than wall time the limits are at least 0.1 s of wall time.
-    `table` has the columns t_rx and t_device [s]. With fewer than 50 times of the device nothing is checked. `name` is
-    the device in the findings, and `speed` the number of run seconds per wall second.
+    A clock that ran back by more than 1 ms (TICK_S), or jumps by more than 0.1 s, gives one fault, and nothing else is
+    checked then. Samples of which 5 % are more than 0.1 s late give a warning. So does a drift above 500 ppm that adds
+    up to more than 0.1 s, in a table of more than 60 s. A clock without them is reported as in order. On a run clock
+    faster than wall time, 0.1 s of wall time take the place of each 0.1 s. `table` has the columns t_rx and t_device
+    [s]. With fewer than 50 times of the device nothing is checked. With fewer than two blocks of `_earliest_arrivals`,
+    only running back is checked. `name` is the device in the findings, and `speed` the number of run seconds per wall
+    second.
     """
     has_clock = np.isfinite(table["t_device"])
     if np.count_nonzero(has_clock) < 50:

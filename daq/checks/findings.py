@@ -68,7 +68,8 @@ def findings_paragraphs(findings: Sequence[Finding], width: int) -> list[str]:
     findings : sequence of Finding
         The findings.
     width : int
-        Width of the terminal in characters. Longer texts are wrapped.
+        Width of the terminal in characters. Longer texts are wrapped, but each part of a text has room for 24
+        characters at least.
 
     Returns
     -------

@@ -58,9 +58,10 @@ class HeldValues(NamedTuple):
 def held_values(columns: Sequence[FloatArray]) -> HeldValues | None:
     """Decide whether a table repeats each measurement of a slow sensor in several rows, by the values of the sensor.
 
-    It does if at least 15 % of the rows repeat the row before, changes follow each other at a regular pace (80 % of the
-    distances), and the resolution of the sensor does not explain the repeats: at most half of the changes are by one
-    step of it.
+    It does if at least 15 % of the rows repeat the row before, at least 15 % of the values stay for more than one row,
+    changes follow each other at a regular pace (80 % of the distances), and the resolution of the sensor does not
+    explain the repeats: at most half of the changes are by one step of it, and the repeats are at least twice as many
+    as these.
 
     Parameters
     ----------
@@ -71,7 +72,7 @@ def held_values(columns: Sequence[FloatArray]) -> HeldValues | None:
     -------
     HeldValues or None
         None if the rows are measurements, or if the data do not show whether values are held: for example, if the
-        values change in fewer than 11 rows.
+        values change in fewer than 10 rows after the first.
     """
     changed = _rows_of_change(columns)
     first = np.flatnonzero(changed)
@@ -95,9 +96,9 @@ def held_signals(t: FloatArray, signals: Mapping[str, FloatArray]) -> dict[str, 
     """Find the signals of a table that are held: the table repeats each measurement in several rows.
 
     Signals that one sensor measures at once, such as x and y (TOGETHER), are judged together. Signals are also of one
-    sensor if 80 % of the rows in which they change are common, and a signal too coarse to be judged alone if 95 % of
-    its changes are in rows of the sensor. A signal that is measured less often than every 5 s (SLOWEST_S) is taken for
-    a set-point and left out.
+    sensor if 80 % of the rows in which they change are common, and a signal too coarse to be judged alone, with at
+    least 10 changes, if 95 % of its changes are in rows of the sensor. A signal that is measured less often than every
+    5 s (SLOWEST_S) is taken for a set-point and left out.
 
     Parameters
     ----------
@@ -109,8 +110,9 @@ def held_signals(t: FloatArray, signals: Mapping[str, FloatArray]) -> dict[str, 
     Returns
     -------
     dict
-        The held signals by name; empty if the times do not span any time. Signals of one sensor share their rows: a
-        coarse signal that repeats its value in a row in which another signal of the sensor changes was measured there.
+        The held signals by name; empty if the times do not span any time, or for a single row. Signals of one sensor
+        share their rows: a coarse signal that repeats its value in a row in which another signal of the sensor changes
+        was measured there.
     """
     if t.size < 2 or not np.ptp(t) > 0.0:
         return {}
@@ -149,7 +151,7 @@ def is_measured(levels: FloatArray, interval: float) -> bool:
     levels
         Values (n,) of the input in the rows with a measurement (`HeldValues.new`), at least one.
     interval
-        Mean time between two of them [s].
+        Mean time between two of them [s], before equal values are joined.
     """
     levels = levels[np.append(True, levels[1:] != levels[:-1])]
     different = len(np.unique(levels)) / max(len(levels), 1)

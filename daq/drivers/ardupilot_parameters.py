@@ -150,7 +150,8 @@ def _check_failsafes(p: Mapping[str, float], own_system: int) -> list[ParameterM
 
     `p` are the values of the answered parameters by name, and `own_system` is the system id of our ground station. If
     they are not answered, RC_OVERRIDE_TIME, FS_GCS_ENABLE, FS_THR_ENABLE, FS_ACTION and the id of the ground station
-    count as wrong, the others as right. Each of them forbids thrust (`fatal`).
+    count as wrong, the others as right. FENCE_ACTION is checked only if the fence is enabled. Each of them forbids
+    thrust (`fatal`).
     """
     mismatches = []
     override = p.get("RC_OVERRIDE_TIME")
@@ -236,7 +237,8 @@ def _check_thruster(p: Mapping[str, float], thruster: Thruster) -> list[Paramete
 
     The list is empty for a thruster without an output in the rig. `p` are the values of the answered parameters by
     name. Of the missing ones, those that must have the value of the rig (function, channel and pulse widths) count as
-    wrong, the others as right. FS_THR_VALUE and the dead zone (DZ) do not forbid thrust (`fatal`); the others do.
+    wrong, the others as right. The channel is checked only with a right function, and FS_THR_VALUE only if the channel
+    is that of RCMAP_THROTTLE. FS_THR_VALUE and the dead zone (DZ) do not forbid thrust (`fatal`); the others do.
     """
     output = thruster.output
     if output is None:

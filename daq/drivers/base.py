@@ -53,7 +53,8 @@ class LinkStatus:
     vehicle
         Software of the autopilot, for example "ArduPilot Rover".
     age
-        Time since its last heartbeat [wall s]; infinite before the first.
+        Time since its last heartbeat [wall s]; infinite before the first one since the port was opened or the autopilot
+        restarted.
     armed
         Whether the motors are armed.
     mode
@@ -63,11 +64,12 @@ class LinkStatus:
     parameters
         Values of the requested parameters that were answered, by name.
     parameters_pending
-        Whether answers to parameter requests are still awaited.
+        Whether answers to parameter requests are still awaited. It is also True before the first request, and always in
+        the role LISTEN.
     changed
-        Changes of the parameters since they were first read, one line each.
+        Changes of the parameters since they were first read, one line each; the last 1000.
     refused
-        Message rates that the autopilot refused, one line each.
+        Message rates that the autopilot refused or did not answer, one line each.
     answer
         Answer to the last request, for example "arm: accepted" or "arm: failed (PreArm: ...)"; empty while it is
         awaited.
@@ -76,7 +78,7 @@ class LinkStatus:
     receiver
         Whether the autopilot has received a transmitter since its start; None: it has not reported this.
     other_station_frames
-        Number of frames of another ground station with our own system id.
+        Number of received frames with the `own_system_id` of the rig, which another ground station has sent.
     lost
         Number of frames that are missing by the sequence numbers.
     round_trip
@@ -104,8 +106,8 @@ class LinkStatus:
 class DeviceDriver(ABC):
     """Interface of the drivers. A driver encodes all bytes that one port sends to its device; it does not write them.
 
-    Set-points are commands to thrusters, -1..1. `now` is wall time [s] with any origin. All methods except `request`
-    are called in the thread of the port.
+    Set-points are commands to thrusters, -1..1. `now` is wall time [s] with any origin. Other threads than that of the
+    port call only `request`, `link_at`, `hint` and `message`.
     """
 
     @abstractmethod
@@ -148,13 +150,13 @@ class DeviceDriver(ABC):
     def request(self, action: str, value: float) -> None:
         """Store a request of the operator to the device, which `poll` sends. The default ignores it.
 
-        This method is called from another thread than the other methods.
+        This method is called from another thread than that of the port.
 
         Parameters
         ----------
         action
-            "arm" or "disarm" the motors, change the "mode", "mute": send only zero commands for a time, or "leave":
-            disarm if this program has armed the motors.
+            "arm" or "disarm" the motors, change the "mode", "mute": send nothing for a time while thrust is commanded,
+            or "leave": disarm if this program has armed the motors.
         value
             Number of the mode, or time of the muting [wall s]; unused for other requests.
         """
@@ -198,7 +200,7 @@ class DeviceDriver(ABC):
     def confirmation(self) -> str:
         """Last words of the sentence "zero thrust was sent ...": whether the device has confirmed that it stopped.
 
-        The text is empty if the device does not answer.
+        The default is empty, for a device that never answers.
         """
         return ""
 

@@ -17,7 +17,8 @@ class DronecanDriver(DeviceDriver):
     """Driver of all DroneCAN speed controllers on one CAN bus.
 
     Each message contains a command for every controller in `nodes`: its newest set-point, or zero if it has none.
-    Nothing is sent before the first command, so that a program that only logs sends nothing.
+    Nothing is sent before the first command, also no NodeStatus, so that a program that only logs sends nothing. A
+    NodeStatus is sent only together with commands.
 
     Parameters
     ----------
@@ -40,7 +41,8 @@ class DronecanDriver(DeviceDriver):
 
         A NodeStatus precedes it if one is due (each second). `dues` are the set-points to send now, `held` are the
         present commands, -1..1, by controller, and `now` is wall time [s]. A controller without a command gets zero.
-        The list has one pair: the bytes of the CAN frames, and the set-points `dues` that they contain.
+        The list has one pair: the bytes of the CAN frames, and the set-points `dues` that they contain. ValueError is
+        raised if a command or a number of a controller is out of its range.
         """
         setpoints = {**dict.fromkeys(self._nodes, 0.0), **held, **{due.node: due.n for due in dues}}
         return [(self._node_status_if_due(now) + self._encode_command(setpoints), list(dues))]
@@ -48,7 +50,7 @@ class DronecanDriver(DeviceDriver):
     def zero(self, now: float) -> list[tuple[bytes, list[Due]]]:
         """Encode the command zero for all controllers of the bus: one message, with an empty list of set-points.
 
-        `now` is not used.
+        No NodeStatus precedes it. `now` is not used.
         """
         return [(self._encode_command(dict.fromkeys(self._nodes, 0.0)), [])]
 

@@ -17,6 +17,7 @@ def make_driver(device: Device, rig: Rig, decoder: Decoder, role: LinkRole) -> D
     """Return the driver of a device, or None if nothing is ever sent to the device.
 
     VESC buses, DroneCAN buses with a thruster, autopilots, and converters that are polled (Mantracourt) have a driver.
+    An autopilot also has one in the role LISTEN, in which it sends nothing.
 
     Parameters
     ----------
@@ -27,7 +28,8 @@ def make_driver(device: Device, rig: Rig, decoder: Decoder, role: LinkRole) -> D
     decoder
         Decoder of the device. For an autopilot, the driver is also set as its `listener`.
     role
-        Role towards an autopilot: listen, request rates and parameters, drive, or send zero in an emergency.
+        Role towards an autopilot: listen, request rates and parameters, drive, or send zero in an emergency. It has no
+        influence on other drivers.
 
     Raises
     ------

@@ -122,9 +122,10 @@ class MavlinkDriver(DeviceDriver):
         role: LinkRole,
         decoder: MavlinkDecoder,
     ) -> None:
-        """Prepare the link to an autopilot, and set this driver as the listener of the decoder. Nothing is sent.
+        """Prepare the link to an autopilot, and give the codec to the decoder. Nothing is sent.
 
-        The parameters are described in the docstring of the class.
+        The caller has to set `receive` as the listener of the decoder. The parameters are described in the docstring of
+        the class.
         """
         assert device.mavlink is not None
         self._role, self._decoder = role, decoder
@@ -150,7 +151,8 @@ class MavlinkDriver(DeviceDriver):
         """Discard the state of the link to the autopilot, because the port was opened or the autopilot has restarted.
 
         Commands in the queue are dropped. After the next heartbeat of the autopilot, rates and parameters are requested
-        again. The reported state (`LinkStatus`) stays, except `receiver`. `now` is wall time [s].
+        again. The reported state (`LinkStatus`) stays, except `receiver`, and `age`, which is infinite until the next
+        heartbeat. Requests of the operator that `poll` has not taken up stay too. `now` is not used.
         """
         self._beat = self._last_heartbeat = -math.inf  # wall s of our last heartbeat, and of the autopilot's
         self._commands: deque[_Command] = deque()
@@ -198,8 +200,9 @@ class MavlinkDriver(DeviceDriver):
         """Update mode and arming of the autopilot from its heartbeat `m`, received at wall time `now` [s].
 
         After the first heartbeat, the message rates and the parameters are requested. The rates are requested again if
-        fewer than half of the requested attitudes arrived during 3 heartbeats in a row (RATE_PART, RATE_BEATS). Once
-        the autopilot is disarmed, it no longer counts as armed by this program.
+        fewer than half of the requested attitudes arrived during 3 heartbeats in a row (RATE_PART, RATE_BEATS). This is
+        checked while no command is in the queue, from 30 s after the last request on (LATER_S). Once the autopilot is
+        disarmed, it no longer counts as armed by this program.
         """
         since, self._last_heartbeat = now - self._last_heartbeat, now
         mode, armed = mode_name(m.custom_mode, m.type, m.autopilot), bool(m.base_mode & ARMED)
@@ -248,11 +251,11 @@ class MavlinkDriver(DeviceDriver):
     def _receive_answer(self, m: Any) -> None:
         """Process the autopilot's answer to a command (message COMMAND_ACK `m`).
 
-        Only an answer to the first command of the queue counts, and not the answers to other ground stations. If the
-        command was temporarily rejected, it is sent again, up to 4 times in all (TRIES). "In progress" is ignored.
-        Otherwise the command is removed from the queue. The answer to a request of the operator is then stored and
-        logged. A message rate that is not accepted is logged, and requested again at half the rate if it was denied. In
-        the role RESCUE, an accepted disarming is stored for `confirmation`.
+        Only an answer to the first command of the queue counts, and not the answers to other ground stations. If a
+        request of the operator was temporarily rejected, it is sent again, up to 4 times in all (TRIES). "In progress"
+        is ignored. Otherwise the command is removed from the queue. The answer to a request of the operator is then
+        stored and logged. A message rate that is not accepted, also temporarily, is logged, and requested again at half
+        the rate only if it was denied. In the role RESCUE, an accepted disarming is stored for `confirmation`.
         """
         if m.target_system not in (0, self._codec.system):
             return  # this is the answer to another ground station
@@ -281,8 +284,8 @@ class MavlinkDriver(DeviceDriver):
     def _handle_refused_rate(self, command: _Command, word: str) -> None:
         """Log that the autopilot refused a message rate. If it was denied, request half the rate.
 
-        `command` is the refused request, and `word` is the answer, such as "denied". A rate of 1 Hz or less is not
-        requested again; the autopilot then keeps its old rate.
+        `command` is the refused request, and `word` is the answer, such as "denied" or "no answer". A rate of 1 Hz or
+        less is not requested again; the autopilot then keeps its old rate.
         """
         line = f"{command.label} at {command.rate:g} Hz: {word}"
         if line not in self._status.refused:
@@ -322,8 +325,9 @@ class MavlinkDriver(DeviceDriver):
     def _receive_text(self, m: Any) -> None:
         """Store a text of the autopilot (message STATUSTEXT `m`) if it is important.
 
-        A text that begins with "PreArm:" or "Arm:" is stored as the reason for a refused arming. Another text of
-        severity critical or above is stored as an alarm, which ends a run. All other texts are ignored here.
+        A text that begins with "PreArm:" or "Arm:" is stored as the reason for a refused arming; the last three are
+        kept. Another text of severity critical or above is stored as an alarm, which ends a run, unless its beginning
+        is missing. All other texts are ignored here.
         """
         number, received = self._chunk
         continues = bool(m.id and m.id == number and m.chunk_seq)  # this is a later chunk of a long text
@@ -342,10 +346,10 @@ class MavlinkDriver(DeviceDriver):
         Parameters
         ----------
         action
-            "arm" or "disarm"; "mode"; "mute", to send nothing except zero commands for a time, as if the link was cut;
-            "leave", to disarm the autopilot if this program has armed it.
+            "arm" or "disarm"; "mode"; "mute", to send nothing for a time while thrust is commanded, as if the link was
+            cut; "leave", to disarm the autopilot if this program has armed it. In the role LISTEN all are ignored.
         value
-            Number of the mode, or time of the muting [s].
+            Number of the mode, or time of the muting [wall s]; unused otherwise.
         """
         self._requests.append((action, value))
 
@@ -409,7 +413,7 @@ class MavlinkDriver(DeviceDriver):
     def _is_muted(self, now: float) -> bool:
         """Return whether sending is muted at wall time `now` [s], because the operator has requested it (`request`).
 
-        While zero thrust is commanded, it is never muted.
+        While zero thrust is commanded, it is never muted: all frames are then sent.
         """
         return now < self._muted_until and any(self._held.values())
 
@@ -456,7 +460,7 @@ class MavlinkDriver(DeviceDriver):
 
         They are due every 0.5 s (PARAMETER_S); `now` is wall time [s]. A parameter that stays unanswered is given up
         after 10 requests, with an event; after 5 if the autopilot may be a version that lacks it. If no parameter is
-        missing, one known parameter is requested again, to notice a change.
+        missing, one known parameter is requested again in the role DRIVE, to notice a change.
         """
         if not self._awaited:
             if self._status.parameters_pending:
@@ -494,7 +498,8 @@ class MavlinkDriver(DeviceDriver):
     def wait(self, now: float) -> float:
         """Return the wall time [s] from `now` until `poll` may have frames to send to the autopilot; at least 0.
 
-        It is 0 if a request of the operator waits, and otherwise infinite in the role LISTEN.
+        It is 0 if a request of the operator waits, and otherwise infinite in the role LISTEN. While sending is muted,
+        it is the rest of this time.
         """
         if self._requests:
             return 0.0
@@ -603,7 +608,7 @@ class MavlinkDriver(DeviceDriver):
     def link_at(self, now: float) -> LinkStatus:
         """Return the last reported state of the autopilot, with the age of its heartbeat at wall time `now` [s].
 
-        The age is infinite before the first heartbeat.
+        The age is infinite before the first heartbeat since the port was opened or the autopilot restarted.
         """
         other_station_frames = self._decoder.foreign.get(self._settings.own_system_id, 0)
         age = now - self._last_heartbeat

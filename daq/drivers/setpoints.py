@@ -110,8 +110,9 @@ class Setpoints:
         """Return the set-points that the port has to send now, and remove them from the schedule.
 
         The present command of each node is repeated every 20 ms (REPEAT_S) while thrust is commanded or scheduled, and
-        for 0.5 s (ZERO_FOR_S) afterwards. If several set-points of a node are due, only the newest one is returned; the
-        others count as skipped, except one with the same time. The list is empty if nothing is due.
+        for 0.5 s (ZERO_FOR_S) after this or after any new set-point. If several set-points of a node are due, only the
+        newest one is returned; the others count as skipped, except one with the same time. The list is empty if nothing
+        is due.
 
         Parameters
         ----------

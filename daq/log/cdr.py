@@ -43,7 +43,7 @@ class Field(NamedTuple):
     primitive
         Type of one element, such as "float64" or "string".
     length
-        Number of elements of an array; 0 for a sequence of variable length.
+        Number of elements of an array; 1 for a single value, and 0 for a sequence of variable length.
     """
 
     name: str
@@ -144,7 +144,7 @@ class CdrLayout:
     fixed
         Fields of the fixed part after the header.
     tail
-        Fields of variable size, which follow the fixed part.
+        Fields of variable size (strings and sequences of bytes), which follow the fixed part.
 
     Raises
     ------
@@ -192,7 +192,8 @@ class CdrLayout:
         stamp_ns
             Time stamp of the header [ns since 1970].
         values
-            Values of the fixed fields after the header, in order; arrays as bytes (see `doubles`).
+            Values of the fixed fields after the header, in order; arrays as bytes (see `doubles`). The length of an
+            array is not checked: too few bytes are filled up with zeros, and too many are cut off.
         tail
             Bytes of each field of variable size; strings without the final NUL.
 

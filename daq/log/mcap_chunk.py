@@ -94,7 +94,8 @@ def chunk_at(head: bytes, start: int, stop: int, cut: bool = False) -> ChunkAt:
     Raises
     ------
     ValueError, or another error in DAMAGE (errors that damaged bytes cause)
-        If the header is invalid, or if the chunk is larger than 64 MiB (MAX_CHUNK_BYTES).
+        If the header is invalid, its compression is unknown, or the chunk is larger than 64 MiB uncompressed
+        (MAX_CHUNK_BYTES) or 65 MiB compressed (MAX_PACKED_BYTES).
     """
     _, _, size, checksum, n_name = _CHUNK.unpack_from(head)
     at = _CHUNK.size
@@ -142,8 +143,9 @@ def unpack_chunk(packed: bytes | memoryview, chunk: ChunkAt) -> Buffer:
 def unpack_cut(packed: bytes, chunk: ChunkAt) -> Buffer:
     """Decompress the existing data (`packed`) of an MCAP chunk whose end is missing, and return its bytes, shape (n,).
 
-    The result may be empty: zstd blocks have at most 128 KiB each, and a block that is cut gives nothing. Data without
-    compression are returned as they are. The checksum is not checked.
+    The result may be empty: zstd blocks have at most 128 KiB each, and a block that is cut gives nothing. At most 64
+    MiB are decompressed (MAX_CHUNK_BYTES). Data without compression are returned as they are. The checksum is not
+    checked.
 
     Raises
     ------
@@ -216,8 +218,9 @@ def scan(chunks: list[tuple[Buffer, bytes]], register: Callable[[int, bytes], No
 
     Notes
     -----
-    Index entries beyond the end of a chunk are ignored. If another entry is not the offset of a whole message, all
-    entries of its chunk are ignored. Bytes between used entries are scanned record by record, up to an invalid record.
+    Index entries beyond the end of a chunk are ignored. If another entry is not the offset of a whole message, or its
+    message overlaps another one, all entries of its chunk are ignored. Bytes between used entries are scanned record by
+    record, up to an invalid record.
     """
     buffer = chunks[0][0] if len(chunks) == 1 else np.concatenate([data for data, _ in chunks])
     bounds = np.cumsum([0, *(len(data) for data, _ in chunks)])

@@ -94,7 +94,7 @@ class RawLog:
     path
         The file.
     warnings
-        Faults of the parts that were read so far, one line each. `verify` reads the other parts.
+        Faults of the parts that were read so far, one line each, at most 21. `verify` reads the other parts.
     complete
         Whether the file has its footer, the last record of a file that was closed.
     profile
@@ -102,11 +102,11 @@ class RawLog:
     channels, schemas
         Channel and schema records by number.
     metadata, attachments
-        All metadata and attachment records of the file.
+        Metadata and attachment records of the file, except damaged ones and those beyond 64 MiB (MAX_HELD_BYTES).
     counts
-        Number of messages of each channel, by number of the channel.
+        Number of messages of each channel, by number of the channel. Channels without messages are absent.
     span_ns
-        Log times of the first and the last message [ns since 1970]; None if there is no message.
+        Smallest and largest log time of the messages [ns since 1970]; None if there is no message.
 
     Raises
     ------
@@ -148,7 +148,7 @@ class RawLog:
             self._seen[n:] = -1
 
     def _open(self) -> tuple[int, int, tuple[int, int]]:
-        """Open the MCAP file. Raise SeatrialError if it is not a regular file, is empty or is no MCAP file.
+        """Open the MCAP file. Raise SeatrialError if it cannot be read, is not regular, is empty or is no MCAP file.
 
         Returns
         -------
@@ -229,7 +229,7 @@ class RawLog:
         channels
             Numbers of the channels; None for all channels.
         begin_ns, end_ns
-            Interval of log times [ns since 1970], without `end_ns` itself.
+            Interval of log times [ns since 1970], without `end_ns` itself. The default includes all times.
         """
         ids = np.fromiter(self.channels if channels is None else channels, np.uint16)
         n_found = 0
@@ -269,7 +269,7 @@ class RawLog:
     def verify(self, begin_ns: int = 0, end_ns: int = LAST_NS) -> None:
         """Read the unread chunks of the file in an interval of log times [ns since 1970], to complete `warnings`.
 
-        The messages are not returned.
+        Chunks that overlap the interval, both ends included, are read. The messages are not returned.
         """
         inside = (self._chunks["end_ns"] >= begin_ns) & (self._chunks["begin_ns"] <= end_ns)
         for number in np.flatnonzero(inside & (self._seen == 0)).tolist():
@@ -355,8 +355,8 @@ class RawLog:
     def _read_summary(self) -> bool:
         """Read the index of the MCAP file from the summary at its end.
 
-        Return False, and use nothing, if the file has no summary, or if the summary is damaged or does not cover the
-        whole file.
+        Return False, and use nothing, if the file has no summary, or if the summary has no checksum, is damaged, or
+        does not cover the whole file.
         """
         size = self._size
         try:
@@ -380,8 +380,9 @@ class RawLog:
     def _use_summary(self, summary: _Summary) -> bool:
         """Use a decoded summary as the index of the MCAP file. Return False if it does not cover the whole file.
 
-        Chunks, channels, schemas, counts, span of log times, attachments and metadata are stored. A damaged attachment
-        or metadata record is left out, with a warning.
+        False is also returned, and nothing stored, if its statistics are missing or contradict it. Chunks, channels,
+        schemas, counts, span of log times, attachments and metadata are stored. A damaged attachment or metadata record
+        is left out, with a warning.
         """
         chunks, statistics = summary.chunks, summary.statistics
         if statistics is None or (statistics.chunk_count, statistics.channel_count) != (
@@ -417,8 +418,9 @@ class RawLog:
     def _read_records(self) -> None:
         """Build the index of an MCAP file without a summary: read all its records in order, and then the chunks.
 
-        After a damaged record the search continues at the next whole chunk. Damaged parts, and a missing end of the
-        file, cause warnings.
+        After an unknown opcode or a length beyond the file, the search continues at the next whole zstd chunk. A record
+        with damaged content alone is left out. The first footer ends the search. Messages without a channel record are
+        not counted. All these faults, and a missing footer, cause warnings.
         """
         found, whole = _FoundChunks(), True
         at, size = len(MCAP0_MAGIC), self._size
@@ -459,9 +461,10 @@ class RawLog:
     def _count_messages(self, found: _FoundChunks, only_new: bool) -> None:
         """Read the chunks of the MCAP file to count the messages of each channel and to find the channels.
 
-        `found` has the chunks with their message indexes. With `only_new`, a chunk is not read if its message indexes
-        contain known channels only; its messages are counted by the indexes. The last chunk is always read, because it
-        may be cut. If the file has too many messages, the remaining chunks are left out, with a warning.
+        `found` has the chunks with their message indexes. With `only_new`, a chunk is not read if it has message
+        indexes and they contain only channels that earlier chunks have; its messages are counted by the indexes. The
+        last chunk is always read, because it may be cut. If the file has too many messages, the remaining chunks are
+        left out, with a warning.
         """
         self._unindexed = np.ones(len(self._chunks), bool)
         pairs: tuple[list[int], list[int]] = ([], [])
@@ -499,7 +502,8 @@ class RawLog:
     def _next_chunk(self, at: int) -> int | None:
         """Return the position [bytes] of the next complete zstd chunk at or after byte `at` of the file; None if none.
 
-        The reader calls it after a damaged place, so that the chunks behind the damage are still read.
+        A chunk that begins up to 37 bytes before `at` is found too. The reader calls this method after a damaged place,
+        so that the chunks behind the damage are still read.
         """
         while at < self._size:
             block = self._read(at, at + _BLOCK)
@@ -516,10 +520,10 @@ class RawLog:
         return None
 
     def _read_cut_end(self, opcode: int, at: int, unknown: bool, found: _FoundChunks) -> bool:
-        """Read what can be read of a record of the MCAP file after which no whole record follows, and warn.
+        """Read what can be read of a record of the MCAP file after which no whole zstd chunk follows, and warn.
 
-        The existing zstd blocks of a cut chunk are decompressed and added to `found`, because they may contain
-        messages.
+        Of a cut chunk, the existing zstd blocks, or data without compression, are added to `found`, because they may
+        contain messages. A cut record of another kind, and a cut chunk with lz4, are left out.
 
         Parameters
         ----------
@@ -533,7 +537,7 @@ class RawLog:
         Returns
         -------
         bool
-            Whether the file is only cut off there, and not damaged.
+            True if the file is only cut off there; False if the opcode is invalid, so that the file is damaged.
         """
         if unknown:
             self._warn(f"damaged at byte {at}: the rest of the file is left out")
@@ -558,7 +562,7 @@ class RawLog:
         Raises
         ------
         ValueError, or another error in DAMAGE (errors that damaged bytes cause)
-            If the record is damaged.
+            If the record is damaged. A damaged schema or channel only causes a warning.
         """
         if opcode not in _KEPT:
             return
@@ -588,7 +592,8 @@ class RawLog:
     def _keep_definition(self, opcode: int, data: bytes) -> None:
         """Decode and keep a schema or channel record of the file by its opcode and content. Warn if it is damaged.
 
-        A record is left out without a warning if the kept records would be larger than 64 MiB.
+        It replaces an earlier record of the same number. A record is left out without a warning if the kept records
+        would be larger than 64 MiB.
         """
         try:
             if opcode == Opcode.SCHEMA:
@@ -651,7 +656,7 @@ class _FoundChunks:
     def add(self, opcode: int, at: int, stop: int, head: bytes) -> bool:
         """Add a record of an MCAP file to the list, if it is a chunk, a message, or a message index of the last chunk.
 
-        Messages outside any chunk that follow each other become one item, up to 1 MiB.
+        Messages outside any chunk that follow each other become one item, until it has 1 MiB or more.
 
         Parameters
         ----------
@@ -665,7 +670,8 @@ class _FoundChunks:
         Returns
         -------
         bool
-            Whether the record is a chunk, a message or a message index. Other records are not added.
+            Whether the record is a chunk, a message or a message index. Other records are not added, and neither is a
+            message index that does not follow the last chunk and its indexes.
 
         Raises
         ------
@@ -728,7 +734,7 @@ class _Summary:
     Raises
     ------
     ValueError, or another error in DAMAGE (errors that damaged bytes cause)
-        If a record of the summary is invalid.
+        If a record of the summary is invalid or longer than 1 MiB.
     """
 
     def __init__(self, read: Callable[[int, int], bytes], start: int, stop: int) -> None:
@@ -800,7 +806,7 @@ def _chunk_indexes(
     Parameters
     ----------
     block
-        Bytes of the summary.
+        Bytes of a part of the summary.
     begins, ends
         Offsets of the records in the block, shape (n,).
 

@@ -73,7 +73,8 @@ class DiskFull(SeatrialError):
     Attributes
     ----------
     complete
-        Whether the file contains every message added so far, and its footer.
+        Whether the file contains every message added so far, and its footer. It is also True if no file could be
+        created, since no message is lost then.
     """
 
     def __init__(self, text: str, complete: bool) -> None:
@@ -184,6 +185,8 @@ class LogWriter:
         ------
         SeatrialError
             If the log is closed, an earlier write failed, or the log has 65,535 topics already.
+        FileNotFoundError
+            If daq/msg has no definition of the message type.
         """
         self._require_open()
         if type_name not in self._schemas:
@@ -193,7 +196,7 @@ class LogWriter:
         return self._writer.register_channel(topic, "cdr", self._schemas[type_name], extra)
 
     def add(self, channel: int, log_ns: int, stamp_ns: int, sequence: int, data: bytes) -> None:
-        """Append one message to the log. The operating system receives it at the next flush.
+        """Append one message to the log. The operating system receives it at the next flush, or in a full chunk.
 
         Parameters
         ----------
@@ -245,7 +248,8 @@ class LogWriter:
     def flush(self) -> None:
         """End the current chunk (group of messages) of the log and pass it to the operating system.
 
-        Also reserve more disk space for the end of the file if the log has grown. SeatrialError is raised as by `add`.
+        Without waiting messages nothing is written. Also reserve more disk space for the end of the file if the log has
+        grown. SeatrialError is raised as by `add`.
         """
         self._require_open()
         with self._close_on_error():
@@ -264,7 +268,8 @@ class LogWriter:
         Raises
         ------
         SeatrialError
-            If the end of the file could not be written, or if the disk is full.
+            If the end of the file could not be written. If the disk is full and the reserved space had room for it,
+            `DiskFull` is raised too, with `complete` true.
         """
         if self._closed:
             return
@@ -396,7 +401,10 @@ class RecordWriter:
 
     @property
     def summary_bytes(self) -> int:
-        """Upper bound of the size [bytes] of summary and footer of the MCAP file, if it ended now."""
+        """Upper bound of the size [bytes] of summary and footer of the MCAP file, if it ended now.
+
+        The index of the current chunk, which is not written yet, is not included.
+        """
         kept = (self._schemas, self._channels, self._chunk_index, self._attachment_index, self._metadata_index)
         return sum(map(len, kept)) + 10 * self._n_channels + _SUMMARY_REST
 
@@ -431,6 +439,8 @@ class RecordWriter:
     def register_schema(self, name: str, encoding: str, data: bytes) -> int:
         """Add the definition of a message type to the MCAP file, and return the number of its schema, from 1.
 
+        It is written with the current chunk. Each call gives a new number.
+
         Parameters
         ----------
         name
@@ -448,6 +458,8 @@ class RecordWriter:
 
     def register_channel(self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]) -> int:
         """Add a topic to the MCAP file and return the number of its channel, from 1.
+
+        It is written with the current chunk. Each call gives a new number.
 
         Parameters
         ----------
@@ -571,7 +583,10 @@ class RecordWriter:
         self._stream.write(end + summary + offsets + _encode_record(footer) + MCAP0_MAGIC)
 
     def _statistics(self) -> Statistics:
-        """Return the MCAP statistics record: the numbers of records of each kind, and the first and last log time."""
+        """Return the MCAP statistics record: the numbers of records of each kind, and the first and last log time.
+
+        Only messages in written chunks count. Without one both times are 0.
+        """
         return Statistics(
             attachment_count=self._n_attachments,
             channel_count=self._n_channels,

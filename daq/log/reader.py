@@ -131,8 +131,8 @@ class Log:
     def keeping_tables(self) -> Iterator[None]:
         """Keep all tables of the log in memory within a `with` block. The tables are read-only.
 
-        The first call of `table` then reads all tables at once. This is faster if a caller uses many tables, or uses a
-        table more than once.
+        The first call of `table` for an interval of time then reads all tables of this interval at once. This is faster
+        if a caller uses many tables, or uses a table more than once.
         """
         self._tables, self._read_spans = {}, set()
         try:
@@ -143,9 +143,10 @@ class Log:
     def part(self, begin: float, end: float) -> Log:
         """Return a view of the log with the messages of an interval of time only.
 
-        Messages outside the interval are not read. `start` and `end` are the limits of the interval, cut to the log.
-        `counts`, `sources`, `nodes` and `sha256` remain those of the whole log. The view uses the same open files as
-        the log. A part of a view has only the overlap of both intervals.
+        Messages outside the interval are not read. `start` and `end` are the limits of the interval, cut to the log; if
+        it begins after the log, both are `begin`. `counts`, `types`, `sources`, `nodes` and `sha256` remain those of
+        the whole log. The view uses the same open files as the log. A part of a view has only the overlap of both
+        intervals.
 
         Parameters
         ----------
@@ -167,7 +168,7 @@ class Log:
         self.close()
 
     def close(self) -> None:
-        """Close the files of the log. Tables that were read before stay valid."""
+        """Close the files of the log. Tables that were read before stay valid. A later read opens the files again."""
         self._file.close()
 
     @property
@@ -175,13 +176,17 @@ class Log:
         """Faults of the log, one line each, and the note of a watchdog that stopped the run.
 
         The unread parts of the files are read first, to find all faults; for a view (`part`), those of its interval.
+        Faults outside that were found before are included.
         """
         self._file.verify(*self._span_ns)
         return [*self._file.warnings, *([self._note] if self._note else [])]
 
     @property
     def duration(self) -> float:
-        """Time from the receipt of the first message to that of the last [s]; 0 if the log has no messages."""
+        """Time from the receipt of the first message to that of the last [s]; 0 if the log has no messages.
+
+        For a view (`part`), the length of its interval, cut to the log.
+        """
         return self.end - self.start
 
     @cached_property
@@ -238,7 +243,7 @@ class Log:
 
     @cached_property
     def counts(self) -> dict[str, int]:
-        """Number of messages of each topic of the log, sorted by topic."""
+        """Number of messages of each topic of the log, sorted by topic. Topics without messages are left out."""
         found: Counter[str] = Counter()
         for number, n in self._file.counts.items():
             found[self._file.channels[number].topic] += n
@@ -386,7 +391,8 @@ class Log:
             Id of the controller or servo output, for `Esc`, `Command` and `Servo`. It may be None if the device has a
             single one. Other kinds do not use it.
         begin, end
-            Interval of the time of receipt [s since 1970]: `begin <= t_rx < end`. Samples outside are not read.
+            Interval of the time of receipt [s since 1970]: `begin <= t_rx < end`. Samples outside are not read. The log
+            time counts, which is never earlier than that of the message before.
 
         Returns
         -------
@@ -399,7 +405,7 @@ class Log:
         ------
         SeatrialError
             If the log has no such samples, if they cannot be decoded, if `node` is None and the device has several
-            controllers, or if the memory is too small.
+            controllers, or if the memory is too small. If the whole log is read, also if no sample is readable.
         """
         if kind is Esc or kind is Command or kind is Servo:
             node = self._only_node(kind, source, node)
@@ -437,12 +443,13 @@ class Log:
             Interval of log times [ns since 1970], without its end.
         join
             Whether to add the columns of the companion topics of an AHRS: device times and magnetic field. If the
-            messages have no ascending sequence numbers, the columns are not added and stay NaN.
+            messages have no ascending sequence numbers, the columns are not added: t_device and the field stay NaN, and
+            t_rx is the log time.
 
         Raises
         ------
         SeatrialError
-            If the topic has no messages, or messages that cannot be decoded.
+            If the topic has no messages, messages that cannot be decoded, or in the whole log no readable message.
         """
         rows = self._new_table(kind, topic, source, join)
         try:
@@ -469,7 +476,8 @@ class Log:
         """Read the samples of all topics of the log in one pass, because each chunk of the file contains all topics.
 
         `span` is the interval of log times [ns since 1970]. Return a structured array (n,) by topic and interval.
-        Topics with errors are left out. `table` then reads the topic alone and raises the error.
+        Topics with errors are left out. `table` then reads the topic alone and raises the error. So it does with an
+        AHRS without ascending sequence numbers, which it then reads without companion topics.
         """
         rows: dict[str, _TopicTable] = {}
         for kind in (*MEASURED, Command):
@@ -588,7 +596,7 @@ class Log:
         return self._channel_metadata(signal).get("role", "output")
 
     def _channel_metadata(self, signal: str) -> dict[str, str]:
-        """Return the texts that the log has about an imported signal, by name: "unit", "hold" and "role".
+        """Return the texts that the log has about an imported signal, by name, such as "unit", "hold" and "role".
 
         Raise SeatrialError if the log lacks the signal.
         """
@@ -842,8 +850,8 @@ class _AhrsTable(_TopicTable):
     topic, source
         Topic of the Imu messages, and name of the device.
     join
-        Whether to add the columns of the companion topics (device times and magnetic field). They are NaN if it is
-        False, and where a companion message is missing.
+        Whether to add the columns of the companion topics (device times and magnetic field). If it is False, and where
+        a companion message is missing, t_device and the field are NaN, and t_rx is the log time of the Imu message.
     """
 
     def __init__(self, log: Log, topic: str, source: str, join: bool) -> None:
@@ -914,8 +922,8 @@ class _UnmatchedCompanions(NamedTuple):
     ) -> _UnmatchedCompanions:
         """Write the waiting and the new messages into the rows of the AHRS table with the same sequence number.
 
-        Of two messages with one number, the first is used. Messages without a row are dropped, except for new ones
-        after the last row.
+        Of two messages with one number in the same call, the first is used. Messages without a row are dropped, except
+        for new ones after the last row.
 
         Parameters
         ----------
@@ -951,7 +959,7 @@ class _StampStatistics:
     n_back : int
         Number of steps back of more than 0.5 s (CLOCK_STEP_S) from one stamp to the next.
     longest_back : float
-        Longest step back [s]; 0 if there is none.
+        Longest step back [s], also one of less than 0.5 s; 0 if there is none.
     """
 
     def __init__(self) -> None:
@@ -962,7 +970,8 @@ class _StampStatistics:
     def add(self, t: NDArray[np.float64]) -> None:
         """Add the next time stamps of the topic [s], shape (n,), at least one.
 
-        They are in the order of the file, and later than the stamps before, except for jitter.
+        They are in the order of the file. Steps back of any size are allowed; those of more than 0.5 s are counted. For
+        the longest gap the stamps of this call are sorted.
         """
         steps = -np.diff(np.append(self._newest, t))
         self.n_back += int(np.sum(steps > CLOCK_STEP_S))

@@ -25,7 +25,7 @@ class ReservedSpace:
     Attributes
     ----------
     size
-        Reserved bytes; 0 at first.
+        Reserved bytes; 0 at first. `release` does not change it.
 
     Notes
     -----
@@ -47,7 +47,7 @@ class ReservedSpace:
         Raises
         ------
         OSError
-            If the disk has too little space.
+            If the disk has too little space or refuses the reservation.
         """
         if self._fd < 0 or size <= self.size:
             return
@@ -114,13 +114,14 @@ class WholeRecordStream:
     def write(self, data: bytes) -> int:
         """Write whole records to the file and return their number of bytes.
 
-        On a full disk, the reserved space (the ballast) is released and the write is repeated; `failure` has the error.
+        The first time that the disk is full, the reserved space (the ballast) is released and the write is repeated;
+        `failure` has the error.
 
         Raises
         ------
         OSError
-            If the records do not fit even without the ballast, or after any other failure. The file then ends with the
-            last record before them.
+            If the records do not fit even without the ballast, if the disk is full once more, or after any other
+            failure. The file then ends with the last record before them.
         """
         try:
             self._write_all(data)
@@ -173,7 +174,7 @@ class WholeRecordStream:
 def sync_folder(folder: Path) -> None:
     """Wait until the names of the files in a folder are on the disk, so that a loss of power cannot remove a new file.
 
-    Nothing happens, and no error is raised, if the operating system does not support this.
+    No error is raised if the folder cannot be opened, or if the operating system does not support this.
     """
     with contextlib.suppress(OSError):
         fd = os.open(folder, os.O_RDONLY)

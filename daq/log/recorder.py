@@ -138,12 +138,15 @@ class Recorder:
 
     @property
     def is_deleted(self) -> bool:
-        """Whether the file of the log (segment) that is being written has been deleted."""
+        """Whether the file of the log (segment) that is being written has been deleted; False during a pause."""
         return self._writer.is_deleted
 
     @property
     def size(self) -> int:
-        """Number of bytes of the log on the disk, in all segments that have not been deleted."""
+        """Number of bytes of the log in all segments, except those that the recorder has tried to delete.
+
+        A segment whose deletion failed is not counted any more. One that another program has deleted is still counted.
+        """
         return self._size_before + self._writer.size
 
     def write(self, device: str, frame: Frame, t: float) -> None:
@@ -158,7 +161,8 @@ class Recorder:
         frame
             The sample with its time of receipt.
         t
-            Estimated time of the sample by the run clock [s since 1970]. NaN stands for the time of receipt.
+            Estimated time of the sample by the run clock [s since 1970]. NaN stands for the time of receipt. Events and
+            counters are logged at `t`, as by `event` and `health`; their time of receipt is not used.
 
         Raises
         ------
@@ -188,8 +192,9 @@ class Recorder:
     def write_raw(self, device: str, direction: str, data: bytes, t: float) -> None:
         """Write bytes of a device's port to the log, with the time t [s since 1970].
 
-        The direction is "rx" for bytes read from the port, and "tx" for bytes written to it. If t is NaN, it becomes
-        the log time of the message before. SeatrialError is raised if the file cannot be written.
+        The direction is "rx" for bytes read from the port, and "tx" for bytes written to it; another one raises
+        KeyError. If t is NaN, it becomes the log time of the message before. SeatrialError is raised if the file cannot
+        be written.
         """
         log_ns, stamp_ns = self._log_and_stamp_ns(t, t)
         message = cdr_layout(schema.RAW, device.encode()).pack(stamp_ns, _DIRECTIONS[direction], tail=(data,))
@@ -208,7 +213,8 @@ class Recorder:
     def health(self, device: str, health: PortHealth, t: float) -> None:
         """Write the counters of a device's port (bytes, frames, errors, ...) to the log at time t [s since 1970].
 
-        SeatrialError is raised if the file cannot be written.
+        If t is NaN, it becomes the log time of the message before. SeatrialError is raised if the file cannot be
+        written.
         """
         log_ns, stamp_ns = self._log_and_stamp_ns(t, t)
         message = cdr_layout(schema.HEALTH, device.encode()).pack(
@@ -228,9 +234,9 @@ class Recorder:
     def tick(self) -> None:
         """Do the periodic work of the recorder when it is due. The caller calls this at least every 50 ms.
 
-        The work is: flush and sync the segment, begin the next segment at the limits of size or time in the rig, delete
-        the oldest segments, and, during a pause, check whether a full disk has room again. SeatrialError is raised if a
-        file cannot be created or written.
+        The work is: flush and sync the segment, begin the next segment at the limits of size or time in the rig, and
+        delete the oldest segments if the log is too large. During a pause it is only to check, every 0.25 s (wall),
+        whether the full disk has room again. SeatrialError is raised if a file cannot be created or written.
         """
         if self.paused:
             if time.monotonic() >= self._retry_at:
@@ -252,7 +258,8 @@ class Recorder:
         """Delete a finished file of the log, and record the deletion, or its failure, as an event.
 
         `keep` is the limit of the log's size [GB], for the text of the event. If another file has replaced the segment
-        in the meantime, nothing is deleted or recorded.
+        in the meantime, nothing is deleted or recorded. In each case `size` does not count the segment any more, and
+        its deletion is not tried again.
         """
         self._size_before -= segment.size
         try:
@@ -297,7 +304,8 @@ class Recorder:
     def _pause(self, error: DiskFull) -> None:
         """Pause the recorder because of a full disk: store the reason in `paused`, and the time of the first retry.
 
-        `error.complete` is whether the ended file contains all messages; otherwise the last ones are noted as lost.
+        `error.complete` is whether the ended file contains all messages; otherwise the last ones are noted as lost. A
+        pause that goes on keeps its first reason, but its duration counts from now.
         """
         self.paused = (
             self.paused or f"{self._writer.path.parent}: the disk is full, nothing is written now: free disk space"
@@ -309,8 +317,9 @@ class Recorder:
     def _resume(self) -> None:
         """End the pause of the recorder if the disk has room: write the kept messages to a new segment.
 
-        Room means 2 MiB (ROOM_BYTES), and that the segment can be created. Otherwise the recorder stays paused. The
-        duration of the pause is recorded as an event.
+        Room means 2 MiB (ROOM_BYTES), and that the segment can be created. Otherwise the recorder stays paused. If the
+        disk is full again while the messages are written, the recorder pauses again. The duration of the pause is
+        recorded as an event.
         """
         self._retry_at = time.monotonic() + RETRY_S
         if free_bytes(self.first_path) < ROOM_BYTES:
@@ -329,8 +338,8 @@ class Recorder:
     def _begin_next_segment(self) -> None:
         """Begin the next file (segment) of the log, and note the finished one for a later deletion.
 
-        Numbers whose file exists are skipped. The first segment is never noted. Raise SeatrialError if the file cannot
-        be created.
+        Numbers whose file exists are skipped. The first segment, and a finished one that does not exist any more, are
+        not noted. Raise SeatrialError if the file cannot be created.
         """
         before, number = self._size_before + self._writer.size, self._number + 1
         past = self._writer.path

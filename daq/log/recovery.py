@@ -37,7 +37,7 @@ class RecoveredLog(NamedTuple):
 def recover_log(path: Path, out: Path, force: bool = False) -> RecoveredLog:
     """Recover a killed or damaged log: copy all readable records of all its segments (files) to one new log.
 
-    A watchdog's note beside an earlier log `out` is deleted.
+    Metadata and attachments are those of the first segment. A watchdog's note beside an earlier log `out` is deleted.
 
     Parameters
     ----------
@@ -84,7 +84,8 @@ def recover_log(path: Path, out: Path, force: bool = False) -> RecoveredLog:
 def _copy_records(log: RawLog | SegmentedLog, part: Path) -> int:
     """Copy metadata, attachments, schemas, channels and messages of a log to the new MCAP file `part`.
 
-    The file is synced to the disk. Return the number of copied messages.
+    Of a log with several segments, metadata and attachments of the first one are copied. `part` must not exist. The
+    file is synced to the disk. Return the number of copied messages.
     """
     n_messages = 0
     with part.open("xb") as file:

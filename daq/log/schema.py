@@ -175,7 +175,7 @@ def _ahrs_messages(device: str, s: Ahrs, times: tuple[float, float]) -> list[Mes
 
     `times` are t_rx and t_device [s]. The covariances of the Imu message mark unknown quantities: -1 in the first
     element of the orientation without a yaw, and of rates or accelerations if one of the three is unknown; and a
-    variance of 1e6 rad2 for roll and pitch of a compass.
+    variance of 1e6 rad2 for roll and pitch, both written as 0, if one of the two is unknown, as of a compass.
     """
     frame_id, time, imu, mag = _ahrs_topics(device)
     has_yaw = s.yaw == s.yaw  # False for NaN; faster than math.isnan, for every sample

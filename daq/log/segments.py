@@ -121,16 +121,18 @@ class SegmentedLog:
 
     @property
     def warnings(self) -> list[str]:
-        """Warnings about the log, one line each: about the parts of its files read so far, then about missing segments.
+        """Warnings about the log, one line each: first those about the parts of its files that were read so far.
 
-        A warning about a file begins with the name of the file.
+        Those about missing segments, and segments left out, follow. A warning about a file begins with the name of the
+        file.
         """
         return [f"{raw.path.name}: {text}" for raw in self.files for text in raw.warnings] + self._warnings
 
     def verify(self, begin_ns: int = 0, end_ns: int = LAST_NS) -> None:
         """Read the unread chunks of all files in an interval of log times [ns since 1970], to complete `warnings`.
 
-        The messages are not returned, and the files are closed.
+        Chunks that overlap the interval, both ends included, are read. The messages are not returned, and the files are
+        closed.
         """
         for raw in self.files:
             raw.verify(begin_ns, end_ns)
@@ -141,14 +143,14 @@ class SegmentedLog:
     ) -> Iterator[Messages]:
         """Yield the messages of all files of the log, one file after the other, some at a time.
 
-        A file without messages in the interval is not read.
+        A file without messages in the interval is not read. A file is closed after its last message.
 
         Parameters
         ----------
         channels
             Numbers of the channels in the log; None for all channels.
         begin_ns, end_ns
-            Interval of log times [ns since 1970], without `end_ns` itself.
+            Interval of log times [ns since 1970], without `end_ns` itself. The default includes all times.
         """
         for raw, numbers in zip(self.files, self._numbers, strict=True):
             renumbered = np.zeros(1 << 16, np.uint16)
@@ -199,7 +201,8 @@ def segment_path(first: Path, number: int) -> Path:
 def segments(path: Path) -> dict[int, Path]:
     """Return the files whose names make them later segments of the log `path`: NAME.1.mcap, NAME.2.mcap, ...
 
-    They are sorted by number. The result is empty if there are none or the folder cannot be read.
+    A number has up to six digits. Their content is not checked. They are sorted by number. The result is empty if there
+    are none or the folder cannot be read.
     """
     name = re.compile(re.escape(path.stem) + r"\.(\d{1,6})" + re.escape(path.suffix))
     try:

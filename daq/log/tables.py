@@ -141,10 +141,11 @@ def resample(log: Log, rate: float) -> Resampled:
 
     Notes
     -----
-    Held quantities keep the value of the last sample: commands, servo outputs, states of the autopilot, whole numbers,
-    and signals with hold "zero" or "sampled". Other quantities are averaged over the samples nearest to each time of
-    the grid. The averages, each at the mean time of its samples, are interpolated linearly to the grid. The result is
-    NaN in gaps between averages that are longer than 2 s and than five times their median distance. Angles [rad] and
+    Held quantities keep the value of the last sample, also over gaps and after the last one: commands, servo outputs,
+    states of the autopilot, whole numbers, and signals with hold "zero" or "sampled". Other quantities are averaged
+    over the samples nearest to each time of the grid. The averages, each at the mean time of its samples, are
+    interpolated linearly to the grid. The result is NaN in gaps between averages that are longer than 2 s and than five
+    times their median distance, and after the last sample. Before its first sample each column is NaN. Angles [rad] and
     longitudes are averaged and interpolated over the shortest way.
     """
     tables = [table for table in log_tables(log) if len(table.rows)]
@@ -189,7 +190,8 @@ def _hold_last_value(grid: Array, t: Array, values: Array) -> Array:
 def _average_and_interpolate(grid: Array, t: Array, values: Array, step: float, period: float) -> Array:
     """Average the samples nearest to each time of the grid, and interpolate the averages linearly to the grid.
 
-    An average stands at the mean time of its samples, which may differ from the time of the grid.
+    An average stands at the mean time of its samples, which may differ from the time of the grid. Before the first and
+    after the last average, the result is this average.
 
     Parameters
     ----------

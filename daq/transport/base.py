@@ -32,7 +32,8 @@ class Port(ABC):
     unparsed_bytes : int
         Read bytes that the port itself has discarded, for example datagrams of other senders.
     hint : str
-        Advice to the user on the port, in one line; set when the port is opened, empty without advice.
+        Advice to the user on the port, in one line; empty without advice. It is set when the port is opened, and by an
+        slcan adapter that refuses its settings also later.
     """
 
     def __init__(self) -> None:
@@ -96,6 +97,8 @@ class Port(ABC):
     @abstractmethod
     def write(self, data: bytes) -> None:
         """Write all bytes, with a wait of some 50 ms at most. A UDP port may lose them without an error.
+
+        A SocketCAN port waits so long for each frame.
 
         Raises
         ------

@@ -153,7 +153,8 @@ class SlcanPort(Port):
     def write(self, data: bytes) -> None:
         """Send CAN frames, 16 bytes each (`struct can_frame`). Every frame is sent with a 29-bit identifier.
 
-        PortError is raised if the serial port accepts no more bytes or was disconnected.
+        PortError is raised if the serial port accepts no more bytes or was disconnected. A refusal by the adapter is
+        noticed later, by `read`.
         """
         self._answers = self._answers or _FrameAnswers()
         lines = (slcan.encode(word & ~EXTENDED, body[:length]) for word, length, body in CAN_FRAME.iter_unpack(data))
@@ -200,7 +201,8 @@ class SocketCanPort(Port):
     def read(self) -> bytes:
         """Return the CAN data frames that have arrived, 16 bytes each (`struct can_frame`), at most 256 of them (MOST).
 
-        Error frames, remote frames and frames of CAN FD are left out. PortError is raised if the interface fails.
+        Error frames, remote frames and frames of CAN FD are left out, but count for the 256. PortError is raised if the
+        interface fails.
         """
         frames = []
         try:
@@ -218,7 +220,7 @@ class SocketCanPort(Port):
     def write(self, data: bytes) -> None:
         """Send CAN frames, 16 bytes each (`struct can_frame`). Every frame is sent with a 29-bit identifier.
 
-        Raise PortError if this fails.
+        Raise PortError if this fails, or if the interface does not accept a frame within 50 ms (WRITE_S).
         """
         try:
             for word, length, body in CAN_FRAME.iter_unpack(data):

@@ -24,7 +24,7 @@ def usb_vendor(path: str) -> int | None:
 
 
 def set_latency_timer(path: str, sysfs: Path = SYSFS, vendor: Callable[[str], int | None] = usb_vendor) -> str:
-    """Set the latency timer of the adapter behind a serial port to 1 ms.
+    """Set the latency timer of the adapter behind a serial port to 1 ms. A timer of 0 or 1 ms is not changed.
 
     Parameters
     ----------
@@ -38,7 +38,8 @@ def set_latency_timer(path: str, sysfs: Path = SYSFS, vendor: Callable[[str], in
     Returns
     -------
     str
-        A hint for the user if the timer cannot be set. Empty if it is set, or if the port is not an FTDI adapter.
+        A hint for the user if the timer cannot be set, or if an FTDI adapter has none in this system. Empty if it is
+        set, or if the port is not an FTDI adapter.
     """
     name = Path(os.path.realpath(path)).name
     timer = sysfs / name / "latency_timer"

@@ -62,7 +62,10 @@ class UdpPort(Port):
         self._heard_at = 0.0  # wall s of the last confirmed read
 
     def open(self) -> None:
-        """Bind the local address to listen at, or connect to the remote one. Raise PortError if this fails."""
+        """Bind the local address to listen at, or connect to the remote one. Raise PortError if this fails.
+
+        The sender that was confirmed before is forgotten.
+        """
         self._open_socket(shared=False)
 
     def take_over(self) -> None:
@@ -153,9 +156,9 @@ class UdpPort(Port):
     def write(self, data: bytes) -> None:
         """Send bytes to the device as one datagram.
 
-        A port that listens has no address of the device before its first frame; until then nothing is sent, and neither
-        by a closed port. A datagram that the network does not accept is lost without an error. Raise PortError if the
-        socket fails.
+        A port that listens has no address of the device before `confirm`; until then nothing is sent, and neither by a
+        closed port. A datagram that the network does not accept is lost without an error. Raise PortError if the socket
+        fails.
         """
         if self._socket is None or self._peer is None:
             return
@@ -192,7 +195,10 @@ class TcpPort(Port):
         self._socket: socket.socket | None = None
 
     def open(self) -> None:
-        """Connect to the server. Raise PortError if there is no connection within 2 s (CONNECT_S)."""
+        """Connect to the server. Raise PortError if there is no connection within 2 s (CONNECT_S).
+
+        If the host has several addresses, each is tried for 2 s.
+        """
         self.close()
         _resolve_address(self._host, self._number, socket.SOCK_STREAM, False)
         try:

@@ -71,7 +71,10 @@ class SerialPort(Port):
         return data
 
     def write(self, data: bytes) -> None:
-        """Write all bytes to the serial port. Raise PortError if it accepts no more bytes within 50 ms (WRITE_S)."""
+        """Write all bytes to the serial port.
+
+        Raise PortError if it does not accept all of them within 50 ms (WRITE_S), or if the device was disconnected.
+        """
         deadline = time.monotonic() + WRITE_S
         left = memoryview(data)
         while left:
