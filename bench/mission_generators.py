@@ -314,8 +314,8 @@ def _chirps(builder: SegmentBuilder, rng: np.random.Generator, stop: float, n_ma
     """Append chirp segments of 15 to 30 s up to time ``stop`` [s]: oscillations about rest or about forward speed.
 
     The segments are appended to ``builder``, which is changed in place. ``rng`` draws mean, amplitude, duration and
-    kind; the commands are clipped to ``n_max``. The last chirp is cut at ``stop``; none is added for a rest of 40 ms or
-    less. In a chirp the difference of the commands ("yaw") or their mean ("surge", the left command 0.14 above the
+    kind; the commands are clipped to ``n_max``. The last chirp is cut at ``stop``; none is added if 40 ms or less
+    remain. In a chirp the difference of the commands ("yaw") or their mean ("surge", the left command 0.14 above the
     right one) oscillates with a frequency that rises from 0.05 to 0.5 Hz. In "both" each command oscillates alone, the
     right one with 1.37 times this frequency. Chirps contain information about lags, delays and added masses.
     """
