@@ -51,7 +51,7 @@ class SegmentBuilder:
             Time [s] for which each row of commands holds. Times of changes are rounded to ms.
         rows : list of list of float
             Rows of commands: one command for each thruster in each row, which is rounded to 1e-6. If it is empty, no
-        segment is appended.
+            segment is appended.
         """
         if not rows:
             return
@@ -261,8 +261,8 @@ def _surge_steps(builder: SegmentBuilder, rng: np.random.Generator, stop: float,
     """Append a segment of surge steps up to time ``stop`` [s]: steady commands of 5 to 12 s, forward and in reverse.
 
     The segment is appended to ``builder``, which is changed in place. ``rng`` draws the order of the commands, up to
-    ``n_max``, and their durations. The commands of both thrusters differ by at most 0.3. The steps contain information
-    about the surge damping.
+    ``n_max``, and their durations; the last one is cut at ``stop``. The commands of both thrusters differ by at most
+    0.3, whatever ``n_max`` is. The steps contain information about the surge damping.
     """
     levels = np.array([0.2, 0.35, 0.5, 0.65, 0.8, 1.0, -0.5, 0.0, -0.3]) * n_max
     durations: list[float] = []
@@ -314,9 +314,10 @@ def _chirps(builder: SegmentBuilder, rng: np.random.Generator, stop: float, n_ma
     """Append chirp segments of 15 to 30 s up to time ``stop`` [s]: oscillations about rest or about forward speed.
 
     The segments are appended to ``builder``, which is changed in place. ``rng`` draws mean, amplitude, duration and
-    kind; the commands are clipped to ``n_max``. In a chirp the difference of the commands ("yaw"), their mean
-    ("surge"), or both oscillate with a frequency that rises from 0.05 to 0.5 Hz. Chirps contain information about
-    lags, delays and added masses.
+    kind; the commands are clipped to ``n_max``. The last chirp is cut at ``stop``; none is added if 40 ms or less
+    remain. In a chirp the difference of the commands ("yaw") or their mean ("surge", the left command 0.14 above the
+    right one) oscillates with a frequency that rises from 0.05 to 0.5 Hz. In "both" each command oscillates alone, the
+    right one with 1.37 times this frequency. Chirps contain information about lags, delays and added masses.
     """
     number = 0
     while stop - builder.t > RAMP_DT:

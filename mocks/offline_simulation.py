@@ -78,7 +78,8 @@ def simulate(
     gear : DeviceSpecs
         Specifications of the devices of the boat; by default an AHRS, a GNSS receiver and two speed controllers.
     faults : Faults, optional
-        Faults. Those that change samples act, and `esc-dead`. Faults of bytes, clocks and ports have no effect.
+        Faults. Those that change or suppress samples act, and `esc-dead`, which lasts to the end of the simulation.
+        `esc-stuck` and faults of bytes, clocks and ports have no effect.
 
     Returns
     -------

@@ -207,7 +207,10 @@ def _rounded(value: float, resolution: float) -> float:
 
 
 def _noise_gain(effects: Sequence[HiddenEffect]) -> float:
-    """Return the factor by which ``effects`` together multiply the white noise of AHRS and GNSS; 1 without any."""
+    """Return the factor by which ``effects`` together multiply the white noise of AHRS and GNSS; 1 without any.
+
+    The noise of the magnetic field is not multiplied.
+    """
     return math.prod(e.noise.gain for e in effects if e.noise is not None)
 
 
@@ -236,7 +239,8 @@ class GnssSensor:
         effects : sequence of HiddenEffect
             All hidden effects of the boat. The receiver applies those of the noise and of the resolution of velocity.
         sigma : float
-            Standard deviation of the white noise of each horizontal axis [m].
+            Standard deviation of the white noise of each horizontal axis [m], before the effects multiply it. It is
+            also the accuracy that each sample reports.
         index : int
             Number of the receiver on the boat. It selects the stream of random numbers.
         """

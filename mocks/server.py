@@ -157,8 +157,8 @@ class Server:
     def _advance_world(self, t: float) -> None:
         """Advance the simulated boat or bench to run time ``t`` [s], and send the samples that become due.
 
-        At most STEPS_MAX steps are made, so that the ports are served even if the simulation is late; later calls make
-        up for the rest. Then the bytes that wait at the ports are sent.
+        The last step ends just after ``t``. At most 400 steps (STEPS_MAX) are made, so that the ports are served even
+        if the simulation is late; later calls make up for the rest. Then the bytes that wait at the ports are sent.
         """
         world = self._world
         for _ in range(STEPS_MAX):

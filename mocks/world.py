@@ -277,8 +277,8 @@ class TelemetryDelay:
     def __init__(self, steps: int, present: Callable[[], ThrusterState]) -> None:
         """Set up a dead time of ``steps`` steps of the simulation for the telemetry of one thruster.
 
-        ``present`` is a function that returns the present state of the thruster. The present state is reported until
-        the dead time has passed.
+        ``present`` is a function that returns the present state of the thruster. The state at this call is reported
+        until the dead time has passed.
         """
         self._present = present
         self._states = deque([present()], maxlen=steps + 1)  # from the oldest to the newest

@@ -21,7 +21,8 @@ def actuator_plan(rig: Rig, n: float = N_ACTUATOR_TEST) -> Mission:
 
     The thrusters run one after the other: at ``n`` for 3 s, at ``-n`` for 3 s, and forward in a staircase of six equal
     steps up to ``n``, each for 0.8 s. Then all thrusters run together, at ``n`` for 3 s and at ``-n`` for 3 s. The
-    commands are zero for 1.5 s between these, and for 4 s at the start and at the end.
+    commands are zero for 1.5 s after each of these (not between the levels of a staircase), and for 4 s at the start
+    and at the end.
 
     Parameters
     ----------

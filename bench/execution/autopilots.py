@@ -257,9 +257,9 @@ class Autopilots:
     def _set_manual_and_arm(self, device: Device) -> None:
         """Put an autopilot into the mode MANUAL and arm it, with zero commands on its thrusters.
 
-        A request is left out if the autopilot is in MANUAL or armed already. An autopilot that this method arms is
-        stored as armed by this run, so that `disarm` disarms it. Raises SeatrialError if the autopilot refuses a
-        request, or if the request has no answer or no effect in 10 s (wall).
+        A request is left out if the autopilot is in MANUAL or armed already. Before the request to arm, the autopilot
+        is stored as armed by this run, so that `disarm` disarms it, even if the request fails. Raises SeatrialError if
+        the autopilot refuses a request, or if the request has no answer or no effect in 10 s (wall).
         """
         link = self._link_status(device)
         if link.mode != MANUAL:
@@ -328,6 +328,7 @@ class Autopilots:
         ------
         SeatrialError
             If an autopilot does not confirm within 10 s (wall). A run that leaves a vehicle armed counts as failed.
+            Also if the acquisition process has ended.
         """
         self.disarm()
         if armed := self.maybe_armed():
@@ -339,9 +340,10 @@ class Autopilots:
     def maybe_armed(self) -> list[str]:
         """Return the names of autopilots that this run has armed and whose disarming is not confirmed.
 
-        The confirmation is a heartbeat with the state "disarmed" that was sent after the request and is at most 3 s
-        (wall) old. If the acquisition has failed, its watchdog process has tried to disarm them. Then an autopilot
-        counts as disarmed only if the note that the watchdog has written beside the log reports this.
+        The confirmation is a heartbeat with the state "disarmed" that was received at least 0.1 s after the first
+        request to disarm (before such a request: after that to arm) and is at most 3 s (wall) old. If the acquisition
+        has failed, its watchdog process has tried to disarm them. Then an autopilot counts as disarmed only if the note
+        that the watchdog has written beside the log reports this.
         """
         try:
             links = [self._link_status(self._rig.device(name)) for name in self._armed]
@@ -360,7 +362,8 @@ class Autopilots:
         """Request the autopilots that this run has armed to disarm; no error is raised if they do not confirm it.
 
         The request is repeated every second to those that have not confirmed, for at most 10 s (wall). Signals do not
-        interrupt it. Nothing is sent if this run has armed no autopilot.
+        interrupt it. Nothing is sent if this run has armed no autopilot. Raises SeatrialError if the acquisition
+        process has ended.
         """
         begun, requested_at = time.monotonic(), -math.inf
         self._armed = dict.fromkeys(self._armed, begun)

@@ -242,14 +242,16 @@ def measure_link_loss(log: Log, device: Device, link: LinkStatus, n: float) -> L
     Returns
     -------
     LinkTest
-        Result with the time until the last output was at neutral. This time is 10 s (`SILENCE_S`) if an output was not
-        at neutral when frames were sent again. A value of NaN counts as not at neutral.
+        Result, dated with the present time, with the time from the last frame until the last output was at neutral
+        (|n| at most 0.02) and stayed there. This time is 10 s (`SILENCE_S`) if an output was not at neutral when frames
+        were sent again, or was not reported between. A value of NaN counts as not at neutral.
 
     Raises
     ------
     SeatrialError
         If the log lacks the event at which the runner stopped frames, or frames to this autopilot. Also if the last
-        output before frames stopped was below half of ``n``: its neutral value afterwards then proves nothing.
+        output of a thruster before frames stopped was below half of ``n`` in absolute value or was not reported: its
+        neutral value afterwards then proves nothing.
     """
     rig = log.rig
     assert rig is not None

@@ -151,8 +151,8 @@ class LiveDisplay:
 def _live_lines(view: MissionStatus) -> Group:
     """Return the two lines of the live display for the state ``view`` of a run, as an object that rich can draw.
 
-    The first line has the segment, a progress bar and the elapsed time. The second line has commands and measured
-    values; it is red if there is a warning.
+    The first line has the segment (cut to 24 characters), a progress bar and the elapsed time, clipped to the length
+    of the mission. The second line has commands and measured values; it is red if there is a warning.
     """
     done = min(max(view.elapsed, 0.0), view.total)
     head = Table.grid(padding=(0, 1))
@@ -256,7 +256,8 @@ class StopSignals:
 class Keys:
     """Context in which single keys of the terminal are read, without Enter; `take` returns them.
 
-    No keys are read if standard input is not a terminal, or if this process is not in the foreground of it.
+    No keys are read if, at the beginning of the context, standard input is not a terminal or this process is not in the
+    foreground of it.
     """
 
     def __init__(self) -> None:
@@ -289,14 +290,20 @@ class Keys:
 
     @property
     def available(self) -> bool:
-        """Whether keys are read: standard input is a terminal, and this process is in the foreground of it."""
+        """Whether keys are read: True only inside the context, and only until `take` finds the terminal closed.
+
+        The terminal is tested once, at the beginning of the context: standard input must be a terminal, and this
+        process must be in the foreground of it.
+        """
         return self._fd >= 0
 
     def take(self) -> str:
         """Return the keys that were pressed since the last call, as characters in their order; empty without any.
 
-        The key `p` is returned as a space. A key that is held or repeated within 1 s counts once, except `m`. The call
-        never waits. If no keys are read from a terminal, or it was closed, the text is empty.
+        The key `p` is returned as a space. A key other than `m` is left out if it was last pressed (or repeated by
+        holding it) at most 1 s ago. One call reads at most 64 bytes; the next call reads the rest. Characters that are
+        not ASCII are left out. The call never waits. If no keys are read from a terminal, or it was closed, the text is
+        empty.
         """
         if self._fd < 0 or not select.select([self._fd], [], [], 0.0)[0]:
             return ""
@@ -309,8 +316,9 @@ class Keys:
     def _without_repetitions(self, keys: str, now: float) -> str:
         """Return the pressed ``keys`` without those that repeat the same key within 1 s, at monotonic time ``now`` [s].
 
-        Pause and resume are the same key, so that a held key must count once. The key `m` (mark) always counts. The key
-        `p` is returned as a space. The time of each key is stored for the next call.
+        The 1 s counts from the last press of the key, even if that was left out too. Pause and resume are the same key,
+        so that a held key must count once. The key `m` (mark) always counts. The key `p` is returned as a space. The
+        time of each key is stored for the next call.
         """
         taken = ""
         for key in keys.replace("p", " "):

@@ -92,7 +92,8 @@ def run_mission(
     arm : bool
         Whether to put autopilots into MANUAL and arm them before the run, and to disarm them after it.
     retries : int
-        How many segments of the mission, in all, are repeated if set-points or samples were lost in them.
+        How many segments of the mission, in all, are repeated if set-points or samples were lost in them, or a device
+        was silent. It is not used with ``commands``.
     commands : CommandSource, optional
         Commands that replace the set-points of the mission. The limits of the mission apply to them.
 
@@ -104,7 +105,8 @@ def run_mission(
     Raises
     ------
     SafetyStop
-        If the guard ends the run, or if zero thrust is not measured at its end.
+        If the guard ends the run, if zero thrust is not measured at its end although thrust was commanded, or if this
+        program stood still for more than 1 s or the computer was suspended.
     RunInterrupted
         On Ctrl-C, SIGTERM or SIGHUP.
     SeatrialError
@@ -114,7 +116,7 @@ def run_mission(
     Notes
     -----
     Before an error is raised, zero is commanded and the log is closed. The message reports zero thrust only if it was
-    measured. Otherwise the exit status is 3.
+    measured. If it was not, and thrust was commanded in this run, the exit status is 3 whatever the error is.
     """
     keys = Keys()
     with _prepared_runner(mission, rig, path, display, metadata or {}, keys, commands) as runner:
@@ -125,7 +127,8 @@ def run_link_test(rig: Rig, path: Path, display: Display, metadata: dict[str, st
     """Run a link test: measure how soon each autopilot ends thrust after a lost link. THRUSTERS TURN.
 
     The thrusters get a tenth of full command, then no frame is sent to the autopilots, and their outputs are recorded.
-    The results are stored in RIG.link-test.json beside the rig file. It must be called from the main thread.
+    The results are stored in RIG.link-test.json beside the rig file. No keys are read. It must be called from the main
+    thread.
 
     Parameters
     ----------
@@ -153,8 +156,9 @@ def run_link_test(rig: Rig, path: Path, display: Display, metadata: dict[str, st
     RunInterrupted
         On Ctrl-C, SIGTERM or SIGHUP.
     SeatrialError
-        If no thruster is behind an autopilot, the log exists already, the test cannot start, a device or the
-        acquisition fails, or an output did not follow the command before the link was interrupted.
+        If no thruster is behind an autopilot, `limits.n_max` is below 0.1, the log exists already, the test cannot
+        start, a device or the acquisition fails, an autopilot does not confirm that it is disarmed, an output did not
+        follow the command before the link was interrupted, or the file of results cannot be read or written.
     """
     with _prepared_runner(link_test_plan(rig), rig, path, display, metadata, nullcontext()) as runner:
         tests = runner.test_link(arm)
@@ -176,8 +180,8 @@ def _prepared_runner(
 
     Handlers of signals and ``keys`` (the context that reads keys of the operator) are started too. The other parameters
     are those of `run_mission`; ``display`` is not started here. At the end of the context the acquisition is stopped
-    and the signal handlers are restored. Raises SeatrialError if the mission is beyond the limits, the log exists, or
-    the acquisition cannot start.
+    and the signal handlers are restored (if a signal has arrived, signals are ignored from then on). Raises
+    SeatrialError if the mission is beyond the limits, the log exists, or the acquisition cannot start.
     """
     dry_run(mission, rig)
     new_log_file(path)
@@ -217,9 +221,9 @@ class NewestValues(NamedTuple):
     Attributes
     ----------
     force : float or None
-        Force of a load cell [N]; None if no device has measured a force.
+        Force of a load cell [N]; None if no newest sample of a device has a finite force.
     speed : float or None
-        Speed over ground of a GNSS receiver [m/s]; None if no device has measured a speed.
+        Speed over ground of a GNSS receiver [m/s]; None if no newest sample of a device has a finite speed.
     rpm : dict of (str, int) to float
         Shaft speed [rev/min] of each speed controller that has reported, by its device and node.
     """
@@ -243,8 +247,8 @@ def newest_values(status: Status, guard: SafetyGuard) -> NewestValues:
     -------
     NewestValues
         The values. A value whose sample is outdated is NaN. If several devices measure force or speed, the last of
-        them in the status whose sample is not outdated counts. Force or speed are None if no device has reported a
-        finite value.
+        them in the status whose sample is not outdated counts. Force or speed are None if no newest sample of a device
+        has a finite value.
     """
     force: float | None = None
     speed: float | None = None
@@ -377,9 +381,10 @@ class _Runner:
     def _interrupt_links(self) -> None:
         """Command the set-points of a link test, then send no frame to the autopilots and wait for neutral outputs.
 
-        Frames stop 3 s after the first set-point. The method returns when all outputs have been at neutral for 0.5 s,
-        or 10 s after frames stopped. All times are wall seconds. Raises SafetyStop if a limit is passed, a device is
-        silent, or the acquisition process stops thrust by itself.
+        Frames stop 3 s after the first set-point. The method returns when all reported outputs have been at neutral
+        (|n| at most 0.02, or NaN) for 0.5 s, or 10 s after frames stopped. All times are wall seconds. Raises
+        SafetyStop if a limit is passed, a device is silent, or the acquisition process stops thrust by itself, and
+        RunInterrupted if a signal arrives.
         """
         speed, start = self._clock.speed, self._clock.now() + LEAD_S * self._clock.speed
         t, n = self._mission.setpoints()
@@ -632,8 +637,9 @@ class _Runner:
         """Return the part of the error message that describes the thrust at the end of a run.
 
         ``rests`` has the measurement of each thruster; None if the acquisition has failed. The text is "thrust is zero"
-        (`ZERO`) only if zero was measured on all. Otherwise it names the autopilots that still command thrust, or
-        states that no thrust was commanded in this run, or that zero was sent but not confirmed, with the measurements.
+        (`ZERO`) only if zero was measured on all. Otherwise it names the thrusters that an autopilot still drives, with
+        the modes of the mission's autopilots. Without such thrusters it states that no thrust was commanded in this
+        run, or that zero was sent but not confirmed, with the measurements.
         """
         if _all_at_zero(rests):
             return ZERO

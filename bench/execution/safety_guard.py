@@ -9,15 +9,15 @@ opens no port and drives nothing, so a recorded log can be replayed through it.
 ======== ========================================= =====================================================
 state    set-points that are allowed               leaves to
 ======== ========================================= =====================================================
-WAITING  none                                      RUNNING by `start`, when every limit has a source
+WAITING  none                                      RUNNING by `start`; STOPPED, at a stop
 RUNNING  within n_max                              STOPPED, at the first stop
 STOPPED  none                                      no state: thrust starts only with a new run
 ======== ========================================= =====================================================
 
-A limit needs a source: a device that reports the limited quantity, and whose values change when the thrust changes. If
-a limit has no source, no set-point is allowed. If a limit loses its source, the run ends. The geofence is a circle
-around the start; the boat must be able to stop inside it. The outputs of autopilots and the reports of speed
-controllers are compared with the commands, so that zero thrust is a measurement.
+A limit needs a source: a device that reports the limited quantity, and whose values change when the thrust changes. The
+caller of `start` has to wait until every limit has a source. If a limit has no source in a check, or loses it, the run
+ends. The geofence is a circle around the start; the boat must be able to stop inside it. The outputs of autopilots and
+the reports of speed controllers are compared with the commands, so that zero thrust is a measurement.
 
 Two further protections work without the guard. The acquisition process commands zero if the runner sends no heartbeat.
 Every ESC stops by its own time-out if the acquisition process sends no command.
@@ -323,9 +323,10 @@ class MovementWatch:
         """Whether the device is frozen: its value should have changed by now because of the commands.
 
         A position must change after an integral of 3 s of the absolute mean command of all thrusters (and at least
-        5 s), or after 5 m by the reported speed. Any other value must change within 2 s after a change of a command by
-        0.3. All of this counts from the last change of the value, in run time. At least 5 samples must have repeated
-        the value.
+        5 s), or after 5 m by the reported speed, counted from its last change; at least 5 samples must have repeated
+        it. Any other value must change within 2 s and 5 samples after the first sample at which a command differs by
+        0.3 or more from the command at the last change of the value; if the command goes back later, this still counts.
+        All times are run time.
         """
         if self.is_position:
             driven = self._impulse >= IMPULSE_S and self.unchanged_s >= AT_REST_S
@@ -375,8 +376,9 @@ class LimitSource:
     def observe(self, source: Source, sample: Sample, t: float, commands: Mapping[str, float]) -> None:
         """Take a sample, and store its device as the source of the limit if the sample contains the limited quantity.
 
-        Other samples, and NaN, are ignored. A device whose value is frozen does not count any more, until its value
-        changes or another device reports.
+        Other samples, and values that are not finite, are ignored. A device whose value is frozen does not count any
+        more, until its value changes or another device reports. If another device is the source, a frozen one is
+        ignored. A sample that is not newer than the stored report does not replace it.
 
         Parameters
         ----------
@@ -432,8 +434,9 @@ class LimitSource:
 def _limit_sources(rig: Rig, thrusters: list[Thruster]) -> Iterator[LimitSource]:
     """Yield the limits of a rig that have to be watched in a run, still without a device that reports the quantity.
 
-    A limit of speed controllers is yielded once for each of ``thrusters``, and the limit of the force once for each
-    load cell. Limits that the rig does not set, or that `unwatched` in [limits] names, are left out.
+    A limit of speed controllers (also that of the voltage) is yielded once for each of ``thrusters``, and the limit of
+    the force once for each load cell, or once without a load cell. Limits that the rig does not set, or that
+    `unwatched` in [limits] names, are left out.
     """
     cells = [device.name for device in rig.devices if device.protocol in LOAD_CELLS]
     for key, quantity in _QUANTITIES.items():
@@ -493,7 +496,10 @@ class History:
             self._rows.popleft()
 
     def since(self, t: float) -> list[float]:
-        """Return the values that the quantity had at run time ``t`` [s] or later, oldest first; empty without any."""
+        """Return the values that the quantity had at run time ``t`` [s] or later, oldest first; empty without any.
+
+        The last value that was added before ``t`` is among them, even if another one was added exactly at ``t``.
+        """
         recent = [value for at, value in self._rows if at >= t]
         held = [value for at, value in self._rows if at < t][-1:]
         return held + recent
@@ -521,8 +527,9 @@ class OutputCheck:
     def reason(self, status: Status) -> str:
         """Compare the newest output with the recent commands, and return why the run has to end, in one line.
 
-        The text is empty if the run may go on: the output is within 0.05 of the range of the commands of the last
-        0.25 s (wall), or deviates for less than 0.1 s (wall), or is not reported. The command in ``status`` is stored.
+        The text is empty if the run may go on: the output is within 0.05 of the range of the commands since 0.25 s
+        (wall) before its sample, or deviates for less than 0.1 s (wall), or is NaN or not reported. The command in
+        ``status`` is stored.
         """
         self._commands.append((status.t, status.commanded.get(self._thruster.name, 0.0)))
         while self._commands[0][0] < status.t - 2.0 * self._window_s:
@@ -569,13 +576,14 @@ class _Motion(enum.Enum):
     Attributes
     ----------
     REST
-        The motor stands still, or turns more slowly than a driven motor (`ControllerCheck.idle_rpm`).
+        The motor stands still, or turns more slowly than a driven motor (`ControllerCheck.idle_rpm`), or its duty is at
+        most 0.05 and no shaft speed is reported.
     COASTS
-        The motor turns, and its duty or current shows that it is not driven.
+        The motor turns, and its small current, or its small duty and a falling speed, show that it is not driven.
     SLOWS
         The speed of the motor falls, and no measurement shows whether it is driven.
     DRIVEN
-        Its duty, or a speed that does not fall, shows that the motor is driven.
+        Its duty, or a speed that does not fall (without a small current), shows that the motor is driven.
     UNKNOWN
         Neither the duty nor the shaft speed of the motor is reported.
     """
@@ -596,7 +604,8 @@ class ControllerCheck:
     propeller turns freely while the boat coasts. Faults are more duty than commanded, a propeller that is driven
     seconds after zero was commanded, a motor that does not turn when commanded, and frozen telemetry.
 
-    The attribute `idle_rpm` is the largest shaft speed [rev/min] at which a motor counts as at rest.
+    The attribute `idle_rpm` is the largest shaft speed [rev/min] at which a motor counts as at rest: 7 % of the
+    thruster's `rpm_max`, but 30 to 300, and 300 without `rpm_max`.
     """
 
     def __init__(self, thruster: Thruster, speed: float) -> None:
@@ -688,8 +697,9 @@ class ControllerCheck:
     def _still_driven(self, esc: Esc, t: float) -> str:
         """Return why the run has to end if the motor is still driven 3 s after zero was commanded; else empty.
 
-        ``esc`` is the newest sample of the speed controller, and ``t`` its run time [s]. A motor whose shaft speed has
-        changed by more than 8 % in these 3 s gives no reason, because the flow may turn it.
+        ``esc`` is the newest sample of the speed controller, and ``t`` its run time [s]. The 3 s are longer by the
+        delay of the link (0.25 s of wall time). A motor whose shaft speed has changed by more than 8 % in this time
+        gives no reason, because the flow may turn it. Nor do commands that do not reach back so far.
         """
         begin = t - self._coast_s
         if not self._commands.covers(begin) or any(self._commands.since(begin)):
@@ -706,8 +716,10 @@ class ControllerCheck:
         """Return the motion of the motor, under the condition that zero is commanded to it.
 
         ``esc`` is the newest sample of its speed controller, and ``t`` the run time of this sample [s]. A duty above
-        0.05 means driven. Below it, the motor coasts if its current is at most 5 % of the largest so far (which must
-        have reached 1 A). Otherwise it is driven if its speed is above 92 % of the largest in the last 3 s.
+        0.05 means driven. Below it, a motor up to `idle_rpm`, or without a reported speed, is at rest; without duty and
+        speed its motion is unknown. A faster one coasts if its current is at most 5 % of the largest so far (which must
+        have reached 1 A). Otherwise it is driven if its speed is above 92 % of the largest in the last 3 s (and 0.25 s
+        of wall time). Else it coasts if its duty is reported, and slows if not.
         """
         has_duty = math.isfinite(esc.duty)
         if has_duty and abs(esc.duty) > FREE_DUTY:
@@ -727,8 +739,9 @@ class ControllerCheck:
         """Return why the run has to end if the motor does not turn after 3 s of commands of 0.3 or more; else empty.
 
         ``esc`` is the newest sample of the speed controller, and ``t`` its run time [s]. The commands must have one
-        sign. A motor does not turn if its reported shaft speed is below 10 rev/min and its reported duty at most 0.05.
-        A motor that draws more than 0.5 A, or that reports neither of these, gives no reason.
+        sign. The 3 s are longer by the delay of the link (0.25 s of wall time). A motor does not turn if its shaft
+        speed is below 10 rev/min and its duty at most 0.05; only the one that is reported counts. A motor that draws
+        more than 0.5 A, or that reports neither of these, gives no reason.
         """
         begin = t - self._coast_s
         recent = self._commands.since(begin)
@@ -1039,8 +1052,8 @@ class SafetyGuard:
         """Return whether the newest sample of a source is too old to be displayed.
 
         ``source`` is the device and node; ``status`` must contain a sample of it. Too old is more than 1.5 times the
-        silence that the rate of the device permits, or 3 times if it sends several kinds of samples. The guard itself
-        does not use this.
+        silence that the rate of the device permits, or 3 times if it sends several kinds of samples. Nodes of a device
+        share its rate. The guard itself does not use this.
         """
         name = source[0].partition("/")[0]
         kinds, nodes = count_senders(status, name)
@@ -1349,8 +1362,8 @@ class Fence:
     def reason(self, name: str, fix: Gnss, t: float) -> str:
         """Return why the run has to end, in one line; empty while the boat is inside the fence and can stop inside it.
 
-        The first position is the centre of the fence. A sample without a position fix, and a position that the boat
-        cannot have reached and that no second one confirms, give an empty text.
+        The first position is the centre of the fence, even if it is doubtful. A sample without a position fix, and a
+        position that the boat cannot have reached and that no second one confirms, give an empty text.
 
         Parameters
         ----------
@@ -1379,9 +1392,9 @@ class Fence:
         """Return whether the position ``here`` of the receiver ``name`` is doubtful and not confirmed.
 
         A position is doubtful if the boat cannot have reached it: more than 20 m plus 15 m/s times the time from the
-        receiver's last accepted position, or a speed above 15 m/s. The first one is stored. If the next newer position
-        is doubtful by the same rule, return False for it: the jump is confirmed, whether or not both are close to each
-        other.
+        receiver's last accepted position, or a reported speed above 15 m/s. Before the first accepted position only the
+        speed counts. The first doubtful one is stored. If the next newer position is doubtful by the same rule, return
+        False for it: the jump is confirmed, whether or not both are close to each other.
         """
         last = self._last.get(name)
         if last is not None:

@@ -56,7 +56,7 @@ class MissionSequencer:
     timeline : Schedule
         Run times of the mission's set-points and segments.
     commanded : int
-        Number of set-points that were given to the receiver so far, counted for each thruster.
+        Number of set-points that were given to the receiver so far; a set-point for two thrusters counts as two.
     """
 
     def __init__(
@@ -127,7 +127,8 @@ class MissionSequencer:
         """Check the last segment when the mission has ended, and return whether the mission goes on to repeat it.
 
         ``now`` is the run time [s], and ``status`` the newest status of the acquisition. The segment is scheduled again
-        if its data are invalid (lost set-points or samples, or a silent device) and repetitions are left.
+        if its data are invalid (lost set-points, samples or ports, or a silent device) and repetitions are left;
+        without a repetition the log gets an event "invalid". The method also returns True if the mission has not ended.
         """
         self._enter_step(now, status)
         return not self.is_over(now)
@@ -135,8 +136,8 @@ class MissionSequencer:
     def step(self, now: float, ahead: float, status: Status, keys: str = "") -> None:
         """Act on pressed keys and on the status, then send the set-points that are due soon.
 
-        During a pause only keys are handled. When a segment ends in which data were lost, it is repeated or marked as
-        invalid in the log.
+        During a pause only keys are handled. When a segment ends in which data were lost or a device was silent, it is
+        repeated, or marked as invalid in the log if no repetition is left.
 
         Parameters
         ----------
@@ -312,7 +313,7 @@ class CommandSource(Protocol):
     """
 
     def put(self, samples: Sequence[StreamedSample], dropped: int) -> None:
-        """Pass new samples of the log to the source, which publishes them, and the number of dropped samples.
+        """Pass new samples of the log to the source, which publishes them, and the number of samples dropped so far.
 
         The method never waits.
         """
@@ -330,11 +331,12 @@ class CommandFollower(MissionSequencer):
     Notes
     -----
     If one thruster gets no new command for a time-out, zero is commanded to all thrusters. At the start, and after each
-    such silence or pause, commands are followed only after zero was commanded to every thruster, as with a transmitter.
+    such silence or pause, commands are followed only once the external sender has sent zero for every thruster (newest
+    commands of at most 0.02), as with a transmitter.
 
     The run ends after an invalid command, a command beyond `n_max`, a command without a complete attachment (the
     metadata with sequence number, time and id of its publisher), a repeated command or one out of order, a second
-    sender, and too many commands at once.
+    sender within the time-out, and too many commands at once. This is also checked during a pause.
     """
 
     def __init__(
@@ -383,8 +385,10 @@ class CommandFollower(MissionSequencer):
     def step(self, now: float, ahead: float, status: Status, keys: str = "") -> None:
         """Take the new external commands, check them, and schedule the resulting set-points within the slew limit.
 
-        If a thruster has had no command for the time-out, zero is scheduled on all thrusters. Nothing is scheduled
-        during a pause, and before the newest commands of all thrusters are zero (at most 0.02).
+        If commands are followed and a thruster has had none for the time-out, zero is scheduled on all thrusters, also
+        during a pause. Otherwise nothing is scheduled during a pause, while a thruster has had no command for the
+        time-out, and before the newest external commands for all thrusters are zero (at most 0.02). Commands are
+        checked in all these cases.
 
         Parameters
         ----------
@@ -440,9 +444,9 @@ class CommandFollower(MissionSequencer):
     def _accept_command(self, name: str, command: ReceivedCommand, now: float) -> None:
         """Check an external command for the thruster ``name``, and store it as the newest, with run time ``now`` [s].
 
-        Another sender may take over only after the time-out without a command. Raises SafetyStop if the command is NaN,
-        beyond the mission's `n_max`, without an id of its sender, of a second sender, repeated, or out of order (its
-        sequence number is not above that of the sender's command before).
+        Another sender may take over only after the time-out without a command for this thruster. Raises SafetyStop if
+        the command is NaN, beyond the mission's `n_max`, without an id of its sender, of a second sender, repeated, or
+        out of order (its sequence number is not above that of the sender's command before for this thruster).
         """
         if not abs(command.n) <= self._mission.n_max:  # written with `not`, so that NaN is refused too
             limit = f"{self._mission.n_max:g}"
@@ -485,9 +489,10 @@ class CommandFollower(MissionSequencer):
             self.commanded += len(n)
 
     def _stop_following(self, why: str) -> None:
-        """Schedule zero on all thrusters, and follow no external command until all thrusters are commanded zero.
+        """Schedule zero on all thrusters, and follow no external command until the sender has sent zero for all.
 
-        ``why`` is the reason, which is logged and printed. Nothing is done if no commands are followed at present.
+        Zero is a newest command of at most 0.02. ``why`` is the reason, which is logged and printed. Nothing is done if
+        no commands are followed at present.
         """
         # Zero is sent as a set-point and not as `zero`, which would end a stop by the acquisition process itself.
         if self._follows:
@@ -497,9 +502,10 @@ class CommandFollower(MissionSequencer):
             self._say(f"zero thrust is commanded: {why}; to continue, publish the command 0 for every thruster")
 
     def _restart_step(self, now: float) -> None:
-        """Forget all external commands, and follow none until all thrusters are commanded zero.
+        """Forget all external commands, and follow none until the external sender has sent zero for every thruster.
 
-        It is called after a pause or the key `r`, when thrust is zero. ``now`` is not used.
+        Zero is a newest command of at most 0.02. Senders and sequence numbers are forgotten too, so that another sender
+        may begin at once. It is called after a pause or the key `r`, when thrust is zero. ``now`` is not used.
         """
         self._follows, self._heard = False, {}
         self._scheduled_n = dict.fromkeys(self._scheduled_n, 0.0)
@@ -593,7 +599,7 @@ class Schedule:
         """Return the intervals at rest at the start and at the end of the mission, by their executed run times.
 
         Load cells are tared in them. Each is ("start" or "end", begin, end), with run times [s]. An interval is missing
-        if the mission does not rest there. The last one begins 3 s after zero thrust, when the water has calmed, or in
-        the middle of a last segment of less than 6 s.
+        if the mission does not rest there; a mission of one segment has none at the end. The last one begins 3 s after
+        zero thrust, when the water has calmed, or in the middle of a last segment of less than 6 s.
         """
         return windows_of([(span.begin, span.end, span.name) for span in [*self._executed, *self._planned]])

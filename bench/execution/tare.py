@@ -58,8 +58,9 @@ def static_windows(mission: Mission, start: float) -> list[tuple[str, float, flo
     Returns
     -------
     list of tuple
-        ("start" or "end", begin, end), with run times [s]. An interval is missing if the mission does not rest there.
-        The last interval begins 3 s (`SETTLE_S`) after zero thrust, or in the middle of a segment of less than 6 s.
+        ("start" or "end", begin, end), with run times [s]. An interval is missing if the mission does not rest there; a
+        mission of one segment has none at the end. The last interval begins 3 s (`SETTLE_S`) after zero thrust, or in
+        the middle of a segment of less than 6 s.
     """
     return windows_of([(start + begin, start + end, name) for begin, end, name in mission.segment_times()])
 
@@ -76,8 +77,9 @@ def windows_of(spans: Sequence[tuple[float, float, str]]) -> list[tuple[str, flo
     Returns
     -------
     list of tuple
-        ("start" or "end", begin, end), with run times [s]. An interval is missing if there is no rest. The last
-        interval begins 3 s (`SETTLE_S`) after zero thrust, or in the middle of a segment that is shorter than 6 s.
+        ("start" or "end", begin, end), with run times [s]. An interval is missing if there is no rest; a single segment
+        gives none at the end. The last interval begins 3 s (`SETTLE_S`) after zero thrust, or in the middle of a
+        segment that is shorter than 6 s.
     """
     windows = []
     if spans[0][2] == STATIC:
@@ -100,7 +102,7 @@ def measure_tares(path: Path, rig: Rig, windows: Sequence[tuple[str, float, floa
     rig : Rig
         The rig with its load cells. Only devices with the protocol "loadcell" count.
     windows : sequence of tuple
-        Intervals at rest: ("start" or "end", begin, end), with run times [s].
+        Intervals at rest: ("start" or "end", begin, end), with run times [s]. Samples at ``end`` do not count.
 
     Returns
     -------

@@ -283,7 +283,8 @@ def _findings_at_rest(rig: Rig, seconds: float, mission: Any, path: Path) -> lis
     """Record all devices of a rig at rest, without a command to thrusters, and return the findings on them.
 
     The recording lasts ``seconds`` (wall) and is the new log ``path``. The findings concern ports, devices, space on
-    the disk and limits, and also the commands and the track of ``mission`` unless it is None.
+    the disk and limits, and also the commands and the track of ``mission`` unless it is None. If a port has a finding
+    (silent, error or remark), the other findings on the samples of its device are left out.
     """
     from seatrial.bench.execution import SafetyGuard
     from seatrial.bench.preflight.mission_checks import check_mission
@@ -320,7 +321,7 @@ def _confirmed_plan(rig: Rig, thrust: float | None, yes: bool, of_link: bool) ->
     Raises
     ------
     click.UsageError
-        If standard input is not a terminal, so that the question cannot be asked.
+        If standard input is not a terminal, so that the question cannot be asked; not with ``yes``.
     click.Abort
         If the operator does not confirm.
     SeatrialError

@@ -26,8 +26,9 @@ def log_findings(check_motion: Callable[[Path], list[Finding]], paths: Sequence[
     Returns
     -------
     list of Finding
-        Findings in the order of the logs. A log without samples gives a fault. A log to which no check applies gives
-        one finding of level OK. If there are several logs, the names of devices start with the name of the log.
+        Findings in the order of the logs. A log without samples gives a fault, and its motion is not checked. A log to
+        which no check applies gives one finding of level OK. If there are several logs, the place of each finding
+        (`where`, mostly a device) starts with the name of the log.
 
     Raises
     ------

@@ -24,9 +24,9 @@ CLOSE = 0.8  # fraction of the fence's radius beyond which a track is near the f
 def check_mission(mission: Mission, rig: Rig) -> Iterator[Finding]:
     """Yield the findings on a mission that is to be run with a rig. No thruster is commanded.
 
-    The first finding is whether its commands are within `limits.n_max` of the rig; beyond it there is this fault only.
-    The second finding is whether its predicted track stays inside the geofence. It is left out if the rig has no
-    `limits.radius_m`.
+    The first finding is whether its commands are within `limits.n_max` of the rig. If they are not, or if the rig lacks
+    a thruster of the mission, there is this fault only. The second finding is whether its predicted track stays inside
+    the geofence. It is left out if the rig has no `limits.radius_m`.
     """
     try:
         dry_run(mission, rig)
@@ -148,7 +148,9 @@ def track(mission: Mission, rig: Rig) -> tuple[FloatArray, FloatArray, FloatArra
 
 
 def _next_state(state: tuple[float, ...], thrust: float, moment: float, p: Mapping[str, float]) -> tuple[float, ...]:
-    """Return the state of a simulated boat after one time step of 0.05 s. The new velocities move the position.
+    """Return the state of a simulated boat after one time step of 0.05 s.
+
+    The new velocities, along the new heading, move the position.
 
     Parameters
     ----------
@@ -165,7 +167,7 @@ def _next_state(state: tuple[float, ...], thrust: float, moment: float, p: Mappi
     Returns
     -------
     tuple of six floats
-        The new state; six times NaN if the simulation has diverged.
+        The new state; six times NaN if the new heading is not finite (the simulation has diverged).
     """
     x, y, psi, u, v, r = state
     u_next = _next_velocity(u, thrust + p["m_v"] * v * r, p["m_u"], p["d_u"], p["d_uu"])

@@ -57,8 +57,10 @@ def check_ports(rig: Rig, status: Status) -> Iterator[Finding]:
     """Yield the findings on the ports of a rig after a recording at rest.
 
     They are devices without a sample, ports with an error (fault) or a remark of the decoder on the received data
-    (warning), devices that have fallen silent, autopilots, and thrusters that are not reported. The latter are left out
-    if no device at all has sent a sample. ``status`` is the last status of the recording.
+    (warning), devices that have fallen silent (for more than 10 periods of their rate, and 1 s of run and of wall
+    time), autopilots, and thrusters that are not reported. The latter are left out if no device at all has sent a
+    sample. For a device without a sample this fault is the only finding, and a port with an error or remark is not
+    tested for silence. ``status`` is the last status of the recording.
     """
     for device in rig.devices:
         port = status.ports.get(device.name)

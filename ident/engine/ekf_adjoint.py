@@ -199,7 +199,9 @@ class _TapeColumns:
     """Matrix columns that the forward pass stores side by side for the adjoint, in an array (n, stride) by matrix rows.
 
     In the backward pass, a second array of the same shape receives the product of a matrix (n, n) with these columns.
-    The stride is the number of columns, rounded up for vector instructions. Unused columns are zero.
+    The matrix is the left factor that the caller gives to `product`: for the array ``moved`` the matrix L of the module
+    (twice the derivatives by the covariance), for ``spread`` the matrix L Phi. The stride is the number of columns,
+    rounded up for vector instructions. Unused columns are zero.
 
     Attributes
     ----------
@@ -245,7 +247,7 @@ class _TapeColumns:
         return result
 
     def product_columns(self, matrix: str, rest: Any) -> Any:
-        """Return the product (n, n) of the left matrix of the backward pass with the matrix of the name ``matrix``.
+        """Return the product (n, n) of the left factor (L or L Phi, see the class) with the matrix named ``matrix``.
 
         Columns of the product that belong to stored columns are symbols of `result`. The other columns are those of
         ``rest`` (n, n).
@@ -266,7 +268,8 @@ class _TapeColumns:
     def factor(self, column: tuple[str, int], i: int) -> Factor:
         """Return a reference to entry i of the product with one stored column, which is given by its key.
 
-        The key ``column`` is (name of the matrix, index of the column).
+        The key ``column`` is (name of the matrix, index of the column). The reference is to the second array. The same
+        index is that of the stored entry in the first array.
         """
         return Factor(self._names[1], i * self._stride + self._column_of[column])
 

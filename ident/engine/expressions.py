@@ -27,7 +27,8 @@ def evaluate_instructions(
     Parameters
     ----------
     f : casadi.Function
-        Function of SX expressions. i and j below count its arguments, its results and their entries from zero.
+        Function of SX expressions. i and j below count its arguments, its results and their entries from zero. Of a
+        sparse argument or result, only the nonzero entries count.
     argument : Callable[[int, int], T]
         ``argument(i, j)`` returns the value of entry j of argument i.
     constant : Callable[[float], T]

@@ -45,6 +45,13 @@ def filter_kernels_for(model: Model, *, covariance: bool = True, joseph: bool = 
     -------
     FilterKernels
         Kernels, each of which is compiled on first use, or loaded from the cache on disk.
+
+    Raises
+    ------
+    ValueError
+        If the model has more than 32 sensors, or if its functions cannot be recorded by `kernel_cache` and do not
+        return one scalar for each rate and output. Other errors of its functions are raised at the first use of a
+        kernel.
     """
     with _lock:
         at = id(model), covariance, joseph

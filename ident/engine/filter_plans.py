@@ -69,7 +69,8 @@ class Plans:
 
         It runs from the last row to the first, and through the stages (updates and prediction) of a row in reverse
         order. Results: ``g``, the derivatives by the parameters, summed over the rows, and ``bar``, the derivatives by
-        the initial filter state. ``bar`` starts from zero at the last row.
+        the initial filter state. ``bar`` is carried; after the last row it has the values that the caller passes, zero
+        if none.
         """
         stages: list[ExpressionStage | GramStage | ProductStage] = []
         for (_, _, bit), adjoint in zip(self._forward_steps(), self._adjoints, strict=True):

@@ -86,7 +86,8 @@ def _store_result(plan: Plan, name: str, target: Array, value: Array) -> None:
 def _run_gram_stage(stage: GramStage, now: Mapping[str, Array], groups: int) -> None:
     """Add the inner products of all pairs of lanes in one row to the result matrix of a Gram stage, in place.
 
-    ``now`` has the arrays of the row by name. Only blocks of groups on and above the diagonal are written.
+    ``now`` has the arrays of the row by name. ``groups`` is the number of groups of ``plan.width`` lanes. The result
+    has the shape (groups, groups, width, width); only its blocks on and above the diagonal are written.
     """
     v = now[stage.source]
     for first in range(groups):
@@ -95,6 +96,9 @@ def _run_gram_stage(stage: GramStage, now: Mapping[str, Array], groups: int) -> 
 
 
 def _run_product_stage(stage: ProductStage, now: Mapping[str, Array]) -> None:
-    """Compute the matrix product of a stage in one row, and write it into its result array among the arrays ``now``."""
+    """Compute the matrix product of a stage in one row, and write it into its result array among the arrays ``now``.
+
+    The old values of the result are overwritten.
+    """
     left = [[(1 + factor.twice) * now[factor.array][factor.entry] for factor in row] for row in stage.left]
     now[stage.result][:] = (np.array(left) @ now[stage.right].reshape(-1, stage.stride)).ravel()

@@ -148,7 +148,7 @@ def load_machine_code(ir: str, symbol: str, has_loops: bool = False) -> tuple[An
     Raises
     ------
     RuntimeError
-        If llvmlite is not installed.
+        If llvmlite is not installed, or if the IR is invalid.
     """
     if not AVAILABLE:
         raise RuntimeError("llvmlite is not installed, so models cannot be compiled; pip install llvmlite")

@@ -126,7 +126,8 @@ class Kernel:
     def __init__(self, plan: Plan, compiled: bool | None = None) -> None:
         """Compile the plan, or load its machine code from the cache, or prepare its interpretation.
 
-        If ``compiled`` is None and llvmlite is missing, a warning is shown once per process.
+        If ``compiled`` is None and llvmlite is missing, a warning is shown once per process. NotImplementedError is
+        raised if the plan is compiled and has an operation that cannot be.
         """
         self.layout, self.code = plan.layout, ""
         self._build_plan: Callable[[], Plan] = lambda: plan

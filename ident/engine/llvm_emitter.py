@@ -204,7 +204,10 @@ class LlvmEmitter:
     # Stages
 
     def _write_stage(self, stage: ExpressionStage | GramStage | ProductStage) -> None:
-        """Write the IR of one stage (step in each row), with a branch that skips it if its bit of the mask is 0."""
+        """Write the IR of one stage (step in each row), with a branch that skips it if its bit of the mask is 0.
+
+        A stage whose ``bit`` is None has no such branch: it runs in every row.
+        """
         q = self.stage_index
         if stage.bit is None:
             self._append_lines(f"br label %do{q}")
@@ -434,8 +437,9 @@ class LlvmEmitter:
     def _write_operation(self, code: int, *a: Value) -> Value:
         """Write the IR of one CasADi operation on the one or two operands ``a``, and return its result.
 
-        ``code`` is CasADi's code of the operation, such as ``casadi.OP_ADD``. NotImplementedError is raised for an
-        operation that LLVM and the C library do not have.
+        ``code`` is CasADi's code of the operation, such as ``casadi.OP_ADD``. Some operations that LLVM and the C
+        library lack are composed of others: sin, cos, sign, not, and, or (`rewritten`), and the selection of a value or
+        zero. NotImplementedError is raised for any other operation that they lack.
         """
         if code in TEMPLATES:
             return self._write_instruction(TEMPLATES[code], *a)

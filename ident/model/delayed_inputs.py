@@ -42,7 +42,7 @@ def tap_name(name: str, tap: int, step: float | None = None) -> str:
     Parameters
     ----------
     name : str
-        Name of the input.
+        Name of the input, without a tap. Without ``step``, a tap that the name has is replaced.
     tap : int
         Delay of the copy in steps; negative (``n_left~-1``) for a copy of later values. 0: the result is ``name``
         itself.
@@ -60,9 +60,9 @@ def delay_weights(position: Any, n: int) -> list[Any]:
     Parameters
     ----------
     position : float or symbol
-        Position of the interpolated value in sample intervals, from 0 (first sample) to n - 1 (last sample). Beyond the
-        ends, the samples are extrapolated linearly for at most one interval. Weights farther outside are wrong, without
-        an error.
+        Position of the interpolated value in sample intervals, from 0 (first sample) to n - 1 (last sample). One sample
+        more at each end is extrapolated linearly. Weights for a position outside this range are wrong (their sum is not
+        one), without an error.
     n : int
         Number of samples, at least two.
 

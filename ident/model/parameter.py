@@ -214,8 +214,8 @@ class Parameter:
     def free_prior(self) -> tuple[float, float] | None:
         """Return the mean and standard deviation of the prior in the coordinate of the search (`to_free`).
 
-        With the transform "log", they are the logarithm of the mean, and the standard deviation divided by the mean.
-        None without a prior.
+        With the transform "log", they are the logarithm of the mean (ValueError if it is not positive), and the
+        standard deviation divided by the mean. None without a prior.
         """
         if self.prior is None:
             return None
@@ -258,7 +258,8 @@ class Parameter:
             Known value, in the unit of the parameter. With ``sd`` > 0 it is also the mean of the prior.
         sd : float
             Standard deviation of the prior, in the unit of the parameter. The parameter is then estimated; but one that
-            was considered and not free stays considered. 0: the parameter is fixed at the value, and is not considered.
+            was considered and not free stays considered. 0: the parameter is fixed at the value, and is not considered;
+            an earlier prior is kept.
         origin : ParameterOrigin
             Origin of the value.
 

@@ -61,8 +61,8 @@ class Signals(Named):
         Time derivatives of the states per second, and outputs, by name.
     again : Callable
         ``again(x, u, p)`` runs the model again up to the time derivatives, with other values of some states, inputs and
-        parameters (dicts by name). It returns new signals, without outputs; effects that change parameters do not
-        change them again. It is for effects that depend on earlier derivatives.
+        parameters (dicts by name). It returns new signals, without outputs and without `again`; effects that change
+        parameters do not change them again. It is for effects that depend on earlier derivatives.
 
     Each model adds signals of its own. Vehicle models add shaft speeds ``n`` and thrusts ``f`` [N] by thruster, and the
     forces ``X``, ``Y`` [N] and the moment ``N`` [N m].
@@ -235,7 +235,8 @@ class Output:
     name, unit : str
         Name of the signal in a log, and its unit.
     noise : str
-        Name of the parameter with the standard deviation of the white measurement noise.
+        Name of the parameter with the standard deviation of the white measurement noise. `Model` raises
+        ValueError if it is empty.
     angle : bool
         Whether the output is an angle [rad]. Its innovations are wrapped to [-pi, pi).
     robust : bool
@@ -615,7 +616,8 @@ class Model:
         ------
         ValueError
             If two states, inputs, outputs or parameters have the same name. Also if a noise or an initial value is the
-            name of a parameter that the model lacks, or a ``from_output`` the name of an output that it lacks.
+            name of a parameter that the model lacks (an empty name too), or a ``from_output`` the name of an output
+            that it lacks.
         """
         for kind, names in (
             ("state", [s.name for s in self.states]),
@@ -720,6 +722,7 @@ class Model:
         """Run one stage, then the hooks of all effects after this stage and at its ``LATER`` places.
 
         At each of these places, the hooks run in the order in which the effects were added.
+
         ``label`` is the name of the stage, by which effects refer to it. ``stage`` is its function. The signals ``s``
         are changed in place.
         """
@@ -840,6 +843,7 @@ class Model:
 
         A delayed copy among these inputs gets the hold and the averaging of the model's input that it copies. The name
         of the effect is not checked: `refusal` reports an effect that was added already.
+
         Raises
         ------
         ValueError
@@ -864,7 +868,8 @@ class Model:
     def without(self, name: str) -> Model:
         """Return the model without the effect ``name``: without its hooks, states, parameters and inputs.
 
-        Inputs that another effect reads are kept. Return an equal model if no effect of this name was added.
+        Inputs that another effect reads are kept. An input of the effect is also removed if the model had it before.
+        Return an equal model if no effect of this name was added.
         """
         removed = [e for e in self.effects if e.name == name]
         kept = tuple(e for e in self.effects if e.name != name)
@@ -918,6 +923,7 @@ def plain_model(
     """Return a model without stages, from a function of the time derivatives and a function of the outputs.
 
     Only effects that require no signal can be added to it.
+
     Parameters
     ----------
     name : str

@@ -363,7 +363,10 @@ def estimator_error(sensors: Sequence[str]) -> Effect:
                 s.rate[state] = rate / size(s, e) - getattr(s.x, state) / getattr(s.p, f"tau_{e.name}")
 
     def add(s: Signals) -> None:
-        """Add the errors to the outputs ``s.y``. Rotate the body velocity, if it is measured, by the heading error."""
+        """Add the errors to the outputs ``s.y``.
+
+        The body velocity, if it is measured, is rotated by the heading error, and gets the velocity error too.
+        """
         turn, (north, east) = value(s, "heading")[0], value(s, "velocity")
         for of in ("yaw rate", "heading", "position"):
             if of in errors:

@@ -232,7 +232,8 @@ def nomoto_model(
     Raises
     ------
     KeyError
-        If a sensor is unknown.
+        If a sensor is unknown. Other sensors of the horizontal model (``accelerometer``, ``body_velocity``) are not
+        refused, but the model cannot be evaluated with them.
     """
     # The inputs are not averaged: GNSS samples are not averaged either, and contain the quick motion of a light vehicle
     now = pair("n", "", hold, prefilter=False)
@@ -279,7 +280,7 @@ def _static_thrust(p: Any, n: Any) -> Any:
 def _steady_yaw_rate(s: Signals, u: Any, n: Sequence[Any]) -> Any:
     """Return the steady yaw rate [rad/s] at the speed ``u`` [m/s] and the normalised inputs ``n`` (left, right).
 
-    It is ``(K + K_u u) delta (1 - k_3 delta^2)``, with half the difference of the inputs ``delta``.
+    It is ``(K + K_u u) delta (1 - k_3 delta^2)``, with ``delta = (left - right) / 2``.
     """
     delta, p = (n[0] - n[1]) / 2, s.p
     return (p.K + p.K_u * u) * delta * (1 - p.k_3 * delta * delta)
@@ -295,7 +296,8 @@ def _inputs_at(s: Signals, ago: Any) -> list[Any]:
 
     They are those of ``ago`` plus the delay ``tau_n`` (and its error ``dt_n``) before now.
 
-    The inputs are interpolated between their shifted copies by cubic convolution. If the model has states for the
+    The inputs are interpolated between their shifted copies by cubic convolution. The copies cover the times from 0.1 s
+    after to 0.55 s before now; beyond them the result is wrong, without an error. If the model has states for the
     errors of the time stamps, the inputs are corrected to first order by these errors, which decay with their
     correlation time.
     """
@@ -381,9 +383,10 @@ def _rates_at(s: Signals, ago: Any, u: Any, n: Sequence[Any]) -> tuple[Any, Any]
     """Return the yaw rate [rad/s] and the surge acceleration [m/s2] of ``ago`` [s] before now.
 
     ``u`` [m/s] and ``n`` (left, right) are the speed and the inputs at that time. The present yaw rate and force are
-    corrected by the differences of steady yaw rate, thrust and damping between then and now. These differences are
-    computed from the inputs without effects such as a lag, a dead band or a thrust loss. What such an effect changes
-    now is kept, like a disturbance. The result is exact in steady state.
+    corrected by the differences of steady yaw rate, thrust and damping between then and now. With a time constant ``T``
+    of at least 0.05 s, the yaw rate is extrapolated with its present derivative instead; a shorter ``T`` mixes both.
+    The differences are computed from the inputs without effects such as a lag, a dead band or a thrust loss. What such
+    an effect changes now is kept, like a disturbance. The result is exact in steady state.
     """
     x, p, now = s.x, s.p, s.n_now
     direct = 1 - np.minimum(p.T / SHORTEST_LAG, 1.0)  # part of the yaw rate that follows the inputs without a lag

@@ -168,7 +168,7 @@ def rescale(model: Model, size: VesselScale) -> Model:
         The initial standard deviation of each disturbance force is that of the catalogue (`SIZES`) times the ratio of
         forces or moments. The prior of its diffusion changes by the same factor as the initial standard deviation,
         because the correlation time does not change. A diffusion that is equal to the mean of its prior moves with the
-        prior. Any other diffusion has been fitted and is kept.
+        prior. Any other diffusion has been fitted and is kept, and so is one without a prior.
     """
     factors = {"X": size.of("N"), "Y": size.of("N"), "N": size.of("N m")}
     of_state = {f"b_{name}": name for name in factors}
@@ -202,7 +202,8 @@ def scale_priors(effect: Effect, size: VesselScale) -> Effect:
     -------
     Effect
         Values, priors, steps and bounds of parameters, values to scan, and initial values and diffusions of states are
-        multiplied by the factors of their units. Parameters with ``scales`` False are unchanged.
+        multiplied by the factors of their units. Parameters with ``scales`` False and their values to scan are
+        unchanged.
     """
     factors = {p.name: size.of(p.unit) if p.scales else 1.0 for p in effect.parameters}
     return replace(

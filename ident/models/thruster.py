@@ -188,7 +188,8 @@ def thruster_model(
     -------
     Model
         Model with the inputs ``n_cmd_0``, ``n_cmd_1``, ... (copies of the command, -1 to 1), and the outputs ``n``
-        (normalised shaft speed) and ``force`` [N].
+        (normalised shaft speed) and, with a load cell, ``force`` [N]. It has additional initial values of delay and
+        pole if the copies are more than 0.025 s apart.
 
     Raises
     ------
@@ -201,7 +202,10 @@ def thruster_model(
     states, sensors, parameters = _components(force, force and swing)
 
     def reference(s: Signals) -> Any:
-        """Return the delayed command, -1 to 1, by interpolation of its copies at ``tau``; zero inside the dead zone."""
+        """Return the delayed command, -1 to 1, by interpolation of its copies at ``tau``.
+
+        Before the interpolation, each copy is set to zero inside the dead zone.
+        """
         weights = enumerate(delay_weights(s.p.tau / step, n_delays))
         # Two to four weights of a numerical delay are not zero; weights of a symbolic delay are never skipped
         return sum(

@@ -39,7 +39,9 @@ _TRUST: ContextVar[bool] = ContextVar("trust_code", default=False)
 def trusting_code() -> Iterator[None]:
     """Return a context manager inside which any Python file that a model.toml names may be run.
 
-    The option `--trust-code` uses it.
+    The hash of each file that is used inside is stored (`remember_trusted_file`). Such a file therefore stays known
+    after the context: it may be run later without `--trust-code` while it is unchanged and in the folder of the
+    model.toml. The option `--trust-code` uses this context.
     """
     before = _TRUST.set(True)
     try:
@@ -53,7 +55,7 @@ def trusted_file(named_by: Path, file: str, digest: str | None) -> Path:
 
     Without `--trust-code`, the file must lie in the folder of model.toml after resolving symbolic links. It must have
     the hash in model.toml, and this user must have run it before. With `--trust-code`, the file need only exist; its
-    hash is then stored as known, so that it may be run later without the option.
+    hash is then stored as known, so that the last condition is fulfilled later without the option.
 
     Parameters
     ----------
@@ -108,8 +110,9 @@ def known_file() -> Path:
 def remember_trusted_file(path: Path) -> None:
     """Append the SHA-256 of a Python file that the user trusts to the user's file of known hashes (`known_file`).
 
-    From then on, models that name the Python file may run it without `--trust-code`. A hash that is known already is
-    not added again. If the hash cannot be written, the Python file stays unknown, without an error.
+    From then on, a model.toml in the folder of the Python file that names it with its hash may run it without
+    `--trust-code`. A hash that is known already is not added again. If the hash cannot be written, the Python file
+    stays unknown, without an error. A missing Python file raises OSError.
     """
     digest = _full_digest(path)
     if digest in _known_digests():

@@ -55,7 +55,9 @@ class AutopilotEmulator(DeviceEmulator):
     ) -> None:
         """Set up an emulated autopilot.
 
-        Its parameter RC_OVERRIDE_TIME is the shortest time-out of its thrusters in the rig.
+        Its parameter RC_OVERRIDE_TIME [wall s] is the shortest time-out of its thrusters in the rig (1 run second
+        without a thruster).
+
         Parameters
         ----------
         rig : Rig
@@ -147,7 +149,9 @@ class AutopilotEmulator(DeviceEmulator):
 
         While it is armed and in MANUAL, the thrusters get the command of the last RC override again, or zero if this is
         older than RC_OVERRIDE_TIME (without an RC receiver: than RADIO_S if FS_THR_ENABLE is set, else the command
-        stays). In AUTO and RTL an armed autopilot drives by itself. If in MANUAL the heartbeats, after a first one, are
+        stays). A negative RC_OVERRIDE_TIME never ends. A command of zero is not repeated.
+
+        In AUTO and RTL an armed autopilot drives by itself. If in MANUAL the heartbeats, after a first one, are
         missing for longer than FS_GCS_TIMEOUT plus FS_TIMEOUT, the autopilot is disarmed or changes to RTL or HOLD, as
         FS_ACTION demands; with FS_GCS_ENABLE or FS_ACTION 0 it does nothing. These times are wall seconds.
         """
@@ -218,8 +222,8 @@ class AutopilotEmulator(DeviceEmulator):
         """Process one decoded MAVLink message ``m``: act on it, and queue the answer.
 
         The messages are HEARTBEAT, TIMESYNC, RC_CHANNELS_OVERRIDE, COMMAND_LONG, PARAM_REQUEST_READ, PARAM_REQUEST_LIST
-        and PARAM_SET. Heartbeats and overrides of other ground stations, messages for other systems, unknown parameters
-        and other messages are ignored.
+        and PARAM_SET. Heartbeats and overrides of other ground stations, messages for other systems or for all systems
+        (target 0), unknown parameters and other messages are ignored.
         """
         name = m.get_type()
         if name in ("HEARTBEAT", "RC_CHANNELS_OVERRIDE") and m.get_srcSystem() != self._ground:
@@ -255,8 +259,9 @@ class AutopilotEmulator(DeviceEmulator):
 
         If the autopilot is armed and in MANUAL, the thrusters get these commands at once. The message is ignored if the
         parameter MAV_GCS_SYSID is not the id of the ground station, or if RC_OPTIONS forbids overrides. A pulse of
-        65535 changes nothing. A pulse of 0 gives the channel back to the receiver, which is neutral; without a
-        receiver, and for channels above 8, it changes nothing.
+        65535 changes no command. A pulse of 0 gives the channel back to the receiver, which is neutral; without a
+        receiver, and for channels above 8, it changes no command. A message that is not ignored restarts the time-out
+        of the overrides, even if it changes no command.
         """
         own = self.vehicle
         if own.parameters.get("MAV_GCS_SYSID") != self._ground or int(own.parameters["RC_OPTIONS"]) & IGNORES_OVERRIDES:

@@ -221,7 +221,7 @@ class Reports:
         """Return the bytes (frame) of the message GPS_RAW_INT for the latest GNSS sample, with or without a fix.
 
         Time, position, velocity and accuracy are those of the latest fix. Before the first fix they are 0, or the
-        value for "unknown" of the field. The type of fix and the satellites are those of the latest sample.
+        value for "unknown" of the field. The type of fix, the HDOP and the satellites are those of the latest sample.
         """
         fix = self._fix or Gnss(0.0, NAN, NAN)
         course = math.degrees(math.atan2(fix.vel_e, fix.vel_n)) % 360.0
@@ -246,7 +246,7 @@ class Reports:
     def _encode_escs(self, name: str) -> bytes:
         """Return the bytes (frame) of the message ``name``, ESC_TELEMETRY_1_TO_4, with telemetry of outputs 1 to 4.
 
-        An output without telemetry so far has zeros.
+        Shaft speeds and currents have no sign. An output without telemetry so far has zeros.
         """
         zeros = Esc(0, 0.0, 0.0, 0.0, 0.0, 0.0)
         escs = [self._esc.get(node, zeros) for node in range(1, 5)]

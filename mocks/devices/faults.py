@@ -89,7 +89,7 @@ class Fault:
     def active(self, t: float) -> bool:
         """Return whether the fault is active at run time ``t`` [s]: from its start to just before its end.
 
-        Return False if its start is None.
+        Return False if its start is None. A fault of 0 s is never active; `Faults` handles a single spike separately.
         """
         return self.start is not None and self.start <= t < self.start + self.seconds
 
@@ -247,7 +247,8 @@ class Faults:
     def _spike_due(self, device: str, t: float) -> bool:
         """Return whether a fault "spike" changes the sample of a device at run time ``t`` [s], and count the spike.
 
-        Such a fault has one spike at its start, and one more in each further second of its duration.
+        Such a fault has one spike at its start, and one more in each further second of its duration. The first sample
+        of the device that is due for a spike uses it up, even if its kind has no spike (telemetry of an autopilot).
         """
         for index, fault in enumerate(self._faults):
             if fault.kind == "spike" and fault.hits(device) and fault.start is not None and t >= fault.start:

@@ -56,6 +56,8 @@ class Adapter:
     def feed(self, data: bytes) -> tuple[bytes, list[CanFrame]]:
         """Process bytes of the host. If they end within a command line, its beginning is kept for the next call.
 
+        A line of more than 64 bytes is discarded; its further bytes count as a new line.
+
         Returns
         -------
         bytes

@@ -84,7 +84,7 @@ def make_effect(name: str, seed: int, scale: float = 1.0) -> BenchEffect:
     seed : int
         Seed of the size and the sign. The same seed gives the same effect.
     scale : float
-        Factor on the full size.
+        Factor on the full size. For "rod-flex" it is the field `flex_share`; the frequency does not depend on it.
 
     Raises
     ------

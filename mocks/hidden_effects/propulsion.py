@@ -165,8 +165,8 @@ def _dead_band(rng: np.random.Generator, scale: float) -> HiddenEffect:
 def _delay(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "delay": a thrust that follows the shaft speed with a delay.
 
-    Five sixths of ``delay`` [s] are dead time. One sixth is the time constant of a first-order lag. ``delay`` is drawn
-    within 15 % of ``0.3 scale``.
+    Five sixths of ``delay`` [s] are dead time. One sixth is the time constant of a first-order lag, which is 20 %
+    longer while the shaft slows down. ``delay`` is drawn within 15 % of ``0.3 scale``.
     """
     delay = scale * effect_size(rng, 0.30)  # s
     sentence = "the speed controllers report the shaft speed before the water has it"

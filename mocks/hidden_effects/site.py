@@ -57,8 +57,9 @@ def _propeller_walk(rng: np.random.Generator, scale: float) -> HiddenEffect:
 def _current_shear(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "current-shear": the current is stronger away from the shore.
 
-    With the distance ``d`` [m] from the origin across the stream, a velocity of ``jump tanh(d / 40 m)`` along the
-    stream is added to the current. ``jump`` is drawn within 15 % of ``0.4 scale`` [m/s], the direction uniformly.
+    With the distance ``d`` [m] from the origin across the stream (positive to the right of its direction), a velocity
+    of ``jump tanh(d / 40 m)`` along the stream is added to the current. ``jump`` is drawn within 15 % of ``0.4 scale``
+    [m/s], the direction uniformly.
     """
     jump, along = scale * effect_size(rng, 0.4), 2.0 * math.pi * rng.uniform()  # m/s, rad
     c, s = math.cos(along), math.sin(along)
@@ -75,9 +76,11 @@ def _current_shear(rng: np.random.Generator, scale: float) -> HiddenEffect:
 def _bank(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "bank": a quay draws the boat towards it and turns the bow away.
 
-    The quay is ``away`` = 12 m from the origin. At the distance ``d`` [m] from it and the surge velocity ``u``, a boat
-    that moves along the quay is drawn with ``pull u^2 exp(-d / 10 m)`` and turned away with a moment of
-    0.35 m times this force. ``pull`` is drawn within 15 % of ``35 scale`` [kg/m], the direction uniformly.
+    The quay is ``away`` = 12 m from the origin. At the distance ``d`` [m] from it (at least 0.5 m) and the surge
+    velocity ``u``, a boat that moves along the quay is drawn with the sway force ``pull u^2 exp(-d / 10 m)`` and turned
+    away with a moment of 0.35 m times this force. At another heading both are multiplied by the sine of the angle from
+    the heading to the direction of the quay. ``pull`` is drawn within 15 % of ``35 scale`` [kg/m], the direction
+    uniformly.
     """
     pull, bearing = scale * effect_size(rng, 35.0), 2.0 * math.pi * rng.uniform()  # kg/m, rad
     away = 12.0  # m

@@ -255,7 +255,8 @@ class BoatPlant:
     def _update_external_forces(self) -> None:
         """Draw the random forces on the boat (disturbance, waves, gusts), and set the current, for the next few steps.
 
-        They are constant for DISTURBANCE_EVERY steps. Hidden effects may change the current with time.
+        They are constant for DISTURBANCE_EVERY steps. The pull of a towed line is added to them. Hidden effects may
+        change the current with time and place. A payload whose time has come slides, at most one in each call.
         """
         x, y, n = (d.step() for d in self._disturbances) if self._disturbances else (0.0, 0.0, 0.0)
         if self._weather:

@@ -130,7 +130,8 @@ class Inflow:
         """Set up the dead time ``delay`` [s] and the time constant ``lag`` [s] from shaft speed to thrust.
 
         ``dt`` is the time between two calls of `advance` [s], and ``n`` the initial shaft speed (-1 to 1). The time
-        constant is 20 % longer while the shaft slows down. 0 switches dead time or lag off.
+        constant is 20 % longer while the shaft slows down. The dead time is rounded to a whole number of calls. 0
+        switches dead time or lag off.
         """
         self._queue = deque([n] * round(delay / dt))
         self._rise, self._fall = (math.exp(-dt / (k * lag)) if lag else 0.0 for k in (1.0, 1.2))

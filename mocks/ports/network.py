@@ -25,7 +25,8 @@ class NetPort:
         Address as in the rig file.
     dropped : int
         Number of bytes that were lost because no host received them. Bytes are not counted while the port is not
-        plugged, and with `udpout:` before the host has sent a datagram.
+        plugged, and with `udpout:` before the host has sent a datagram. Nor are those that wait for a TCP host when it
+        leaves or the port is unplugged.
     """
 
     def __init__(self, port: str) -> None:
@@ -124,8 +125,8 @@ class NetPort:
     def _read_stream(self) -> bytes:
         """Return the bytes that a TCP port has received; empty if there are none or no host is connected.
 
-        Without a connection, that of a waiting host is accepted. If the host has left, its connection is closed, and
-        the bytes that wait for it are dropped.
+        Without a connection, that of a waiting host is accepted, and its bytes are returned by the next call. If the
+        host has left, its connection is closed, and the bytes that wait for it are dropped.
         """
         assert self._socket is not None
         if self._client is None:

@@ -129,7 +129,8 @@ class PtyPort:
     def write(self, data: bytes, wall: float) -> None:
         """Send ``data`` to the host at the monotonic time ``wall`` [s]. The call never blocks.
 
-        Bytes wait for a slow reader. They are dropped if the port is not plugged, or if it has no reader.
+        Bytes wait for a slow reader. They are dropped if the port is not plugged. Without a reader they are dropped
+        too, except those of the first call in each interval of 20 ms, which wait until the next interval.
         """
         if not (self.plugged and data):
             return
@@ -145,7 +146,8 @@ class PtyPort:
     def flush(self, wall: float) -> None:
         """Send the bytes that wait for a slow reader, as far as possible without blocking.
 
-        If more than 1 MiB (BACKLOG_MAX) still wait, they are dropped. ``wall`` is not used.
+        If more than 1 MiB (BACKLOG_MAX) still wait, they and the unread bytes in the pty are dropped, and the port then
+        counts as one without a reader. ``wall`` is not used.
         """
         if self._backlog:
             with contextlib.suppress(BlockingIOError):
@@ -156,8 +158,9 @@ class PtyPort:
     def _detect_reader(self, wall: float) -> None:
         """Detect whether a host reads the port, from the number of unread bytes. Drop waiting bytes if none does.
 
-        A host reads if there are fewer unread bytes than were written. If no byte was read for 0.3 s (PATIENCE), no
-        host reads. ``wall`` is the monotonic time [s].
+        A host reads if no byte is unread, or fewer than were written; for a port without a reader, bytes must have been
+        written since the last count. If no byte was read for 0.3 s (PATIENCE), no host reads. ``wall`` is the monotonic
+        time [s].
         """
         unread: int = struct.unpack("i", fcntl.ioctl(self._slave, termios.FIONREAD, b"\0\0\0\0"))[0]
         read = unread == 0 or unread < min(self._unread + self._written, FULL)
