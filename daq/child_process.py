@@ -32,9 +32,10 @@ def module_command(module: str, *arguments: str) -> list[str]:
 def module_environment() -> dict[str, str]:
     """Return environment variables for a child process that runs a `module_command` from any working folder.
 
-    They are those of this process, with the folder that contains `daq` first in PYTHONPATH. Empty and relative entries
-    of PYTHONPATH are left out, because they refer to the working folder.
+    They are those of this process, with the folder that contains the package seatrial first in PYTHONPATH. Empty and
+    relative entries of PYTHONPATH are left out, because they refer to the working folder.
     """
-    here = str(Path(__file__).resolve().parent.parent)
+    # Not the folder of `daq`: in an installation it is inside the package, and its modules would become top-level names.
+    here = str(Path(sys.modules[__name__.partition(".")[0]].__path__[0]).resolve().parent)
     before = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     return {**os.environ, "PYTHONPATH": os.pathsep.join([here, *filter(os.path.isabs, before)])}

@@ -115,7 +115,7 @@ def new_file(path: Path, force: bool = True) -> Iterator[Path]:
         else:
             _rename_to_new(scratch, path)
     except OSError as error:
-        if error.filename not in (None, str(scratch), os.fsencode(scratch)):
+        if error.errno is None or error.filename not in (None, str(scratch), os.fsencode(scratch)):
             raise
         raise OSError(error.errno, error.strerror, str(path)) from error
     finally:

@@ -335,6 +335,8 @@ def parse_prediction(table: TomlTable | None) -> Prediction | None:
     if table is None:
         return None
     t = np.array(table.numbers("t"), dtype=np.float64)
+    if not t.size:
+        raise table.error("t", "must have at least one time; design the mission again, or leave out [prediction]")
     x, y, radius = (np.array(table.numbers(key, length=len(t)), dtype=np.float64) for key in ("x", "y", "radius"))
     errors_table = table.table("errors_before")
     errors = {} if errors_table is None else errors_table.named_numbers()

@@ -604,7 +604,7 @@ def _read_limits(table: TomlTable | None) -> Limits:
         return Limits()
     unwatched = table.texts("unwatched", ())
     for key in unwatched:
-        if key != "telemetry" and (key in ("n_max", "link_test_n") or not table.has(key)):
+        if key != "telemetry" and (key in ("n_max", "link_test_n", "unwatched") or not table.has(key)):
             raise table.error(
                 "unwatched", f"'{key}' is not a limit that [limits] sets; name one of those, or 'telemetry'"
             )

@@ -154,7 +154,7 @@ class _SourceFile(NamedTuple):
     signals: Signals
     origin: float  # s since 1970, added to its times
     remarks: tuple[str, ...]  # shown as warnings
-    events: tuple[tuple[float, Event], ...] = ()  # with their times, s since 1970
+    events: tuple[tuple[float, Event], ...] = ()  # with their times [s of the file's clock]
 
 
 def _read_source(path: Path, source: Source) -> _SourceFile:
@@ -242,12 +242,17 @@ def _write_piece(
 ) -> None:
     """Write one log, `target`: the signals and events of the source files within one interval of time (`piece`).
 
-    The signals are shifted by the origin of their file to s since 1970. The metadata contain the digests of the import
+    The signals and events are shifted by the origin of their file to s since 1970. The metadata contain the digests of the import
     map and the files, and the numbers of rows left out. The map is attached. An existing log
     is replaced only with `force`; the files `reads` (map and sources) are never replaced.
     """
     signals: list[SignalData] = []
-    events = [(t, event) for source_file in data for t, event in source_file.events if piece.t_from <= t <= piece.t_to]
+    events = [
+        (t + source_file.origin, event)
+        for source_file in data
+        for t, event in source_file.events
+        if piece.t_from <= t <= piece.t_to
+    ]
     kinds = ", ".join(dict.fromkeys(source_file.kind for source_file in data))
     metadata = {"import": kinds, "import.map": import_map.name, "import.map.sha256": _sha256(import_map.text)}
     for i, source_file in enumerate(data, start=1):

@@ -297,7 +297,7 @@ def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, fl
         if abs(found.get(name, 0.0)) > found.get("length", math.inf):
             where = f"{abs(found[name]):g} m from the middle of a hull of {found['length']:g} m"
             raise table.error(name, f"{where}; write positions in metres, positive to starboard")
-    if found.get("y_left", -1.0) >= found.get("y_right", 1.0):
+    if {"y_left", "y_right"} <= set(found) and found["y_left"] >= found["y_right"]:
         raise table.error(
             "y_left", "must be less than y_right, because positions are positive to starboard; correct one of them"
         )

@@ -298,6 +298,7 @@ def _cell_parser(time: TimeColumn) -> Callable[[str], float]:
         if not (tail.isascii() and tail.isdigit()) or len(tail) > 9:
             raise ValueError(text)
         # unpadded-ns: the logger wrote seconds, a point, and the nanoseconds as a number without leading zeros
-        return whole(head) + (int(tail) * 1e-9 if time.fraction == "unpadded-ns" else float(f"0.{tail}"))
+        part = int(tail) * 1e-9 if time.fraction == "unpadded-ns" else float(f"0.{tail}")
+        return whole(head) + (-part if head.lstrip().startswith("-") else part)
 
     return split if time.fraction else whole

@@ -50,7 +50,7 @@ class NetPort:
         self._client: socket.socket | None = None  # TCP connection of the host
         self._peer: Any = None
         self._backlog = bytearray()
-        if self._address[0] != "localhost" and not ipaddress.ip_address(self._address[0]).is_loopback:
+        if self._address[0] != "localhost" and not _is_loopback(self._address[0]):
             raise SeatrialError(
                 f"{port}: a mock serves only addresses of this computer; give the rig 127.0.0.1 in place of this one"
             )
@@ -178,3 +178,11 @@ class NetPort:
         if len(self._backlog) > BACKLOG_MAX:
             self.dropped += len(self._backlog)
             self._backlog.clear()
+
+
+def _is_loopback(host: str) -> bool:
+    """Return whether a host is a numeric address on the loopback of this computer; False for a name."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
