@@ -66,7 +66,8 @@ class Course(NamedTuple):
     parity
         +1 if the track turns with the heading, -1 for a mirror image, 0 if unknown.
     offset
-        Angle [rad] of the track to the heading, modulo pi; 0 if it is not significant.
+        Angle [rad] of the track to the heading, modulo pi; 0 if it is not significant. For a mirror image it is the
+        angle to the mirrored heading, without a test of significance.
     """
 
     parity: int
@@ -263,7 +264,7 @@ def mirrored_signals(signs: Mapping[Relation, int]) -> tuple[str, ...] | None:
     tuple or None
         The signal, or the two signals of one device, whose mirroring explains all signs. If there are several
         explanations, all their signals; ``thrusters`` alone if they are one of them. If there is no explanation, all
-        signals. None if no signal is mirrored.
+        signals with a known sign. None if no known sign is negative.
     """
     known = {pair: sign for pair, sign in signs.items() if sign}
     if all(sign > 0 for sign in known.values()):
@@ -325,9 +326,10 @@ def _mirror_fault(names: tuple[str, ...], courses: Mapping[str, Course | None]) 
 def _motionless_axis(c: Channels, w: Windows) -> str | None:
     """Return the axis, ``north`` or ``east``, along which a track does not move although the boat heads there.
 
-    ``c`` has the heading ``psi``. The result is None if the track moves along both axes, if the boat is slower than 0.1
-    m/s (rms), if its headings vary too little (a mean of cos^2 or sin^2 of the heading below 0.2), or if the heading
-    covers fewer than 18 windows of the track.
+    ``c`` has the heading ``psi``. The result is None if the track moves along both axes (each mean square displacement
+    per share of the headings is above 2 % of the other one), if the boat is slower than 0.1 m/s (rms), if its headings
+    vary too little (a mean of cos^2 or sin^2 of the heading below 0.2), or if the heading covers fewer than 18 windows
+    of the track.
     """
     psi = c["psi"]
     inside = (w.t > psi.t[0]) & (w.t < psi.t[-1])

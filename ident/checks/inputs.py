@@ -53,8 +53,9 @@ def check_inputs(c: Channels) -> Iterator[Finding]:
     ------
     Finding
         If all inputs are constant: ``inputs-constant`` or ``inputs-never-change``, and nothing else. Else
-        ``shaft-speed-stuck`` for each shaft speed that stays the same against its command, or, without a command, in a
-        log in which the boat changes its motion.
+        ``shaft-speed-stuck`` for each shaft speed that stays the same against its command. A shaft speed without a
+        command gives it if its hold is ``linear``, it is constant and above 0.05 of full speed in the whole log, and
+        speed and yaw rate rise more than twice.
     """
     names = sorted(n for n in c if is_of_thruster(n, *INPUTS) or n in ("X", "N"))
     if not names:
@@ -117,7 +118,8 @@ def _count_motion_rises(c: Channels) -> int:
     """Count the rises of the speed by more than 0.5 m/s, and of the size of the yaw rate by more than 0.15 rad/s.
 
     Both signals are averaged over 2 s against waves. The speed comes from velocities, else positions, else ``speed``.
-    The yaw rate comes from the gyro, else the heading. The result is 0 without any of these signals.
+    The yaw rate comes from the gyro, else the heading. The rises of both are added; the result is 0 without any of
+    these signals.
     """
     curves: list[tuple[Array, float]] = []
     if {"vx", "vy"} <= set(c) or {"u", "v"} <= set(c):
@@ -177,9 +179,9 @@ def _count_rises(curve: Array, least: float) -> int:
 def _stuck_against_command(shaft: Channel, command: Channel) -> tuple[float, float, float] | None:
     """Return the longest time in which a shaft speed is stuck, as (shaft speed, begin [s], end [s]).
 
-    In this time, of 5 s or more, the shaft speed stays exactly the same and is above 0.05 of full speed. Its command is
-    below half of it, or in the other direction, for at least 5 s in sequence. The result is None if the shaft speed is
-    never stuck.
+    In this time, of 5 s or more and with at least 11 samples, the shaft speed stays exactly the same, and its size is
+    0.05 of full speed or more. Its command is below half of it, or in the other direction, for at least 5 s in
+    sequence. The result is None if the shaft speed is never stuck.
     """
     first = np.flatnonzero(np.diff(shaft.value, prepend=np.nan) != 0)
     last = np.append(first[1:], shaft.value.size) - 1
@@ -208,7 +210,8 @@ def check_frozen_force(c: Channels) -> Iterator[Finding]:
     ----------
     c
         Channels (signals) of a log by name. Only the longest time in which ``force`` stays the same is examined. It
-        must last for at least 5 s and contain a change of a command or shaft speed by more than 0.3 of full speed.
+        must last for at least 5 s, with at least 11 samples, and contain a change of a command or shaft speed by more
+        than 0.3 of full speed.
     """
     commands = [c[n] for n in sorted(c) if is_of_thruster(n, COMMAND, SHAFT_SPEED)]
     if "force" not in c or not commands:

@@ -151,10 +151,11 @@ def _motion_thrust_delay(
     """Yield one finding on the delay of the motion behind the thrust.
 
     The motion cannot come before the thrust (``thrust-late``), and cannot come long after a measured thrust
-    (``motion-late``). Otherwise the finding is ``thrust-in-time`` (ok). Severities are those of `_level_of_delay`. The
-    delay behind commands is a fault 0.2 s earlier, since the lag of the shafts hides a part of it. ``attitude``,
-    ``velocity``: delays of yaw rate and surge speed, None if unknown. The one of smaller size is judged. If their signs
-    differ, the finding is ok. If none is well estimated, it is ``delay-unknown`` (ok).
+    (``motion-late``). Otherwise the finding is ``thrust-in-time`` (ok), also for a long delay behind commands or given
+    forces. Severities are those of `_level_of_delay`. A time before commands or given forces is a fault 0.2 s earlier,
+    since the lag of the shafts hides a part of it. ``attitude``, ``velocity``: delays of yaw rate and surge speed, None
+    if unknown. The one of smaller size is judged. If their signs differ, the finding is ok. If none is well estimated,
+    it is ``delay-unknown`` (ok).
     """
     found = [estimate for estimate in (attitude, velocity) if estimate is not None and _is_well_estimated(estimate)]
     if not found:
@@ -202,8 +203,8 @@ def _level_of_delay(lag: float, half: float, fault_from: float = DELAY_FAULT) ->
     Returns
     -------
     str
-        ``ok`` if the delay is below the limit of a warning (0.3 s), or if the lower end of its interval is below 0.18
-        s. Else ``fault`` or ``warning`` by `delay_level`.
+        ``ok`` if the delay is below the limit of a warning (0.3 s, less half a step of the search), or if the lower end
+        of its interval is below 0.18 s. Else ``fault`` or ``warning`` by `delay_level`.
     """
     if lag < DELAY_WARNING - SENSOR_GRID_S / 2 or lag - half < MIN_DISTANCE:
         return OK
@@ -213,8 +214,8 @@ def _level_of_delay(lag: float, half: float, fault_from: float = DELAY_FAULT) ->
 def _is_well_estimated(found: LagEstimate | None) -> bool:
     """Return whether a delay was estimated well; false for None.
 
-    R2 must exceed 0.6, the standard error must be below 0.2 s, and the delay must not be at an end of the search (-2.5
-    and 2.5 s).
+    R2 must exceed 0.6, the standard error must be below 0.2 s, and the delay must be at least 0.1 s inside the ends of
+    the search (-2.5 and 2.5 s).
     """
     return (
         found is not None and found.r2 > MIN_R2 and found.se < MAX_SE and abs(found.lag) < MAX_LAG - 2 * SENSOR_GRID_S
@@ -293,7 +294,7 @@ def _motion_on_grid(c: Channels, thrusts: Sequence[Channel], half_r: float = HEA
     """Return the motion in the time that all thrusts and motion sensors cover; None if it is shorter than 60 s.
 
     The log needs a yaw rate or a heading. Without a yaw rate, the heading is differenced from ``half_r`` [s] before to
-    ``half_r`` after each time. Without velocities, the positions are differenced in the same way over 1 s.
+    ``half_r`` after each time. Without velocities, the positions are differenced from 1 s before to 1 s after.
     """
     names = [n for n in ("psi", "r", "vx", "vy", "u", "v", "x", "y") if n in c]
     t = common_grid(*thrusts, *(c[n] for n in names))
@@ -332,7 +333,8 @@ def _mean_rate(s: Array, half: float) -> Array:
 def _yaw_after_thrust(c: Channels, push: ThrustSignals) -> LagEstimate | None:
     """Estimate the delay [s] of the yaw rate (by gyro or heading) behind the thrust.
 
-    The result is None if no thrust turns the boat, the motion is constant, or the log is shorter than 60 s.
+    The result is None if no thrust turns the boat, the motion is constant, or the log without pauses of the sensors is
+    shorter than 60 s.
     """
     if not push.turning or (m := _motion_on_grid(c, push.turning)) is None:
         return None
@@ -348,7 +350,7 @@ def _speed_after_thrust(c: Channels, push: ThrustSignals) -> LagEstimate | None:
     """Estimate the delay [s] of the surge speed behind the thrust.
 
     The result is None if no thrust drives the boat forward, no sensor measures the velocity, the motion is constant, or
-    the log is shorter than 60 s.
+    the log without pauses of the sensors is shorter than 60 s.
     """
     if not push.ahead or (m := _motion_on_grid(c, push.ahead)) is None or m.u is None or m.v is None:
         return None
@@ -404,7 +406,8 @@ def _lag_behind_thrust(
     Returns
     -------
     LagEstimate or None
-        None without thrust, for a constant motion, or if less than 60 s of the log are without pauses.
+        Positive if the motion comes after the thrust. None without thrust, for a constant motion, or if less than 60 s
+        of the log are without pauses.
     """
     if not pushes or np.std(y) < 1e-9:
         return None

@@ -312,7 +312,8 @@ def thrust_response_curves(c: Channels, sides: Mapping[str, float]) -> list[Thru
     -------
     list
         Empty if the log has no thrust or no motion, or if these overlap for less than 15 s. There is no curve of the
-        yaw rate if all thrusters are in the middle of the boat.
+        yaw rate if all thrusters are in the middle of the boat, and no curve of a motion whose thrust or moment is
+        constant.
     """
     forces = thruster_forces(c, sides)
     if forces is None:
@@ -472,8 +473,9 @@ def _check_segments(c: Channels, sides: Mapping[str, float], start: float) -> li
     Returns
     -------
     list
-        For each pair of check and signal the worst finding; of equal ones that of the longest segment. Segments shorter
-        than 10 s are not checked. For a log without gaps, all findings are returned as they are.
+        For each pair of check and signal the worst finding; of equal ones that of the longest segment. Warnings and
+        faults get the times of their segment before the text. Segments shorter than 10 s are not checked. For a log
+        without gaps, all findings are returned as they are.
     """
     gaps = silent_times(c)
     if not gaps:
@@ -519,7 +521,8 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
 
     Notes
     -----
-    A check is skipped if a signal that it relies on has a fault. Its finding would name the wrong cause.
+    A check is skipped if a signal that it relies on has a fault. Its finding would name the wrong cause. A fault of the
+    sample times ends all checks at once, and a wrong time scale or exchanged telemetry ends those that would follow.
     """
     found = list(check_intervals(c))
     yield from found
@@ -598,7 +601,7 @@ def device_faults(log: Log) -> list[Finding]:
 
 
 def check_copies(logs: Sequence[tuple[str, Channels]]) -> list[Finding]:
-    """Return a finding for each log that is a copy, or a part, of a log before it.
+    """Return a finding for each log that is a copy or a part of a log before it, or contains such a log.
 
     Parameters
     ----------

@@ -126,8 +126,8 @@ def check_motion(c: Channels, sides: Mapping[str, float], dead: Collection[str] 
     Yields
     ------
     Finding
-        Faults; without faults ``thruster-sides-agree`` (ok) if the log shows the sides. Nothing if the log is shorter
-        than 15 s, or has no thrust or no sensor of the yaw rate.
+        Faults; without faults and without ``dead`` thrusters ``thruster-sides-agree`` (ok) if the log shows the sides.
+        Nothing if the log is shorter than 15 s, or has no thrust or no sensor of the yaw rate.
     """
     found = thrust_responses(c, sides)
     if found is None:
@@ -294,8 +294,8 @@ def turn_rate(c: Channels, edges: Array, name: str) -> Array | None:
     Returns
     -------
     Array (n,) or None
-        Yaw rate [rad/s], positive to starboard; NaN while the boat is slower than 0.3 m/s for a course. None without
-        this sensor.
+        Yaw rate [rad/s], positive to starboard; NaN while the boat is slower than 0.3 m/s for a course. Intervals
+        without a sample of the gyro are interpolated. None without this sensor.
     """
     t = (edges[1:] + edges[:-1]) / 2
     if name == "gyro":
@@ -492,7 +492,8 @@ def delayed_forces(y: Array, push: Array, lags: Sequence[float]) -> Array:
     Returns
     -------
     Array (n,)
-        Response with the mean of y and the expected, positive sign. For swapped sides it is the mirror image of y.
+        Response with the mean of y and the expected, positive sign. For swapped sides it is the mirror image of y. NaN
+        if the thrust has NaN.
     """
     found, best = np.full(y.size, np.nan), np.inf
     for lag in lags:

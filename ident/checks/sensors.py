@@ -141,7 +141,8 @@ class Match(NamedTuple):
     scale
         Factor of the second signal. NaN if no lag could be evaluated.
     lag
-        Delay [s] of the first signal behind the second, with the largest R2. Negative: the second one is late.
+        Delay [s] of the first signal behind the second, with the largest R2. Negative: the second one is late. NaN if
+        no lag could be evaluated.
     r2
         Coefficient of determination at this lag: explained share of the sum of squares of the increments, without
         subtraction of their mean.
@@ -232,7 +233,8 @@ def gyro_and_heading(c: Channels, found: Match | None) -> Iterator[Finding]:
     The sign is the task of `seatrial.ident.checks.frames`. With an R2 below 0.6 the only finding is
     ``heading-and-gyro-disagree`` (warning). Otherwise the factor (yaw rate over change of heading, or its inverse)
     gives ``angle-in-degrees`` (fault, 30 to 120), ``gyro-scale`` (warning outside 0.7 to 1.4, fault outside 0.6 to
-    1.67) or ``gyro-as-expected`` (ok); the delay follows (`sensor_delay`).
+    1.67) or ``gyro-as-expected`` (ok), all by its size; a negative factor of the right size gives none of them. The
+    delay follows (`sensor_delay`).
 
     Parameters
     ----------
@@ -315,7 +317,9 @@ def heading_match(c: Channels) -> Match | None:
 
 
 def velocity_match(c: Channels) -> Match | None:
-    """Regress increments of the velocity over ground over 2 s on the specific force, turned by the heading.
+    """Regress increments of the velocity over 2 s on those of the integrated specific force, turned by the heading.
+
+    The velocity is that over ground, and the bias of each accelerometer axis is a further regressor.
 
     Parameters
     ----------

@@ -29,7 +29,8 @@ def one_sided_shafts(c: Channels) -> dict[str, Finding]:
     Parameters
     ----------
     c
-        Channels (signals) of a log by name. A thruster needs both a command and a measured shaft speed.
+        Channels (signals) of a log by name. A thruster needs both a command and a measured shaft speed. A shaft speed
+        with the same array of times as the command is a copy of it, and is not compared.
 
     Returns
     -------
@@ -59,7 +60,7 @@ def wrapped(value: Array, fastest: float = MAX_SPEED, clear: float = MIN_COMMAND
     -------
     bool
         False if the largest size is below twice ``fastest``. Also false if fewer than 10 values are possible and differ
-        from rest, or fewer than 10 are near the largest size.
+        from rest, if fewer than 10 are above 0.7 of the largest size, or if 10 % or more lie between both groups.
 
     Notes
     -----

@@ -77,8 +77,8 @@ class NoResponse(Enum):
     Attributes
     ----------
     TOO_SHORT
-        Command and shaft speed overlap for less than 5 s, or the shaft did not turn and was commanded for less than 1
-        s.
+        Command and shaft speed overlap for less than 5 s (the last command counts for 5 s), or the shaft did not turn
+        and was commanded for less than 1 s.
     STILL
         The shaft does not turn although it is commanded.
     """
@@ -110,8 +110,9 @@ def check_shafts(c: Channels) -> Iterator[Finding]:
 def _shaft_findings(name: str, command: Channel, shaft: Channel) -> Iterator[Finding]:
     """Yield the findings on the shaft of one thruster.
 
-    A shaft whose telemetry ended, that does not turn, or that was recorded for too short a time gets only that finding.
-    A shaft that was never commanded above 0.1 of full command gets none.
+    A shaft whose telemetry ended more than 3 s before a command, that does not turn, that was recorded for too short a
+    time, or that hardly follows its command gets only that finding. A shaft that was never commanded above 0.1 of full
+    command gets none.
     """
     silent = shaft.t[-1] + 3.0
     commanded = (np.abs(command.value) > MIN_COMMAND) & (command.t > silent)
@@ -236,8 +237,8 @@ def response(commands: Channel, shaft: Channel) -> Response | NoResponse:
 
     Notes
     -----
-    Times without telemetry are left out. Of a log longer than 30 min only the part from the first command on is
-    searched.
+    Times without telemetry are left out, and the last command counts for 5 s. Of a log longer than 30 min only the 30
+    min from the first command on are searched; R2 and scale are those of the whole log.
     """
     longest = len(DELAYS) - 1
     grid = np.arange(max(commands.t[0], shaft.t[0]), min(commands.t[-1] + 5.0, shaft.t[-1]), SHAFT_GRID_S)
@@ -351,7 +352,8 @@ class HeldCommand(NamedTuple):
 def held_commands(command: Channel, shaft: Channel) -> list[HeldCommand]:
     """Return the times of at least 4 s in which the command did not change, in order.
 
-    Times with fewer than two samples of the shaft speed in their second half are left out.
+    Times with fewer than two samples of the shaft speed in their second half are left out. The last command is held
+    until the last sample of command or shaft speed.
 
     Parameters
     ----------

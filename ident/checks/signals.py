@@ -104,8 +104,8 @@ def check_ranges(c: Channels) -> Iterator[Finding]:
     ------
     Finding
         ``n-out-of-range`` for a command or shaft speed above 1.5 times full speed (99 % quantile). ``angle-in-degrees``
-        for a yaw rate above 5 rad/s, and for headings in degrees or converted twice. ``positions-in-degrees`` for a
-        track of less than 0.1 in both directions, far from its origin.
+        for a yaw rate above 5 rad/s (99 % quantile), and for headings in degrees or converted twice.
+        ``positions-in-degrees`` for a track of less than 0.1 in both directions, far from its origin.
     """
     for name in sorted(n for n in c if is_of_thruster(n, COMMAND, SHAFT_SPEED)):
         most = float(np.quantile(np.abs(c[name].value), 0.99))
@@ -154,7 +154,7 @@ def check_ranges(c: Channels) -> Iterator[Finding]:
 
 
 def check_frozen(c: Channels) -> Iterator[Finding]:
-    """Yield a fault for each motion signal that stays exactly the same while the boat moves.
+    """Yield a fault for each motion signal that stays exactly the same for more than 5 s while the boat moves.
 
     Parameters
     ----------
@@ -169,7 +169,8 @@ def check_frozen(c: Channels) -> Iterator[Finding]:
     Notes
     -----
     There is no finding if no other sensor or thruster shows that the boat moves, if another sensor confirms the
-    constant value, or if a coarse resolution explains it.
+    constant value, or if a coarse resolution explains it. Nor is there one if the value often stays the same for
+    similar times (`_longest_unusual_hold`), or if only one axis of the acceleration or of the body velocity stays.
     """
     for group in GROUPS:
         held = {name: _longest_unusual_hold(c[name]) for name in group if name in c}
@@ -303,7 +304,8 @@ def _boat_moves(c: Channels, group: Sequence[str], whole: bool, begin: float, en
     ``group``: signals of one sensor, which cannot prove the motion. ``whole``: whether all logged signals of the group
     stay the same in that time. A turn of the boat is enough in general, and so is any command if ``whole``. For
     positions and velocities over ground, both thrusters together must also push forward or back, if they are logged.
-    For a heading or yaw rate, if the other one is not logged, a difference of both thrusters is enough.
+    For a heading or yaw rate a command is not enough; but if the other one of the two is not logged, a difference of
+    both thrusters is.
     """
     turns = any(np.std(turn) > TURNS for turn in _headings_by_other_sensors(c, group, begin, end))
     quantities = (SHAFT_SPEED, THRUSTER_FORCE, COMMAND)
@@ -456,6 +458,8 @@ def check_smoothing(c: Channels) -> Iterator[Finding]:
 
 def smoothed(c: Channels) -> tuple[str, ...]:
     """Return the names of the motion signals whose white noise is less than that of any sensor.
+
+    A signal with fewer than 200 samples that differ from the one before is not among them.
 
     Parameters
     ----------

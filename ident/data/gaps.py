@@ -112,7 +112,7 @@ def parts_between(channels: Mapping[str, Channel], gaps: Sequence[tuple[float, f
 
 
 def slice_channel(channel: Channel, a: int, b: int) -> Channel:
-    """Return the samples ``a`` to ``b - 1`` of a signal, and the removed outliers from the same time.
+    """Return the samples ``a`` to ``b - 1`` of a signal, and the removed outliers between the first and last of them.
 
     Parameters
     ----------

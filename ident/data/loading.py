@@ -9,6 +9,7 @@ The signals have the names that models use.
 | x, y, vx, vy | GNSS: metres north and east of the first fix (`share_frame`), velocity over ground |
 | n_left, n_right | shaft speed over rpm_max of the rig, positive forward |
 | n_cmd_left, n_cmd_right | commands; behind an autopilot its outputs |
+| voltage_left, voltage_right | supply voltage of the speed controllers [V] |
 | servo_1, servo_2, ... | pulse widths of an autopilot's outputs [us], if the log has no rig |
 | force | load cell, with its offset |
 | speed | speed along the track, from velocity over ground (imported speed_x and speed_y, or vx and vy) |
@@ -73,8 +74,8 @@ class PropulsionInput(StrEnum):
     """Kind of the thruster signals of a log that drive a model of the boat, best first.
 
     ``MEASURED``: shaft speeds with their sign and the time of their measurement. ``TELEMETRY``: shaft speeds that an
-    autopilot relays with an unknown delay and without a sign. ``COMMAND``: commands, because shaft speeds are missing
-    or too rare.
+    autopilot relays with an unknown delay and without a sign. ``COMMAND``: commands, because shaft speeds are missing,
+    too rare, or held between their samples.
     """
 
     MEASURED = "measured"  # shaft speeds with their sign and the time of measurement
@@ -83,12 +84,15 @@ class PropulsionInput(StrEnum):
 
 
 class TimeWindow(NamedTuple):
-    """Interval of time of a log to use, ``t_from <= t < t_to``.
+    """Interval of time of a log to use, ``t_from <= t <= t_to``: a fit uses a sensor sample exactly at ``t_to`` too.
+
+    Only the signals of `seatrial.api.logs.open_log` end before ``t_to``. The means of a sensor that is averaged end
+    within half a block before or after it.
 
     Attributes
     ----------
     t_from : float
-        Start [s], from the first sample of the log.
+        Start [s], from the first sample of the log. 0: records start where all signals are known.
     t_to : float
         End [s], from the first sample of the log; infinite: to the end of the log.
     """
@@ -153,14 +157,15 @@ def channels(log: Log) -> dict[str, Channel]:
     -------
     dict
         The signals with at least two samples, by name: ``psi``, ``r``, ``ax``, ... of an AHRS, ``x``, ``y``, ``vx``,
-        ``vy`` of a GNSS receiver, ``n_NAME`` and ``n_cmd_NAME`` of a thruster, ``force`` of a load cell, ``speed``
-        along the track, and imported signals by their own names. Times are in s since 1970.
+        ``vy`` of a GNSS receiver, ``n_NAME``, ``n_cmd_NAME`` and ``voltage_NAME`` of a thruster, ``force`` of a load
+        cell, ``speed`` along the track, and imported signals by their own names. Times are in s since 1970.
 
     Notes
     -----
     The table at the top of this module has all names. An imported signal takes precedence over an AHRS, a receiver or a
     load cell with the same signal. A thruster of the rig takes precedence over an imported signal. Of several devices
-    of a kind, the first one is used for each signal.
+    of a kind, the first one is used for each signal; of several AHRS and load cells even for a signal of which the
+    first one has no samples, and which is then left out.
     """
     found: dict[str, Channel] = {}
     for source in log.sources(Scalar):
@@ -219,7 +224,7 @@ def ahrs_channels(table: Table, source: str) -> dict[str, Channel]:
     -------
     dict
         Signals by name: ``psi``, ``theta``, ``phi`` [rad], ``p``, ``q``, ``r`` [rad/s], ``ax``, ``ay``, ``az`` [m/s2].
-        A signal with fewer than two samples that are not NaN is left out.
+        A signal with fewer than two finite samples is left out.
     """
     names = {"yaw": "psi", "pitch": "theta", "roll": "phi"}
     rows = (("rad", ("yaw", "pitch", "roll")), ("rad/s", ("p", "q", "r")), ("m/s2", ("ax", "ay", "az")))
@@ -230,8 +235,8 @@ def ahrs_channels(table: Table, source: str) -> dict[str, Channel]:
 def _rows_with_position(table: Table) -> Table:
     """Return the samples of a GNSS receiver (``table``, (n,)) that have a fix and a position.
 
-    Samples without a fix, without a latitude, or with latitude and longitude zero are left out. A receiver without a
-    fix may report such zeros as valid.
+    Samples without a fix (``fix`` below 2), without a latitude, or with latitude and longitude zero are left out. A
+    receiver without a fix may report such zeros as valid.
     """
     somewhere = (table["lat"] != 0.0) | (table["lon"] != 0.0)
     good: Table = table[(table["fix"] >= 2) & np.isfinite(table["lat"]) & somewhere]
@@ -242,7 +247,7 @@ def _origin_row(table: Table) -> int:
     """Return the index of the fix that is the origin of x and y: the first one after the receiver has settled.
 
     ``table`` (n,) has the fixes of the receiver, at least one. It is the first fix that is not in a short section at
-    another place (`sections_elsewhere`).
+    another place (`sections_elsewhere`); 0 if all are.
     """
     x, y = local_ned(table["lat"], table["lon"])
     return int(np.argmin(sections_elsewhere(table["t"], x, y, np.ones(x.size, bool))))
@@ -275,10 +280,10 @@ def _add_thruster(log: Log, thruster: Thruster, found: dict[str, Channel]) -> No
     """Add shaft speed, voltage and command of a thruster to the signals ``found``, in place.
 
     The names are ``n_NAME``, ``voltage_NAME`` and ``n_cmd_NAME``, with the name of the thruster in the rig file. The
-    shaft speed is divided by the ``rpm_max`` of the rig file, and is left out without it. If its telemetry has no sign
-    of its own, the sign is restored (`shaft_speed`). The command is the output of the autopilot if the log has it,
-    otherwise the logged command. A signal of the same name in ``found`` is replaced. Signals that the log does not
-    contain are not added.
+    shaft speed is divided by the ``rpm_max`` of the rig file, and is left out without it or with fewer than two
+    samples. If its telemetry has no sign of its own, the sign is restored (`shaft_speed`). The command is the output of
+    the autopilot if the log has it, otherwise the logged command. A signal of the same name in ``found`` is replaced.
+    Signals that the log does not contain are not added.
     """
     device, node = thruster.device, thruster.node
     shaft = None
@@ -306,8 +311,9 @@ def _add_thruster(log: Log, thruster: Thruster, found: dict[str, Channel]) -> No
 def _resample_output(output: Channel) -> Channel:
     """Resample an output of an autopilot to a grid of times `GRID_STEP` (0.01 s) apart, by linear interpolation.
 
-    A sampled output changed at an unknown time since the sample before. The straight line is the mean of all such
-    changes. The result has the hold ``average`` and the original median sample interval in `Channel.sampled`.
+    Gaps longer than 60 s stay empty. Each value is that of the straight line in the middle of its step. A sampled
+    output changed at an unknown time since the sample before. The straight line is the mean of all such changes. The
+    result has the hold ``average`` and the original median sample interval in `Channel.sampled`.
     """
     clock = clock_of(output.t, GRID_STEP)
     mean = np.interp(clock + GRID_STEP / 2, output.t, output.value) if output.t.size else output.value
@@ -316,7 +322,7 @@ def _resample_output(output: Channel) -> Channel:
 
 
 def _channel_of_column(table: Table, column: str, unit: str, source: str) -> Channel:
-    """Return one column of a device's samples as a channel, without the samples in which it is NaN.
+    """Return one column of a device's samples as a channel, without the samples in which it is NaN or infinite.
 
     Parameters
     ----------
@@ -407,14 +413,15 @@ def shaft_speed(t: Array, speed: Array, t_command: Array, command: Array) -> tup
     Returns
     -------
     t : Array (n,)
-        Times [s], `GRID_STEP` (0.01 s) apart, except in long gaps.
+        Times [s], `GRID_STEP` (0.01 s) apart, except in gaps longer than a minute, from the first time of the telemetry
+        (half a step earlier) to the last.
     speed : Array (n,)
         Shaft speed with its sign, each value held until the next one, in the unit of the telemetry.
 
     Notes
     -----
     The result is the response of the command through the delay (0 to about 1 s) and first-order lag (time constant up
-    to about 0.9 s) that fit the magnitude best, plus the interpolated residuals, which are small and smooth.
+    to about 1 s) that fit the magnitude best, plus the residuals, smoothed over three samples and interpolated.
     Interpolation of slow telemetry alone would smooth each step.
     """
     speed = np.abs(speed)
@@ -483,19 +490,20 @@ class LoadedLog:
     run : LogSegment
         The signals, with times [s] from the first sample of the log.
     about : dict
-        Description for results: path, hash, role, name, duration [s], rig, mission, warnings, origin.
+        Description for results: path, hash, role, name, duration [s], rig, mission, warnings; origin if it is known.
     holds : Mapping
         Hold of each signal by name; empty text if it is unknown.
     rig : Rig or None
-        Rig file of the log. None for an imported log.
+        Rig file of the log. None if it has none, as an imported log.
     propulsion : PropulsionInput or None
         Kind of the thruster signals that drive a model. None without signals of both thrusters.
     segments : tuple
-        Start [s] and name of each step of the mission.
+        Start [s, from the first sample of the log] and name of each step of the mission.
     vehicle : Mapping
         Parameters of the boat by name, from the rig file or the import map.
     device_faults : tuple of Finding or None
-        Findings of the checks of the devices. None if the devices were not checked.
+        Findings of the checks of the devices. None if the devices were not checked. Empty for all parts of a log that
+        was cut except the first.
     origin : FrameOrigin or None
         Origin of x and y. None without latitude and longitude.
     shift : tuple of float
@@ -588,7 +596,7 @@ def _with_origin(log: LoadedLog, origin: FrameOrigin) -> LoadedLog:
 def far_apart(origins: Sequence[object]) -> bool:
     """Return whether several logs have different origins of x and y (`FrameOrigin`).
 
-    Unknown origins (None) are ignored.
+    Unknown origins (None) are ignored. Origins with different names of their logs differ even at the same place.
     """
     return len({o for o in origins if o is not None}) > 1
 
@@ -654,11 +662,12 @@ def usable_parts(log: LoadedLog) -> list[LoadedLog]:
     Raises
     ------
     SeatrialError
-        If all parts are too short.
+        If all parts are too short. Also if, in one part between two gaps of the sensors, all segments with known inputs
+        are too short.
 
     Notes
     -----
-    A warning lists the times without sensors. Times of unknown inputs must be cut out: a fit that held the last value
+    A warning states the times without sensors. Times of unknown inputs must be cut out: a fit that held the last value
     would use a wrong thrust.
     """
     return [piece for part in parts_with_sensors(log) for piece in _parts_with_inputs(part)]
@@ -676,7 +685,8 @@ def parts_with_sensors(log: LoadedLog) -> list[LoadedLog]:
     -------
     list
         The parts in order of time, each as a separate log; parts shorter than `SHORTEST_PIECE_S` (10 s) are left out.
-        Only the first part has the findings on the devices. A log without such times is returned unchanged.
+        Only the first of them has the findings on the devices; the others have (). A log without such times is returned
+        unchanged.
 
     Raises
     ------
@@ -686,7 +696,8 @@ def parts_with_sensors(log: LoadedLog) -> list[LoadedLog]:
     Warns
     -----
     SeatrialWarning
-        If the log was cut. The warning lists the gaps and the parts that were left out.
+        If the log was cut. The warning has the number of gaps, the times of the longest one, and the number of parts
+        that were left out.
     """
     gaps = silent_times(log.run.channels)
     if not gaps:
@@ -720,8 +731,9 @@ def parts_with_sensors(log: LoadedLog) -> list[LoadedLog]:
 def _parts_with_inputs(log: LoadedLog) -> list[LoadedLog]:
     """Cut a log at times in which an input is unknown, and leave out parts shorter than `SHORTEST_PIECE_S` (10 s).
 
-    A log without such times is returned unchanged. A signal with fewer than two samples in a part is left out of it.
-    Only the first part has the findings on the devices.
+    A log without such times is returned unchanged. A signal with fewer than two samples in a part is left out of it; it
+    keeps its last sample at or before the part. Only the first part has the findings on the devices; the others have
+    ().
 
     Raises
     ------
@@ -752,6 +764,8 @@ def _named_part(
 ) -> LoadedLog:
     """Return a part of a log, with its times [s] at the end of its name and path, for example ``run[0:60]``.
 
+    The ``about`` of the part has this name and path, and the duration of the part.
+
     Parameters
     ----------
     log
@@ -771,7 +785,7 @@ def _named_part(
 
 
 def _samples_within(channel: Channel, begin: float, end: float) -> Channel:
-    """Return a signal from ``begin`` to ``end`` [s], and its last sample at or before ``begin``.
+    """Return a signal from ``begin`` to ``end`` [s], both included, and its last sample at or before ``begin``.
 
     The value of a command before ``begin`` still holds then.
     """
@@ -830,7 +844,8 @@ def with_unique_names(loaded: Sequence[LoadedLog], files: Sequence[Path]) -> lis
     -------
     list
         Logs of the same name get the name of their folder before their own (``mon/run``), and a number if the names are
-        still equal (``mon/run (2)``). Other logs keep their names.
+        still equal (``mon/run (2)``). Other logs keep their names. A log whose own first fix is its origin gets the new
+        name in the origin too.
 
     Notes
     -----
@@ -874,8 +889,8 @@ def load_run(path: Path, role: str, window: TimeWindow = WHOLE, device_faults: D
     role
         ``estimation`` or ``validation``, for reports.
     window
-        Interval of time of the log to load. The rest of the log is not read (except one minute on both sides), so that
-        ``about["sha256"]`` is empty.
+        Interval of time of the log to load. The rest of the log is not read (except its first minute, and one minute on
+        both sides), so that ``about["sha256"]`` is empty. The signals contain the minute on both sides.
     device_faults
         Function that returns the findings on the devices of an open log. It uses the tables that are read here. None:
         the devices are not checked.

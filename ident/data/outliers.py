@@ -73,9 +73,9 @@ def without_outliers(found: Mapping[str, Channel]) -> dict[str, Channel]:
 
     Notes
     -----
-    Commands and signals with the hold ``zero`` are not tested, since they may have any value at any time. If x and y
-    have the same sample times, an outlier of one coordinate removes the fix from both, and short sections of fixes at
-    another place are removed as well.
+    Commands and signals with the hold ``zero`` are not tested, since they may have any value at any time (`outliers`
+    lists further exceptions). If x and y have the same sample times, an outlier of one coordinate removes the fix from
+    both, and short sections of fixes at another place are removed as well.
     """
     masks = {name: outliers(name, c, found) for name, c in found.items() if c.hold != "zero"}
     pair = [found[n] for n in ("x", "y") if n in found]
@@ -113,8 +113,9 @@ def outliers(name: str, c: Channel, found: Mapping[str, Channel]) -> Mask:
     Returns
     -------
     Array (n,)
-        True for an outlier. All False for a command, for a signal that is stepped like a command, and for a signal with
-        fewer than 12 samples. NaN, and values of `IMPOSSIBLE` (1e6) or more, are outliers of shaft speeds and of
+        True for an outlier. All False for a command, a given force, a servo output, a sampled or averaged signal, a
+        signal without limits of its own that is stepped like a command or whose middle 98 % are constant, and a signal
+        with fewer than 12 samples. NaN, and values of `IMPOSSIBLE` (1e6) or more, are outliers of shaft speeds and of
         signals in `LEAST`, unless they are more than 5 % of the samples (a wrong unit).
     """
     none = np.zeros(c.t.size, bool)
@@ -184,6 +185,9 @@ def _outlier_limits(name: str, c: Channel) -> tuple[float, float]:
 
 def _burst_mask(name: str, t: Array, value: Array, least: float, span: float) -> Mask:
     """Return which samples (n,) of a signal belong to a burst of outliers (one sample, or a few in succession).
+
+    The difference of a burst from the straight line must also exceed five times the largest step between its
+    neighbours, of which at least four steps must be free of suspects.
 
     Parameters
     ----------
@@ -255,7 +259,8 @@ def _long_bursts(name: str, t: Array, value: Array, least: float, span: float) -
     -------
     list
         Index of the first sample, number of samples, and smallest difference from the straight line between both sides
-        in the unit of the signal. Empty if the number of jumps exceeds 2 % of the samples plus two.
+        in the unit of the signal, which exceeds ``least`` and three times the difference between both sides. Empty if
+        the number of jumps exceeds 2 % of the samples plus two.
     """
     jumps = np.flatnonzero(np.abs(_wrapped_difference(name, value[1:], value[:-1])) > least) + 1
     if jumps.size > MAX_JUMPS * t.size + 2:
@@ -302,7 +307,8 @@ def _burst_candidates(
     first : Array (m,)
         Index of the first sample of each possible burst.
     size : Array (m,)
-        Least difference of its samples from the straight line between both sides, in the unit of the signal.
+        Least difference of its samples from the straight line between both sides, in the unit of the signal. It exceeds
+        ``least`` and three times the difference between both sides.
     """
     before, after = value[: -length - 1], value[length + 1 :]
     duration = t[length + 1 :] - t[: -length - 1]

@@ -37,7 +37,8 @@ class LeftOut:
     Attributes
     ----------
     t : Array (n,)
-        Times of the outliers [s], since the first sample of the signal (which may itself be an outlier).
+        Times of the outliers [s], since the first sample of the signal (which may itself be an outlier); in a part of a
+        log, since the first sample of the part that is no outlier.
     value : Array (n,)
         Values of the outliers, in the unit of the signal.
     """
@@ -107,7 +108,8 @@ def block_mean(channel: Channel, edges: Array, angle: bool = False) -> tuple[Arr
     Parameters
     ----------
     channel
-        The signal. Samples with NaN, and samples outside all blocks, are ignored.
+        The signal. Samples with NaN, and samples outside all blocks, are ignored. An angle must have no NaN: all
+        samples after a NaN would be ignored.
     edges
         Edges of the blocks (n + 1,) [s], increasing. A block contains its first edge, but not its last edge.
     angle
@@ -228,7 +230,7 @@ class Record:
 
     @property
     def duration(self) -> float:
-        """Time from the first to the last row [s]."""
+        """Time from the first to the last row [s]. IndexError is raised for a record without rows."""
         return float(self.t[-1] - self.t[0])
 
     def for_model(self, model: Model) -> Record:
@@ -311,7 +313,8 @@ def build_record(
     name
         Name of the record, for messages.
     t_from, t_to
-        Times [s] of the interval to use. By default the record covers the time in which all signals are known.
+        Times [s] of the interval to use, both included. By default the record covers the time in which all signals are
+        known.
     rate
         Rate [Hz] above which a sensor is averaged over blocks of 1/rate, or thinned to one sample of each block if the
         model asks for it (`Sensor.averaged`). A slower sensor keeps its own times.
@@ -327,13 +330,14 @@ def build_record(
         Its rows are the union of the sample times of all sensors, of the changes of inputs with the hold ``zero`` that
         are not averaged, and of the additional rows. ``meta["missing"]`` names the sensors of which a channel is
         missing. ``meta["cut"]`` has the name of a signal that ends early and the seconds lost by it, if more than
-        `SHARE_LOST` of the record is lost.
+        `SHARE_LOST` (10 %) of the record is lost and ``t_to`` is None.
 
     Raises
     ------
     ValueError
-        If an input or all sensors are missing, if the signals do not overlap for two intervals of 1/rate, or if a gap
-        needs more than `MAX_GAP_ROWS` (100 000) additional rows.
+        If an input or all sensors are missing, if the signals do not overlap for two intervals of 1/rate, if the
+        outputs of a sensor have no common time, if a gap needs more than `MAX_GAP_ROWS` (100 000) additional rows, or
+        if the record has more than `MAX_ROWS` (20 million).
 
     Notes
     -----
@@ -420,9 +424,9 @@ def _signal_ends(
 
     Notes
     -----
-    The time is that of the last sample. An input that is logged only when it changes (sample intervals longer than 1 s)
-    is also known up to the last sample of the sensors, if this is less than twice its longest sample interval after its
-    own last sample. Otherwise its source may have failed.
+    The time is that of the last sample. An input that is logged only when it changes (its longest sample interval
+    exceeds 1 s, and it is neither linear nor resampled) is also known up to the last sample of the sensors, if this is
+    less than twice its longest sample interval after its own last sample. Otherwise its source may have failed.
     """
     ends = {o.name: float(channels[o.name].t[-1]) for s in present for o in s.outputs}
     latest = max(ends.values())
@@ -483,6 +487,8 @@ def _sensor_samples(
 ) -> tuple[Array, Array]:
     """Return the times (n,) [s] and values (n, n_outputs) of the samples of a sensor from ``start`` to ``end`` [s].
 
+    Both ends are included. The means of blocks end within half a block before or after ``end``.
+
     Parameters
     ----------
     name
@@ -530,8 +536,8 @@ def _sensor_samples(
 def _block_edges(times: Array, start: float, end: float, rate: float) -> Array:
     """Return the edges [s] of blocks of 1/rate from ``start`` to ``end`` [s], but only those near ``times`` (n,) [s].
 
-    The blocks that contain a time, and their neighbours, are complete. ``rate`` is in Hz. All edges in a gap of years
-    would need gigabytes.
+    The blocks that contain a time, and their neighbours, are complete. The last edge is within half a block before or
+    after ``end``. ``rate`` is in Hz. All edges in a gap of years would need gigabytes.
     """
     step = (start + 1.0 / rate) - start  # as np.arange has it
     last = math.ceil((end + 0.5 / rate - start) * rate) - 1
@@ -635,8 +641,10 @@ def _input_rows(
     """Return the inputs of a record at its rows, and those at the ends of the intervals after the rows.
 
     Both arrays are (n_rows, n_inputs). An input that may be averaged (`Input.prefilter`) is the moving average over
-    ``window`` if this is not zero, and a straight line between rows. Otherwise the input follows its `Input.hold`:
-    ``zero`` keeps the last sample, ``linear`` is interpolated, and ``average`` is the line of `held_lines`.
+    ``window`` if this is not zero. It is then, and without the average if its hold is ``linear``, the straight line in
+    each interval that has its mean there (`SmoothSignal.lines`). Any other input follows its `Input.hold`: ``zero``
+    keeps the last sample, ``linear`` is interpolated (an angle is unwrapped), and ``average`` is the line of
+    `held_lines`.
 
     Parameters
     ----------
@@ -679,7 +687,7 @@ def _input_rows(
 
 
 def _samples_around(channel: Channel, t_from: float, t_to: float) -> Channel:
-    """Return the channel with only the samples from ``t_from`` to ``t_to`` [s], and one more on each side.
+    """Return the channel with only the samples between ``t_from`` and ``t_to`` [s], and the nearest at or beyond each.
 
     At an end of the channel there is no further sample.
     """
@@ -741,8 +749,9 @@ def smooth_signal(channel: Channel, signal: Input, window: float) -> SmoothSigna
         Definition of the input: it is linear or held between its samples (`Input.hold`), and may be an angle, which is
         unwrapped.
     window
-        Length of the moving average [s]; zero leaves the signal unchanged. Near both ends of the samples, the average
-        is over a shorter time.
+        Length of the moving average [s]. Zero, which is for a linear signal only, leaves it unchanged. Near both ends
+        of the samples of a linear signal, the average is over a shorter time. A held signal continues with its first
+        and last value there.
 
     Returns
     -------

@@ -152,8 +152,8 @@ def _strong_remaining_test_reasons(strong: Sequence[Score], n: int) -> list[str]
 
     ``strong`` are the scores on the last model that pass and exceed the limit of the criterion. The limit is the larger
     of ``policy.max_remaining_criterion`` and the share ``policy.max_remaining_share`` of the summed criteria of all
-    effects, but not above the effect's own criterion. The one with the largest criterion is named. ``n`` is the number
-    of rows of the estimation data.
+    effects; above ``policy.max_remaining_criterion`` it is at most the effect's own criterion. The one with the largest
+    criterion is named. ``n`` is the number of rows of the estimation data.
     """
     if not strong:
         return []
@@ -424,11 +424,12 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
 
     Notes
     -----
-    - An effect with competing models: its experiment, and the command that designs a mission to distinguish it from the
-      closest of them. The command is left out if one of both effects is not of the catalogue, or if no mission can be
-      designed for the model.
-    - An ambiguous effect without competing models: its experiment.
-    - No effect was selected, although candidates were fitted: the experiment of the best refit of each round.
+    - An effect with competing models that were fitted in its round: its experiment, and the command that designs a
+      mission to distinguish it from the closest of them. The command is left out if one of both effects is not of the
+      catalogue, or if no mission can be designed for the model.
+    - An ambiguous effect without such competing models: its experiment.
+    - No effect was selected, although candidates were fitted: the experiment of the best refit of each round, if it
+      has one.
     """
     lines = []
     by_name = {j.effect: j for j in diagnosis.attributions}

@@ -164,10 +164,10 @@ class TrajectoryLinearisation:
     def effect(self, effect: Effect) -> Iterator[SensitivityColumns]:
         """Yield the sensitivities of one parametric candidate, once for each combination of its scanned parameters.
 
-        The columns are the derivatives by the size parameters of the effect. A size parameter is not scanned and not on
-        a log scale, and its value in the effect is zero (the first parameter may have another value). The other
-        parameters describe the form and keep their values. The states of the effect at the last row are stored for the
-        next `part`.
+        The columns are the derivatives by the size parameters of the effect, as forward differences over their steps. A
+        size parameter is not scanned and not on a log scale, and its value in the effect is zero (the first parameter
+        may have another value). The other parameters describe the form and keep their values. The states of the effect
+        at the last row are stored for the next `part`.
         """
         key, n, m = (effect.name, effect.curve), len(self.model.states), len(effect.states)
         if key not in self._larger:
@@ -191,6 +191,7 @@ class TrajectoryLinearisation:
             ]  # fmt: skip
 
             def without_own_states(values: Array, rowwise: VectorisedModel = rowwise, x: Array = x) -> list[Array]:
+                """Return the columns (n_rows,) of rates and outputs, without the rates of the effect's own states."""
                 columns = rowwise.columns(x, u, values)
                 return columns[:n] + columns[n + m :]
 
@@ -589,10 +590,10 @@ def normal_equations(
 def wave_peak_score(fitted: FittedModel, policy: SearchPolicy = DEFAULT_POLICY) -> Score | None:
     """Return the score of the candidate ``waves`` (wave forces) from the spectrum of the innovations of a fitted model.
 
-    The peak with the smallest p value in the band of waves counts, and its p value is multiplied by the number of peaks
-    (Bonferroni). ``lm`` of the score is the chi-squared quantile of that p value. ``step`` and ``scan`` are the initial
-    values of the refit. The p value of the peak is also the block-robust p value: the peak is an average over segments
-    of time, and the comparison with neighbouring bins makes it valid for coloured innovations.
+    The peak with the smallest p value in the band of waves counts, and its p value is multiplied by the number of all
+    peaks (Bonferroni). ``lm`` of the score is the chi-squared quantile of that p value. ``step`` and ``scan`` are the
+    initial values of the refit. The p value of the peak is also the block-robust p value: the peak is an average over
+    segments of time, and the comparison with neighbouring bins makes it valid for coloured innovations.
 
     Parameters
     ----------

@@ -145,7 +145,8 @@ def with_common_errors(model: Model, common: Sequence[Effect], step: Mapping[str
         One-step estimate of each parameter by name, 0 for missing ones. It is limited to one standard deviation of the
         prior.
     share
-        Factor of these estimates, 0 to 1. The values are also limited to the bounds.
+        Factor of these estimates, 0 to 1. An initial value is the parameter's own value plus this share of the
+        estimate, limited to the bounds.
     """
     for effect in common:
         values = []
@@ -191,6 +192,11 @@ def fit_common_errors(
     CommonErrorsFit or None
         None if no fit succeeds, if the criterion of the estimation data or the gain on the validation data is not
         positive, or if the prediction is significantly worse.
+
+    Raises
+    ------
+    ValueError
+        If the likelihood of the validation data is not finite with the common errors.
     """
     effects, fitted = tuple(common[name] for name in members.names), None
     for share in (1.0, 0.3, 0.0):

@@ -146,7 +146,8 @@ class Score:
     lm_block
         Block-robust statistic with the same degrees of freedom.
     step
-        One-step estimate of each parameter by name, in the units of the parameters.
+        One-step estimate of each parameter by name, in the units of the parameters. Parameters that the fitted
+        parameters explain are left out.
     scan
         Values of the scanned parameters by name.
     kind, curve
@@ -350,7 +351,7 @@ def propagate_sensitivities(
 ) -> tuple[Array, list[SensitivityColumns]]:
     """Return the whitened sensitivities of the innovations to the fitted parameters, and then to every candidate.
 
-    They are computed in batches of at most 96 columns, unless a single candidate has more.
+    They are computed in batches of at most 96 columns, unless a single candidate, or the fitted parameters, have more.
 
     Parameters
     ----------
@@ -570,8 +571,8 @@ def _candidate_score(
     Score or None
         If the fitted parameters explain every column of the candidate: zero statistics for a catalogue effect that acts
         on the data, None otherwise. The statistics are also zero if a one-sided candidate has a negative estimate of
-        its first parameter. A column that is explained to 1e-8 is left out; so are combinations of columns that depend
-        on others.
+        its first parameter that can be tested. A column that is explained to 1e-8 is left out; so are combinations of
+        columns that depend on others.
     """
     candidate, names, index = placed.columns, np.array(placed.names), np.asarray(placed.at)
     # a column that the fitted parameters explain to 1e-8 cannot be tested

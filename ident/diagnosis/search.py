@@ -208,8 +208,9 @@ def diagnose(
     Raises
     ------
     ValueError
-        If a run lacks a signal that the model needs, or if the model has no residual forces to test: it is neither a
-        vehicle with a hull, nor a Nomoto model, nor a thruster on the bench.
+        If an estimation run lacks a signal that the model needs, if the score tests cannot be computed, or if the model
+        has no residual forces to test: it is neither a vehicle with a hull, nor a Nomoto model, nor a thruster on the
+        bench.
     """
     start = _prepared_search(model, estimation, validation, effects, rate, reporter, policy)
     before, records, validation_data = start.before, start.records, start.validation_data
@@ -316,7 +317,7 @@ def assess_model(
     Raises
     ------
     ValueError
-        If a run lacks a signal that the model needs, or if the score tests cannot be computed.
+        If an estimation run lacks a signal that the model needs, or if the score tests cannot be computed.
     """
     if not residuals_of(model):
         return None
@@ -378,7 +379,7 @@ def _prepared_search(
     Raises
     ------
     ValueError
-        If a run lacks a signal that the model needs, or if the model has no residual forces to test.
+        If an estimation run lacks a signal that the model needs, or if the model has no residual forces to test.
     """
     if not residuals_of(model):
         raise ValueError(
@@ -423,7 +424,8 @@ def _prepared_search(
 def _lack_common_origin(runs: Sequence[LogSegment]) -> bool:
     """Return whether the logs of the runs are too far apart for one common origin of the positions x and y.
 
-    Runs with an unknown origin are ignored.
+    Logs that were moved to one origin have the same one in their records (`far_apart`). Runs with an unknown origin are
+    ignored.
     """
     return far_apart([run.meta.get(ORIGIN) for run in runs])
 
@@ -683,11 +685,12 @@ class _Search:
     def forward(self, before: FittedModel, max_effects: int) -> tuple[FittedModel, list[Score]]:
         """Add effects one after the other; return the last model and the scores that pass on it.
 
-        The search ends after ``max_effects`` rounds, after a round without an added effect, or if no score passes.
-        After a nonparametric effect, only parametric effects are tried, with a criterion of the score above
-        ``policy.min_gain_ratio_after_curve`` of the largest criterion of an added effect. With the common errors, the
-        criterion must also exceed ``policy.max_remaining_criterion``. The common errors are added before a round if
-        they explain more than any single effect. The attributes of the search are updated.
+        The search ends after ``max_effects`` rounds, after a round without an added effect (unless two effects at once
+        are accepted then: `_look_ahead`), or if no score that passes may be tried. After a nonparametric effect, only
+        parametric effects are tried, with a criterion of the score above ``policy.min_gain_ratio_after_curve`` of the
+        largest criterion of an added effect. With the common errors, the criterion must also exceed
+        ``policy.max_remaining_criterion``. The common errors are added before a round if they explain more than any
+        single effect. The attributes of the search are updated.
 
         Parameters
         ----------
@@ -788,9 +791,10 @@ class _Search:
     def add_common_errors(self, current: FittedModel, passed: Sequence[Score]) -> FittedModel | None:
         """Add the common errors to a model if they explain more than any single effect; return the fit with them.
 
-        None if fewer than ``policy.min_common_errors`` of them are needed, if a single candidate explains more, or if
-        the fit with them is not supported by the estimation or the validation data. ``common``, ``common_errors``,
-        ``candidates`` and ``policy`` are changed.
+        None if fewer than ``policy.min_common_errors`` of them are needed, if a single other parametric candidate
+        explains more, or if the fit with them is not supported by the estimation or the validation data. In the latter
+        case they are not tried again (``common`` is empty). Otherwise ``common``, ``common_errors``, ``candidates`` and
+        ``policy`` are changed.
 
         Parameters
         ----------
@@ -838,7 +842,8 @@ class _Search:
     def unaffected_by(self, current: FittedModel, remaining: Sequence[Score]) -> tuple[frozenset[str], frozenset[str]]:
         """Fit the last model with the strongest remaining candidates, and find the effects that they do not change.
 
-        These are up to ``policy.n_beside`` parametric candidates. Without any, all added effects keep their size.
+        These are up to ``policy.n_beside`` parametric candidates. Without any, the model is compared with itself, so
+        that all added effects keep their size, except those of which it cannot be compared (`_keeps_its_size`).
 
         A score test that still passes has two possible reasons: a further effect, beside those found, or an effect that
         was found in place of the right one. In the first case the effects found keep their size beside it, in the
@@ -982,8 +987,8 @@ class _Search:
     def _run_round(self, current: FittedModel, scores: list[Score], passed: list[Score]) -> Round:
         """Refit the best candidates that passed, and choose the refit to add.
 
-        Parametric candidates are refitted in batches until a batch has an accepted refit. Then follow the nonparametric
-        candidates whose score is high enough compared with the best accepted refit
+        Parametric candidates are refitted in at most ``policy.n_batches`` batches, until a batch has an accepted refit.
+        Then follow the nonparametric candidates whose score is high enough compared with the best accepted refit
         (``policy.nonparametric_score_share`` and ``policy.nonparametric_score_distance``).
 
         Parameters

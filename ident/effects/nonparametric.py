@@ -94,8 +94,8 @@ def spline_basis(z: Any, angle: bool, span: tuple[float, float]) -> list[Any]:
     angle : bool
         Whether the variable is an angle [rad].
     span : tuple[float, float]
-        First and last knot, in the unit of the variable. The knots are equally spaced. Beyond them the curve is
-        constant. It is ignored for an angle.
+        First and last knot, in the unit of the variable. The knots are equally spaced. From a quarter of the spacing
+        beyond them the curve is constant. It is ignored for an angle.
 
     Returns
     -------
@@ -181,7 +181,7 @@ def residual_and_variables(model: Model, curve: ForceCurve) -> tuple[Disturbance
 def _term_meanings(of: Sequence[Variable]) -> list[str]:
     """Return the meaning of each coefficient of a curve for reports, for example "at knot 3 of u" or "with sin 2psi".
 
-    ``of`` contains one variable, or the two variables of a product ("with u |r|").
+    Knots count from 0. ``of`` contains one variable, or the two variables of a product ("with u |r|").
     """
     a = of[0].name
     if len(of) == 2:
@@ -367,8 +367,9 @@ def between_knots(knots: Array, grid: Array, span: tuple[float, float]) -> Array
 def input_response_effects(model: Model) -> list[Effect]:
     """Return the lagged and the resonant response to each pair of thrusters, as effects that can be added to the model.
 
-    The mean of the shaft speeds or thrusts of a pair acts on the surge force, and their difference on the yaw moment.
-    Responses that the model has already are left out. For a model without a pair of thrusters, return [].
+    The mean thrust of a pair acts on the surge force, and half the difference (left minus right) on the yaw moment; the
+    thrust of a shaft speed n is n|n|. Responses that the model does not accept, for example since it has them already,
+    are left out. For a model without a pair of thrusters, or without a residual force X or N, return [].
     """
     forces = {r.name: r for r in residuals_of(model)}
     effects = []

@@ -29,7 +29,8 @@ def catalogue() -> Mapping[str, Effect]:
 
     The modules of the effects are imported at the first call. The result is kept and shared by all callers, so it is
     read-only. A package is left out with a warning if it cannot be imported, or if its entry point names anything else
-    than effects. An effect of a package is left out with a warning if its name is in use.
+    than effects (without a warning for a module that has neither ``EFFECTS`` nor ``EFFECT``). An effect of a package is
+    left out with a warning if its name is in use.
 
     Raises
     ------
@@ -69,7 +70,8 @@ def _effects_of_plugin(loaded: object, place: str) -> tuple[Effect, ...]:
     Returns
     -------
     tuple[Effect, ...]
-        () with a warning if the object, or an element of it, is no Effect. () without a warning for None.
+        () with a warning if the object, or a single element of it, is no Effect. () without a warning for None, for an
+        empty list, and for a module that has neither ``EFFECTS`` nor ``EFFECT``.
     """
     if isinstance(loaded, ModuleType):
         loaded = getattr(loaded, "EFFECTS", None) or getattr(loaded, "EFFECT", None)
@@ -89,12 +91,15 @@ def _effects_of_plugin(loaded: object, place: str) -> tuple[Effect, ...]:
 def _register_module(module: ModuleType, effects: dict[str, Effect]) -> None:
     """Add the effects of a module (``EFFECTS``, otherwise ``EFFECT``) to the mapping ``effects`` by name, in place.
 
-    The origin of their parameter values is set to built-in: reports then do not count them as given by the user.
+    The origin of their parameter values is set to built-in, if it is "given" (the default): reports then do not count
+    them as given by the user.
 
     Raises
     ------
     ValueError
         If a name is already in use.
+    AttributeError
+        If the module has neither ``EFFECTS`` nor ``EFFECT``.
     """
     for effect in getattr(module, "EFFECTS", ()) or (module.EFFECT,):
         if effect.name in effects:

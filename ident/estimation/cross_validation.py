@@ -79,8 +79,9 @@ def leave_one_block_out(
 
     They are used for cross-validation. The values come from one Newton step inside the bounds from the fit to all
     blocks, with the block's contribution subtracted (approximate leave-one-out). A step that should gain more than 10
-    in log-posterior is halved, at most six times, until the log-posterior of the other blocks rises. Only the nominal
-    model's per-record parameters (the current) are estimated from the block itself.
+    in log-posterior is halved, at most six times, until the log-posterior of the other blocks rises; the sixth half is
+    used even if it does not. Only the nominal model's per-record parameters (the current) are estimated from the block
+    itself.
 
     Parameters
     ----------
@@ -102,7 +103,7 @@ def leave_one_block_out(
     Raises
     ------
     ValueError
-        If a block cannot be evaluated.
+        If a block cannot be evaluated, or if the fit of its per-record parameters fails.
     """
     likelihood, index = Likelihood(model), {p.name: k for k, p in enumerate(model.parameters)}
     rows = [r.for_model(model) for r in blocks.records]

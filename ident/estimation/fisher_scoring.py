@@ -313,7 +313,7 @@ def maximise(
 
     Fisher scoring makes Newton steps with the expected information as the negative Hessian; here BFGS updates correct
     it. The search ends if a full step is expected to gain less than ``tolerance``. It also ends if no step gains
-    anything, neither with the corrected Hessian nor with the expected information alone.
+    anything, neither with the corrected Hessian nor with the expected information alone, and after ``max_iterations``.
 
     Parameters
     ----------
@@ -462,8 +462,8 @@ class Problem:
     threads
         Largest number of records that are evaluated at the same time.
     initial_values
-        Initial values of per-record parameters (``V_x@0`` is V_x in record 0) that differ from the model's. None: no
-        such values.
+        Initial values by full name (``V_x@0`` is V_x in record 0) that differ from the model's, also of shared
+        parameters. None: no such values.
 
     Attributes
     ----------

@@ -261,9 +261,9 @@ def without_contradicted_noise(full: Model, fitted: FittedModel) -> Model:
     """Replace the declared noise of the sensors by priors if the innovations of an output contradict it.
 
     Declared noise is a fixed noise parameter of an output. It is contradicted if the robust standard deviation of the
-    standardised innovations of any output is 1.5 or more. All declared noise parameters then become free, with their
-    values as the means of priors and 12.5 % as relative standard deviation. Otherwise the model ``full`` is returned
-    unchanged.
+    standardised innovations of any such output is 1.5 or more. All declared noise parameters then become free, with
+    their values as the means of priors and 12.5 % as relative standard deviation. Otherwise the model ``full`` is
+    returned unchanged.
 
     If noise that is declared too small were kept fixed, random errors would look like an effect, and the standard
     errors would be too small. One contradicted output makes the declared noise of all outputs doubtful: the filter puts

@@ -100,9 +100,10 @@ class HomogeneityTest:
 def homogeneity_test(common: Fit, records: Sequence[Record], name: str) -> HomogeneityTest:
     """Test whether one value of a parameter holds for all records, by a fit with one value for each record.
 
-    A record is informative about the parameter if its standard error is below 0.95 of the prior's standard deviation,
-    or if its value is at a bound. If some records are not, both models are fitted again to the others for the
-    likelihood ratio.
+    In that fit the prior of each value is ``sqrt(n_records)`` times as wide. A record is informative about the
+    parameter if its standard error is below 0.95 of the standard deviation of this prior (without a prior: if there is
+    a standard error), or if its value is at a bound. If some records are not, both models are fitted again to the
+    others for the likelihood ratio.
 
     Parameters
     ----------
@@ -437,8 +438,8 @@ def parameter_shift(fitted: Fit, record: Record, values: Array) -> ParameterShif
 
     Each shared parameter except noise, and a payload, is fitted in turn to the run alone, together with the run's
     per-record parameters. The shared parameter has no prior; the payload keeps its prior. A candidate that cannot be
-    fitted is skipped. Of the parameters that differ by more than 5 standard errors, the one with the largest
-    log-likelihood is returned.
+    fitted, or of which either fit has no standard error, is skipped. Of the parameters that differ by more than 5
+    standard errors, the one with the largest log-likelihood is returned.
 
     Parameters
     ----------

@@ -184,8 +184,9 @@ class Likelihood:
     """Likelihood of measured records under a model, as a function of the parameter values.
 
     In all methods, ``values`` is an Array (n_parameters,) in the order of ``model.parameters``, in their own units.
-    ValueError is raised for another shape. Methods may be called from several threads. A parameter vector for which the
-    filter diverges gives NaN. The filter code of the model is compiled at the first call.
+    ValueError is raised for another shape (except by `forecast`). Methods may be called from several threads. A
+    parameter vector for which the filter diverges gives NaN. The filter code of the model is compiled at the first
+    call.
 
     Parameters
     ----------

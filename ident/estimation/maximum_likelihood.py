@@ -171,10 +171,12 @@ class Fit:
         from considered parameters: parameters that are held while the uncertainty of their priors counts. It does not
         affect predictions of what the same sensors measure.
     prior_weight : Array (n,)
-        Share of a parameter's information that comes from its prior; 1 if the data contain no information.
+        Share of a parameter's information that comes from its prior; 1 if the data contain no information, and 0
+        without a standard error.
     robust_errors : Array (n,)
         Standard errors from the sandwich covariance, valid for coloured (autocorrelated) residuals. NaN if they were
-        not requested, for parameters without a standard error, and for residuals autocorrelated for too long.
+        not requested, for parameters without a standard error, and for residuals autocorrelated for too long. For a
+        parameter with a flat likelihood they are those of ``errors``.
     coloured
         Whether the residuals are coloured: the information matrix test rejects the standard error of a parameter. The
         errors and the covariance are then those of the sandwich covariance if these are larger. Always False in output
@@ -248,7 +250,8 @@ class Fit:
         name
             Name without the index of the record: ``V_x``.
         record
-            Index of the record. It matters only for per-record parameters.
+            Index of the record. It matters only for per-record parameters, for which another index than those of the
+            fit's records gives the mean over the records and NaN.
         """
         for i, p in enumerate(self.parameters):
             if p.name == name and p.segment in (None, record):

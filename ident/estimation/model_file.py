@@ -72,7 +72,8 @@ class SavedModel:
     model
         Model with the values of the file.
     errors
-        Standard errors by parameter, in the parameters' units; NaN if there is none.
+        Standard errors by parameter, in the parameters' units; NaN if there is none. For a per-record parameter, it is
+        that of the first record.
     validity
         Least and largest value of each signal in the fitted data, by name, in SI units.
     provenance
@@ -90,7 +91,8 @@ class SavedModel:
     origin
         Origin of x and y for the model's fixed points; None if it has no fixed point, or if the origin is unknown.
     inflation
-        By parameter, the factor by which correlated residuals increased its standard error.
+        By parameter, the factor by which correlated residuals increased its standard error; no entry for a factor of
+        about one, or for a per-record parameter.
     rates
         By sensor, its sample rate in the fitted data [Hz].
     """
@@ -119,7 +121,8 @@ class SavedModel:
     def covariance(self, wanted: Collection[str] | None = None) -> ParameterCovariance:
         """Return the covariance of all estimates, or of those whose full names are in ``wanted``.
 
-        The covariance is in the parameters' units. Estimates without a standard error are left out.
+        The covariance is in the parameters' units. Estimates without a standard error are left out, and so are
+        per-record parameters, of which the file has no standard error for each record.
         """
         names = self.names if wanted is None else [n for n in self.names if n in wanted]
         known = tuple(n for n in names if np.isfinite(self.errors.get(n, np.nan)) and self.errors[n] > 0.0)
@@ -281,8 +284,8 @@ def _copy_beside_model(path: Path, file: Path) -> Path:
 def _parameter_table(p: Parameter, fit: Fit, *, with_prior: bool) -> dict[str, Any]:
     """Return the table of a parameter in model.toml: value, unit, standard error, prior and so on, where they apply.
 
-    A per-record parameter is written with its value in the model, the mean over the records. ``with_prior`` is whether
-    to write the prior of the parameter.
+    A per-record parameter is written with its value in the model, the mean over the records, and with its standard
+    error in the first record. ``with_prior`` is whether to write the prior of the parameter.
     """
     value, error = fit.estimate(p.name)
     row: dict[str, Any] = {
@@ -390,6 +393,8 @@ def _trusted_python_files(table: Mapping[str, Any], path: Path) -> tuple[str, Pa
 def _build_model(table: Mapping[str, Any], source: str, own: Mapping[str, Effect]) -> Model:
     """Return the model that a model.toml describes: its structure with effects, outlier model and parameter values.
 
+    A parameter without a table in the file is that of the structure.
+
     Parameters
     ----------
     table
@@ -468,8 +473,8 @@ def _with_bounds_around_values(effect: Effect, rows: Sequence[Mapping[str, Any]]
     """Widen the bounds of an effect's scaled parameters so that they include the values in the file. Return the effect.
 
     Bounds are scaled with the size of the boat. The fit that wrote the file may have assumed another size, so that a
-    value at its bound may lie outside the bounds of today. A bound of zero does not depend on the size and stays.
-    ``rows`` are the tables of the parameters in the file.
+    value at its bound may lie outside the bounds of today. A bound of zero does not depend on the size and stays, and
+    so do the bounds of parameters that are not scaled. ``rows`` are the tables of the parameters in the file.
     """
     values = {row["name"]: float(row["value"]) for row in rows}
 

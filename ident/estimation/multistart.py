@@ -55,8 +55,8 @@ def alternative_starts(first: Fit, records: Sequence[Record]) -> list[dict[str, 
     The start grid has initial values for a few parameters, such as delay and lag of a thruster. The log-likelihood is
     evaluated at all its points, with all other parameters as in the fit. Points are taken in the order of decreasing
     likelihood. In the first parameter of the grid, a point differs from the fit and from the points before it by more
-    than 1.5 times the grid's minimum distance. If the option ``gaining`` of the grid is set, a point is taken only if
-    its log-likelihood exceeds that of the fit by more than 2.
+    than 1.5 times the grid's minimum distance. A point without a finite likelihood is not taken. If the option
+    ``gaining`` of the grid is set, a point is taken only if its log-likelihood exceeds that of the fit by more than 2.
 
     Parameters
     ----------

@@ -92,9 +92,9 @@ def with_free_initial_states(model: Model, records: Sequence[Record]) -> tuple[M
     """Return the model that output error estimates, with the unknown initial states of each record as free parameters.
 
     A state that starts from a measurement gets a free parameter ``x0_NAME`` for each record, which starts at that
-    record's first sample. A state that starts from a number gets a parameter with that number as prior mean and ``sd0``
-    as prior standard deviation. A state that is known exactly (``sd0`` zero), or whose initial value is a parameter
-    already, stays as it is.
+    record's first sample. A state that starts from a number (or from an output that the model lacks) gets a parameter
+    with that number as prior mean and ``sd0`` as prior standard deviation. A state that is known exactly (``sd0``
+    zero), or whose initial value is a parameter already, stays as it is.
 
     Returns
     -------

@@ -163,7 +163,8 @@ def fix_parameters(model: Model, thruster: Path | None, given: Mapping[str, floa
     Raises
     ------
     SeatrialError
-        If the model lacks a parameter of ``given``, or if the bench test does not determine a thrust coefficient.
+        If the model lacks a parameter of ``given``, if the file of the bench test cannot be read, or if it has no
+        thrust coefficient or does not determine it.
     """
     known: dict[str, Parameter] = {}
     notes = []

@@ -300,9 +300,9 @@ def _next_distance_outwards(objective: ConstrainedObjective, side: ProfileBranch
     """Return the distance from the estimate at which the next, more distant point of a profile is placed.
 
     The distance is in the estimator's coordinate (the logarithm of a positive parameter). The first distance comes from
-    the curvature at the estimate, or from the parameter's characteristic step if the curvature is unknown. Later ones
-    extrapolate the points found so far; they are 1.25 to 3 times the distance of the last point inside the interval.
-    For a logarithm the distance grows by at most 1.5.
+    the curvature at the estimate. If the curvature is unknown, it is 1.5 for a logarithm, else the parameter's
+    characteristic step (or a tenth of its value, or 1). Later ones extrapolate the points found so far; they are 1.25
+    to 3 times the distance of the last point inside the interval. For a logarithm the distance grows by at most 1.5.
 
     Parameters
     ----------
@@ -433,10 +433,10 @@ class ProfileBranch:
 
         The distance is the end of the 95 % interval. The square root of the drop is nearly a straight line in the
         distance, so that it is interpolated. The result counts as exact if both points are within one per cent, or if
-        their drops are between 0.96 and 3.84 and two interpolations agree: by a straight line, and by a monotone cubic
-        through all points. The distance is the middle between the last point inside and the first point outside if
-        these are within one per cent, or if the drop of the outer one is infinite. AssertionError is raised if no point
-        outside exists.
+        their drops are between 0.96 and 3.84 and either the result is within one per cent of one of them or two
+        interpolations agree: by a straight line, and by a monotone cubic through all points. The distance is the middle
+        between the last point inside and the first point outside if these are within one per cent, or if the drop of
+        the outer one is infinite. AssertionError is raised if no point outside exists.
         """
         inner, outer = self.last_inside, self.first_outside
         assert outer is not None
@@ -459,8 +459,9 @@ class ProfileBranch:
         A straight line through the square roots of the drops at both points reaches the root of 1.92 at this distance.
         If that line is a poor guess (the outer drop exceeds four times 1.92, or two points have not halved the
         bracket), the middle is taken (the geometric middle if the distances differ by more than a factor of four). With
-        only the estimate inside, the distance is at most half of the outer one. The width between both points is
-        appended to ``bracket_widths``. AssertionError is raised if no point outside exists.
+        only the estimate inside, the distance is at most half of the outer one, and a tenth if the outer drop is
+        infinite. The width between both points is appended to ``bracket_widths``. AssertionError is raised if no point
+        outside exists.
         """
         inner, outer = self.last_inside, self.first_outside
         assert outer is not None

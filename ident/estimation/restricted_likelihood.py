@@ -35,10 +35,10 @@ def apply_reml(problem: Problem, maximum: Optimum) -> Optimum:
     """Take one Newton step from the maximum of the likelihood to that of the restricted likelihood (REML).
 
     Maximum likelihood underestimates the noise, because the fitted dynamics reduce the innovations; the step corrects
-    this. It moves noise parameters and dynamic parameters. A noise parameter keeps its value if it is not estimated as
-    a logarithm, is at a bound, or if the data do not determine its order of magnitude (an information of at most 1 on
-    its logarithm). A dynamic parameter that all records share and of which the prior has more than half of the
-    information also keeps its value.
+    this. It moves noise parameters and dynamic parameters. A noise parameter is not corrected itself, and only follows
+    the others, if it is not estimated as a logarithm, is at a bound, or if the data do not determine its order of
+    magnitude (an information of at most 1 on its logarithm). A dynamic parameter that all records share and of which
+    the prior has more than half of the information keeps its value.
 
     Parameters
     ----------
@@ -51,9 +51,9 @@ def apply_reml(problem: Problem, maximum: Optimum) -> Optimum:
     -------
     Optimum
         Point after the step. ``at`` contains the gradient of the restricted likelihood, but the value of the likelihood
-        at its maximum. The result is ``maximum`` itself in these cases: no noise or no dynamics is estimated; the
-        information is not finite; the step of a coordinate exceeds its standard error; the likelihood falls by more
-        than 1.92 or cannot be evaluated.
+        at its maximum. The result is ``maximum`` itself in these cases: there is no noise to correct, or no dynamic
+        parameter inside its bounds that the data determine; the information is not finite; the step of a coordinate
+        exceeds its standard error; the likelihood falls by more than 1.92 or cannot be evaluated.
     """
     names = problem.model.noise_parameters
     inside = ~np.logical_or(*problem.bounds.reached(maximum.z)) & (np.diag(maximum.at.information) > 0)

@@ -58,7 +58,7 @@ class Uncertainty:
     covariance, correlation : Array (n, n)
         Covariance and correlation of the estimates; NaN for parameters without a standard error.
     prior_weight : Array (n,)
-        Share of a parameter's information that comes from its prior, 0 to 1.
+        Share of a parameter's information that comes from its prior, 0 to 1; 0 without a standard error.
     gradient_norm
         Length of the gradient in standard errors; zero at the optimum.
     flags : tuple of (name, remark)

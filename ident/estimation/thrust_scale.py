@@ -150,6 +150,8 @@ def free_unknown_scale(model: Model) -> Model:
       determines. If one was given, the other is its negative.
     - If the thrust coefficient c1 was not given but a mass was, c1 is estimated. If neither was given, c1 keeps its
       built-in value, and the estimates are ratios to it.
+
+    In a model without c1 or m_u only the arms are changed.
     """
     values = model.values
     if "c1" not in values or "m_u" not in values:
@@ -376,6 +378,11 @@ def least_yaw_inertia(fit: Fit, length: float | None = None) -> float | None:
     float or None
         None if the model lacks mass, inertia or arms, or if thrust or arms were not given, so that masses or inertia
         are known as ratios only.
+
+    Raises
+    ------
+    KeyError
+        If the model has one symmetric arm ``y_arm``, and this was given.
     """
     scale, values = thrust_scale_of(fit.model), fit.model.values
     if not {"m_u", "m_r"} <= set(values) or scale.relative or scale.relative_yaw or scale.arm is None:

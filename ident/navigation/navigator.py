@@ -213,7 +213,8 @@ def navigate(
     smoothed : bool
         Whether ``Navigation.best`` uses all samples; otherwise it uses the samples up to each row.
     without_gnss : sequence of (float, float)
-        Intervals of ``record.t`` [s] whose GNSS samples are not used, to measure the effect of an outage.
+        Intervals of ``record.t`` [s] whose GNSS samples are not used, to measure the effect of an outage. The end of an
+        interval does not belong to it.
     known : ParameterCovariance, optional
         Covariance of the parameters, whose errors widen the covariance of the states. Without it, the parameters count
         as exact.

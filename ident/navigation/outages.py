@@ -162,9 +162,9 @@ def gnss_outages(navigation: Navigation) -> list[Outage]:
     """Return the GNSS outages of a record in order of time, with the position error of each.
 
     An outage is an interval between two fixes that the filter used. It is longer than three median intervals between
-    all fixes, withheld ones included, and longer than 2 s. The intervals before the first and after the last used fix
-    count as outages if they are as long. Withheld fixes are not used, so that an interval in which all fixes are
-    withheld is an outage.
+    all fixes, withheld ones included (with fewer than two used fixes this limit is zero), and longer than 2 s. The
+    intervals before the first and after the last used fix count as outages if they are as long. Withheld fixes are not
+    used, so that an interval in which all fixes are withheld is an outage.
     """
     used = np.flatnonzero(navigation.used)
     t = navigation.t

@@ -51,14 +51,15 @@ def integrated_autocorrelation_time(series: Sequence[Array], truncation: Truncat
     Parameters
     ----------
     series : arrays (n,)
-        Evenly sampled series of the same kind. At least one; the lengths may differ. Their means are subtracted.
+        Evenly sampled series of the same kind. At least one, none of them empty; the lengths may differ. Their means
+        are subtracted.
     truncation
         Rule by which the sum ends: ``window`` (Sokal) or ``positive`` (initial positive sequence of Geyer).
 
     Returns
     -------
     float
-        1 for white noise or constant series, and never less.
+        1 for white noise, constant series or series with NaN, and never less.
     """
     longest = max(x.size for x in series)
     covariance = np.zeros(longest)
@@ -80,7 +81,7 @@ def correlation_length(series: Sequence[Array]) -> float:
     ----------
     series : arrays (n,)
         Series of the same kind. Exact zeros are not samples, but rows between the samples of a slow sensor. The length
-        counts these rows too.
+        counts these rows too. The mean of the samples of each series is subtracted.
 
     Returns
     -------
@@ -161,11 +162,12 @@ def effective_sample_size(z: Array) -> float:
     Returns
     -------
     float
-        Number between 1 and n. It is n for fewer than three samples, and if all samples are zero.
+        Number between 1 and n. It is n for fewer than three samples (0 without samples), and if all samples are zero.
 
     Notes
     -----
-    Autocorrelations are summed up to the first that is within its noise, ``2 / sqrt(n)``.
+    The squares of the autocorrelations are summed up to the first that is within its noise, ``2 / sqrt(n)``. That one
+    is left out.
     """
     n, power = z.size, float(z @ z)
     if n < MIN_SAMPLES or power == 0.0:

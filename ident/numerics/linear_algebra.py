@@ -26,7 +26,7 @@ class ScaledEigen(NamedTuple):
     V : Array (n, n)
         Eigenvectors in columns.
     scale : Array (n,)
-        Square roots of the diagonal of A.
+        Square roots of the diagonal of A, of which smaller values are replaced by the floor.
     """
 
     w: Array
@@ -42,15 +42,15 @@ def unit_diagonal(A: Array, floor: float = 0.0) -> tuple[Array, Array]:
     A : Array (n, n)
         Symmetric matrix.
     floor
-        Replaces smaller values on the diagonal, which rounding may have made zero or negative. With the floor 0, a zero
-        on the diagonal gives NaN or inf.
+        Replaces smaller values on the diagonal, which rounding may have made zero or negative. With the floor 0, a
+        diagonal value of zero or less gives NaN or inf.
 
     Returns
     -------
     scaled : Array (n, n)
-        Scaled matrix.
+        Scaled matrix. Its diagonal is not one where the floor replaced a value.
     scale : Array (n,)
-        Square roots of the diagonal.
+        Square roots of the diagonal, after the floor.
     """
     scale = np.sqrt(np.maximum(np.diag(A), floor))
     return A / np.outer(scale, scale), scale
@@ -69,7 +69,7 @@ def scaled_eigen(A: Array, floor: float = 0.0) -> ScaledEigen:
     Raises
     ------
     LinAlgError
-        If the scaled matrix has NaN, or the eigenvalues do not converge.
+        If the eigenvalues do not converge. NaN in A may raise it too, or give eigenvalues that are NaN.
     """
     scaled, scale = unit_diagonal(A, floor)
     w, V = np.linalg.eigh(scaled)
@@ -79,12 +79,13 @@ def scaled_eigen(A: Array, floor: float = 0.0) -> ScaledEigen:
 def scaled_inverse(A: Array) -> Array:
     """Return the inverse (n, n) of a positive definite A (n, n).
 
-    A is scaled to unit diagonal, inverted and scaled back, so that rounding errors do not depend on units.
+    A is scaled to unit diagonal, inverted and scaled back, so that rounding errors do not depend on units. NaN, or a
+    zero on the diagonal, gives NaN.
 
     Raises
     ------
     LinAlgError
-        If A is singular.
+        If A is exactly singular, with a positive diagonal.
     """
     scaled, scale = unit_diagonal(A)
     return np.asarray(np.linalg.inv(scaled) / np.outer(scale, scale))

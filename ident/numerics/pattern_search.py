@@ -4,8 +4,8 @@ Each batch contains points of three kinds:
 
 - Poll: single coordinates moved up and down by the mesh size, in random order.
 - Search: several coordinates moved at random.
-- Points ahead: the last improvement continued once and three times more (the pattern of Hooke and Jeeves), and the sum
-  of the moves in the last batch that improved the merit.
+- Points ahead, after a batch with an improvement: the improvement continued once and three times more (the pattern of
+  Hooke and Jeeves), and the sum of the moves of this batch that improved the merit (each coordinate by the best one).
 
 The search moves to the best point of a batch if it is an improvement. If several batches bring none, the mesh is
 halved. A point that violates a constraint is worse than any point that does not; of two such points, the larger
@@ -75,7 +75,7 @@ class SearchState:
     order
         Indices of the coordinates that are still to be polled (moved up and down) with this mesh, in random order.
     idle
-        Number of batches since the last improvement or change of the mesh.
+        Number of batches since the last improvement or halving of the mesh.
     ahead
         Points (size,) to evaluate in the next batch, which continue the last improvement.
     """
@@ -91,7 +91,11 @@ class SearchState:
 
     @property
     def done(self) -> bool:
-        """Whether the mesh is finer than 0.001 of the range of a coordinate, at which the search ends."""
+        """Whether the mesh is finer than 0.001 of the range of a coordinate, at which the search ends.
+
+        A search also ends when its evaluations are used up; ``done`` is then False. A search that is done can be
+        continued with a wider mesh, which makes ``done`` False again.
+        """
         return self.mesh < LAST_MESH
 
 
@@ -106,13 +110,13 @@ class SearchResult:
     value
         Objective there.
     violation
-        Violation of the constraints there; 0 for none.
+        Violation of the constraints there; 0 or less for none.
     evaluations
-        Number of evaluations.
+        Number of evaluations of all searches, without those of the starts and of the result.
     history
         Number of evaluations so far and best merit so far of the best search, after each batch.
     merits
-        Final merit of the search from each start.
+        Best merit of the search from each start, before the best of several searches is continued.
     """
 
     z: Array
@@ -129,8 +133,8 @@ class PatternSearch:
     Parameters
     ----------
     evaluate
-        ``evaluate(z (n, size)) -> value (n,), violation (n,)``: objective, and violation of the constraints (0 for
-        none).
+        ``evaluate(z (n, size)) -> value (n,), violation (n,)``: objective, and violation of the constraints (0 or
+        less for none).
     low, high : Array (size,)
         Bounds.
     seed

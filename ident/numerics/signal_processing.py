@@ -32,7 +32,8 @@ def first_order_lag(f: Array, tau: float, dt: float, *, hold: Hold = "forward", 
         ``forward``: f[k] is held from row k to the next, so that x[k] depends on f up to row k - 1. ``backward``: f[k]
         is held over the step that ends in row k.
     start
-        ``zero``: the filter starts at zero. ``steady``: x[0] = f[0].
+        ``zero``: the filter is at zero before the first input acts: x[0] = 0 for ``forward``, and one step before row 0
+        for ``backward``. ``steady``: x[0] = f[0].
 
     Returns
     -------
@@ -105,7 +106,7 @@ def fit_first_order_lag(
     hold
         ``forward``: an input is held from its row to the next. ``backward``: over the step that ends in its row.
     start
-        ``zero``: the lag starts at zero. ``steady``: it starts at the first value of the input.
+        ``zero``: the lag starts at zero. ``steady``: it starts at the first value of the input (`first_order_lag`).
 
     Returns
     -------
@@ -163,7 +164,8 @@ def steady_segments(t: Array, value: Array, end: float) -> list[SteadySegment]:
     Returns
     -------
     list
-        Each segment ends where the next begins. Empty without samples.
+        Each segment ends where the next begins, the last one at ``end``. A NaN sample is a segment of its own. Empty
+        without samples.
     """
     first = np.flatnonzero(np.diff(value, prepend=np.nan) != 0)
     limits = [*t[first].tolist(), end]
@@ -183,7 +185,7 @@ def noise_from_differences(second_differences: Array) -> float:
     Returns
     -------
     float
-        In the unit of the signal. Zero if there are no differences.
+        In the unit of the signal. Zero if there are no differences, NaN if one of them is NaN.
     """
     if not second_differences.size:
         return 0.0

@@ -144,7 +144,8 @@ class Forecast:
     t : Array (n,)
         Times of the predicted samples [s].
     e : Array (n,)
-        Measured less predicted values, in the unit of the channel. Angles are wrapped to a half turn.
+        Measured less predicted values, in the unit of the channel. Angles are wrapped to a half turn. NaN or infinite
+        if the prediction diverged.
     sd : Array (n,)
         Predicted standard deviations of the errors, with the measurement noise, in the same unit.
     """

@@ -76,8 +76,8 @@ class SimulationRun:
         Prediction errors after the first 15 s, by channel. Channels without samples then are left out.
     diverged
         First time [s] at which a channel diverged, by channel. A channel diverges when the prediction is farther from
-        the middle of the measured range than ten times that range. Channels that did not diverge, angles and channels
-        whose samples are all equal are left out.
+        the middle of the measured range than ten times that range, or is NaN. Channels that did not diverge, angles and
+        channels whose samples are all equal are left out.
     """
 
     y: Array
@@ -168,7 +168,7 @@ def simulation_run(
 
     Notes
     -----
-    The mean is always of first order, also for models with a second-order mean.
+    The mean is always of first order. For a model with a second-order mean, ``likelihood`` is therefore not used.
     """
     if model.second_order:  # after a long prediction the heading is too uncertain for a second-order expansion
         model, likelihood = replace(model, second_order=False), None

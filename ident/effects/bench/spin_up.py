@@ -12,7 +12,8 @@ EDGE = 0.01  # width of the transition between acceleration and deceleration, re
 def change_pole(s: Signals) -> None:
     """Multiply the pole of the shaft by ``1 + k_up`` in acceleration and by ``1 - k_up`` in deceleration, in place.
 
-    The rate of the shaft speed [1/s] is changed accordingly. The transition between both is smooth.
+    The shaft accelerates if the reference ``s.n_ref`` has a larger magnitude than the shaft speed. The rate of the
+    shaft speed [1/s] is changed accordingly. The transition between both is smooth.
     """
     up = np.tanh((abs(s.n_ref) - abs(s.x.n)) / EDGE)
     s.rate["n"] = s.rate["n"] + s.p.k_up * up * s.p.a * (s.n_ref - s.x.n)

@@ -14,8 +14,9 @@ def pull(s: Signals) -> None:
     """Add the force of an elastic line to a fixed point to the surge and sway forces ``s.X``, ``s.Y`` [N], in place.
 
     The line is a spring with the stiffness ``k_m`` beyond its slack length ``l_slack``. Inside the slack length, the
-    force is about zero; the transition is smooth. ``F_mx``, ``F_my`` are the force of a spring without slack at the
-    origin of the position. With them instead of the fixed point, that force is linear in the parameters.
+    force is about zero; the transition is smooth. A negative slack length is a pretension. ``F_mx``, ``F_my`` are the
+    force of a spring without slack at the origin of the position. With them instead of the fixed point, that force is
+    linear in the parameters.
     """
     p = s.p
     north, east = p.F_mx - p.k_m * s.x.x, p.F_my - p.k_m * s.x.y

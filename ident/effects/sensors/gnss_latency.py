@@ -53,7 +53,8 @@ def delay_shaft(s: Signals) -> None:
     """Delay the measured GNSS position and velocity by the latency, in place. For models with shaft speeds as inputs.
 
     The acceleration is computed with the shaft speeds of half the latency earlier. They are interpolated between the
-    delayed copies of the inputs (``NAME~k``: k steps of 0.1 s ago). Before the oldest copy, they are constant.
+    delayed copies of the inputs (``NAME~k``: k steps of 0.1 s ago). Before the oldest copy, they are constant. A lag of
+    the thrust in the model is traced back too.
     """
     weights, earlier = _weights_ago(s.p.tau_gnss / 2), {}
     for side in SIDES:
