@@ -123,7 +123,7 @@ def _count_motion_rises(c: Channels) -> int:
     """
     curves: list[tuple[Array, float]] = []
     if {"vx", "vy"} <= set(c) or {"u", "v"} <= set(c):
-        first, second = (c["vx"], c["vy"]) if "vx" in c else (c["u"], c["v"])
+        first, second = (c["vx"], c["vy"]) if {"vx", "vy"} <= set(c) else (c["u"], c["v"])
         speed = Channel(first.t, np.hypot(first.value, np.interp(first.t, second.t, second.value)))
         curves.append((_moving_average(speed), SPEED_RISE))
     elif {"x", "y"} <= set(c):

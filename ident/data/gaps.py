@@ -123,9 +123,9 @@ def slice_channel(channel: Channel, a: int, b: int) -> Channel:
     """
     t, left_out = channel.t[a:b], channel.left_out
     if left_out is not None and t.size:
-        times = left_out.t + channel.t[0]
+        times = left_out.t + left_out.begin
         inside = (times >= t[0]) & (times <= t[-1])
-        left_out = LeftOut(times[inside] - t[0], left_out.value[inside]) if inside.any() else None
+        left_out = LeftOut(times[inside] - t[0], left_out.value[inside], float(t[0])) if inside.any() else None
     return replace(channel, t=t, value=channel.value[a:b], left_out=left_out)
 
 

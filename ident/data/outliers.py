@@ -95,7 +95,7 @@ def _remove_samples(c: Channel, bad: Mask) -> Channel:
     """
     if bad.all():
         return c  # the checks of ranges and units name a signal that is wrong throughout
-    left_out = LeftOut(c.t[bad] - c.t[0], c.value[bad])
+    left_out = LeftOut(c.t[bad] - c.t[0], c.value[bad], float(c.t[0]))
     return replace(c, t=c.t[~bad], value=c.value[~bad], left_out=left_out)
 
 

@@ -37,14 +37,17 @@ class LeftOut:
     Attributes
     ----------
     t : Array (n,)
-        Times of the outliers [s], since the first sample of the signal (which may itself be an outlier); in a part of a
-        log, since the first sample of the part that is no outlier.
+        Times of the outliers [s], since ``begin``.
     value : Array (n,)
         Values of the outliers, in the unit of the signal.
+    begin : float
+        Time of the first sample of the signal [s], which may itself be an outlier; in a part of a log, that of the first
+        sample of the part that is no outlier.
     """
 
     t: Array
     value: Array
+    begin: float
 
 
 @dataclass(frozen=True)
@@ -108,8 +111,7 @@ def block_mean(channel: Channel, edges: Array, angle: bool = False) -> tuple[Arr
     Parameters
     ----------
     channel
-        The signal. Samples with NaN, and samples outside all blocks, are ignored. An angle must have no NaN: all
-        samples after a NaN would be ignored.
+        The signal. Samples with NaN, and samples outside all blocks, are ignored.
     edges
         Edges of the blocks (n + 1,) [s], increasing. A block contains its first edge, but not its last edge.
     angle
@@ -122,7 +124,11 @@ def block_mean(channel: Channel, edges: Array, angle: bool = False) -> tuple[Arr
     centre : Array (n,)
         Mean time [s] of the samples of each block, NaN for an empty block.
     """
-    value = np.unwrap(channel.value) if angle else channel.value
+    value = channel.value
+    if angle:  # a sum over a NaN would spoil all samples after it
+        known = np.isfinite(value)
+        value = value.copy()
+        value[known] = np.unwrap(value[known])
     index = np.searchsorted(edges, channel.t, side="right") - 1
     inside = (index >= 0) & (index < edges.size - 1) & np.isfinite(value)
     index, value, t = index[inside], value[inside], channel.t[inside]

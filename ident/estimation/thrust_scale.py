@@ -378,15 +378,14 @@ def least_yaw_inertia(fit: Fit, length: float | None = None) -> float | None:
     float or None
         None if the model lacks mass, inertia or arms, or if thrust or arms were not given, so that masses or inertia
         are known as ratios only.
-
-    Raises
-    ------
-    KeyError
-        If the model has one symmetric arm ``y_arm``, and this was given.
     """
     scale, values = thrust_scale_of(fit.model), fit.model.values
     if not {"m_u", "m_r"} <= set(values) or scale.relative or scale.relative_yaw or scale.arm is None:
         return None
-    across = 0.5 * abs(fit.estimate("y_right")[0] - fit.estimate("y_left")[0]) / np.sqrt(3.0)
+    if "y_arm" in values:
+        arm = fit.estimate("y_arm")[0]
+    else:
+        arm = 0.5 * abs(fit.estimate("y_right")[0] - fit.estimate("y_left")[0])
+    across = arm / np.sqrt(3.0)
     radius = max(across, LEAST_GYRATION * (length or 0.0))
     return float(fit.estimate("m_u")[0] * radius**2)

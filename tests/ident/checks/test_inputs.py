@@ -65,6 +65,14 @@ def test_coasting_boat_gives_no_finding() -> None:
     assert not list(check_inputs(c))
 
 
+def test_half_a_velocity_over_ground_does_not_stop_the_check() -> None:
+    """The log has vx without vy, and both velocities in body axes."""
+    c = constant(log(ATTITUDE, VELOCITY, COMMANDS), ("n_cmd_left", "n_cmd_right"), 0.4)
+    c |= {"u": c["vx"], "v": c["vy"]}
+    del c["vy"]
+    assert [f.code for f in check_inputs(c)] == ["inputs-constant"]
+
+
 def test_one_idle_thruster_gives_no_finding() -> None:
     assert not list(check_inputs(constant(log(ATTITUDE, VELOCITY, COMMANDS), ("n_cmd_left",), 0.0)))
 

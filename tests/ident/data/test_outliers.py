@@ -101,6 +101,9 @@ def test_positions_far_off_at_the_start_and_short_jumps_are_left_out() -> None:
     left_out = cleaned["x"].left_out
     assert left_out is not None
     np.testing.assert_allclose(left_out.t, np.append(T[:40], T[600:650]))
+    part = slice_channel(cleaned["x"], 10, cleaned["x"].t.size).left_out
+    assert part is not None
+    np.testing.assert_allclose(part.t + part.begin, T[600:650])  # a part keeps the times of its outliers
     assert np.array_equal(cleaned["x"].t, cleaned["y"].t)
     assert not [f for f in check_outliers(cleaned) if f.code == "position-jumps"]
 

@@ -105,6 +105,13 @@ def test_noise_of_a_block_mean_falls_with_the_root_of_its_size() -> None:
     assert psi.std() == pytest.approx(0.1 / np.sqrt(20), rel=0.2)
 
 
+def test_a_missing_angle_costs_only_its_own_sample() -> None:
+    t = np.arange(0.0, 1.0, 0.01)
+    turning = Channel(t, np.where(np.arange(t.size) == 3, np.nan, np.mod(3.0 + t + np.pi, 2 * np.pi) - np.pi))
+    value, centre = block_mean(turning, np.array([0.0, 0.5, 1.0]), angle=True)
+    np.testing.assert_allclose(value, 3.0 + centre)
+
+
 def test_block_mean_of_an_angle_ignores_the_wrap() -> None:
     t = np.arange(0.0, 1.0, 0.01)
     turning = Channel(t, np.mod(3.0 + t + np.pi, 2 * np.pi) - np.pi)
