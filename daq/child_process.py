@@ -35,7 +35,7 @@ def module_environment() -> dict[str, str]:
     They are those of this process, with the folder that contains the package seatrial first in PYTHONPATH. Empty and
     relative entries of PYTHONPATH are left out, because they refer to the working folder.
     """
-    # Not the folder of `daq`: in an installation it is inside the package, and its modules would become top-level names.
+    # Not the folder of `daq`: in an installation it is in the package, and its modules would become top-level names.
     here = str(Path(sys.modules[__name__.partition(".")[0]].__path__[0]).resolve().parent)
     before = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     return {**os.environ, "PYTHONPATH": os.pathsep.join([here, *filter(os.path.isabs, before)])}

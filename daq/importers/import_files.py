@@ -242,9 +242,9 @@ def _write_piece(
 ) -> None:
     """Write one log, `target`: the signals and events of the source files within one interval of time (`piece`).
 
-    The signals and events are shifted by the origin of their file to s since 1970. The metadata contain the digests of the import
-    map and the files, and the numbers of rows left out. The map is attached. An existing log
-    is replaced only with `force`; the files `reads` (map and sources) are never replaced.
+    The signals and events are shifted by the origin of their file to s since 1970. The metadata contain the digests of
+    the import map and the files, and the numbers of rows left out. The map is attached. An existing log is replaced
+    only with `force`; the files `reads` (map and sources) are never replaced.
     """
     signals: list[SignalData] = []
     events = [

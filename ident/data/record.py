@@ -41,8 +41,8 @@ class LeftOut:
     value : Array (n,)
         Values of the outliers, in the unit of the signal.
     begin : float
-        Time of the first sample of the signal [s], which may itself be an outlier; in a part of a log, that of the first
-        sample of the part that is no outlier.
+        Time of the first sample of the signal [s], which may itself be an outlier; in a part of a log, that of the
+        first sample of the part that is no outlier.
     """
 
     t: Array

@@ -131,7 +131,7 @@ def test_command_recorded_on_change_holds_across_a_gap() -> None:
 
 def test_outliers_stay_with_their_part() -> None:
     t = np.append(np.arange(101.0), np.arange(1000.0, 1101.0))
-    left_out = LeftOut(np.array([7.5, 1003.5]), np.array([1e7, 1e8]))
+    left_out = LeftOut(np.array([7.5, 1003.5]), np.array([1e7, 1e8]), 0.0)
     first, second = parts_between({"x": Channel(t, np.zeros(202), left_out=left_out)}, [(100.0, 1000.0)])
     assert first["x"].left_out is not None
     assert second["x"].left_out is not None

@@ -8,6 +8,7 @@ import pytest
 from seatrial.ident.checks.log_checks import check_signals
 from seatrial.ident.checks.outliers import check_outliers
 from seatrial.ident.data import Channel, without_outliers
+from seatrial.ident.data.gaps import slice_channel
 
 RATE = 10.0  # Unit: Hz
 T = np.arange(0.0, 120.0, 1.0 / RATE)
