@@ -39,17 +39,16 @@ def set_realtime_priority(behind: int = 0) -> None:
 def realtime_priority() -> Iterator[None]:
     """Raise the priority of this thread for a `with` block as far as the system allows, and then restore the old one.
 
-    The priority is the highest one of this program (`set_realtime_priority`). A missing right is no error. Of a thread
-    that had real-time scheduling before, only the policy is restored; its real-time priority stays 2 (REAL_TIME).
+    The priority is the highest one of this program (`set_realtime_priority`). A missing right is no error.
     """
     niceness = os.getpriority(os.PRIO_PROCESS, 0)
-    policy = os.sched_getscheduler(0) if hasattr(os, "sched_getscheduler") else 0
+    can_schedule = hasattr(os, "sched_getscheduler")
+    policy, priority = (os.sched_getscheduler(0), os.sched_getparam(0)) if can_schedule else (0, None)
     set_realtime_priority()
     try:
         yield
     finally:
         with contextlib.suppress(OSError):
-            if hasattr(os, "sched_setscheduler"):
-                priority = REAL_TIME if policy in (os.SCHED_FIFO, os.SCHED_RR) else 0
-                os.sched_setscheduler(0, policy, os.sched_param(priority))
+            if priority is not None:
+                os.sched_setscheduler(0, policy, priority)
             os.setpriority(os.PRIO_PROCESS, 0, niceness)

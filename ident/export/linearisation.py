@@ -63,10 +63,10 @@ class Linearisation:
     def time_constants(self) -> Array:
         """Time constants (n,) [s] of the poles in their order: ``-1 / Re``.
 
-        A finite negative time constant belongs to an unstable pole. That of an integrator is infinite, of either sign.
+        A negative time constant belongs to an unstable pole. That of an integrator is infinite.
         """
-        with np.errstate(divide="ignore"):
-            return np.asarray(-1.0 / self.poles.real)
+        real = self.poles.real
+        return np.where(real == 0.0, np.inf, -1.0 / np.where(real == 0.0, 1.0, real))
 
     @property
     def stable(self) -> bool:

@@ -202,11 +202,11 @@ def pair(value: float | None, se: float | None) -> tuple[str, str]:
     """Return a value and its standard error as two texts with the same number of decimals.
 
     The decimals are those of two significant digits of the standard error. If the larger of both is below 1e-4, or 1e6
-    or more, or if the standard error is below 1e-8, each has a power of ten, the same for both. If one of both is None,
-    or if the standard error is not positive, the value has up to four significant digits (a dash for None), and the
-    second text is empty.
+    or more, or if the standard error is below 1e-8, each has a power of ten, the same for both. If one of both is None
+    or not finite, or if the standard error is not positive, the value has up to four significant digits (a dash for
+    None), and the second text is empty.
     """
-    if value is None or se is None or not se > 0:
+    if value is None or se is None or not (se > 0 and math.isfinite(value) and math.isfinite(se)):
         return short(plain(value, 4)), ""
     size = math.floor(math.log10(float(f"{se:.1e}")))
     top = max(math.floor(math.log10(abs(value))) if value else size, size)
