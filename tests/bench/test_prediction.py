@@ -44,6 +44,13 @@ def test_a_mission_without_prediction_prints_no_prediction() -> None:
     assert describe_track(Prediction("m", empty, empty, empty, empty)) == []
 
 
+def test_a_prediction_without_times_is_refused() -> None:
+    empty = np.zeros(0)
+    mission = replace(make_mission("steps", 60.0, 1), prediction=Prediction("m", empty, empty, empty, empty))
+    with pytest.raises(SeatrialError, match=r"prediction.t: must have at least one time"):
+        parse_mission(dump_mission(mission), "mission.toml")
+
+
 def test_a_boat_at_rest_needs_no_space() -> None:
     zero = np.zeros(3)
     (_, line) = describe_track(Prediction("m", np.arange(3.0), zero, zero, zero))

@@ -11,6 +11,7 @@ import pytest
 
 from seatrial.bench.demo import DemoSteps
 from seatrial.daq.acquisition.session import Acquisition
+from seatrial.daq.child_process import module_environment
 from seatrial.daq.clock import RunClock
 from seatrial.daq.config.rig_file import load_rig
 from tests.daq.ptys import TestBoat
@@ -36,6 +37,14 @@ def test_acquisition_and_watchdog_execute_nothing_of_the_working_folder(
         with Acquisition(rig, tmp_path / "run.mcap", clock=RunClock(rig.speed), drive=True) as acquisition:
             acquisition.status()
     assert not executed.exists()
+
+
+def test_modules_of_the_package_are_no_top_level_names_in_a_child_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In an installation, the folder of `daq` is inside the package seatrial."""
+    monkeypatch.setattr(sys.modules["seatrial"], "__path__", [str(tmp_path / "seatrial")])
+    assert module_environment()["PYTHONPATH"].split(os.pathsep)[0] == str(tmp_path.resolve())
 
 
 def test_a_command_of_the_demo_executes_nothing_of_its_folder(tmp_path: Path) -> None:

@@ -101,6 +101,12 @@ def test_an_output_is_complete_or_absent(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [out]
 
 
+def test_an_error_without_a_number_keeps_its_text(tmp_path: Path) -> None:
+    """Libraries raise OSError for damaged files, for example of gzip."""
+    with pytest.raises(OSError, match=r"^CRC check failed$"), new_file(tmp_path / "out.txt", force=False):
+        raise OSError("CRC check failed")
+
+
 def test_a_file_created_in_the_meantime_is_not_replaced(tmp_path: Path) -> None:
     out = tmp_path / "out.txt"
     with pytest.raises(SeatrialError, match="exists already"):

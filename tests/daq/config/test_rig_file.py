@@ -75,6 +75,7 @@ def test_absolute_and_socketcan_ports_stay_as_they_are(example: str) -> None:
         ),
         ("[-0.25, -0.15, 0.0]", "[-0.25, -0.15]", r"position_m: must have 3 numbers, not 2"),
         ("n_max = 1.0", "n_max = 1.5", r"limits\.n_max: must be within 0\.0 \.\. 1\.0"),
+        ('["pitch_deg"]', '["unwatched"]', r"limits\.unwatched: 'unwatched' is not a limit"),
         ("[limits]", "[limit]", r"limit: unknown key; correct or remove it; known here: format, name"),
         ("[limits]", "[limits", r"not valid TOML.*line"),
         ('name = "mock boat"', 'name = "a\\u001b[2Jb"', r"name: has characters that are not printable: 'a\\x1b\[2Jb'"),

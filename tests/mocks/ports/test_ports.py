@@ -14,7 +14,14 @@ import pytest
 import serial
 
 from seatrial.daq.errors import SeatrialError
+from seatrial.mocks.ports.network import NetPort
 from seatrial.mocks.ports.pty import CHECK, PATIENCE, PtyPort
+
+
+@pytest.mark.parametrize("host", ["boat.local", "192.168.2.1", "[2001:db8::1]"])
+def test_a_network_port_of_another_computer_is_refused(host: str) -> None:
+    with pytest.raises(SeatrialError, match="a mock serves only addresses of this computer"):
+        NetPort(f"udpout:{host}:14550")
 
 
 @pytest.fixture
