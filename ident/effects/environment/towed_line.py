@@ -77,5 +77,5 @@ EFFECT = Effect(
     experiment="zigzags and turns at several speeds, with and without the line",
     requires=("hull",),
     one_sided=True,
-    alternatives=("tether", "yaw-bias", "sway-yaw", "cg-offset", "turning-resistance"),
+    alternatives=("tether", "sway-yaw", "cg-offset", "turning-resistance"),
 )
