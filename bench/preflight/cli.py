@@ -380,7 +380,7 @@ def _findings_of_test(
                 "actuators",
                 rig.name,
                 text,
-                f"repair these first, and check again: {', '.join(dict.fromkeys(faults))}",
+                f"repair what has a fault ({', '.join(dict.fromkeys(faults))}), and check again",
             )
         ]
     from seatrial.bench.execution import PlainDisplay, make_display, run_link_test, run_mission

@@ -111,7 +111,9 @@ def _silent_device_finding(device: Device, port: PortStatus | None) -> Finding:
         advice = "baud rate and protocol are right: look at the messages that the device is set to send"
     elif port is not None and port.bytes_in:
         text = f"{port.bytes_in} bytes received, but no sample: wrong baud rate or protocol?"
-    return Finding(FAULT, "device-silent", "alive", device.name, (port.message if port else "") or text, advice)
+    if port is not None and port.message:
+        text, advice = port.message, "correct this, and check power, cable and port; then check again"
+    return Finding(FAULT, "device-silent", "alive", device.name, text, advice)
 
 
 def _autopilot_findings(rig: Rig, device: Device, status: Status, port: PortStatus) -> Iterator[Finding]:

@@ -111,9 +111,10 @@ class Port(ABC):
         """Close the port in any state. This method raises no error."""
 
 
+CLOSED = "the program at the other end (autopilot, router or simulator) closed the connection; start it again"
 _REASONS = {
     errno.ECONNREFUSED: "the address refuses the connection: no program listens there",
-    errno.ECONNRESET: "the other program closed the connection",
+    errno.ECONNRESET: CLOSED,
     errno.EADDRINUSE: "the port is in use by another program",
     errno.EADDRNOTAVAIL: "the address is not an address of this machine",
     errno.ENOENT: "the port is not there (unplugged?)",

@@ -14,7 +14,7 @@ import socket
 import time
 from typing import Any
 
-from seatrial.daq.transport.base import WRITE_S, Port, PortError, os_error_text
+from seatrial.daq.transport.base import CLOSED, WRITE_S, Port, PortError, os_error_text
 
 READ_BYTES = 65536  # bytes of one datagram or read, at most
 MOST = 256  # datagrams of one read, at most; many received datagrams must not delay the set-points of the same thread
@@ -225,7 +225,7 @@ class TcpPort(Port):
         except OSError as error:
             raise PortError(os_error_text(error)) from error
         if not data:
-            raise PortError("the other program closed the connection")
+            raise PortError(CLOSED)
         self.bytes_in += len(data)
         return data
 
@@ -239,7 +239,7 @@ class TcpPort(Port):
             self._socket.sendall(data)
         except OSError as error:
             if error.errno == errno.EPIPE:
-                raise PortError("the other program closed the connection") from error
+                raise PortError(CLOSED) from error
             raise PortError(os_error_text(error)) from error
 
     def close(self) -> None:

@@ -174,10 +174,10 @@ class Preparer:
         whole = np.asarray(known.all(axis=0))  # fast for hundreds of inputs
         for j, signal in enumerate(model.inputs):
             if not whole[j]:
-                at = record.t[np.argmin(known[:, j])]
+                unknown = record.t[~known[:, j]]
                 raise ValueError(
-                    f"record {record.name}: the input {signal.name} has no value at {at:g} s; use a part of the log in "
-                    "which it is known"
+                    f"record {record.name}: the input {signal.name} has no value (NaN) at {unknown.size} of {n} times, "
+                    f"from {unknown[0]:g} to {unknown[-1]:g} s; give values for them, or use only the part before or after"
                 )
 
 
