@@ -209,7 +209,8 @@ class Servo:
     pwm
         Pulse width [us]; 0 without a pulse.
     n
-        Command, -1..1, by the pulse widths in the rig, positive forward; 0 without a pulse, and NaN without a rig.
+        Command, -1..1, by the pulse widths in the rig, positive forward; 0 without a pulse. NaN without a rig, or if
+        the autopilot drives no thruster of the rig.
     """
 
     node: int

@@ -282,8 +282,10 @@ class MovementWatch:
     def update(self, t: float, value: tuple[float, ...], commands: Mapping[str, float], speed: float = NAN) -> None:
         """Take a sample: compare its value with the previous one, and add up the commands since the last change.
 
-        If the value differs, the sums start again. A sample with the same value that is not newer than the previous
-        sample is ignored.
+        The sums are the integral of the absolute mean command of all thrusters [s], in which opposite commands cancel,
+        and the distance by ``speed`` [m]. Also stored are the first sample at which a command differs by 0.3 or more
+        from that at the last change, and the number of samples since. If the value differs, all of this starts again. A
+        sample with the same value that is not newer than the previous sample is ignored.
 
         Parameters
         ----------
@@ -294,7 +296,8 @@ class MovementWatch:
         commands : Mapping
             Commands n_cmd by thruster, as last sent.
         speed : float
-            Speed over ground [m/s] that a GNSS receiver reports with its position; NaN for other quantities.
+            Speed over ground [m/s] that a GNSS receiver reports with its position; NaN for other quantities. Only
+            positive speeds are added.
         """
         if value != self._value:
             self._restart_counters(t, value, commands)

@@ -189,10 +189,11 @@ class MissionSequencer:
             self._say(f"mark {self._marks}")
 
     def _restart_step(self, now: float) -> None:
-        """Schedule the mission again from the beginning of the present segment, or from its start without one.
+        """Schedule the mission again from the beginning of the segment entered last, or from its start without one.
 
-        The first set-point is due the `lead` of the constructor after run time ``now`` [s]. Thrust must be zero. Until
-        then no segment is present; a second restart in this time is from the same segment.
+        This segment may just have ended: `_enter_step` repeats a segment when the next one has started. The first
+        set-point is due the `lead` of the constructor after run time ``now`` [s]. Thrust must be zero. Until then no
+        segment is entered; a second restart in this time is from the same segment.
         """
         if self._step is not None:
             self._restarted = self._step
@@ -545,7 +546,8 @@ class Schedule:
     def _schedule_from(self, segment: int, start: float) -> None:
         """Schedule the segments of the mission from index ``segment`` on, and discard the set-points scheduled before.
 
-        Run time ``start`` [s] becomes the mission's time 0, also if the first segments are left out.
+        Run time ``start`` [s] becomes the mission's time 0 and may be in the past. The segments keep their mission
+        times: one from mission time 20 s on begins at ``start + 20``, also if the segments before it are left out.
         """
         self._start = start
         rest = replace(self._mission, segments=self._mission.segments[segment:])

@@ -405,6 +405,8 @@ class Hdf5Variables:
         """Return the MATLAB object that has this number in the file, from 1 on; None if the number is out of range.
 
         Only properties that are stored as an entry of the file are read, not those stored as a flag or an enumeration.
+        `depth` is the number of structs, cells and objects around the object. Raise SeatrialError if the properties are
+        nested more than 30 deep.
         """
         if not 0 < number < len(self._objects):
             return None

@@ -65,7 +65,9 @@ def import_mavlink(
     Raises
     ------
     SeatrialError
-        If the file cannot be read, contains no samples of the autopilot, or the log exists and `force` is not set.
+        If the file cannot be read, contains no samples of the autopilot or times outside 1970 to 2038, if two
+        autopilots in a tlog have the same system number, if the rig does not have exactly one MAVLink device, or if the
+        log exists and `force` is not set.
     """
     rows, summary, parameters = read_autopilot(path, rig, system)
     device = _mavlink_device(rig)

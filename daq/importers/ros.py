@@ -234,7 +234,9 @@ def _has_end(path: Path) -> bool:
 
 
 class _TopicMessages:
-    """Collector of the messages of one topic of a ROS bag: their times and all their numbers.
+    """Collector of the messages of one topic of a ROS bag: their times and their numbers.
+
+    Headers, texts, and lists and arrays of more than 16 elements are left out.
 
     Attributes
     ----------
@@ -243,10 +245,11 @@ class _TopicMessages:
     frame_id : str
         First frame in the headers that is not empty; "" without one.
     t_log, t_stamp : array
-        Receipt by the recorder and stamp of each message [s since 1970]; the stamp is NaN for messages without a
-        header.
+        Receipt by the recorder and stamp of each message [s since 1970]. The stamp is that of the header, or the clock
+        of a Clock message; NaN for other messages without a header.
     columns : dict
-        Numbers by the name of their field. A column may be shorter than the times if the last messages lack the field.
+        Numbers by the name of their field, NaN for a message without the field. A column is shorter than the times if
+        the last messages lack the field.
     """
 
     def __init__(self, kind: str) -> None:
@@ -257,9 +260,9 @@ class _TopicMessages:
         self.columns: dict[str, array[float]] = {}  # arrays take 8 bytes a number; an hour has tens of millions
 
     def add(self, t_log: float, message: Any) -> None:
-        """Add a ROS message received at `t_log` [s since 1970]: its times, its frame and all its numbers.
+        """Add a ROS message received at `t_log` [s since 1970]: its times, its frame and its numbers.
 
-        Images and other arrays of more than 16 numbers are left out.
+        Lists and arrays of more than 16 elements, such as images, are left out.
         """
         header = getattr(message, "header", None)
         stamp = message.clock if self.kind == CLOCK else getattr(header, "stamp", None)

@@ -670,13 +670,13 @@ class _FoundChunks:
         Returns
         -------
         bool
-            Whether the record is a chunk, a message or a message index. Other records are not added, and neither is a
-            message index that does not follow the last chunk and its indexes.
+            True if the record is a chunk, a message or a message index. It is True also for a message index that does
+            not follow the last chunk and its indexes, although this one is not added. False for all other records.
 
         Raises
         ------
         ValueError, or another error in DAMAGE (errors that damaged bytes cause)
-            If the header of a chunk is invalid.
+            If the header of a chunk is invalid, or an added message index is shorter than its channel number (2 bytes).
         """
         if opcode == Opcode.CHUNK:
             found = chunk_at(head[HEADER:], at + HEADER, stop)

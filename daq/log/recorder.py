@@ -272,12 +272,15 @@ class Recorder:
         self.event(self._log_ns / NANO, "disk", text)
 
     def close(self) -> None:
-        """End the log and close its file. During a pause, first try to write the kept messages.
+        """End the log and close its file, also if an error is raised. During a pause, first try to write kept messages.
+
+        Only a patient recorder pauses, while the disk is full; the file before the pause is closed already.
 
         Raises
         ------
         SeatrialError
-            If the end of the log, or messages since the beginning of a pause, could not be written.
+            If the end of the log could not be written, or if the pause cannot be ended, even without kept messages. If
+            the disk is full but the reserved space had room for the end, `DiskFull` is raised, with `complete` true.
         """
         if self.paused:
             self._resume()

@@ -40,8 +40,8 @@ def write_note(log: Path, text: str) -> None:
 def read_note(log: Path) -> str:
     """Return the note of a watchdog (the file LOG.stop) beside a log, as one line of at most 500 characters.
 
-    Characters that are not printable become escape sequences, which may lengthen it. The text is empty if there is no
-    note, or if it cannot be read.
+    White space, line ends included, becomes single spaces. Other characters that are not printable become escape
+    sequences, which may lengthen the text. It is empty if there is no note, or if it cannot be read.
     """
     path = note_path(log)
     try:

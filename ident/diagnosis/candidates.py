@@ -489,7 +489,8 @@ def spline_basis(among: Array, n_functions: int) -> SplineBasis:
 def spline_bases(model: Model, among: Mapping[str, Array]) -> dict[str, SplineBasis]:
     """Return the spline basis of each variable of a model except angles, by name of the variable.
 
-    ``among`` contains the samples (n,) of each variable, which determine the interval and the mean of its basis.
+    ``among`` contains the samples (n,) of each variable. The interval of a basis is their middle 99 %, and its
+    functions are less their means over all samples. It has no functions if the interval is shorter than 1e-6.
     """
     return {v.name: spline_basis(among[v.name], v.functions) for v in variables_of(model) if not v.angle}
 

@@ -523,11 +523,14 @@ def score_equations(fitted: FittedModel, records: Sequence[Record], effects: Map
     Parameters
     ----------
     fitted
-        The fitted model. Parameters at a bound, or of unknown order of magnitude, are taken as constant.
+        The fitted model. Parameters at a bound are taken as constant, and so are positive ones whose order of magnitude
+        the data do not determine (flag VAGUE: the standard error of the logarithm is above 5).
     records
-        Estimation data with the inputs of all candidates.
+        Estimation data: the records of the fit, in their order, with the inputs of all candidates.
     effects
-        Parametric candidates by name. The nonparametric ones follow from the model and are added.
+        Parametric candidates by name. The nonparametric ones follow from the model and are added: residual forces as
+        smooth functions of one variable or products of two, sensor errors and thrust losses as smooth functions of one,
+        and surge force and yaw moment as lagged or resonant responses to the thrusters.
     """
     # A parameter at its bound cannot change to explain a part of a candidate, so it is not projected out.
     stuck = {n for n, flag in fitted.fit.flags if flag in (AT_BOUND, VAGUE)}

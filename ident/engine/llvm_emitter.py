@@ -409,6 +409,7 @@ class LlvmEmitter:
         """Write the instructions that add the terms, at least one, and return their sum.
 
         The two halves of the terms are added independently, so that the processor can compute them at the same time.
+        Each half is added from left to right, in this order (flags STRICT).
         """
         self.flags = STRICT  # with FAST, LLVM would reorder the additions into one chain
         half = (len(terms) + 1) // 2

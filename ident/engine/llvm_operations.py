@@ -101,7 +101,7 @@ def rewritten() -> dict[int, Any]:
     """Return expressions that replace certain operations by simpler ones: for sin, cos, sign, not, and, or.
 
     A key is CasADi's code of the operation. A value is a CasADi function of the operands (x, y) that returns the result
-    of the operation; y is not used if the operation has one operand.
+    of the operation; y is not used if the operation has one operand. Sine and cosine are accurate for |x| below 1e5.
     """
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     sine, cosine = _sine_and_cosine(x)

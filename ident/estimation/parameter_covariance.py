@@ -1,7 +1,8 @@
 """Parameter covariance, and its contribution to the variance of a prediction (delta method).
 
-The covariance of the estimates is split into its principal directions of one standard deviation each. The prediction is
-computed with the parameters moved either way along each direction. Half the differences are the columns of ``J L``:
+The covariance of the estimates is split into directions of one standard deviation each: the eigenvectors of their
+correlation, times the standard deviations. The prediction is computed with the parameters moved either way along each
+direction. Half the differences are the columns of ``J L``:
 
     var y = H P H' + R + sum_k (y(theta + l_k) - y(theta - l_k))^2 / 4,   L L' = cov theta
 
@@ -32,22 +33,24 @@ PARAMETER_STEP = 0.05  # step of finite differences [standard deviations]; model
 
 @dataclass(frozen=True)
 class ParameterUncertainty:
-    """Uncertainty of a fit's parameters: k principal directions of their covariance, one standard deviation long.
+    """Uncertainty of a fit's parameters: k directions, one standard deviation long, that make up their covariance.
+
+    They are the eigenvectors of the correlation, times the standard deviations. In general they are not orthogonal.
 
     Attributes
     ----------
     columns
         Indices of the n uncertain parameters in ``model.parameters``.
     root : Array (n, k)
-        Square root of their covariance: column j is direction j with a length of one standard deviation, in the
-        estimator's coordinates (logarithms of positive parameters).
+        Square root of their covariance (``root root'`` is the covariance): column j is direction j with a length of one
+        standard deviation, in the estimator's coordinates (logarithms of positive parameters).
     """
 
     columns: tuple[int, ...]
     root: Array
 
     def values_one_deviation_away(self, model: Model, values: Array) -> Iterator[tuple[Array, Array]]:
-        """Yield two copies of parameter values for each principal direction of the covariance, one deviation away.
+        """Yield two copies of parameter values for each direction (column of ``root``), one standard deviation away.
 
         The first copy is moved in the direction, the second one against it. Predictions with both give the variance by
         the parameters.
@@ -76,7 +79,7 @@ class ParameterUncertainty:
 
 
 def parameter_uncertainty(fit: Fit, record: int | None = None) -> ParameterUncertainty:
-    """Return the uncertainty of a fit's parameters for predictions, as principal directions of their covariance.
+    """Return the uncertainty of a fit's parameters for predictions, as a square root of their covariance.
 
     Noise parameters are left out, because the mean of a prediction does not depend on them. So are parameters without a
     standard error (at a bound, not identified). The part of the covariance from considered parameters (not estimated,

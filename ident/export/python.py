@@ -148,7 +148,10 @@ def _groups_of_four(rows: list[tuple[str, str]], program: Program) -> list[list[
 
 
 def _function(content: Content, name: str, program: Program, docstring: str) -> str:
-    """Return the text of one Python function ``name`` of (x, u, p) that returns the list of results."""
+    """Return the text of a Python function ``name`` of (x, u, p=P) that returns the list of results of a program.
+
+    ``content`` of the exported file gives the order of states in x and of inputs in u, and the keys of parameters in p.
+    """
     lines, results = write_lines(program, PYTHON, [*RESERVED, *_math_functions(), *BUILT_IN, *program.used])
     returned = [f"        {r}," for r in results]
     return "\n".join(

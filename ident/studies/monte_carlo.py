@@ -339,14 +339,17 @@ def _finite_by_name(names: Sequence[str], values: Array) -> dict[str, float | No
 
 @dataclass(frozen=True)
 class ParameterCoverage:
-    """Bias, variance and interval coverage of one parameter's estimates over all replicates; intervals are 95 %.
+    """Bias, variance and interval coverage of one parameter's estimates over the usable replicates of a study.
+
+    A replicate is usable if its fit converged and the parameter has an interval and a Cramér-Rao bound. Intervals are
+    95 %.
 
     Attributes
     ----------
     name
         Name of the parameter.
     n
-        Number of replicates with an interval.
+        Number of usable replicates.
     at_bound
         Number of these replicates with the estimate at its bound.
     sd

@@ -611,9 +611,10 @@ def _rows_of_finer_grid(task: DesignProblem) -> NDArray[np.intp]:
 def _parameter_table(made: Design, baseline: Mapping[str, float]) -> tuple[DesignedParameter, ...]:
     """Return the table of standard errors in the result of a design, one row for each observed parameter.
 
-    A row has the errors before the mission, after it, and after the best baseline signal. They are in reported units:
-    ratios to the thrust if the scale of the forces is unknown. ``baseline``: standard error after the best baseline
-    signal, by name of the parameter.
+    A row has the errors before the mission, after it by prediction error, after it by the information that the design
+    uses (``form``), and after the best baseline signal. They are in reported units (ratios to the thrust if the scale
+    of the forces is unknown), and None if infinite. ``baseline``: standard error after the best baseline signal in the
+    parameter's own unit, by name of the parameter; it is converted here.
     """
     model, before, after = made.problem.model, made.before, made.predicted
     chosen, units = _criterion_parameters(made.problem), reported_units(model)
