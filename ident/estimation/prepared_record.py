@@ -177,7 +177,8 @@ class Preparer:
                 unknown = record.t[~known[:, j]]
                 raise ValueError(
                     f"record {record.name}: the input {signal.name} has no value (NaN) at {unknown.size} of {n} times, "
-                    f"from {unknown[0]:g} to {unknown[-1]:g} s; give values for them, or use only the part before or after"
+                    f"from {unknown[0]:g} to {unknown[-1]:g} s; give values for them, or use only the time before or "
+                    "after"
                 )
 
 

@@ -145,8 +145,8 @@ class Parameter:
         low, high = self.bounds
         if self.considered and (self.prior is None or self.per_record):
             raise ValueError(
-                f"parameter {self.name}: it is uncertain and not estimated (considered), so it needs a prior and one value "
-                "for all records"
+                f"parameter {self.name}: it is uncertain and not estimated (considered), so it needs a prior and one "
+                "value for all records"
             )
         if self.transform == "log" and self.value <= 0:
             raise ValueError(f"parameter {self.name}: {self.value} is not positive, but this parameter has to be")
