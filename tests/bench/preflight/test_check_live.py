@@ -63,10 +63,7 @@ def test_no_thruster_turns_unless_requested_and_confirmed(tmp_path: Path) -> Non
         # A preflight with a fault does not go on to turn propellers.
         done = check(tmp_path, "boat-rig.toml", "--actuators", "--yes", "--seconds", "1")
         assert done.returncode == 1
-        assert (
-            "not tested, because there are faults already: repair what has a fault (gnss), and check again"
-            in done.stdout
-        )
+        assert "not tested, because there are faults already: repair what has a fault (gnss, " in done.stdout
         assert not trace(tmp_path)
     assert not list(tmp_path.rglob("*.mcap"))
 

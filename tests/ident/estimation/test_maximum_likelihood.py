@@ -119,9 +119,7 @@ def test_considered_parameter_can_be_given_and_freed() -> None:
     assert model.replace_parameters(p.freed()).considered == ()
     assert [q.exact for q in (p, p.freed(), p.known(0.0, 0.0, ParameterOrigin.GIVEN))] == [False, False, True]
     for wrong in ({"prior": None}, {"per_record": True}):
-        with pytest.raises(
-            ValueError, match=r"parameter k: .* \(considered\), so it needs a prior"
-        ):
+        with pytest.raises(ValueError, match=r"parameter k: .* \(considered\), so it needs a prior"):
             replace(p, **wrong)
 
 
