@@ -148,7 +148,7 @@ def test_the_hold_of_an_input_is_guessed_by_its_values(
     (tmp_path / "map.toml").write_text(guessed.replace(f', hold = "{hold}"', ""))
     (log,) = import_files(tmp_path / "map.toml", [tmp_path / "run.csv"], force=True)
     (found,) = [f for f in findings(log) if f.code == "input-held"]
-    assert "it comes 0.25 s late on average" in found.text
+    assert "the signal is 0.25 s late on average" in found.text
 
 
 @pytest.mark.parametrize(("scale", "is_wrapped"), [(1.0, True), (1.0 / 3000.0, True), (1.0, False)])
