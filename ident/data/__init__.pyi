@@ -11,6 +11,7 @@ from .loading import FrameOrigin as FrameOrigin
 from .loading import LoadedLog as LoadedLog
 from .loading import PropulsionInput as PropulsionInput
 from .loading import TimeWindow as TimeWindow
+from .loading import TimeWindows as TimeWindows
 from .loading import ahrs_channels as ahrs_channels
 from .loading import channels as channels
 from .loading import far_apart as far_apart
@@ -19,6 +20,7 @@ from .loading import load_run as load_run
 from .loading import load_runs as load_runs
 from .loading import parts_with_sensors as parts_with_sensors
 from .loading import share_frame as share_frame
+from .loading import window_of_each as window_of_each
 from .outliers import position_jumps as position_jumps
 from .outliers import without_outliers as without_outliers
 from .record import TIME_INPUT as TIME_INPUT

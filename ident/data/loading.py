@@ -102,6 +102,25 @@ class TimeWindow(NamedTuple):
 
 
 WHOLE = TimeWindow()
+TimeWindows = TimeWindow | Sequence[TimeWindow]  # one interval for all logs, or one for each of them, in their order
+
+
+def window_of_each(windows: TimeWindows, n: int) -> list[TimeWindow]:
+    """Return the interval of time of each of n logs: the same for all, or the given ones in their order.
+
+    Raises
+    ------
+    ValueError
+        If the number of given intervals is not n.
+    """
+    each = [windows] * n if isinstance(windows, TimeWindow) else list(windows)
+    if len(each) != n:
+        raise ValueError(
+            f"there are {len(each)} intervals of time for {n} logs; give one for all logs, or one for each"
+        )
+    return each
+
+
 DeviceChecks = Callable[[Log], Sequence[Finding]]
 SHAFTS = shaft_speed_of("left"), shaft_speed_of("right")
 COMMANDS = command_of("left"), command_of("right")
@@ -604,7 +623,7 @@ def far_apart(origins: Sequence[object]) -> bool:
 def load_all(
     logs: Sequence[Path],
     validate: Sequence[Path],
-    window: TimeWindow = WHOLE,
+    window: TimeWindows = WHOLE,
     device_faults: DeviceChecks | None = None,
 ) -> tuple[list[LoadedLog], list[LoadedLog]]:
     """Load estimation and validation data, cut at gaps, with unique names and with x and y from one origin.
@@ -616,7 +635,8 @@ def load_all(
     validate
         Files or folders of the validation logs.
     window
-        Interval of time of each estimation log to use. Validation logs are used as a whole.
+        Interval of time of the estimation logs to use: one for all, or one for each. Validation logs are used as a
+        whole.
     device_faults
         Function that returns the findings on the devices of an open log. None: the devices are not checked.
 
@@ -637,7 +657,11 @@ def load_all(
             f"{name}: this log is given for the fit and for the validation, which would prove nothing; give another "
             "log to --validate"
         )
-    estimation = [(p, part) for p in logs for part in usable_parts(load_run(p, "estimation", window, device_faults))]
+    estimation = [
+        (p, part)
+        for p, own in zip(logs, window_of_each(window, len(logs)), strict=True)
+        for part in usable_parts(load_run(p, "estimation", own, device_faults))
+    ]
     validation = [(p, part) for p in validate for part in usable_parts(load_run(p, "validation", WHOLE, device_faults))]
     files = [p for p, _ in (*estimation, *validation)]
     named = share_frame(with_unique_names([part for _, part in (*estimation, *validation)], files))
@@ -797,7 +821,7 @@ def _samples_within(channel: Channel, begin: float, end: float) -> Channel:
 def load_runs(
     logs: Sequence[Path],
     role: str,
-    window: TimeWindow = WHOLE,
+    window: TimeWindows = WHOLE,
     reference: FrameOrigin | None = None,
     device_faults: DeviceChecks | None = None,
     *,
@@ -812,7 +836,7 @@ def load_runs(
     role
         ``estimation`` or ``validation``, for reports.
     window
-        Interval of time of each log to load.
+        Interval of time of the logs to load: one for all, or one for each.
     reference
         Origin of x and y. None: the origin of the first log that has latitude and longitude.
     device_faults
@@ -825,7 +849,8 @@ def load_runs(
     SeatrialError
         If a log cannot be used.
     """
-    whole = [(p, load_run(p, role, window, device_faults)) for p in logs]
+    windows = window_of_each(window, len(logs))
+    whole = [(p, load_run(p, role, own, device_faults)) for p, own in zip(logs, windows, strict=True)]
     loaded = [(p, part) for p, log in whole for part in (usable_parts(log) if cut else [log])]
     return share_frame(with_unique_names([log for _, log in loaded], [p for p, _ in loaded]), reference)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.checks import device_faults
-from seatrial.ident.data import WHOLE, LoadedLog, Record, TimeWindow, load_all, make_record
+from seatrial.ident.data import WHOLE, LoadedLog, Record, TimeWindows, load_all, make_record
 from seatrial.ident.estimation import RecordEvaluation, SavedModel, evaluate_records, load_model
 from seatrial.ident.model import Model
 from seatrial.ident.numerics import chi2_sf, student_ppf
@@ -44,7 +44,7 @@ class CompareRequest:
     despite_faults
         Whether to compare on logs with faults that make a fit meaningless.
     window
-        Interval of time of each log to use.
+        Interval of time of the logs to use: one for all, or one for each.
     """
 
     models: Sequence[Path]
@@ -53,7 +53,7 @@ class CompareRequest:
     rate: float | None = None
     thruster: str | None = None
     despite_faults: bool = False
-    window: TimeWindow = WHOLE
+    window: TimeWindows = WHOLE
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from seatrial.ident.checks import device_faults
-from seatrial.ident.data import WHOLE, TimeWindow, load_all
+from seatrial.ident.data import WHOLE, TimeWindows, load_all
 from seatrial.ident.diagnosis import Diagnosis, diagnose, evaluate_diagnosis
 from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import EstimationOptions, load_model
@@ -56,7 +56,7 @@ class DiagnosisRequest:
     despite_faults
         Whether to search even if the checks find faults that make a fit meaningless.
     window
-        Interval of time of each of ``logs`` to use; validation logs are used as a whole.
+        Interval of time of ``logs`` to use: one for all, or one for each; validation logs are used as a whole.
     """
 
     model: Path
@@ -69,7 +69,7 @@ class DiagnosisRequest:
     thruster: str | None = None
     rate: float | None = None
     despite_faults: bool = False
-    window: TimeWindow = WHOLE
+    window: TimeWindows = WHOLE
 
 
 @dataclass(frozen=True)

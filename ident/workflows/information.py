@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from seatrial.daq.errors import SeatrialError
-from seatrial.ident.data import WHOLE, LoadedLog, Record, TimeWindow, load_runs, make_record
+from seatrial.ident.data import WHOLE, LoadedLog, Record, TimeWindows, load_runs, make_record
 from seatrial.ident.estimation import (
     dynamic_parameters,
     fit,
@@ -77,7 +77,7 @@ class InformationRequest:
     rate
         Rate of the rows [Hz] over which faster sensors are averaged.
     window
-        Interval of time of each log to use.
+        Interval of time of the logs to use: one for all, or one for each.
     """
 
     model: Path
@@ -87,7 +87,7 @@ class InformationRequest:
     chosen: Sequence[str] = ()
     thruster: Path | None = None
     rate: float = 10.0
-    window: TimeWindow = WHOLE
+    window: TimeWindows = WHOLE
 
 
 def information(request: InformationRequest, command: str, reporter: Reporter) -> InformationResult:

@@ -18,11 +18,12 @@ from seatrial.ident.data import (
     WHOLE,
     LoadedLog,
     Record,
-    TimeWindow,
+    TimeWindows,
     load_run,
     make_record,
     parts_with_sensors,
     share_frame,
+    window_of_each,
 )
 from seatrial.ident.estimation import ParameterCovariance, load_model, reported_units
 from seatrial.ident.model import Model
@@ -73,7 +74,7 @@ class NavigationRequest:
     gnss_outages
         Intervals (from, to) in which GNSS is withheld from the filter; the end does not belong to the interval.
     window
-        Interval of time of each log to use.
+        Interval of time of the logs to use: one for all, or one for each.
     rate
         Rate of the rows [Hz] over which faster sensors are averaged.
     thruster
@@ -85,7 +86,7 @@ class NavigationRequest:
     out: Path
     smoothed: bool = True
     gnss_outages: Sequence[tuple[float, float]] = ()
-    window: TimeWindow = WHOLE
+    window: TimeWindows = WHOLE
     rate: float = 10.0
     thruster: Path | None = None
 
@@ -130,9 +131,9 @@ def navigate_logs(request: NavigationRequest, command: str, reporter: Reporter) 
             "each with its own --out"
         )
     loaded, parts, tables, reference = list[LoadedLog](), [], [], saved.origin
-    for path in logs:
+    for path, window in zip(logs, window_of_each(request.window, len(logs)), strict=True):
         reporter.progress(f"navigating {path.name}")
-        own = share_frame(parts_with_sensors(load_run(path, "navigated", request.window)), reference)
+        own = share_frame(parts_with_sensors(load_run(path, "navigated", window)), reference)
         reference = reference or own[0].origin
         for log, outages in zip(own, _outages_by_segment(own, request.gnss_outages), strict=True):
             loaded.append(with_derived_signals(log, saved.model.source, curve))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from seatrial.ident.characterisation import ThrustCurve, load_curve
-from seatrial.ident.data import SHAFTS, WHOLE, LoadedLog, LogSegment, TimeWindow
+from seatrial.ident.data import SHAFTS, WHOLE, LoadedLog, LogSegment, TimeWindows
 from seatrial.ident.estimation import (
     EstimationOptions,
     apply_rig_geometry,
@@ -71,7 +71,7 @@ class VehicleRequest:
     rate
         Rate of the rows [Hz] over which faster sensors are averaged.
     window
-        Interval of time of each of ``logs`` to use; validation logs are used as a whole.
+        Interval of time of ``logs`` to use: one for all, or one for each; validation logs are used as a whole.
     """
 
     logs: Sequence[Path]
@@ -89,7 +89,7 @@ class VehicleRequest:
     homogeneity: Sequence[str] = ()
     profiles: Sequence[str] = ()
     rate: float = 10.0
-    window: TimeWindow = WHOLE
+    window: TimeWindows = WHOLE
 
 
 @dataclass(frozen=True)

@@ -84,8 +84,8 @@ def compare(
     models : sequence, or dict by name, of path, `FittedVehicle` or `FittedDiagnosis`
         Two models or more; the first one is the reference. A path that occurs twice in a sequence counts once.
     logs : path, `Log` or sequence of them
-        Logs on which the models are compared; of a `Log`, its window is used, which must be the same for all logs. Use
-        logs that no model was fitted to; the summary names the others.
+        Logs on which the models are compared; of a `Log`, its window is used. Use logs that no model was fitted to; the
+        summary names the others.
     horizon : float, optional
         Horizon of the predictions [s]. None: that of the first model.
     rate : float, optional
@@ -99,8 +99,8 @@ def compare(
     Raises
     ------
     SeatrialError
-        If there are fewer than two models, if a model does not go with the logs, if the logs have different windows or
-        faults that make a fit meaningless, or if none is longer than ``horizon``.
+        If there are fewer than two models, if a model does not go with the logs, if the logs have faults that make a
+        fit meaningless, or if none is longer than ``horizon``.
 
     Examples
     --------

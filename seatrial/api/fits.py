@@ -498,7 +498,7 @@ def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[
     Parameters
     ----------
     logs : path, `Log` or sequence of them
-        Logs that the model is fitted to. Of a `Log`, its window is used; it must be the same for all logs.
+        Logs that the model is fitted to. Of a `Log`, its own window is used.
     model : str
         Name of the structure, such as ``horizontal:command``, or ``FILE.py:NAME`` of your own. ``auto``: the horizontal
         model with the inputs that the logs have.
@@ -558,7 +558,7 @@ def diagnose(
     model : path, `FittedVehicle` or `FittedDiagnosis`
         Model to diagnose: a model.toml, a folder with one, or a fitted model.
     logs : path, `Log` or sequence of them
-        Logs for the search. Of a `Log`, its window is used; it must be the same for all logs.
+        Logs for the search. Of a `Log`, its own window is used.
     validate : path, `Log` or sequence of them
         Other logs that validate each effect. They are used whole, so a `Log` with a window is an error. Without them,
         blocks of ``logs`` are cross-validated.
@@ -667,25 +667,18 @@ def model_path(model: PathLike | FittedResult) -> Iterator[Path]:
 
 
 def window_of(logs: Logs) -> Any:
-    """Return the interval of time of the logs that a workflow uses (`seatrial.ident.data.TimeWindow`).
+    """Return the intervals of time of the logs that a workflow uses (`seatrial.ident.data.TimeWindows`).
 
-    Of a `Log` it is the window with which it was opened, of a path the whole log. Without logs it is the whole log.
-
-    Raises
-    ------
-    SeatrialError
-        If the logs have different windows.
+    Of a `Log` it is the window with which it was opened, of a path the whole log. The result is one interval if it is
+    the same for all logs, and a tuple of one for each log otherwise. Without logs it is the whole log.
     """
     from seatrial.ident.data import WHOLE, TimeWindow
 
     several = [logs] if isinstance(logs, str | Path | Log) else list(logs)
-    windows = {TimeWindow(x.start, x.end) if isinstance(x, Log) else WHOLE for x in several}
-    if len(windows) > 1:
-        raise SeatrialError(
-            "the logs were opened with different intervals of time, but a fit uses one interval for all: open them "
-            "with the same start and end"
-        )
-    return windows.pop() if windows else WHOLE
+    windows = tuple(TimeWindow(x.start, x.end) if isinstance(x, Log) else WHOLE for x in several)
+    if not windows:
+        return WHOLE
+    return windows[0] if len(set(windows)) == 1 else windows
 
 
 def _paths_or_none(logs: Logs) -> list[Path]:

@@ -321,8 +321,7 @@ def navigate(
     model : path, `FittedVehicle` or `FittedDiagnosis`
         The fitted model.
     logs : path, `Log` or sequence of them
-        Logs with different names, which the model should not have been fitted to. Of a `Log`, its window is used; it
-        must be the same for all logs.
+        Logs with different names, which the model should not have been fitted to. Of a `Log`, its own window is used.
     gnss_outages : sequence of (from, to)
         Intervals [s from the start of the log] in which the samples of GNSS are not used.
     smoothed : bool
@@ -340,8 +339,7 @@ def navigate(
     Raises
     ------
     SeatrialError
-        If two logs have the same name, if the logs have different windows, or if they lack signals that the model
-        needs.
+        If two logs have the same name, or if they lack signals that the model needs.
 
     Examples
     --------

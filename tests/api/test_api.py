@@ -204,6 +204,15 @@ def test_simulation_of_given_inputs(fit: st.FittedVehicle) -> None:
         st.simulate(fit, t, {"n_left": [1.0, 2.0, 3.0]})
 
 
+def test_each_log_of_a_fit_has_its_own_window(logs: list[Path]) -> None:
+    both = [st.open_log(logs[0], 10.0, 80.0), st.open_log(logs[1], end=60.0)]
+    fit = st.fit(both, validate=logs[2], score_tests=False, **THRUST)
+    names = [Path(log.path).name for log in fit.result.logs if log.role == "estimation"]
+    assert names == [f"{logs[0].name}[10:80]", f"{logs[1].name}[0:60]"]
+    durations = [round(r.t[-1] - r.t[0]) for r in fit.fitted.records]
+    assert durations == [pytest.approx(70, abs=2), pytest.approx(60, abs=2)]
+
+
 def test_diagnosis_names_the_effect(found: st.FittedDiagnosis, tmp_path: Path) -> None:
     assert list(found.effects) == ["mismatch"]
     assert found.params["eps_LR"] == pytest.approx(-0.06, abs=0.03)
