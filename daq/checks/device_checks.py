@@ -557,7 +557,10 @@ def _check_shaft_speeds(log: Log) -> Iterator[Finding]:
                 during = n_cmd[np.searchsorted(t_cmd, t[a], "right") : np.searchsorted(t_cmd, t[b] - 1.0)]
                 if during.size > 1 and np.ptp(during) > LARGE_COMMAND_CHANGE:
                     text = f"{rpm[a]:.0f} rev/min for {t[b] - t[a]:.1f} s while its command changed"
-                    level, code, advice = FAULT, "shaft-speed-stuck", "check its speed sensor and the CAN bus"
+                    level, code = FAULT, "shaft-speed-stuck"
+                    advice = (
+                        "check its speed sensor and the CAN bus; or fit by the commands (--model horizontal:command)"
+                    )
                     if _is_limit(rpm[a], rpm[first[held]], rpm, during):
                         text += f" from {during.min():.2g} to {during.max():.2g}: its telemetry reports no larger speed"
                         level, code = WARNING, "shaft-speed-saturated"

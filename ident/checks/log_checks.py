@@ -420,13 +420,18 @@ SPOILING = frozenset({
     "log-copied", "rows-left-out", "position-jumps", "shaft-speed-wrapped", "shaft-speed-one-sided", "two-sensors",
     "inputs-constant", "shaft-speed-stuck", "telemetry-exchanged", "gyro-wrapped", "times-jump",
 })  # fmt: skip
+# Those of them that concern the telemetry of the shafts alone: a model with the commands as inputs does not use it.
+OF_SHAFT_TELEMETRY = frozenset({
+    "shaft-speed-in-rad-per-s", "shaft-speed-scale", "shaft-sign-reversed", "shaft-speed-wrapped",
+    "shaft-speed-one-sided", "shaft-speed-stuck", "telemetry-exchanged",
+})  # fmt: skip
 INPUT_WARNINGS = ("input-missing", "rpm-max-missing")  # warnings of the device checks that every fit repeats
 # A log is a copy if this share of its triples of neighbouring values also occurs in another log. A signal with fewer
 # triples is not compared.
 COPIED_SHARE, MIN_TRIPLES = 0.5, 50
 
 
-def invalidates_fit(finding: Finding) -> bool:
+def invalidates_fit(finding: Finding, uses_shaft_speeds: bool = True) -> bool:
     """Return whether the result of a fit to a log with this finding is meaningless.
 
     This holds for faults of frames, signs, units, sides and time, and of signals that do not measure (`SPOILING`).
@@ -435,8 +440,11 @@ def invalidates_fit(finding: Finding) -> bool:
     ----------
     finding
         Finding of any check.
+    uses_shaft_speeds
+        Whether the model uses the shaft speeds of the log. False: faults of their telemetry do not matter.
     """
-    return finding.level == FAULT and finding.code in SPOILING
+    spoils = finding.level == FAULT and finding.code in SPOILING
+    return spoils and (uses_shaft_speeds or finding.code not in OF_SHAFT_TELEMETRY)
 
 
 def check_log(path: Path | str) -> list[Finding]:

@@ -25,7 +25,7 @@ from seatrial.ident.checks import (
     smoothed,
 )
 from seatrial.ident.data import Channel, LoadedLog
-from seatrial.ident.model import INF, Model
+from seatrial.ident.model import INF, SHAFT_SPEED, Model, SignalId
 from seatrial.ident.models import (
     ESTIMATOR_ERROR,
     NOISE,
@@ -95,12 +95,24 @@ def check_first(
     checked = []
     for log in logs:
         its_copies = [f for f in copies if f.where == log.about["path"]]
-        checked.append(with_findings(log, sides_of_model(model, log), despite_faults, its_copies))
+        sides, by_shafts = sides_of_model(model, log), _has_shaft_speeds(model)
+        checked.append(with_findings(log, sides, despite_faults, its_copies, uses_shaft_speeds=by_shafts))
     return checked[: len(loaded)], checked[len(loaded) :]
 
 
+def _has_shaft_speeds(model: Model) -> bool:
+    """Return whether an input or an output of the model is a shaft speed, so that the fit uses those of the log."""
+    names = [*(i.tap_of or i.name for i in model.inputs), *(o.name for o in model.outputs)]
+    return any(SignalId.parse(name).quantity == SHAFT_SPEED for name in names)
+
+
 def with_findings(
-    log: LoadedLog, sides: Mapping[str, float], despite_faults: bool, more: Sequence[Finding] = ()
+    log: LoadedLog,
+    sides: Mapping[str, float],
+    despite_faults: bool,
+    more: Sequence[Finding] = (),
+    *,
+    uses_shaft_speeds: bool = True,
 ) -> LoadedLog:
     """Check a log before a fit, and return a copy with the findings in ``about["findings"]``.
 
@@ -114,6 +126,8 @@ def with_findings(
         Whether faults that make a fit meaningless are accepted.
     more : sequence of Finding
         Findings of other checks of this log.
+    uses_shaft_speeds : bool
+        Whether the fit uses the shaft speeds of the log. False: faults of their telemetry do not refuse the log.
 
     Returns
     -------
@@ -130,7 +144,7 @@ def with_findings(
     assert log.device_faults is not None, "logs of a fit are loaded with `device_faults`"
     found = [*log.device_faults, *check_signals(log.own_channels, sides), *more]
     reported = [f for f in found if f.level != OK]
-    refused = [f for f in reported if invalidates_fit(f)]
+    refused = [f for f in reported if invalidates_fit(f, uses_shaft_speeds)]
     if refused and not despite_faults:
         first, where = refused[0], "" if refused[0].where == name else f"{refused[0].where}: "
         rest = f" ({counted(len(refused) - 1, 'more fault')})" if len(refused) > 1 else ""
@@ -138,7 +152,7 @@ def with_findings(
             f"{name}: {where}{first.text} [{first.code}]{rest}; "
             f"{first.advice}. `seatrial check` lists all findings; --despite-faults fits the log unchanged"
         )
-    rows = [f._asdict() | {"spoils": invalidates_fit(f)} for f in reported]
+    rows = [f._asdict() | {"spoils": invalidates_fit(f, uses_shaft_speeds)} for f in reported]
     return replace(log, about=log.about | {"findings": rows})
 
 

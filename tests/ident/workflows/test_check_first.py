@@ -1,0 +1,35 @@
+"""Tests of the checks before a fit: faults of signals that the model does not use are no reason to refuse a log."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.samples import Esc
+from seatrial.ident.checks import device_faults
+from seatrial.ident.data.loading import load_run
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.workflows.check import check_first
+from tests.missions import boat_with, sail, write_log
+
+
+def test_stuck_telemetry_of_a_shaft_refuses_only_models_with_shaft_speeds(tmp_path: Path) -> None:
+    recording, _ = sail(boat_with(None, 3), 150.0, 103)
+    at = next(r.sample.rpm for r in recording.readings if isinstance(r.sample, Esc) and r.sample.rpm > 1000.0)
+    readings = [
+        r._replace(sample=replace(r.sample, rpm=at))
+        if isinstance(r.sample, Esc) and r.sample.node == 1 and 40.0 < r.t < 100.0
+        else r
+        for r in recording.readings
+    ]
+    path = write_log(tmp_path / "run.mcap", "boat", readings)
+    log = load_run(path, "estimation", device_faults=device_faults)
+    with pytest.raises(SeatrialError, match=r"\[shaft-speed-stuck\].*fit by the commands"):
+        check_first([log], [], horizontal_model("shaft"), False)
+    ((checked,), _) = check_first([log], [], horizontal_model("command"), False)
+    stuck = [f for f in checked.about["findings"] if f["code"] == "shaft-speed-stuck"]
+    assert stuck
+    assert not any(f["spoils"] for f in stuck)
