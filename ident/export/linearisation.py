@@ -22,7 +22,7 @@ BALANCED = 1e-6  # largest rate at the operating point, in the unit of each stat
 TRIALS = (0.1, 0.4, 0.8)  # initial values of the inputs: at zero the thrust has no slope
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Linearisation:
     """Linear model ``dx/dt = A (x - x0) + B (u - u0)`` about straight motion in still water.
 
@@ -67,6 +67,16 @@ class Linearisation:
         """
         real = self.poles.real
         return np.where(real == 0.0, np.inf, -1.0 / np.where(real == 0.0, 1.0, real))
+
+    def __repr__(self) -> str:
+        """Return speed, stability, poles and time constants as a few lines of text."""
+        how = "stable" if self.stable else "not stable: a pole has no negative real part"
+        lines = [f"<Linearisation at {self.speed:g} m/s, {how}>", f"states {', '.join(self.states)}"]
+        lines.append(f"inputs {', '.join(self.inputs)}")
+        for pole, constant in zip(self.poles, self.time_constants, strict=True):
+            shown = f"{pole.real:.4g}" + (f" {pole.imag:+.4g}j" if pole.imag else "")
+            lines.append(f"pole {shown} 1/s, time constant {constant:.4g} s")
+        return "\n".join(lines)
 
     @property
     def stable(self) -> bool:

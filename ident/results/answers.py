@@ -317,8 +317,8 @@ def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | Non
         warnings.append(ResultWarning(code="prior-contradicted", text=text))
     if fit.converged and (left := fit.distance_left) is not None:
         text = (
-            f"The fit stopped close to its maximum: its estimates can still move by {left:.2g} standard errors. Use "
-            "--initial with these estimates to continue, or a model with fewer free parameters."
+            f"The fit stopped close to its maximum: its estimates can still move by {left:.2g} standard errors. If "
+            "this matters to you, use a model with fewer free parameters, or more data."
         )
         warnings.append(ResultWarning(code="nearly-converged", text=text))
     if (lost := unexcited_motion(fit, records)) is not None:

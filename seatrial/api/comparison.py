@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from seatrial.api.fits import FittedDiagnosis, FittedVehicle, Logs, Messages, errors_of_users, model_path, window_of
-from seatrial.api.logs import PathLike, as_paths
+from seatrial.api.logs import as_paths
 from seatrial.daq.log import import_library
 
 if TYPE_CHECKING:
     from seatrial.ident.workflows.compare import ModelComparison
 
-AnyModel = PathLike | FittedVehicle | FittedDiagnosis
+AnyModel = Any  # PathLike, FittedVehicle, FittedDiagnosis or Saved, which is imported only if it is needed
 Models = Sequence[AnyModel] | Mapping[str, AnyModel]
 
 
@@ -81,7 +81,7 @@ def compare(
 
     Parameters
     ----------
-    models : sequence, or dict by name, of path, `FittedVehicle` or `FittedDiagnosis`
+    models : sequence, or dict by name, of path, `Saved`, `FittedVehicle` or `FittedDiagnosis`
         Two models or more; the first one is the reference. A path that occurs twice in a sequence counts once.
     logs : path, `Log` or sequence of them
         Logs on which the models are compared; of a `Log`, its window is used. Use logs that no model was fitted to; the
@@ -117,5 +117,12 @@ def compare(
 
 
 def _name_of(model: AnyModel, index: int) -> str:
-    """Return a name for a model: its path as text, or "model 2" for a fitted model with the `index` 1 (from 0)."""
+    """Return a name for a model: its path as text, or "model 2" for a fitted model with the `index` 1 (from 0).
+
+    The path of a `Saved` is that from which it was loaded.
+    """
+    from seatrial.api.loading import Saved
+
+    if isinstance(model, Saved):
+        return str(model.path)
     return f"model {index + 1}" if isinstance(model, FittedVehicle | FittedDiagnosis) else str(model)

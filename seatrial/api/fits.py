@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import difflib
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,6 +22,7 @@ from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from seatrial.daq.log import import_library
 
 if TYPE_CHECKING:
+    from seatrial.api.loading import Saved
     from seatrial.ident.diagnosis import Diagnosis
     from seatrial.ident.estimation import FittedModel, RecordEvaluation
     from seatrial.ident.results import DiagnosisResult, FitResult, VehicleResult
@@ -30,6 +32,9 @@ if TYPE_CHECKING:
 Logs = PathLike | Log | Sequence[PathLike | Log]
 Role = Literal["estimation", "validation"]
 T = TypeVar("T")
+
+
+LISTS = ("effects", "profiles", "homogeneity")  # options with a list of names, for which one name may be given
 
 
 class FitOptions(TypedDict, total=False):
@@ -529,7 +534,7 @@ def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[
     from seatrial.ident.workflows.vehicle import fit_vehicle
     from seatrial.ident.workflows.vehicle_model import VehicleRequest
 
-    given: dict[str, Any] = dict(options)
+    given = known_options(options, FitOptions)
     progress = given.pop("progress", False)
     estimation = {n: given.pop(n) for n in ("outlier_model", "reml", "mean_order", "horizon") if n in given}
     if "thruster" in given:
@@ -542,21 +547,21 @@ def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[
             replace(EstimationOptions(reml=True, mean_order=2), **estimation),
             model,
             window=window_of(logs),
-            **known_options(given, VehicleRequest),
+            **given,
         )
         done: VehicleFit = fit_vehicle(request, python_call("fit", request.logs, model=model), Messages(progress))
     return FittedVehicle(done.result, done.fitted)
 
 
 def diagnose(
-    model: PathLike | FittedResult, logs: Logs, validate: Logs = (), **options: Unpack[DiagnosisOptions]
+    model: PathLike | FittedResult | Saved, logs: Logs, validate: Logs = (), **options: Unpack[DiagnosisOptions]
 ) -> FittedDiagnosis:
     """Find the effects (physical phenomena) that a model lacks, as ``seatrial ident diagnose``.
 
     Parameters
     ----------
     model : path, `FittedVehicle` or `FittedDiagnosis`
-        Model to diagnose: a model.toml, a folder with one, or a fitted model.
+        Model to diagnose: a model.toml, a folder with one, a loaded or a fitted model.
     logs : path, `Log` or sequence of them
         Logs for the search. Of a `Log`, its own window is used.
     validate : path, `Log` or sequence of them
@@ -588,7 +593,7 @@ def diagnose(
     from seatrial.ident.estimation import EstimationOptions
     from seatrial.ident.workflows.diagnose import DiagnosisRequest, diagnose_model
 
-    given: dict[str, Any] = dict(options)
+    given = known_options(options, DiagnosisOptions)
     progress = given.pop("progress", False)
     estimation = {n: given.pop(n) for n in ("outlier_model", "horizon") if n in given}
     if "effects_file" in given:
@@ -601,7 +606,7 @@ def diagnose(
             Path(),
             EstimationOptions(**estimation),
             window=window_of(logs),
-            **known_options(given, DiagnosisRequest),
+            **given,
         )
         done: DiagnosedModel = diagnose_model(request, python_call("diagnose", request.logs), Messages(progress))
         result, advice = done.result, done.result.recommended_experiment
@@ -644,10 +649,11 @@ def errors_of_users() -> Iterator[None]:
 
 
 @contextmanager
-def model_path(model: PathLike | FittedResult) -> Iterator[Path]:
+def model_path(model: PathLike | FittedResult | Saved) -> Iterator[Path]:
     """Yield the path of a model.toml: of the file itself, of the one in a folder, or of a temporary file.
 
-    A fitted model is written to a temporary folder, which is deleted after the `with` block.
+    Of a `Saved`, it is the file from which it was loaded, or that beside its result.json. A fitted model is written to
+    a temporary folder, which is deleted after the `with` block.
 
     Raises
     ------
@@ -658,8 +664,11 @@ def model_path(model: PathLike | FittedResult) -> Iterator[Path]:
         with TemporaryDirectory() as folder:
             yield model.save(folder) / "model.toml"
         return
+    from seatrial.api.loading import RESULT, Saved
     from seatrial.ident.estimation import model_file
 
+    if isinstance(model, Saved):
+        model = model.path.parent if model.path.name == RESULT else model.path
     path = model_file(Path(str(model)))
     if not path.exists():
         raise SeatrialError(f"{path}: no such file; give a model.toml, a folder with one, or a fitted model")
@@ -695,17 +704,28 @@ def _paths_or_none(logs: Logs) -> list[Path]:
     return as_paths(several) if several else []
 
 
-def known_options(given: Mapping[str, Any], request: Callable[..., T]) -> Mapping[str, Any]:
-    """Return the options unchanged, after a check that the dataclass `request` has a field for each of them.
+def known_options(given: Mapping[str, Any], options: type) -> dict[str, Any]:
+    """Return the options as a new dict, after a check of their names. A list of names may be given as one name.
 
-    `request` is the class of the options of a workflow. SeatrialError names the first unknown option and lists the
-    known ones.
+    Parameters
+    ----------
+    given : dict
+        Options of the user by name.
+    options : type
+        The `TypedDict` with the options of the function, such as `FitOptions`.
+
+    Raises
+    ------
+    SeatrialError
+        If there is no option of a name. The message lists the options, the most similar one first.
     """
-    fields = getattr(request, "__dataclass_fields__", {})
+    known = sorted(options.__annotations__)
     for name in given:
-        if name not in fields:
-            raise SeatrialError(f"there is no option {name!r}; the options are {', '.join(sorted(fields))}")
-    return given
+        if name not in known:
+            similar = difflib.get_close_matches(name, known, 1)
+            hint = f"did you mean {similar[0]!r}? The options are" if similar else "the options are"
+            raise SeatrialError(f"there is no option {name!r}; {hint} {', '.join(known)}")
+    return {n: [v] if n in LISTS and isinstance(v, str) else v for n, v in given.items()}
 
 
 def python_call(function: str, logs: Sequence[Path], **more: str) -> str:

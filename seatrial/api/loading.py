@@ -184,7 +184,7 @@ def simulate(
     for name, values in named.items():
         if values.shape != times.shape:
             raise SeatrialError(f"input {name}: it has the shape {values.shape}, but the times have {times.shape}")
-    known = {i.name for i in structure.inputs} | {i.tap_of for i in structure.inputs if i.tap}
+    known = {i.tap_of or i.name for i in structure.inputs}
     if unknown := [n for n in named if n not in known]:
         raise SeatrialError(f"the model has no input {unknown[0]!r}; its inputs are {', '.join(sorted(known))}")
     channels = {name: Channel(times, values) for name, values in named.items()}

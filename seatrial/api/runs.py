@@ -30,6 +30,7 @@ from seatrial.daq.files import write_output
 from seatrial.daq.log import import_library
 
 if TYPE_CHECKING:
+    from seatrial.api.loading import Saved
     from seatrial.ident.results import DesignResult, NavigationResult, ThrustCurveResult, ThrusterResult
 
 T = TypeVar("T")
@@ -289,7 +290,7 @@ def thruster(logs: Logs, **options: Unpack[ThrusterOptions]) -> FittedThruster |
     from seatrial.ident.results import ThrusterResult
     from seatrial.ident.workflows.thruster import ThrusterRequest, characterise
 
-    given: dict[str, Any] = dict(options)
+    given = known_options(options, ThrusterOptions)
     reporter = Messages(given.pop("progress", False))
     estimation = {n: given.pop(n) for n in ("outlier_model", "reml", "horizon") if n in given}
     how = replace(EstimationOptions(reml=True), **estimation)
@@ -299,7 +300,7 @@ def thruster(logs: Logs, **options: Unpack[ThrusterOptions]) -> FittedThruster |
 
     def work(out: Path) -> Any:
         """Fit the thruster, write the files of the command to the folder `out`, and return the result."""
-        request = ThrusterRequest(paths, out, estimation=how, **known_options(given, ThrusterRequest))
+        request = ThrusterRequest(paths, out, estimation=how, **given)
         return characterise(request, python_call("thruster", paths), reporter)
 
     result, files = _with_files(work)
@@ -307,7 +308,7 @@ def thruster(logs: Logs, **options: Unpack[ThrusterOptions]) -> FittedThruster |
 
 
 def navigate(
-    model: PathLike | FittedVehicle | FittedDiagnosis,
+    model: PathLike | FittedVehicle | FittedDiagnosis | Saved,
     logs: Logs,
     gnss_outages: Sequence[tuple[float, float]] = (),
     smoothed: bool = True,
@@ -318,7 +319,7 @@ def navigate(
 
     Parameters
     ----------
-    model : path, `FittedVehicle` or `FittedDiagnosis`
+    model : path, `Saved`, `FittedVehicle` or `FittedDiagnosis`
         The fitted model.
     logs : path, `Log` or sequence of them
         Logs with different names, which the model should not have been fitted to. Of a `Log`, its own window is used.
@@ -359,13 +360,13 @@ def navigate(
 
 
 def design(
-    model: PathLike | FittedVehicle | FittedDiagnosis, out: PathLike, **options: Unpack[DesignOptions]
+    model: PathLike | FittedVehicle | FittedDiagnosis | Saved, out: PathLike, **options: Unpack[DesignOptions]
 ) -> DesignResult:
     """Design the next mission: commands that inform the parameters of a model most, as ``seatrial mission design``.
 
     Parameters
     ----------
-    model : path, name, `FittedVehicle` or `FittedDiagnosis`
+    model : path, name, `Saved`, `FittedVehicle` or `FittedDiagnosis`
         A fitted model, or the name of a structure, such as ``horizontal:command``.
     out : path
         File of the mission, which must not exist. A .json file and an .html page are written beside it.
@@ -389,13 +390,14 @@ def design(
     """
     from contextlib import nullcontext
 
+    from seatrial.api.loading import Saved
     from seatrial.ident.workflows.design import DesignRequest, make_design
 
-    given: dict[str, Any] = dict(options)
+    given = known_options(options, DesignOptions)
     reporter = Messages(given.pop("progress", False))
-    fitted = isinstance(model, FittedVehicle | FittedDiagnosis) or Path(str(model)).exists()
+    fitted = isinstance(model, FittedVehicle | FittedDiagnosis | Saved) or Path(str(model)).exists()
     with errors_of_users(), model_path(model) if fitted else nullcontext(Path(str(model))) as source:
-        request = DesignRequest(**known_options(given, DesignRequest))
+        request = DesignRequest(**given)
         return make_design(str(source), request, Path(out), f"seatrial.design(out={str(out)!r})", reporter)
 
 

@@ -194,7 +194,7 @@ def test_simulation_of_given_inputs(fit: st.FittedVehicle) -> None:
     later = st.simulate(fit, t[:9] + 7.0, {n: np.full(9, 0.5) for n in ("n_left", "n_right")})
     assert later["u"].t == pytest.approx(t[:9] + 7.0)
     assert p["d_u"] * u[-1] + p["d_uu"] * u[-1] ** 2 == pytest.approx(2 * 0.25 * (p["c1"] + p["c2"]), rel=0.01)
-    with pytest.raises(SeatrialError, match="the model has no input 'n_l'; its inputs are n_left, n_right"):
+    with pytest.raises(SeatrialError, match=r"the model has no input 'n_l'; its inputs are n_left, n_right$"):
         st.simulate(fit, t, {"n_l": t})
     with pytest.raises(SeatrialError, match="the model has no state 'speed'"):
         st.simulate(fit, t, {"n_left": t, "n_right": t}, {"speed": 1.0})
@@ -213,11 +213,14 @@ def test_each_log_of_a_fit_has_its_own_window(logs: list[Path]) -> None:
     assert durations == [pytest.approx(70, abs=2), pytest.approx(60, abs=2)]
 
 
-def test_diagnosis_names_the_effect(found: st.FittedDiagnosis, tmp_path: Path) -> None:
+def test_diagnosis_names_the_effect(logs: list[Path], found: st.FittedDiagnosis, tmp_path: Path) -> None:
     assert list(found.effects) == ["mismatch"]
     assert found.params["eps_LR"] == pytest.approx(-0.06, abs=0.03)
     again = st.load(found.save(tmp_path / "found"))
     assert again.answer == found.answer
+    assert st.navigate(again, logs[2]).states  # a loaded model can be used like the fitted one
+    both = st.compare([again, found], logs[2])
+    assert both.found.models[0].rms == pytest.approx(both.found.models[1].rms, rel=1e-6)
     assert again.params["eps_LR"] == pytest.approx(found.params["eps_LR"], rel=1e-6)
 
 
@@ -327,7 +330,12 @@ def test_navigated_states_are_those_of_the_files(logs: list[Path], fit: st.Fitte
     [
         (lambda logs, fit: st.fit("missing.mcap"), "missing.mcap: no such file or folder"),
         (lambda logs, fit: st.fit([]), "no log was given"),
-        (lambda logs, fit: st.fit(logs[0], despite=True), "there is no option 'despite'; the options are"),
+        (
+            lambda logs, fit: st.fit(logs[0], despite=True),
+            "there is no option 'despite'; did you mean 'despite_faults'?",
+        ),
+        (lambda logs, fit: st.fit(logs[0], window=(0.0, 60.0)), "there is no option 'window'; the options are"),
+        (lambda logs, fit: st.fit(logs[0], effects="skeg"), "skeg"),
         (lambda logs, fit: st.fit(logs[0], model="boat"), "boat"),
         (lambda logs, fit: st.fit(logs[0], validate=logs[0]), "for the fit and for the validation"),
         (
