@@ -717,7 +717,8 @@ class _Search:
                 self.untried = tried
                 return current, passed
             self.reporter.progress(
-                f"round {len(self.rounds) + 1}: {len(passed)} of {len(scores)} candidates pass, best {tried[0].name}"
+                f"round {len(self.rounds) + 1}: {len(passed)} of {len(scores)} candidates pass"
+                f"{f', {len(tried)} by enough to matter' * (len(tried) < len(passed))}, best {tried[0].name}"
             )
             found = self._run_round(current, scores, tried)
             pair = self._look_ahead(current, found, max_effects) if found.chosen is None else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ from numpy.typing import ArrayLike
 from seatrial.api import tables
 from seatrial.api.fits import FittedDiagnosis, FittedVehicle, Series, errors_of_users, model_path
 from seatrial.api.logs import PathLike
-from seatrial.daq.errors import SeatrialError
+from seatrial.daq.errors import SeatrialError, SeatrialWarning
 
 if TYPE_CHECKING:
     from seatrial.ident.estimation import SavedModel
@@ -218,6 +219,7 @@ def linearise(model: PathLike | Saved | FittedVehicle | FittedDiagnosis, speed: 
     -------
     Linearisation
         Matrices A and B with their states and inputs, the operating point, poles, time constants and step responses.
+        A speed outside those of the fitted data gives a `SeatrialWarning`.
 
     Raises
     ------
@@ -234,9 +236,18 @@ def linearise(model: PathLike | Saved | FittedVehicle | FittedDiagnosis, speed: 
 
     with errors_of_users():
         if isinstance(model, Saved):
-            return about_speed(model._saved_model(), speed)
-        with model_path(model) as path:
-            return about_speed(load_model(path), speed)
+            saved = model._saved_model()
+        else:
+            with model_path(model) as path:
+                saved = load_model(path)
+        found = about_speed(saved, speed)
+    low, high = saved.validity.get("u", (-np.inf, np.inf))
+    if not low <= speed <= high:
+        text = (
+            f"{speed:g} m/s is outside the speeds of the fitted data, {low:.3g} to {high:.3g} m/s; choose one of these"
+        )
+        warnings.warn(text, SeatrialWarning, stacklevel=2)
+    return found
 
 
 def _structure(model: PathLike | Saved | FittedVehicle | FittedDiagnosis) -> Model:

@@ -213,6 +213,14 @@ def test_each_log_of_a_fit_has_its_own_window(logs: list[Path]) -> None:
     assert durations == [pytest.approx(70, abs=2), pytest.approx(60, abs=2)]
 
 
+def test_linearisation_is_shown_in_a_few_lines_and_warns_outside_the_data(fit: st.FittedVehicle) -> None:
+    at = st.linearise(fit, 0.5)
+    assert repr(at).startswith("<Linearisation at 0.5 m/s, stable>\nstates u, v, r")
+    assert repr(at).count("time constant") == len(at.poles)
+    with pytest.warns(SeatrialWarning, match=r"1.8 m/s is outside the speeds of the fitted data"):
+        st.linearise(fit, 1.8)
+
+
 def test_diagnosis_names_the_effect(logs: list[Path], found: st.FittedDiagnosis, tmp_path: Path) -> None:
     assert list(found.effects) == ["mismatch"]
     assert found.params["eps_LR"] == pytest.approx(-0.06, abs=0.03)
