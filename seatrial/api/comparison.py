@@ -7,8 +7,9 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from seatrial.api.fits import FittedDiagnosis, FittedVehicle, Logs, Messages, errors_of_users, model_path, window_of
+from seatrial.api.fits import FittedDiagnosis, FittedVehicle, Logs, model_path, window_of
 from seatrial.api.logs import as_paths
+from seatrial.api.messages import Messages, errors_of_users
 from seatrial.daq.log import import_library
 
 if TYPE_CHECKING:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import sys
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -18,7 +16,8 @@ from numpy.typing import NDArray
 from seatrial.api import plots, tables
 from seatrial.api.figures import Figure
 from seatrial.api.logs import Log, PathLike, as_paths
-from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.api.messages import Messages, errors_of_users
+from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import import_library
 
 if TYPE_CHECKING:
@@ -535,6 +534,9 @@ def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[
     from seatrial.ident.workflows.vehicle_model import VehicleRequest
 
     given = known_options(options, FitOptions)
+    for name, prior in given.get("priors", {}).items():
+        if np.shape(prior) != (2,):
+            raise SeatrialError(f"priors: {name}: give a pair of mean and standard deviation, such as ({prior}, 1.0)")
     progress = given.pop("progress", False)
     estimation = {n: given.pop(n) for n in ("outlier_model", "reml", "mean_order", "horizon") if n in given}
     if "thruster" in given:
@@ -616,38 +618,6 @@ def diagnose(
     return FittedDiagnosis(result, done.found.after, done.found, done.effects_file)
 
 
-class Messages:
-    """Receiver of the messages of a workflow (fit, diagnosis, ...) in the Python interface.
-
-    Warnings become Python warnings. Lines of progress are printed to stderr only if the user has asked for them.
-    """
-
-    def __init__(self, progress: bool) -> None:
-        """Store whether to print a line for each step of the computation (``progress``)."""
-        self._progress = progress
-
-    def progress(self, text: str) -> None:
-        """Print the line `text` about a step of the computation to stderr, if progress is printed; else do nothing."""
-        if self._progress:
-            print(text, file=sys.stderr, flush=True)
-
-    def warning(self, text: str) -> None:
-        """Issue a Python warning with this text and the category `SeatrialWarning`, which the user may filter."""
-        warnings.warn(text, SeatrialWarning, stacklevel=4)
-
-
-@contextmanager
-def errors_of_users() -> Iterator[None]:
-    """Context that turns ValueError and KeyError of a computation into SeatrialError with the same text.
-
-    Other errors pass unchanged.
-    """
-    try:
-        yield
-    except (ValueError, KeyError) as problem:
-        raise SeatrialError(str(problem).strip("'\"")) from problem
-
-
 @contextmanager
 def model_path(model: PathLike | FittedResult | Saved) -> Iterator[Path]:
     """Yield the path of a model.toml: of the file itself, of the one in a folder, or of a temporary file.
@@ -717,7 +687,7 @@ def known_options(given: Mapping[str, Any], options: type) -> dict[str, Any]:
     Raises
     ------
     SeatrialError
-        If there is no option of a name. The message lists the options, the most similar one first.
+        If there is no option of a name, with the options in the message, or if the horizon is not positive.
     """
     known = sorted(options.__annotations__)
     for name in given:
@@ -725,6 +695,8 @@ def known_options(given: Mapping[str, Any], options: type) -> dict[str, Any]:
             similar = difflib.get_close_matches(name, known, 1)
             hint = f"did you mean {similar[0]!r}? The options are" if similar else "the options are"
             raise SeatrialError(f"there is no option {name!r}; {hint} {', '.join(known)}")
+    if (horizon := given.get("horizon")) is not None and not horizon > 0.0:
+        raise SeatrialError(f"horizon {horizon:g}: give a time above zero, in s")
     return {n: [v] if n in LISTS and isinstance(v, str) else v for n, v in given.items()}
 
 

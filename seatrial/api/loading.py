@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seatrial.api import tables
-from seatrial.api.fits import FittedDiagnosis, FittedVehicle, Series, errors_of_users, model_path
+from seatrial.api.fits import FittedDiagnosis, FittedVehicle, Series, model_path
 from seatrial.api.logs import PathLike
+from seatrial.api.messages import errors_of_users
 from seatrial.daq.errors import SeatrialError, SeatrialWarning
 
 if TYPE_CHECKING:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.api.figures import Figure
+from seatrial.api.messages import errors_of_users
 from seatrial.daq.checks import FAULT, WARNING, Finding, findings_lines, findings_summary, worst_first
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import import_library
@@ -213,14 +214,15 @@ def import_log(
 
     sources, folder = as_paths(files), Path(out_dir)
     folder.mkdir(parents=True, exist_ok=True)
-    if map_path is not None:
-        return import_files(Path(map_path), sources, out_dir=folder, force=force)
     made: list[Path] = []
-    for source in sources:
-        with TemporaryDirectory() as scratch:
-            guessed = Path(scratch) / f"{source.stem}.toml"
-            guessed.write_text(guess_map(source).text, encoding="utf-8")
-            made += import_files(guessed, [source], out_dir=folder, force=force)
+    with errors_of_users():
+        if map_path is not None:
+            return import_files(Path(map_path), sources, out_dir=folder, force=force)
+        for source in sources:
+            with TemporaryDirectory() as scratch:
+                guessed = Path(scratch) / f"{source.stem}.toml"
+                guessed.write_text(guess_map(source).text, encoding="utf-8")
+                made += import_files(guessed, [source], out_dir=folder, force=force)
     return made
 
 

@@ -17,14 +17,13 @@ from seatrial.api.fits import (
     FittedDiagnosis,
     FittedVehicle,
     Logs,
-    Messages,
-    errors_of_users,
     known_options,
     model_path,
     python_call,
     window_of,
 )
 from seatrial.api.logs import PathLike, as_paths
+from seatrial.api.messages import Messages, errors_of_users
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.files import write_output
 from seatrial.daq.log import import_library

@@ -343,7 +343,10 @@ def test_navigated_states_are_those_of_the_files(logs: list[Path], fit: st.Fitte
             "there is no option 'despite'; did you mean 'despite_faults'?",
         ),
         (lambda logs, fit: st.fit(logs[0], window=(0.0, 60.0)), "there is no option 'window'; the options are"),
-        (lambda logs, fit: st.fit(logs[0], effects="skeg"), "skeg"),
+        (lambda logs, fit: st.fit(logs[0], effects="skeg"), "effects skeg: there is no such effect"),
+        (lambda logs, fit: st.fit(logs[0], fixed={"c7": 1.0}), "fixed c7"),
+        (lambda logs, fit: st.fit(logs[0], priors={"m_u": 30.0}), "priors: m_u: give a pair of mean and standard"),
+        (lambda logs, fit: st.fit(logs[0], horizon=-5.0), "horizon -5: give a time above zero"),
         (lambda logs, fit: st.fit(logs[0], model="boat"), "boat"),
         (lambda logs, fit: st.fit(logs[0], validate=logs[0]), "for the fit and for the validation"),
         (

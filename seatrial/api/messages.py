@@ -1,0 +1,67 @@
+"""Messages of the workflows in the words of the Python interface: its arguments in place of command-line options."""
+
+from __future__ import annotations
+
+import re
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from seatrial.daq.errors import SeatrialError, SeatrialWarning
+
+# Arguments of the functions of `seatrial` by the command-line option. An option without an entry stays as it is.
+ARGUMENTS = {
+    "--fix": "fixed", "--prior": "priors", "--initial": "initial", "--effect": "effects", "--effects": "effects_file",
+    "--validate": "validate", "--max-effects": "max_effects", "--model": "model", "--horizon": "horizon",
+    "--thruster": "thruster", "--robust": "outlier_model", "--profile": "profiles", "--settle": "settle",
+    "--force": "force=True", "--despite-faults": "despite_faults=True", "--no-reml": "reml=False",
+    "--second-order": "mean_order=2", "--no-second-order": "mean_order=1", "--no-score-tests": "score_tests=False",
+    "--from": "start of st.open_log", "--to": "end of st.open_log", "--out-dir": "out_dir",
+}  # fmt: skip
+
+
+def in_python(text: str) -> str:
+    """Return a message with the command-line options replaced by the arguments of the Python interface.
+
+    For example, ``--fix e_psi=0.03`` becomes ``fixed e_psi=0.03``. Options without an entry in the table stay.
+    """
+    return re.sub(r"--[a-z]+(?:-[a-z]+)*", lambda found: ARGUMENTS.get(found.group(), found.group()), text)
+
+
+class Messages:
+    """Receiver of the messages of a workflow (fit, diagnosis, ...) in the Python interface.
+
+    Warnings become Python warnings. Lines of progress are printed to stderr only if the user has asked for them.
+    """
+
+    def __init__(self, progress: bool) -> None:
+        """Store whether to print a line for each step of the computation (``progress``)."""
+        self._progress = progress
+
+    def progress(self, text: str) -> None:
+        """Print the line `text` about a step of the computation to stderr, if progress is printed; else do nothing."""
+        if self._progress:
+            print(in_python(text), file=sys.stderr, flush=True)
+
+    def warning(self, text: str) -> None:
+        """Issue a Python warning with this text and the category `SeatrialWarning`, which the user may filter."""
+        warnings.warn(in_python(text), SeatrialWarning, stacklevel=4)
+
+
+@contextmanager
+def errors_of_users() -> Iterator[None]:
+    """Context that turns ValueError and KeyError of a computation into SeatrialError with the same text.
+
+    A SeatrialError gets the arguments of the Python interface in place of command-line options. Classes derived from it
+    and other errors pass unchanged.
+    """
+    try:
+        yield
+    except SeatrialError as problem:
+        text = in_python(str(problem))
+        if type(problem) is not SeatrialError or text == str(problem):
+            raise
+        raise SeatrialError(text) from problem
+    except (ValueError, KeyError) as problem:
+        raise SeatrialError(in_python(str(problem).strip("'\""))) from problem
