@@ -95,6 +95,9 @@ class SavedModel:
         about one, or for a per-record parameter.
     rates
         By sensor, its sample rate in the fitted data [Hz].
+    holds
+        By input, its interpolation between samples in the fitted data (`Input.hold`). Empty if unknown, as in files of
+        earlier versions.
     """
 
     model: Model
@@ -109,6 +112,7 @@ class SavedModel:
     origin: FrameOrigin | None = None
     inflation: Mapping[str, float] = field(default_factory=dict)
     rates: Mapping[str, float] = field(default_factory=dict)
+    holds: Mapping[str, str] = field(default_factory=dict)
 
     def uncertainty(self, name: str) -> float:
         """Return the standard uncertainty [N] of the thrust coefficient ``name``; NaN if it has no standard error.
@@ -197,6 +201,8 @@ def save_model(
     document["validity"] = {k: [float(a), float(b)] for k, (a, b) in validity.items()}
     if rates:
         document["rates"] = {k: float(f"{z:.4g}") for k, z in rates.items()}
+    if holds := {i.name: i.hold for i in model.inputs if i.hold and not i.tap_of}:
+        document["holds"] = holds
     if states := _states_table(model, effects_file):
         document["states"] = states
     # Each fit scales the priors of disturbance forces to the size of the boat (seatrial.ident.models.scaling). A prior
@@ -346,6 +352,7 @@ def load_model(path: Path) -> SavedModel:
         origin = place and FrameOrigin(float(place["latitude"]), float(place["longitude"]), str(place.get("log", "")))
         validity = {k: (float(a), float(b)) for k, (a, b) in table.get("validity", {}).items()}
         rates = {k: float(z) for k, z in table.get("rates", {}).items()}
+        holds = {k: str(z) for k, z in table.get("holds", {}).items()}
         if bad := [k for k, z in rates.items() if not 0.0 < z < np.inf]:
             raise ValueError(f"rates: {bad[0]} = {rates[bad[0]]:g}; a rate must be finite and above 0 Hz")
         estimates = table.get("correlation", {})
@@ -372,6 +379,7 @@ def load_model(path: Path) -> SavedModel:
         origin,
         inflation,
         rates,
+        holds,
     )
 
 

@@ -18,7 +18,7 @@ from seatrial.ident.numerics import chi2_sf, student_ppf
 from seatrial.ident.reporter import Reporter
 from seatrial.ident.validation import PredictionChange, PredictionErrors, horizon_errors, prediction_change_by_record
 from seatrial.ident.workflows.check import check_first
-from seatrial.ident.workflows.model_inputs import check_horizon, in_one_frame, model_of_logs
+from seatrial.ident.workflows.model_inputs import check_horizon, hold_lines, in_one_frame, model_of_logs
 
 FEWEST_BLOCKS = 4  # blocks of time that an interval of the log score needs
 
@@ -208,6 +208,8 @@ def compare_models(request: CompareRequest, reporter: Reporter) -> ModelComparis
     compared: list[tuple[SavedModel, list[RecordEvaluation], dict[str, dict[str, PredictionErrors]]]] = []
     for path, known in zip(request.models, saved, strict=True):
         reporter.progress(f"predicting the logs by {path}")
+        for line in hold_lines(known, loaded):
+            reporter.warning(f"{path}: {line}")
         # First order, so that the likelihoods of all models are comparable.
         model = replace(known.model, second_order=False)
         placed, _ = in_one_frame(model, loaded, [], known.origin)

@@ -19,6 +19,7 @@ from seatrial.ident.results import DiagnosisResult, diagnosis_result, estimation
 from seatrial.ident.workflows.check import check_first, with_noise_floors
 from seatrial.ident.workflows.model_inputs import (
     check_horizon,
+    hold_lines,
     in_one_frame,
     model_of_logs,
     unused_lines,
@@ -166,7 +167,7 @@ def diagnose_model(request: DiagnosisRequest, command: str, reporter: Reporter) 
     unused = unused_signals(model, loaded, validation_logs)
     unused_signals_lines = unused_lines(unused) if model.kind is ModelKind.VEHICLE else []
     loaded, validation_logs = check_first(loaded, validation_logs, model, request.despite_faults)
-    for line in unused_signals_lines:
+    for line in [*unused_signals_lines, *hold_lines(saved, [*loaded, *validation_logs])]:
         reporter.warning(line)
     model, floors = with_noise_floors(model, loaded)
     user_effects = effects_for(model, effects_file) if effects_file else {}

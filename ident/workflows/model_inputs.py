@@ -33,6 +33,7 @@ from seatrial.ident.data import (
     far_apart,
     share_frame,
 )
+from seatrial.ident.estimation import SavedModel
 from seatrial.ident.model import COMMAND, SHAFT_SPEED, Model, ModelKind, SignalId, segment_name
 from seatrial.ident.models import KNOWN_SIGNALS, SENSORS, TELEMETRY_AGE, make_model, telemetry_age
 from seatrial.ident.results import ResultWarning, UnusedSignal, frame_warnings
@@ -438,6 +439,38 @@ def saved_frame_warnings(model: Model, logs: Sequence[LoadedLog], reference: Fra
     """
     require_one_frame(model, logs, reference)
     return frame_warnings(model, [log.run.name for log in logs if log.unplaced], saved_origin_unknown=reference is None)
+
+
+HOLDS = {"zero": "held commands", "linear": "measured values", "sampled": "commands that are sampled late"}
+
+
+def hold_lines(saved: SavedModel, logs: Sequence[LoadedLog]) -> list[str]:
+    """Return one line for each log whose inputs are of another kind than those that a saved model was fitted to.
+
+    For example, ``n_left`` is a measured shaft speed in the fitted logs and a held command in the other one. The model
+    then lacks the lag between both, or has it twice. In a log that was recorded and not imported, an input has the
+    usual kind of the model. Inputs that the log does not have are left out.
+
+    Parameters
+    ----------
+    saved : SavedModel
+        The saved model, with the kind of its inputs in the fitted data (`SavedModel.holds`).
+    logs : sequence of LoadedLog
+        Logs that the model is applied to.
+    """
+    usual: dict[str, str] = {i.name: i.hold or "" for i in saved.model.inputs}
+    lines: list[str] = []
+    for log in logs:
+        kinds: dict[str, str] = {n: log.holds.get(n) or usual.get(n, "") for n in saved.holds if n in log.run.channels}
+        other = [n for n, kind in kinds.items() if kind and kind != saved.holds[n]]
+        if other:
+            here, there = (HOLDS.get(h, h) for h in (kinds[other[0]], saved.holds[other[0]]))
+            lines.append(
+                f"{log.about['path']}: {' and '.join(other)}: {here}, but the model was fitted to {there}: its "
+                "prediction of this log is wrong by the lag between both; use a log with the same signals, or fit a "
+                "model to this one"
+            )
+    return lines
 
 
 def model_of_logs(

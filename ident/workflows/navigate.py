@@ -47,6 +47,7 @@ from seatrial.ident.results import (
     write_result,
 )
 from seatrial.ident.workflows.model_inputs import (
+    hold_lines,
     known_curve,
     saved_frame_warnings,
     with_derived_signals,
@@ -140,6 +141,8 @@ def navigate_logs(request: NavigationRequest, command: str, reporter: Reporter) 
             done, t0 = _navigate_log(model, loaded[-1], known, request, outages)
             parts.append((done, t0, gnss_outages(done)))
             tables.append(_csv_columns(done, t0))
+    for line in hold_lines(saved, loaded):
+        reporter.warning(line)
     assumed = saved_frame_warnings(model, loaded, saved.origin)
     made = provenance(loaded, command)
     result = NavigationResult(

@@ -9,6 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -211,6 +212,19 @@ def test_each_log_of_a_fit_has_its_own_window(logs: list[Path]) -> None:
     assert names == [f"{logs[0].name}[10:80]", f"{logs[1].name}[0:60]"]
     durations = [round(r.t[-1] - r.t[0]) for r in fit.fitted.records]
     assert durations == [pytest.approx(70, abs=2), pytest.approx(60, abs=2)]
+
+
+def test_log_with_commands_for_a_model_of_measured_shaft_speeds_gives_a_warning(
+    fit: st.FittedVehicle, logs: list[Path], tmp_path: Path
+) -> None:
+    model = fit.save(tmp_path / "fit") / "model.toml"
+    assert tomllib.loads(model.read_text())["holds"] == {"n_left": "linear", "n_right": "linear"}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", SeatrialWarning)
+        st.navigate(model, logs[2])
+    model.write_text(model.read_text().replace('n_left = "linear"', 'n_left = "zero"'))
+    with pytest.warns(SeatrialWarning, match="n_left: measured values, but the model was fitted to held commands"):
+        st.navigate(model, logs[2])
 
 
 def test_linearisation_is_shown_in_a_few_lines_and_warns_outside_the_data(fit: st.FittedVehicle) -> None:
