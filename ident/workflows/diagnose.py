@@ -165,9 +165,12 @@ def diagnose_model(request: DiagnosisRequest, command: str, reporter: Reporter) 
         plain, request.model, loaded, validation_logs, request.thruster
     )
     unused = unused_signals(model, loaded, validation_logs)
-    unused_signals_lines = unused_lines(unused) if model.kind is ModelKind.VEHICLE else []
+    lines = [
+        *(unused_lines(unused) if model.kind is ModelKind.VEHICLE else []),
+        *hold_lines(saved, [*loaded, *validation_logs]),
+    ]
     loaded, validation_logs = check_first(loaded, validation_logs, model, request.despite_faults)
-    for line in [*unused_signals_lines, *hold_lines(saved, [*loaded, *validation_logs])]:
+    for line in lines:
         reporter.warning(line)
     model, floors = with_noise_floors(model, loaded)
     user_effects = effects_for(model, effects_file) if effects_file else {}
