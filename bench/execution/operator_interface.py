@@ -176,7 +176,7 @@ class PlainDisplay:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Do nothing: this display has nothing to restore. An error in the context is not suppressed."""
+        """Leave the context. The display changes no terminal setting, and errors are passed on."""
 
     def show(self, view: MissionStatus) -> None:
         """Print the state ``view`` of the run as one line.

@@ -451,7 +451,10 @@ class DeviceLoop(threading.Thread):
         return commanded and self._open and now - self._stepped > STUCK_S
 
     def link(self) -> LinkStatus | None:
-        """Return the state of the autopilot at the port, also if nothing is sent to it; None for other devices."""
+        """Return the state of the autopilot at the port. Return None for a device that is not an autopilot.
+
+        The state is also available if the rig sends no commands to the autopilot.
+        """
         return None if self._driver is None else self._driver.link_at(time.monotonic())
 
     @property

@@ -80,7 +80,7 @@ class Table:
 
     @property
     def full_remark(self) -> str:
-        """What is unusual about the rows and times of the table, in one line behind the topic; "" if nothing is."""
+        """Topic and remarks on its rows and times in one line, or "" without remarks."""
         remarks = "; ".join(part for part in (self.remark, self.clock) if part)
         return f"{self.topic}: {remarks}" if self.topic and remarks else remarks
 

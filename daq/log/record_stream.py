@@ -159,7 +159,7 @@ class WholeRecordStream:
         return os.fstat(self._fd).st_nlink == 0
 
     def flush(self) -> None:
-        """Do nothing, because this output file has no buffer."""
+        """Return at once: the file is written without a buffer."""
 
     def sync(self) -> None:
         """Wait until the written data of the file are on the disk. Raise OSError if the disk reports an error."""

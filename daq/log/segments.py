@@ -223,9 +223,10 @@ def first_segments(folder: Path) -> list[Path]:
 
 
 def first_segment_of(path: Path) -> Path | None:
-    """Return the first segment NAME.mcap of a log if `path` has the name of a later segment, such as NAME.2.mcap.
+    """Return the path of the first segment of a log from the path of a later segment.
 
-    Return None if `path` has no such name, or if the first segment does not exist.
+    For NAME.2.mcap, the first segment is NAME.mcap. The result is None if `path` is not named like a later segment,
+    or if the first segment does not exist.
     """
     match = re.fullmatch(r"(.+)\.\d{1,6}", path.stem)
     first = path.with_name(f"{match[1]}{path.suffix}") if match else path

@@ -315,7 +315,7 @@ def robust_option(f: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def reml_option(default: bool | None = True) -> Callable[..., Any]:
-    """Return a decorator that adds the option ``--reml/--no-reml`` to a command: restricted maximum likelihood or not.
+    """Return a decorator that adds ``--reml/--no-reml``, the choice of restricted maximum likelihood, to a command.
 
     Parameters
     ----------
