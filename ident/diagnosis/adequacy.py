@@ -139,6 +139,8 @@ def assess_alternatives(
         ]
         others = [q.effect.name for q in _competing_refits(search_round, policy)]
         unexamined = {*evidence.untested, *explained}
+        if len(chosen) > 1:  # as in _remaining_alternative_reasons
+            unexamined |= {s.name for s in remaining}
         others += [
             name for name in search_round.chosen.effect.alternatives if name in unexamined and name not in others
         ]
@@ -424,9 +426,9 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
 
     Notes
     -----
-    - An effect with competing models that were fitted in its round: its experiment, and the command that designs a
-      mission to distinguish it from the closest of them. The command is left out if one of both effects is not of the
-      catalogue, or if no mission can be designed for the model.
+    - An effect with competing models that were fitted, or whose score test still passes: its experiment, and the
+      command that designs a mission to distinguish it from the closest of them. The command is left out if one of both
+      effects is not of the catalogue, or if no mission can be designed for the model.
     - An ambiguous effect without such competing models: its experiment.
     - No effect was selected, although candidates were fitted: the experiment of the best refit of each round, if it
       has one.
@@ -440,11 +442,14 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
                 lines.append(f"To test whether {e.title} is present: {e.experiment}.")
             continue
         effect, attribution = search_round.chosen.effect, by_name.get(search_round.chosen.effect.name)
-        titles = {q.effect.name: q.effect.title for q in search_round.refits}
-        others = [r for r in attribution.not_excluded if r in titles] if attribution is not None else []
+        titles = {q.effect.name: q.effect.title for r in diagnosis.rounds for q in r.refits}
+        tested = {s.name for s in diagnosis.remaining}
+        others = [r for r in attribution.not_excluded if r in titles or r in tested] if attribution is not None else []
         for competitor in others[:1]:
-            lines.append(f"To distinguish {effect.title} from {titles[competitor]}: {effect.experiment}.")
-            named = {q.effect.name for q in search_round.refits if q.effect.kind is EffectKind.CATALOGUE}
+            title = titles.get(competitor, competitor)
+            lines.append(f"To distinguish {effect.title} from {title}: {effect.experiment}.")
+            named = {q.effect.name for r in diagnosis.rounds for q in r.refits if q.effect.kind is EffectKind.CATALOGUE}
+            named |= {s.name for s in diagnosis.remaining if s.kind is EffectKind.CATALOGUE}
             if {effect.name, competitor} <= named and not reason_without_mission(diagnosis.before.model):
                 lines.append(
                     f"`seatrial mission design MODEL --discriminate {effect.name},{competitor}` generates the mission."

@@ -284,8 +284,8 @@ class EffectAttribution:
         Reasons for an ambiguous attribution, as clauses for reports; empty for the other attributions.
     not_excluded
         Names of the competing models that the data do not exclude, closest first. Declared alternatives
-        (`Effect.alternatives`) follow that could not be tested, or that the estimated parameters of the model explain,
-        so that their score tests have no power.
+        (`Effect.alternatives`) follow that could not be tested, that the estimated parameters of the model explain, so
+        that their score tests have no power, or whose score tests still pass beside several added effects.
     """
 
     effect: str

@@ -89,5 +89,10 @@ def _keys(s: Any) -> Any:
 
 
 def weighted_sum(weights: Iterable[Any], values: Iterable[Any]) -> Any:
-    """Return the sum of each weight times its value. Raise ValueError if the numbers of weights and values differ."""
-    return sum(w * value for w, value in zip(weights, values, strict=True))
+    """Return the sum of each weight times its value. Raise ValueError if the numbers of weights and values differ.
+
+    A value whose weight is the number 0.0 does not count, even if it is NaN.
+    """
+    pairs = zip(weights, values, strict=True)
+    # Most weights of an interpolation are zero. For arrays of values, the products would take most of the time.
+    return sum(w * value for w, value in pairs if not (isinstance(w, float) and w == 0.0))

@@ -32,16 +32,20 @@ def write_logs(folder: Path, recordings: Sequence[Recording]) -> list[LogSegment
     return [load_run(path, path.stem).run for path in paths]
 
 
-def diagnosed(folder: Path, thrust: Sequence[str] = THRUST) -> tuple[AnyResult, float]:
+def diagnosed(
+    folder: Path, thrust: Sequence[str] = THRUST, further: Sequence[str] = (), out: str = "found"
+) -> tuple[AnyResult, float]:
     """Return the result of `seatrial ident diagnose` with the model of `seatrial ident vehicle`, and the CPU time [s]
-    of the diagnosis. ``thrust`` are the options that give the thrust.
+    of the diagnosis. ``thrust`` are the options that give the thrust, ``further`` are logs of the folder that are used
+    for estimation too, and ``out`` is the folder of the diagnosis.
 
     RuntimeError contains the error line of a failed command.
     """
-    seatrial(folder, "ident", "vehicle", ESTIMATION, *thrust, "--validate", VALIDATION, "--out", "vehicle")
+    nominal, logs = "vehicle" if out == "found" else f"vehicle-{out}", (ESTIMATION, *further)
+    seatrial(folder, "ident", "vehicle", *logs, *thrust, "--validate", VALIDATION, "--out", nominal)
     before = spent()
-    seatrial(folder, "ident", "diagnose", "vehicle/model.toml", ESTIMATION, "--validate", VALIDATION, "--out", "found")
-    return read_result(folder / "found" / "result.json"), spent() - before
+    seatrial(folder, "ident", "diagnose", f"{nominal}/model.toml", *logs, "--validate", VALIDATION, "--out", out)
+    return read_result(folder / out / "result.json"), spent() - before
 
 
 def seatrial(folder: Path, *words: str) -> None:
