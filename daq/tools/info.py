@@ -42,6 +42,8 @@ def show_log(log: Log, console: Console) -> None:
     """Print the content of a log: duration, metadata, topics with rates, port counters, events and warnings.
 
     If `log.path` is a later segment of a log, a line names the first segment. A log without messages has no topics.
+    Metadata are shown only if they are in the table _ABOUT, and the clock speed only if it is not 1. The warnings
+    include times that ran back on a topic.
     """
     size = sum(path.stat().st_size for path in log.paths)
     pieces = f" in {len(log.paths)} segments" if len(log.paths) > 1 else ""
