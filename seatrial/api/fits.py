@@ -677,6 +677,9 @@ def _paths_or_none(logs: Logs) -> list[Path]:
 def known_options(given: Mapping[str, Any], options: type) -> dict[str, Any]:
     """Return the options as a new dict, after a check of their names. A list of names may be given as one name.
 
+    One name of effects, profiles or homogeneity becomes a list of one. All other values are not changed or checked,
+    except the horizon.
+
     Parameters
     ----------
     given : dict
