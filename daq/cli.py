@@ -144,7 +144,10 @@ def log(rig: Path, duration: float | None, output: Path | None, ask: bool, serve
     last = acquisition.status()
     console.print(log_summary(last, path), soft_wrap=True, markup=False)
     if not any(port.samples for port in last.ports.values()):
-        raise SeatrialError(f"{path}: no device sent any data; check power, cables, ports and baud rates")
+        raise SeatrialError(
+            f"{path}: no device sent any data; check power and cables, and compare ports and baud rates in {rig} with "
+            "`seatrial devices`"
+        )
 
 
 @click.command()
@@ -461,7 +464,10 @@ def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml
     if any("latency_timer" in device.hint for device in found):
         click.echo(f"hint: to make it permanent, put this into a file in /etc/udev/rules.d: {UDEV_RULE}", err=True)
     if not any(device.protocol or device.port.startswith("socketcan:") for device in found):
-        raise SeatrialError("no device was recognised; check that it is powered and that its output is switched on")
+        raise SeatrialError(
+            f"no device was recognised at {', '.join(device.port for device in found)}; check that it is powered and "
+            "that its output is switched on, or give its baud rate with --baud"
+        )
 
 
 # Text after the devices in a new rig file. Without limits no measured value ends a run.
@@ -558,7 +564,7 @@ def export(form: str, log: Path, out: Path, force: bool, rate: float | None, t_f
                 "--to"
             )
         for warning in part.warnings:
-            click.echo(f"warning: {warning}", err=True)
+            click.echo(f"warning: {log}: {warning}", err=True)
         if rate is not None:
             written = [export_resampled(part, form, out, rate, force)]
         else:

@@ -158,11 +158,16 @@ def _load_command(name: str, target: str) -> click.Command:
     except ModuleNotFoundError as error:
         missing = error.name or module_name
         if f"{module_name}.".startswith(f"{missing}."):
-            raise SeatrialError(f"`{name}` is not part of this installation (no module {missing})") from error
+            raise SeatrialError(
+                f"`{name}` is not part of this installation (no module {missing}); uninstall seatrial, and install it "
+                "again"
+            ) from error
         raise SeatrialError(_missing_module_message(f"`{name}`", missing)) from error
     command = getattr(module, attribute, None)
     if not isinstance(command, click.Command):
-        raise SeatrialError(f"`{name}` is not part of this installation (no command {target})")
+        raise SeatrialError(
+            f"`{name}` is not part of this installation (no command {target}); uninstall seatrial, and install it again"
+        )
     return command
 
 
@@ -232,13 +237,14 @@ def _line_and_status(error: BaseException) -> tuple[str, int]:
     elif isinstance(error, OSError) and error.errno == errno.EIO and error.filename is None:
         line, status = "the terminal was closed", HUNG_UP
     elif isinstance(error, OSError) and error.filename is not None:
-        line, status = f"{error.filename}: {error.strerror}", FAILED
+        advice = "check its path, its permissions and the space on the disk"
+        line, status = f"{error.filename}: {error.strerror}; {advice}", FAILED
     elif isinstance(error, ModuleNotFoundError) and error.name:
         line, status = _missing_module_message("this command", error.name), FAILED
     elif isinstance(error, MemoryError):
         line, status = "the memory of this computer is not enough: give fewer or shorter logs", FAILED
     else:
-        line = f"internal error ({type(error).__name__}: {error}); run again with --debug to see where"
+        line = f"internal error ({type(error).__name__}: {error}); run again with --debug to see where, and report it"
         status = FAILED
     return printable(" ".join(line.split())), status
 

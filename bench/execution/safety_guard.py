@@ -1136,6 +1136,8 @@ class SafetyGuard:
             link = status.links.get(name, LinkStatus())
             if not link.age <= LINK_AGE_S:
                 text = f"{name}: no heartbeat received for {link.age:.1f} s"
+                if not math.isfinite(link.age):
+                    text = f"{name}: no heartbeat received since its port was opened or it restarted"
                 yield Stop(StopCode.LINK, f"{text}; check the antenna, cable and power of its link")
             reason = f" ({link.alarm})" if link.alarm else ""
             if not link.armed:
@@ -1145,7 +1147,8 @@ class SafetyGuard:
                 text = f"{name} changed from mode {MANUAL} to {link.mode}{reason}"
                 yield Stop(StopCode.LINK, f"{text}; find out which station or switch did it, and run again")
             if link.alarm:
-                yield Stop(StopCode.LINK, f"{name} reports {link.alarm}; remove the cause, and run again")
+                advice = "remove the cause (a ground station shows the messages), and run again"
+                yield Stop(StopCode.LINK, f"{name} reports {link.alarm}; {advice}")
             if link.other_station_frames:
                 yield Stop(StopCode.RIVAL, f"{name}: {RIVAL}")
             # A changed parameter may disable a failsafe. The run ends while the link can still transmit zero and the

@@ -307,7 +307,8 @@ def identify_autopilot(port: str, baud: int, ask: bool) -> DiscoveredDevice:
         if listener.heartbeat is None:
             frames = listener.decoder.frames
             says = (
-                f"{frames} MAVLink frames, but no heartbeat of an autopilot"
+                f"{frames} MAVLink frames, but no heartbeat of an autopilot; give the port of the autopilot itself, "
+                "and try again when it has started"
                 if frames
                 else "silent: no MAVLink frames; check address, baud rate, power and cable"
             )

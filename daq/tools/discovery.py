@@ -296,7 +296,7 @@ def identify_protocol(
         says = f"frames of {' or '.join(framed)}, but without measurements: check which outputs are switched on"
         return DiscoveredDevice(path, description, says=says, hint=hint)
     tried = ", ".join(map(str, answered_at))
-    says = f"bytes of no known protocol at {tried} baud: check the output settings of the device"
+    says = f"bytes of no known protocol at {tried} baud: check the output settings of the device, or give --baud"
     return DiscoveredDevice(path, description, says=says, hint=hint)
 
 

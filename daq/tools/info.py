@@ -71,7 +71,8 @@ def show_log(log: Log, console: Console) -> None:
         console.print(_port_table(log))
     _print_events(log, console)
     steps = [
-        f"{topic}: its times ran back {counted(n, 'time')}, by up to {longest:.1f} s"
+        f"{topic}: its times ran back {counted(n, 'time')}, by up to {longest:.1f} s: a clock was set, or there are "
+        "two clocks; import the data of each clock separately"
         for topic, (n, longest) in log.clock_steps.items()
     ]
     for warning in [*steps, *log.warnings]:
