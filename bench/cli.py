@@ -82,6 +82,11 @@ def _add_bench_command(kind: str, text: str) -> None:
         retry: int,
         hold: float = mission_generators.HOLD_S,
     ) -> None:
+        """Run the bench plan ``kind`` on one thruster of a rig file, record it, and print a summary. THRUSTERS TURN.
+
+        ``n_max`` is the largest command; None for 0.9, or `limits.n_max` of the rig if that is smaller. A given value
+        is not reduced: beyond `limits.n_max` it is an error. ``hold`` [s] applies only to steps.
+        """
         rig = load_rig(rig_path)
         largest = min(N_MAX_BENCH, rig.limits.n_max) if n_max is None else n_max
         _run_plan(

@@ -132,7 +132,7 @@ def write_demo_rig(name: str, folder: Path, speed: float) -> None:
     Raises
     ------
     SeatrialError
-        If the packaged rig file lacks a clock speed.
+        If the packaged rig file does not set the clock speed exactly once.
     """
     text = (files("seatrial.mocks") / "rigs" / f"{name}.toml").read_text(encoding="utf-8")
     text, n_found = re.subn(r"(?m)^speed\s*=\s*[0-9.]+", f"speed = {speed!r}", text)
@@ -282,7 +282,10 @@ def n_skipped(path: Path) -> int:
 
 
 def _clock_speed(rig: Path) -> float:
-    """Return the number of run seconds per wall second that the rig file ``rig`` sets (`speed`); 1 if it sets none."""
+    """Return the number of run seconds per wall second that the rig file ``rig`` sets (`speed`); 1 if it sets none.
+
+    The first line that begins with `speed =` counts.
+    """
     found = re.search(r"(?m)^speed\s*=\s*([0-9.]+)", rig.read_text(encoding="utf-8"))
     return float(found[1]) if found else 1.0
 
@@ -460,7 +463,10 @@ class DemoSteps:
     """
 
     def __init__(self, folder: Path) -> None:
-        """Store the folder in which the commands of the demo will run. No process is started."""
+        """Store the folder in which the commands of the demo will run. No process is started.
+
+        The folder is not created here.
+        """
         self.folder = folder
         self.seconds: list[tuple[str, float]] = []
         self.late_ms = 0.0

@@ -48,7 +48,7 @@ class SegmentBuilder:
         name : str
             Name of the segment.
         durations : list of float
-            Time [s] for which each row of commands holds. Times of changes are rounded to ms.
+            Time [s] for which each row of commands holds, one for each row. Times of changes are rounded to ms.
         rows : list of list of float
             Rows of commands: one command for each thruster in each row, which is rounded to 1e-6. If it is empty, no
             segment is appended.
@@ -279,8 +279,10 @@ def _surge_steps(builder: SegmentBuilder, rng: np.random.Generator, stop: float,
 def _zigzag(builder: SegmentBuilder, rng: np.random.Generator, stop: float, n_max: float) -> None:
     """Append a zigzag segment up to time ``stop`` [s]: turns of 4 to 9 s to alternate sides, at several speeds.
 
-    The segment is appended to ``builder``, which is changed in place. ``rng`` draws the commands, up to ``n_max``, and
-    the durations. Turns contain information about sway damping, yaw damping and their coupling.
+    The segment is appended to ``builder``, which is changed in place. ``rng`` draws the mean command (0.3 to 0.85 times
+    ``n_max``), the difference to it, the duration and the first side anew after every four turns. Commands are clipped
+    to ``n_max``; the last turn is cut at ``stop``. Turns contain information about sway damping, yaw damping and their
+    coupling.
     """
     durations: list[float] = []
     rows: list[list[float]] = []
@@ -299,8 +301,8 @@ def _random_steps(builder: SegmentBuilder, rng: np.random.Generator, stop: float
     """Append a segment of independent random steps of both thrusters, of 1 to 5 s, up to time ``stop`` [s].
 
     The segment is appended to ``builder``, which is changed in place. ``rng`` draws the commands, from -0.7 to 1 times
-    ``n_max``, and the durations. The steps contain information about differences and interaction of the thrusters,
-    reverse thrust and the dead zone.
+    ``n_max``, and the durations; the last step is cut at ``stop``. The steps contain information about differences and
+    interaction of the thrusters, reverse thrust and the dead zone.
     """
     durations: list[float] = []
     rows: list[list[float]] = []

@@ -13,7 +13,8 @@ def describe_mission(mission: Mission) -> str:
     """Return the description of a mission that `seatrial mission show` prints, as lines in one text.
 
     It contains name, duration, limits and origin of the mission, and a line for each segment. For a mission of an
-    experiment design it also contains the predicted standard errors of parameters and the predicted track.
+    experiment design it also contains the predicted standard errors of parameters and the predicted track. A slew limit
+    is named only if the mission has one, and an origin that is not given is "unknown".
     """
     slew = f", slew at most {mission.slew_per_s:g} 1/s" if np.isfinite(mission.slew_per_s) else ""
     lines = [
@@ -30,7 +31,8 @@ def describe_mission(mission: Mission) -> str:
 def describe_segments(mission: Mission) -> list[str]:
     """Return the table of a mission's segments as lines of text, one for each segment after an empty line and a head.
 
-    The columns are begin and end [s] of the segment, its name, and the smallest and largest command of each thruster.
+    The columns are begin and end [s] of the segment, its name, and the smallest and largest command of each thruster,
+    with the slew limit of the mission applied. A constant command is shown as one number.
     """
     t, n = mission.setpoints()
     names = max(len("segment"), *(len(name) for _, _, name in mission.segment_times()))

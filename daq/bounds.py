@@ -195,7 +195,11 @@ def continue_in_child(paths: Sequence[Path]) -> None:
     child, early = 0, list[int]()  # `early`: signals before the child existed
 
     def forward(number: int, frame: FrameType | None) -> None:
-        """Handle a signal of the parent: send it to the child, or note its number if the child does not exist yet."""
+        """Handle a signal of the parent: note its number, and send it to the child if the child exists already.
+
+        The new child sends itself the signals that were noted before it existed. If the child has ended, the signal
+        is lost, and no error is raised.
+        """
         early.append(number)
         if child:
             with contextlib.suppress(ProcessLookupError):
@@ -225,7 +229,8 @@ def continue_in_child(paths: Sequence[Path]) -> None:
 def _companion_files(path: Path) -> Iterator[Path]:
     """Yield the files that are read together with a file: later segments of a log, or journals of a database.
 
-    `path` itself is not yielded. Files with another suffix than `.mcap` or `.db3` have no such files.
+    For STEM.mcap they are all files STEM.*.mcap in the same folder. For FILE.db3 they are FILE.db3-wal and
+    FILE.db3-journal, if these exist. A path with another suffix gives nothing. `path` itself is not yielded.
     """
     if path.suffix == ".db3":
         yield from (journal for end in ("-wal", "-journal") if (journal := Path(f"{path}{end}")).is_file())
@@ -388,7 +393,11 @@ def _wait_for_child(child: int, incoming: int, bounds: Bounds, scratch: Path) ->
 
 
 def _disk_bytes(folder: Path) -> int:
-    """Return the number of bytes on the disk that the files in a folder and its subfolders use."""
+    """Return the number of bytes on the disk that the files in a folder and its subfolders use.
+
+    The space of the blocks counts, not the length of a file. A link counts itself and not its target. The folders
+    themselves and files that are deleted meanwhile count 0, and so does a folder that does not exist.
+    """
     used = 0
     for place, _, names in os.walk(folder):
         for name in names:

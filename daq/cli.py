@@ -35,7 +35,7 @@ class LogPath(click.Path):
     """Type of an argument that is an existing log: a file, or a folder with one log, whose segments count as one."""
 
     def __init__(self) -> None:
-        """Make the type of an argument that must be an existing file or folder."""
+        """Make the type of an argument that must be an existing file or folder. Its values become `Path` objects."""
         super().__init__(exists=True, path_type=Path)
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> Path:
@@ -105,7 +105,8 @@ def log(rig: Path, duration: float | None, output: Path | None, ask: bool, serve
     """Record every device of RIG until Ctrl-C, with a live table.
 
     Devices may be plugged in and out meanwhile; missing and silent devices are reported. The command commands no thrust
-    and sends no heartbeat to an autopilot, so that the failsafes still depend on its own ground station.
+    and sends no heartbeat to an autopilot, so that the failsafes still depend on its own ground station. A log that
+    exists is never overwritten. Exit status 1: no device has sent any data.
     """
     from rich.console import Console
 
@@ -143,7 +144,10 @@ def log(rig: Path, duration: float | None, output: Path | None, ask: bool, serve
     last = acquisition.status()
     console.print(log_summary(last, path), soft_wrap=True, markup=False)
     if not any(port.samples for port in last.ports.values()):
-        raise SeatrialError(f"{path}: no device sent any data; check power, cables, ports and baud rates")
+        raise SeatrialError(
+            f"{path}: no device sent any data; check power and cables, and compare ports and baud rates in {rig} with "
+            "`seatrial devices`"
+        )
 
 
 @click.command()
@@ -179,6 +183,7 @@ def recover(log: Path, out: Path | None, force: bool) -> None:
     """Recover the LOG of a killed run or a damaged disk, with all its segments, into one complete file.
 
     All other commands can open an incomplete log; this command is for tools that cannot. LOG itself is not changed.
+    Faults of LOG are printed as warnings.
 
     \b
     Example:
@@ -203,7 +208,8 @@ class _ImportGroup(click.Group):
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the arguments, after `map` was put before them if the first one is no sub-command and no help option.
 
-        Without arguments the help text is printed.
+        Return the arguments that are left for the sub-command, as the method of click does. Without arguments the help
+        text is printed.
         """
         if args and args[0] not in (*self.commands, "-h", "--help"):
             args = [self.default, *args]
@@ -427,7 +433,9 @@ def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml
     def identify(port: str) -> DiscoveredDevice:
         """Return the device at a device file, CAN bus or network address, with its protocol.
 
-        An autopilot is also asked for its parameters if a rig file is printed (--toml).
+        An address on a network is taken as that of an autopilot. An autopilot is also asked for its parameters if a rig
+        file is printed (--toml). A port without a known device, or that cannot be opened, gives a device with an empty
+        protocol and the reason in `says`.
         """
         if port.partition(":")[0] in NET_KINDS:
             return identify_autopilot(port, 0, toml)
@@ -456,7 +464,10 @@ def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml
     if any("latency_timer" in device.hint for device in found):
         click.echo(f"hint: to make it permanent, put this into a file in /etc/udev/rules.d: {UDEV_RULE}", err=True)
     if not any(device.protocol or device.port.startswith("socketcan:") for device in found):
-        raise SeatrialError("no device was recognised; check that it is powered and that its output is switched on")
+        raise SeatrialError(
+            f"no device was recognised at {', '.join(device.port for device in found)}; check that it is powered and "
+            "that its output is switched on, or give its baud rate with --baud"
+        )
 
 
 # Text after the devices in a new rig file. Without limits no measured value ends a run.
@@ -493,7 +504,8 @@ def replay(log: Path, folder: Path, names: tuple[str, ...], speed: float) -> Non
     """Send the raw bytes of LOG again, on ports DIR/DEVICE, at their times of receipt.
 
     The replay begins when every port has a reader. `seatrial log DIR/replay.toml` records the log again; that file is
-    the rig of the log with these ports. A CAN bus is replayed as an slcan adapter. Ctrl-C ends the replay.
+    the rig of the log with these ports. A CAN bus is replayed as an slcan adapter. Ctrl-C ends the replay. At the end
+    the ports and the file are deleted.
 
     \b
     Example:
@@ -552,7 +564,7 @@ def export(form: str, log: Path, out: Path, force: bool, rate: float | None, t_f
                 "--to"
             )
         for warning in part.warnings:
-            click.echo(f"warning: {warning}", err=True)
+            click.echo(f"warning: {log}: {warning}", err=True)
         if rate is not None:
             written = [export_resampled(part, form, out, rate, force)]
         else:

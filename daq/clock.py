@@ -54,11 +54,11 @@ class RunClock:
         return run + (time.clock_gettime(_RAW) - raw) * self.speed
 
     def wall(self, dt_run: float) -> float:
-        """Return the wall seconds that `dt_run` run seconds take."""
+        """Return the wall seconds that `dt_run` run seconds take: `dt_run` divided by the speed of the clock."""
         return dt_run / self.speed
 
     def sleep_until(self, t_run: float) -> None:
-        """Sleep until run time `t_run` [s]. Return at once if it has passed."""
+        """Block the thread until run time `t_run` [s since 1970]. Return at once if it has passed."""
         while (left := self.wall(t_run - self.now())) > 0.0:
             time.sleep(left)
 
@@ -168,7 +168,10 @@ class _SampleKindTimes:
     __slots__ = ("after", "back", "back_at", "last", "least", "newest", "since")
 
     def __init__(self, newest: float, least: float) -> None:
-        """Start with the device time [s] of the first sample of a kind, and its delay `least` [s]."""
+        """Store the device time `newest` [s] of the first sample of a kind, and its delay `least` [s].
+
+        No sample counts as late yet, and no device time as one that ran back.
+        """
         self.newest = self.last = newest  # device times [s]: the largest one, and that of the last sample
         self.least = least  # s, smallest delay
         self.since = math.inf  # run time [s] since which all samples are late
@@ -234,7 +237,8 @@ class ClockMap:
     def update(self, t_device: float, t_rx: float) -> float:
         """Update the map from device time to run time by one message, and return the run time [s] at which it was sent.
 
-        The estimate is never later than `t_rx` and never decreases. It is `t_rx` for the first message of a map.
+        The estimate is never later than `t_rx` and never decreases. It is `t_rx` for the first message of a map. A
+        message with the device time of the message before does not change the map.
 
         Parameters
         ----------
@@ -267,7 +271,8 @@ class ClockMap:
         -------
         float
             Run time of the measurement [s], never later than `t_rx`. It decreases only if `unordered` is true and
-            `t_device` runs back.
+            `t_device` runs back, or after a sample whose device time was not finite. It is `t_rx` for the first
+            sample of a map. A sample with the device time of the sample before does not change the map.
         """
         if not math.isfinite(t_device):
             return t_rx

@@ -27,7 +27,7 @@ class SeatrialWarning(RuntimeWarning):
 
 
 def counted(number: int, word: str) -> str:
-    """Return a number with its noun, as "1 fault" or "2 faults". The plural is `word` and an s."""
+    """Return a number with its noun, as "1 fault" or "2 faults". The plural, also of 0, is `word` and an s."""
     return f"{number} {word}{'' if number == 1 else 's'}"
 
 

@@ -167,6 +167,8 @@ def write_output(path: Path, content: str | bytes, force: bool = True) -> None:
 def append_to(path: Path) -> IO[str]:
     """Open an output for appending UTF-8 text, and return the open file. The file is created if it does not exist.
 
+    The caller closes the file. The text goes to the output itself and not to a scratch file.
+
     Raises
     ------
     SeatrialError

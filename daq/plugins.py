@@ -28,7 +28,9 @@ T = TypeVar("T")
 def plugins(group: str) -> dict[str, EntryPoint]:
     """Return the entry points of a group, such as "seatrial.protocols", by name. They may be none.
 
-    Only the metadata of the installed packages are read; no code of theirs is imported. The result is cached.
+    Only the metadata of the installed packages are read; no code of theirs is imported. A package that is found twice
+    on the module path, in the same version, counts once. The result is cached: a package that is installed later is not
+    found.
 
     Raises
     ------

@@ -39,7 +39,8 @@ def set_realtime_priority(behind: int = 0) -> None:
 def realtime_priority() -> Iterator[None]:
     """Raise the priority of this thread for a `with` block as far as the system allows, and then restore the old one.
 
-    The priority is the highest one of this program (`set_realtime_priority`). A missing right is no error.
+    The priority is the highest one of this program (`set_realtime_priority`). A missing right is no error. Threads that
+    are started within the block keep the raised priority after it.
     """
     niceness = os.getpriority(os.PRIO_PROCESS, 0)
     can_schedule = hasattr(os, "sched_getscheduler")

@@ -81,7 +81,8 @@ class LoadCellCalibration:
     def relative_sd(self) -> float | None:
         """Relative standard uncertainty of a force, from those of gain and lever ratio (root of the sum of squares).
 
-        An uncertainty that is not given counts as zero. None if neither is given.
+        It is a fraction of the force and has no unit. An uncertainty that is not given counts as zero. None if neither
+        is given. The uncertainty of `zero_counts` is not included.
         """
         factors = ((self.newton_per_count_sd, self.newton_per_count), (self.lever_ratio_sd, self.lever_ratio))
         parts = [sd / abs(value) for sd, value in factors if sd is not None]

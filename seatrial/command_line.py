@@ -111,7 +111,10 @@ class LazyGroup(click.Group):
         return command
 
     def invoke(self, ctx: click.Context) -> None:
-        """Run the command and discard its return value, since only `ctx.exit(status)` may set the exit status."""
+        """Run the command and discard its return value, since only `ctx.exit(status)` may set the exit status.
+
+        Errors of the command are passed on.
+        """
         super().invoke(ctx)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
@@ -155,11 +158,16 @@ def _load_command(name: str, target: str) -> click.Command:
     except ModuleNotFoundError as error:
         missing = error.name or module_name
         if f"{module_name}.".startswith(f"{missing}."):
-            raise SeatrialError(f"`{name}` is not part of this installation (no module {missing})") from error
+            raise SeatrialError(
+                f"`{name}` is not part of this installation (no module {missing}); uninstall seatrial, and install it "
+                "again"
+            ) from error
         raise SeatrialError(_missing_module_message(f"`{name}`", missing)) from error
     command = getattr(module, attribute, None)
     if not isinstance(command, click.Command):
-        raise SeatrialError(f"`{name}` is not part of this installation (no command {target})")
+        raise SeatrialError(
+            f"`{name}` is not part of this installation (no command {target}); uninstall seatrial, and install it again"
+        )
     return command
 
 
@@ -206,6 +214,7 @@ class MotionChecksOfIdent:
 @click.pass_context
 def cli(context: click.Context, debug: bool) -> None:
     """Measure a boat and its thrusters, excite them, and explain what was measured."""
+    # `debug` is not used: `main` removes --debug from the command line, and the option here is only for the help.
     motion: MotionChecks = MotionChecksOfIdent()
     context.obj = motion
 
@@ -213,9 +222,11 @@ def cli(context: click.Context, debug: bool) -> None:
 def _line_and_status(error: BaseException) -> tuple[str, int]:
     """Return the line for stderr and the exit status of the process, for an error that has ended a command.
 
-    A SeatrialError gives its own message and status, Ctrl-C gives 130, and a closed terminal 129. Known other errors
-    give a message with advice and 1. Any other exception is an internal error with status 1. The line contains no line
-    end and no control characters. Errors of wrong usage are not handled here but by `_usage_line`.
+    A SeatrialError gives its own message and status, Ctrl-C gives 130, and a closed terminal 129. A passed limit of a
+    bounded command comes before all of these; it gives 1, as do an OSError with the name of a file, a missing module
+    and a MemoryError, each with a message of its own. Any other exception is an internal error with status 1. The line
+    contains no line end and no control characters. Nothing is printed here. Errors of wrong usage are not handled here
+    but by `_usage_line`.
     """
     if limit := bounds.limit_message(error):
         line, status = limit, FAILED
@@ -226,19 +237,23 @@ def _line_and_status(error: BaseException) -> tuple[str, int]:
     elif isinstance(error, OSError) and error.errno == errno.EIO and error.filename is None:
         line, status = "the terminal was closed", HUNG_UP
     elif isinstance(error, OSError) and error.filename is not None:
-        line, status = f"{error.filename}: {error.strerror}", FAILED
+        advice = "check its path, its permissions and the space on the disk"
+        line, status = f"{error.filename}: {error.strerror}; {advice}", FAILED
     elif isinstance(error, ModuleNotFoundError) and error.name:
         line, status = _missing_module_message("this command", error.name), FAILED
     elif isinstance(error, MemoryError):
         line, status = "the memory of this computer is not enough: give fewer or shorter logs", FAILED
     else:
-        line = f"internal error ({type(error).__name__}: {error}); run again with --debug to see where"
+        line = f"internal error ({type(error).__name__}: {error}); run again with --debug to see where, and report it"
         status = FAILED
     return printable(" ".join(line.split())), status
 
 
 def _usage_line(error: click.UsageError) -> str:
-    """Return the line for stderr about a wrong command line: the command, the problem, and the command for its help."""
+    """Return the line for stderr about a wrong command line: the command, the problem, and the command for its help.
+
+    Line ends become spaces, and control characters become escape sequences. Nothing is printed here.
+    """
     path = "seatrial" if error.ctx is None else error.ctx.command_path
     text = printable(" ".join(error.format_message().split()).rstrip("."))
     return f"{path}: {text}{'' if text.endswith(('?', ')')) else ';'} `{path} --help` shows how"
@@ -287,7 +302,9 @@ def main(args: Sequence[str] | None = None) -> None:
     """Run the command line and exit the process with its status. This function does not return.
 
     The status is 0 if the command succeeds, 1 if it fails, 2 for wrong usage, 3 for a stop by a safety limit, 129 if
-    the terminal was closed and 130 after Ctrl-C.
+    the terminal was closed and 130 after Ctrl-C. An error is printed to stderr as one line; with `--debug` anywhere
+    before `--` its traceback comes first. If the reader of stdout has ended (`| head`), the status is 1 and nothing is
+    printed.
 
     Parameters
     ----------

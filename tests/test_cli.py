@@ -83,7 +83,11 @@ def test_runs_as_a_module() -> None:
         (SafetyStop("left motor above 80 degC; let it cool"), 3, "left motor above 80 degC; let it cool"),
         (click.ClickException("no such thing"), 1, "no such thing"),
         (SeatrialError("\x1b[2Ja \u202e\x07"), 1, "\\x1b[2Ja \\u202e\\x07"),
-        (FileNotFoundError(2, "No such file or directory", "a.mcap"), 1, "a.mcap: No such file or directory"),
+        (
+            FileNotFoundError(2, "No such file or directory", "a.mcap"),
+            1,
+            "a.mcap: No such file or directory; check its path, its permissions and the space on the disk",
+        ),
         (KeyboardInterrupt(), 130, "interrupted"),
         (MemoryError(), 1, "the memory of this computer is not enough: give fewer or shorter logs"),
     ],

@@ -102,7 +102,7 @@ class Autopilots:
     def begin_link_test(self) -> None:
         """Let `await_ready` accept autopilots without a stored link test, because a link test itself is run.
 
-        It must be called before `await_ready`.
+        It must be called before `await_ready`. The largest command then counts as 0. Nothing is sent.
         """
         self._n_max = 0.0
 
@@ -157,8 +157,9 @@ class Autopilots:
     def _await_link(self, device: Device, condition: Callable[[LinkStatus], bool], seconds: float) -> LinkStatus | None:
         """Wait up to ``seconds`` (wall) until the state of an autopilot fulfils ``condition``.
 
-        ``condition`` is a function of the state that returns a bool. Return the first state that fulfils it, or None if
-        no state did in that time.
+        ``condition`` is a function of the state that returns a bool. Return the first state that fulfils it, at once if
+        the present one does, or None if no state did in that time. Errors of the wait, as after a signal, are passed
+        on.
         """
         deadline = time.monotonic() + seconds
         while not condition(link := self._link_status(device)):

@@ -285,7 +285,7 @@ def _all_at_zero(rests: list[Rest] | None) -> bool:
     """Return whether every thruster was measured at zero thrust.
 
     ``rests`` has the measurement of each thruster. If it is None (the acquisition has failed), or if the thrust of a
-    thruster could not be measured, return False.
+    thruster could not be measured, return False. An empty list gives True.
     """
     return rests is not None and all(rest.is_zero for rest in rests)
 

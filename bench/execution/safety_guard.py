@@ -508,7 +508,10 @@ class History:
         return held + recent
 
     def covers(self, t: float) -> bool:
-        """Return whether the history reaches back to run time ``t`` [s]; False if it is empty."""
+        """Return whether a value was known at run time ``t`` [s]: the oldest kept addition is at ``t`` or before.
+
+        Return False if the history is empty.
+        """
         return bool(self._rows) and self._rows[0][0] <= t
 
 
@@ -719,10 +722,11 @@ class ControllerCheck:
         """Return the motion of the motor, under the condition that zero is commanded to it.
 
         ``esc`` is the newest sample of its speed controller, and ``t`` the run time of this sample [s]. A duty above
-        0.05 means driven. Below it, a motor up to `idle_rpm`, or without a reported speed, is at rest; without duty and
-        speed its motion is unknown. A faster one coasts if its current is at most 5 % of the largest so far (which must
-        have reached 1 A). Otherwise it is driven if its speed is above 92 % of the largest in the last 3 s (and 0.25 s
-        of wall time). Else it coasts if its duty is reported, and slows if not.
+        0.05 in absolute value means driven. Otherwise a motor up to `idle_rpm` is at rest, also without a reported
+        duty. A motor without a reported speed is at rest if its duty is reported; else its motion is unknown. A faster
+        one coasts if its current is at most 5 % of the largest so far (which must have reached 1 A). Otherwise it is
+        driven if its speed is above 92 % of the largest in the last 3 s (and 0.25 s of wall time). Else it coasts if
+        its duty is reported, and slows if not.
         """
         has_duty = math.isfinite(esc.duty)
         if has_duty and abs(esc.duty) > FREE_DUTY:
@@ -1108,7 +1112,11 @@ class SafetyGuard:
         return device.rate_hz / sum(other.device == device.name for other in self._rig.thrusters)
 
     def _stuck_log(self, status: Status) -> Iterator[Stop]:
-        """Yield a reason to end the run if the log file has not grown for more than 3 s (wall)."""
+        """Yield a reason to end the run if the log file has not grown for more than 3 s (wall).
+
+        The size in ``status`` is compared with that of the last call; the time counts from the last change of the size.
+        The first call gives nothing.
+        """
         if status.bytes != self._log_bytes:
             self._log_bytes, self._grown_at = status.bytes, status.t
         elif status.t - self._grown_at > STUCK_WALL_S * self._speed:
@@ -1128,6 +1136,8 @@ class SafetyGuard:
             link = status.links.get(name, LinkStatus())
             if not link.age <= LINK_AGE_S:
                 text = f"{name}: no heartbeat received for {link.age:.1f} s"
+                if not math.isfinite(link.age):
+                    text = f"{name}: no heartbeat received since its port was opened or it restarted"
                 yield Stop(StopCode.LINK, f"{text}; check the antenna, cable and power of its link")
             reason = f" ({link.alarm})" if link.alarm else ""
             if not link.armed:
@@ -1137,7 +1147,8 @@ class SafetyGuard:
                 text = f"{name} changed from mode {MANUAL} to {link.mode}{reason}"
                 yield Stop(StopCode.LINK, f"{text}; find out which station or switch did it, and run again")
             if link.alarm:
-                yield Stop(StopCode.LINK, f"{name} reports {link.alarm}; remove the cause, and run again")
+                advice = "remove the cause (a ground station shows the messages), and run again"
+                yield Stop(StopCode.LINK, f"{name} reports {link.alarm}; {advice}")
             if link.other_station_frames:
                 yield Stop(StopCode.RIVAL, f"{name}: {RIVAL}")
             # A changed parameter may disable a failsafe. The run ends while the link can still transmit zero and the

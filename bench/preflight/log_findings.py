@@ -70,5 +70,5 @@ def _motion_findings(check_motion: Callable[[Path], list[Finding]], path: Path) 
         return check_motion(path)
     except SeatrialError as error:
         text = f"sensors and thrusters were not compared: {error}"
-        advice = "check the log on a computer with the complete seatrial"
+        advice = "remove this cause, or check the log on a computer with the complete seatrial"
         return [Finding(WARNING, "motion-not-checked", "motion", path.name, text, advice)]

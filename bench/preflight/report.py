@@ -37,7 +37,10 @@ class MotionChecks(Protocol):
 
 
 def as_json(found: Sequence[Finding]) -> str:
-    """Return findings as the JSON text that `seatrial check --json` prints: an object with "format" and "findings"."""
+    """Return findings as the JSON text that `seatrial check --json` prints: an object with "format" and "findings".
+
+    The findings keep their order. Each is an object with the fields of `Finding`.
+    """
     return json.dumps({"format": FORMAT, "findings": [finding._asdict() for finding in found]}, indent=2)
 
 

@@ -111,6 +111,7 @@ def _silent_device_finding(device: Device, port: PortStatus | None) -> Finding:
         advice = "baud rate and protocol are right: look at the messages that the device is set to send"
     elif port is not None and port.bytes_in:
         text = f"{port.bytes_in} bytes received, but no sample: wrong baud rate or protocol?"
+        advice = "compare baud rate and protocol in the rig with the settings of the device"
     if port is not None and port.message:
         text, advice = port.message, "correct this, and check power, cable and port; then check again"
     return Finding(FAULT, "device-silent", "alive", device.name, text, advice)
@@ -191,7 +192,8 @@ def _autopilot_findings(rig: Rig, device: Device, status: Status, port: PortStat
             "check range and data rate of the radio link, or request lower rates",
         )
     if link.alarm:
-        yield Finding(WARNING, "autopilot-alarm", "link", device.name, f"reports {link.alarm}", "remove its cause")
+        advice = "look at its messages in a ground station, and remove the cause: an alarm during a run ends it"
+        yield Finding(WARNING, "autopilot-alarm", "link", device.name, f"reports {link.alarm}", advice)
     if link.armed:
         yield armed_finding(name)
     trip = f", round trip {1e3 * link.round_trip:.0f} ms" if math.isfinite(link.round_trip) else ""

@@ -102,8 +102,9 @@ class DiscoveredAutopilot(DiscoveredDevice):
         """Return a thruster of the rig for each RC channel with which the autopilot drives one side of the boat.
 
         Such a channel is a left or right throttle. The thruster is named "left" or "right". Its node is the first
-        output that the channel drives. Its position is assumed (0.3 m to the side), and its pulse widths come from the
-        parameters. A reversed output is not taken into account. The list is empty without such outputs.
+        output from 1 to 16 that the channel drives. Its position is assumed (0.3 m to the side), and its pulse widths
+        come from the parameters. A reversed output is not taken into account. The thrusters are in the order of their
+        nodes. The list is empty without such outputs.
 
         Parameters
         ----------
@@ -139,8 +140,8 @@ class DiscoveredAutopilot(DiscoveredDevice):
         """Return a comment for the rig file for each output of the autopilot that cannot be driven or is not monitored.
 
         Outputs that cannot be driven are rudders, throttles of both sides, and motors of omni frames. Outputs that are
-        not monitored are the further ones of the RC channels of `thrusters`. One more comment is added if `thrusters`
-        is empty.
+        not monitored are the further ones of the RC channels of `thrusters`. Outputs 1 to 16 are examined, and the
+        comments are in their order. If `thrusters` is empty, a last comment states that there is no [[thruster]].
         """
         p = self.parameters
         functions = {node: p.get(f"SERVO{node}_FUNCTION", 0.0) for node in range(1, 17)}
@@ -167,8 +168,8 @@ class DiscoveredAutopilot(DiscoveredDevice):
 def _pulse_range(p: Mapping[str, float], prefix: str) -> tuple[float, float, float]:
     """Return the lowest, neutral and highest pulse [us] of an RC channel or output of an autopilot.
 
-    `prefix` is the beginning of the names of its parameters in `p`, for example "SERVO1". The pulses are 1000, 1500 and
-    2000 us if the parameters are missing.
+    `prefix` is the beginning of the names of its parameters in `p`, for example "SERVO1". The names end with _MIN,
+    _TRIM and _MAX. If one of the parameters is missing, its pulse is 1000, 1500 or 2000 us.
     """
     low, neutral, high = (
         p.get(f"{prefix}_{end}", us) for end, us in zip(PULSE_SUFFIXES, (1000.0, 1500.0, 2000.0), strict=True)
@@ -179,7 +180,8 @@ def _pulse_range(p: Mapping[str, float], prefix: str) -> tuple[float, float, flo
 def _thruster_lines(thruster: Thruster) -> list[str]:
     """Return the lines of the [[thruster]] table of a rig file for a thruster behind an autopilot.
 
-    The first line is empty. `thruster.output` must not be None.
+    The first line is empty. A comment asks the user to measure the assumed position. A time-out below 0.1 s is written
+    as 0.1 s. `thruster.output` must not be None.
     """
     assert thruster.output is not None
     out = thruster.output
@@ -218,7 +220,8 @@ class _AutopilotListener:
     def _store_message(self, m: Any) -> None:
         """Store a decoded MAVLink message: the newest heartbeat, a parameter, or the time of an attitude.
 
-        Ignore other messages.
+        A heartbeat or parameter replaces the earlier one; the time of an attitude is appended. Other messages, and
+        heartbeats of a sender that is no autopilot, such as a ground station, are ignored.
         """
         if m.get_type() == "HEARTBEAT" and m.autopilot != INVALID:
             self.heartbeat = m
@@ -230,7 +233,8 @@ class _AutopilotListener:
     def until(self, condition: Callable[[], bool], seconds: float) -> None:
         """Receive messages at the port and store them until `condition()` is true, at most for `seconds` of wall time.
 
-        The attributes of this object hold what was received. A time-out is not an error.
+        The attributes of this object hold what was received. A time-out is not an error. An error of the port raises
+        PortError.
         """
         deadline = time.monotonic() + seconds
         while not condition() and (left := deadline - time.monotonic()) > 0.0:
@@ -244,7 +248,8 @@ class _AutopilotListener:
         """Request parameters of the autopilot until all have arrived, or until a round of requests brings no answer.
 
         Autopilots do not answer requests for parameters that they do not have. The received values are stored in
-        `parameters`; missing ones are not an error. The requests end after `ANSWERS_S` (6 s) of wall time in any case.
+        `parameters`; missing ones are not an error. Parameters that were received before are not requested again. The
+        requests end after `ANSWERS_S` (6 s) of wall time in any case. An error of the port raises PortError.
 
         Parameters
         ----------
@@ -268,22 +273,25 @@ class _AutopilotListener:
 
 
 def identify_autopilot(port: str, baud: int, ask: bool) -> DiscoveredDevice:
-    """Identify the autopilot at a port by its heartbeat, for which it waits 4 s.
+    """Identify the autopilot at a port by its heartbeat, for which it waits 4 s at most.
+
+    The port is opened and closed here. Bytes are sent only to read parameters.
 
     Parameters
     ----------
     port
         Serial port or network address.
     baud
-        Baud rate of a serial port; 0 for a network address.
+        Baud rate of a serial port; 0 for a network address. A serial port with 0 is opened at 115200 baud.
     ask
-        Whether to read the parameters of an ArduPilot Rover.
+        Whether to read the parameters of an ArduPilot Rover. Those of other vehicles are not read.
 
     Returns
     -------
     DiscoveredDevice
         `DiscoveredAutopilot` if an autopilot was found; its `rate` is that of its attitudes, NaN if two of them did not
-        arrive within 1 s. Otherwise `says` has the reason, such as an error of the port.
+        arrive within 1 s. Otherwise a `DiscoveredDevice` with an empty protocol; its `says` has the reason, such as an
+        error of the port, which is not raised.
 
     Raises
     ------
@@ -299,7 +307,8 @@ def identify_autopilot(port: str, baud: int, ask: bool) -> DiscoveredDevice:
         if listener.heartbeat is None:
             frames = listener.decoder.frames
             says = (
-                f"{frames} MAVLink frames, but no heartbeat of an autopilot"
+                f"{frames} MAVLink frames, but no heartbeat of an autopilot; give the port of the autopilot itself, "
+                "and try again when it has started"
                 if frames
                 else "silent: no MAVLink frames; check address, baud rate, power and cable"
             )

@@ -60,6 +60,8 @@ class DiscoveredDevice:
     def toml(self, name: str, alone: bool = True) -> str:
         """Return the [[device]] table of this device for a rig file, as text. An unknown rate becomes 1 Hz.
 
+        The rate is rounded to three digits. `DiscoveredAutopilot` adds [[thruster]] tables.
+
         Parameters
         ----------
         name
@@ -118,9 +120,10 @@ class _ProtocolCandidate:
             self._joined = (self.n_bytes, self.decoder.unparsed_bytes)
 
     def close(self) -> None:
-        """Count the last samples, after all bytes of the port were fed.
+        """Count the last samples, after all bytes of the port were fed. The port is not closed here.
 
-        A decoder of a GNSS receiver keeps its last sample until the next epoch begins. Other decoders keep none.
+        A decoder of a GNSS receiver keeps its last sample until the next epoch begins. Other decoders keep none. These
+        samples do not change the `rate`.
         """
         if isinstance(self.decoder, (nmea.Decoder, ubx.Decoder)):
             found = self.decoder.flush()
@@ -170,9 +173,10 @@ class _ProtocolCandidate:
         )
 
     def rate(self) -> float:
-        """Return the rate of the samples of the device [Hz] by their times of arrival; NaN if all arrived at one time.
+        """Return the rate of the samples of the device [Hz] by their times of arrival.
 
-        The samples of the first read are not counted.
+        The rate is NaN if there is no sample, or if all arrived with one read. The samples of the first read are not
+        counted, because they may have waited in a buffer.
         """
         if not self.times or self.times[-1] == self.times[0]:
             return math.nan
@@ -199,7 +203,9 @@ def discover_devices(
     Returns
     -------
     list
-        All ports. The field `protocol` is empty if no device was identified.
+        All ports: the serial ports first, then the CAN buses. The field `protocol` is empty if no device was
+        identified, and always for a CAN bus. The field `says` then has the reason. A port that cannot be opened raises
+        no error.
     """
     found = []
     for path, description in list_serial_ports():
@@ -216,7 +222,8 @@ def discover_devices(
 def baud_rates(wanted: Sequence[int] = ()) -> list[int]:
     """Return the baud rates at which `seatrial devices` listens, in this order.
 
-    They are the `wanted` ones, or else those of all installed protocols, with the commonest ones first.
+    They are the `wanted` ones in their order. If `wanted` is empty, they are those of all installed protocols and of
+    slcan adapters, each once. A rate is the earlier, the more protocols have it and the earlier it is in their lists.
     """
     if wanted:
         return list(wanted)
@@ -250,7 +257,8 @@ def identify_protocol(
     Returns
     -------
     DiscoveredDevice
-        The device. If no device was identified, `protocol` is empty and `says` has the reason.
+        The device. If no device was identified, `protocol` is empty and `says` has the reason. An error of the port is
+        such a reason too; it is not raised.
     """
     types = DEVICES.usable()
     answered_at: list[int] = []
@@ -288,7 +296,7 @@ def identify_protocol(
         says = f"frames of {' or '.join(framed)}, but without measurements: check which outputs are switched on"
         return DiscoveredDevice(path, description, says=says, hint=hint)
     tried = ", ".join(map(str, answered_at))
-    says = f"bytes of no known protocol at {tried} baud: check the output settings of the device"
+    says = f"bytes of no known protocol at {tried} baud: check the output settings of the device, or give --baud"
     return DiscoveredDevice(path, description, says=says, hint=hint)
 
 

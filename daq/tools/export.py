@@ -22,7 +22,8 @@ def export_log(log: Log, form: str, folder: Path, force: bool = False) -> list[P
     """Write the samples of each device and kind in a log to a file of their own, and the events to events.csv.
 
     Numbers are written with all their digits. Unknown values are empty cells in CSV and NaN in Parquet. Times are
-    seconds since 1970.
+    seconds since 1970. The events are a CSV file in both formats; without events there is no such file. If a file
+    cannot be written, those written before stay.
 
     Parameters
     ----------
@@ -133,7 +134,8 @@ def _as_log_table(table: Resampled, name: str) -> LogTable:
 def _write_mat(path: Path, table: Resampled) -> None:
     """Write a resampled log as a MATLAB file: time t [s since 1970], a vector for each column, and the struct units.
 
-    Raise SeatrialError if scipy is not installed.
+    The struct has the unit of each column as text, "1" for a number without a unit. Names that MATLAB does not allow
+    are changed (`_variable_names`). Raise SeatrialError if scipy is not installed.
     """
     try:
         from scipy.io import savemat
@@ -149,7 +151,9 @@ def _write_mat(path: Path, table: Resampled) -> None:
 def _write_netcdf(path: Path, table: Resampled, metadata: Mapping[str, str]) -> None:
     """Write a resampled log as a NetCDF file with the dimension time [s since 1970] and a variable for each column.
 
-    Raise SeatrialError if scipy is not installed.
+    The attribute `units` of a variable is its unit, "1" for a number without a unit. The attribute `source` of the file
+    is "seatrial" with the version in the `metadata` of the log, if they have one. Names that NetCDF does not allow are
+    changed (`_variable_names`). Raise SeatrialError if scipy is not installed.
     """
     try:
         from scipy.io import netcdf_file
@@ -171,8 +175,8 @@ def _variable_names(names: Iterable[str], longest: int) -> dict[str, str]:
     """Return valid and unique names of MATLAB or NetCDF variables, by name of the column.
 
     A valid name has at most `longest` characters. Characters other than letters, digits and underscores become
-    underscores. A name that does not begin with a letter gets s_ in front. A name that repeats, or is t, time or units,
-    gets a number at its end, such as _2.
+    underscores. A name that does not begin with a letter gets s_ in front. A longer name is cut at its end. A name that
+    then repeats an earlier one, or is t, time or units, gets a number at its end, such as _2.
     """
     found: dict[str, str] = {}
     for name in names:
@@ -189,9 +193,10 @@ def _variable_names(names: Iterable[str], longest: int) -> dict[str, str]:
 def _new_path(folder: Path, name: str, ending: str, written: list[Path], force: bool) -> Path:
     """Return the path of a new file of an export: NAME.ENDING in `folder`, or NAME-2.ENDING if `written` contains it.
 
-    `written` are the files of this export so far. Characters other than letters, digits, _ and - become _, because
-    names in a log from a stranger may contain separators. Raise SeatrialError if the file exists already and `force` is
-    false, or if it is a link or special file.
+    `written` are the files of this export so far; the path is not added to them, and no file is created. Characters
+    other than letters, digits, _ and - become _, because names in a log from a stranger may contain separators. An
+    empty name becomes "table". Raise SeatrialError if the file exists already and `force` is false, or if it is a link
+    or special file.
     """
     stem = re.sub(r"[^A-Za-z0-9_-]", "_", name) or "table"
     path = folder / f"{stem}.{ending}"
@@ -204,7 +209,10 @@ def _new_path(folder: Path, name: str, ending: str, written: list[Path], force: 
 
 
 def _write_csv_table(path: Path, part: LogTable) -> None:
-    """Write a table of a log as the CSV file `path`, with units in the heads of the columns and empty cells for NaN."""
+    """Write a table of a log as the CSV file `path`, with units in the heads of the columns and empty cells for NaN.
+
+    A head is "NAME [UNIT]", or NAME for a column without a unit. Numbers are written with all their digits.
+    """
     names = list(part.rows.dtype.names or ())
     heads = [f"{name} [{part.units[name]}]" if part.units.get(name) else name for name in names]
     rows = (
@@ -233,7 +241,10 @@ def _parquet_writer() -> Callable[[Path, LogTable], None]:
         raise SeatrialError("Parquet needs the package pyarrow: pip install 'seatrial[parquet]'") from error
 
     def write(path: Path, part: LogTable) -> None:
-        """Write a table of a log as a Parquet file, with the unit of each column in its metadata."""
+        """Write a table of a log as a Parquet file, with the unit of each column in its metadata.
+
+        Integers become int64, and all other numbers float64. A column without a unit has the empty unit. NaN stays NaN.
+        """
         fields = [
             pyarrow.field(
                 name,

@@ -42,6 +42,8 @@ def show_log(log: Log, console: Console) -> None:
     """Print the content of a log: duration, metadata, topics with rates, port counters, events and warnings.
 
     If `log.path` is a later segment of a log, a line names the first segment. A log without messages has no topics.
+    Metadata are shown only if they are in the table _ABOUT, and the clock speed only if it is not 1. The warnings
+    include times that ran back on a topic.
     """
     size = sum(path.stat().st_size for path in log.paths)
     pieces = f" in {len(log.paths)} segments" if len(log.paths) > 1 else ""
@@ -69,7 +71,8 @@ def show_log(log: Log, console: Console) -> None:
         console.print(_port_table(log))
     _print_events(log, console)
     steps = [
-        f"{topic}: its times ran back {counted(n, 'time')}, by up to {longest:.1f} s"
+        f"{topic}: its times ran back {counted(n, 'time')}, by up to {longest:.1f} s: a clock was set, or there are "
+        "two clocks; import the data of each clock separately"
         for topic, (n, longest) in log.clock_steps.items()
     ]
     for warning in [*steps, *log.warnings]:

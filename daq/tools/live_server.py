@@ -97,7 +97,10 @@ class LiveServer:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Stop the thread that sends the samples, the server and the gate."""
+        """Stop the thread that sends the samples, the server and the gate, and wait until the thread has ended.
+
+        An error in the block is not suppressed.
+        """
         self._ending.set()
         self._thread.join()
         # Stop the server before the gate, which forwards its close messages. Otherwise the library prints errors.
@@ -170,7 +173,11 @@ class OriginGate:
     """
 
     def __init__(self, host: str, port: int, behind: tuple[str, int], origins: Sequence[str]) -> None:
-        """Listen at `host` and `port`, and forward accepted connections to the server `behind` the gate."""
+        """Listen at `host` and `port`, and forward accepted connections to the server `behind` the gate.
+
+        A thread of the gate serves the connections, so that the constructor returns at once. Raise OSError if the
+        address is not available.
+        """
         self._behind, self._origins = behind, origins
         self._loop = asyncio.new_event_loop()
         self._tasks: dict[asyncio.Task[None], asyncio.StreamWriter] = {}  # task of each connection, and its client
@@ -185,7 +192,10 @@ class OriginGate:
         self._thread.start()
 
     def close(self) -> None:
-        """Close the gate of the live view and all its connections."""
+        """Close the gate of the live view and all its connections, and wait until its thread has ended.
+
+        It may be called only once.
+        """
         asyncio.run_coroutine_threadsafe(self._end(), self._loop).result()
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join()

@@ -43,7 +43,8 @@ ALARM = "bold white on red"
 def default_log_path(rig: Rig) -> Path:
     """Return the path of a new log, DIRECTORY/RIG-DATE-TIME.mcap, in the log folder and with the name of the rig.
 
-    Date and time are the present local time. If the file exists, -2, -3, ... is added. No file is created.
+    Date and time are the present local time. White space in the name of the rig becomes a hyphen. If the file exists,
+    the first free one of -2, -3, ... is added to its stem. No file is created.
     """
     stem = f"{'-'.join(rig.name.split())}-{time.strftime('%Y%m%d-%H%M%S')}"
     path = rig.log_directory / f"{stem}.mcap"
@@ -59,7 +60,8 @@ def watch(
 ) -> None:
     """Show the status of an acquisition until a deadline: a table on a terminal, a line every 5 s otherwise.
 
-    It raises SeatrialError if the acquisition process fails or ends by itself meanwhile.
+    It blocks until the deadline or the event `stop`. Lines show each hint only once. It raises SeatrialError if the
+    acquisition process fails or ends by itself meanwhile.
 
     Parameters
     ----------
@@ -213,8 +215,8 @@ def _stale_after(rate: float, speed: float) -> float:
 def _header_line(status: Status, rig: Rig, answers: bool) -> Text:
     """Return the header line of the live table: state of the recording, duration, speed, size and name of the log.
 
-    The state is REC, NOT RECORDING with the reason, or that the acquisition does not answer (`answers` false). The
-    speed of the run clock is shown only if it is not 1.
+    The state is that the acquisition does not answer if `answers` is false. Otherwise it is NOT RECORDING with the
+    reason if the status has an alarm, else REC. The speed of the run clock is shown only if it is not 1.
     """
     text = Text(no_wrap=True, overflow="ellipsis")
     if not answers:
@@ -234,8 +236,9 @@ def _device_cells(port: PortStatus, speed: float, wide: bool) -> list[Text]:
     """Return the cells of a device's row in the live table, except its newest sample.
 
     `speed` is the number of run seconds per wall second. A `wide` table has a column for each error counter, a narrow
-    one has a single column for all that are not zero. Faults have a word or mark beside their colour, except a rate
-    that differs by more than 10 % from the expected rate.
+    one has a single column for all that are not zero. Only a wide table has a last cell with the delay of the samples
+    [wall ms], "-" if it is unknown. Faults have a word or mark beside their colour, except a rate that differs by more
+    than 10 % from the expected rate.
     """
     stale = _is_silent(port, speed)
     off = not abs(port.rate - port.expected) <= RATE_TOLERANCE * port.expected
@@ -319,7 +322,8 @@ def _joined_values(*parts: tuple[str, float, str, str]) -> str:
 def line(status: Status, rig: Rig, now: float) -> str:
     """Return the status of an acquisition as one line, for a file or a pipe: rates and errors of the devices, warnings.
 
-    `now` is the time of the run clock [s since 1970].
+    `now` is the time of the run clock [s since 1970]. Only error counters that are not zero are shown. A device without
+    any sample so far is "silent". Hints and samples are not in the line.
     """
     status, answers = _update_ages(status, rig, now)
     ports = []
@@ -361,7 +365,10 @@ def duration_text(seconds: float) -> str:
 
 
 def size_text(n_bytes: int) -> str:
-    """Return the size of a log [bytes] as a text such as `1.2 MB`, with decimal units."""
+    """Return the size of a log [bytes] as a text such as `1.2 MB`, with decimal units.
+
+    Bytes have no decimals, kB and MB have one, and GB, the largest unit, has two.
+    """
     size = float(n_bytes)
     for unit in ("B", "kB", "MB"):
         if size < 1000.0:

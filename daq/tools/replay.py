@@ -112,7 +112,10 @@ class ReplayFolder:
     """
 
     def __init__(self, folder: Path) -> None:
-        """Create the folder of a replay if it does not exist, and open it."""
+        """Create the folder of a replay if it does not exist, and open it. It stays open until `close`.
+
+        Raise SeatrialError if the folder cannot be created or opened.
+        """
         self.path = folder
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -124,14 +127,14 @@ class ReplayFolder:
     def link(self, name: str, target: str) -> Path:
         """Create a symbolic link `name` to `target` in the folder of the replay, and return its path.
 
-        Raise SeatrialError if a file or folder has this name already.
+        Raise SeatrialError if a file or folder has this name already, or if the link cannot be created.
         """
         return self._create_own_file(name, lambda: os.symlink(target, name, dir_fd=self._fd))
 
     def write(self, name: str, text: str) -> Path:
         """Write a new text file in the folder of the replay, and return its path.
 
-        Raise SeatrialError if a file or folder has this name already.
+        Raise SeatrialError if a file or folder has this name already, or if the file cannot be written.
         """
 
         def write() -> None:
@@ -186,12 +189,15 @@ class ReplayFolder:
 def recorded(log: Log, devices: Sequence[str] = ()) -> list[str]:
     """Return the names of the devices of a log whose raw bytes can be replayed.
 
+    Raw bytes are logged under the topic /raw/DEVICE. If the log has port counters for some of these devices, only they
+    can be replayed; otherwise all of them.
+
     Parameters
     ----------
     log
         The log.
     devices
-        Names of the devices to replay; empty for all devices with raw bytes.
+        Names of the devices to replay, which are returned in this order; empty for all devices with raw bytes.
 
     Raises
     ------
@@ -239,7 +245,8 @@ def chunks(log: Log, devices: Sequence[str]) -> Iterator[Chunk]:
 def as_slcan(data: bytes) -> bytes:
     """Convert CAN frames (16 bytes each, the format of the log) to the text lines of an slcan adapter.
 
-    An incomplete frame at the end is left out.
+    A frame with a 29-bit identifier becomes a line "T...", one with 11 bits a line "t...". At most 8 data bytes are
+    taken. Remote and error frames are not distinguished from data frames. An incomplete frame at the end is left out.
     """
     out = []
     for word, length, body in CAN_FRAME.iter_unpack(data[: len(data) // FRAME_BYTES * FRAME_BYTES]):
@@ -254,8 +261,9 @@ def _send_in_time(
     """Send recorded bytes on the ports of a replay at their times, and return the number of bytes sent.
 
     `pieces` are (time [s], device, bytes) in the order of time, and `ports` are the ports by name of the device. The
-    first piece is sent at once, and later ones by their time after it, divided by `speed`. Return early when
-    `stopped()` is true. At the end wait until the ports have accepted all bytes.
+    first piece is sent at once, and later ones by their time after it, divided by `speed`. At the end wait until the
+    ports have accepted all bytes. Return early when `stopped()` is true; bytes that wait for a slow reader are then
+    counted but not sent.
     """
     n_sent, start, first = 0, time.monotonic(), 0.0
     for t, name, data in pieces:
@@ -295,7 +303,11 @@ class ReplayPort:
     """
 
     def __init__(self, folder: ReplayFolder, name: str) -> None:
-        """Open a pty for the device `name`, and create the link to its host's end in the folder."""
+        """Open a pty for the device `name`, and create the link to its host's end in the folder.
+
+        The host's end is closed again, so that `has_host` can detect a host that opens it. If the link cannot be
+        created, close the pty and raise SeatrialError.
+        """
         self.backlog = bytearray()
         self._slave = -1
         self._master, slave = os.openpty()

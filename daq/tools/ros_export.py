@@ -72,12 +72,13 @@ def export_ros(log: Log, folder: Path, force: bool = False) -> list[Path]:
     folder
         Folder of the outputs.
     force
-        Whether existing outputs may be replaced.
+        Whether existing outputs may be replaced. An existing folder of the bag or of the package is then deleted with
+        all its content before it is written.
 
     Returns
     -------
     list
-        The written files and folders.
+        The written files and folders: bag, seatrial_msgs, foxglove.json and plotjuggler.xml in `folder`.
 
     Raises
     ------
@@ -132,7 +133,8 @@ def export_ros(log: Log, folder: Path, force: bool = False) -> list[Path]:
 def ros_topic(topic: str) -> str:
     """Return the valid ROS 2 name of a topic of the log: /can0/1/state becomes /can0/node_1/state.
 
-    In ROS 2 no part of a name may begin with a digit; `ros2 bag play` leaves such topics out.
+    Each part of the name that begins with a digit gets "node_" in front; all other names stay. In ROS 2 no part of a
+    name may begin with a digit; `ros2 bag play` leaves such topics out.
     """
     return re.sub(r"/(\d)", r"/node_\1", topic)
 
@@ -170,7 +172,10 @@ def rep_103_imu(device: str, sample: Ahrs) -> schema.Message:
 
 
 def _imu_messages(source: str, rows: NDArray[np.void]) -> Iterator[RosMessage]:
-    """Yield a ROS Imu message in the axes of REP-103 for each sample in the table `rows` of an AHRS."""
+    """Yield a ROS Imu message in the axes of REP-103 for each sample in the table `rows` of the AHRS `source`.
+
+    The message is encoded in CDR, for the topic /ros/SOURCE/imu. REP-103 has the axes forward, left, up.
+    """
     names = [field.name for field in fields(Ahrs)]
     for row in rows:
         message = rep_103_imu(source, Ahrs(*(float(row[name]) for name in names)))
@@ -269,7 +274,7 @@ def _has_position(rows: NDArray[np.void]) -> NDArray[np.bool_]:
 
 
 def _nanoseconds(t: float) -> int:
-    """Convert the time of a message from s to whole nanoseconds."""
+    """Convert the time of a message from s to whole nanoseconds, rounded to the nearest one."""
     return round(float(t) * NANO)
 
 

@@ -48,7 +48,8 @@ class ReceivedCommand(NamedTuple):
     Attributes
     ----------
     n : float
-        Normalised shaft speed (-1 to 1); NaN if the message was not a Float64.
+        Normalised shaft speed (-1 to 1) as it was sent, also if it is out of range; NaN if the message was not a
+        Float64.
     sender : bytes
         Unique id of the publisher; empty without a whole attachment.
     sent : float
@@ -92,8 +93,9 @@ class LateCommands:
         """Return whether a command of a thruster arrived too late, and count late commands in `number`.
 
         A command is late if its delay exceeds that of the fastest earlier command of the same sender by more than the
-        allowed delay. A command without a time of sending is never late. The clocks of sender and receiver may drift by
-        0.05 %: the delay of the fastest command, with which others are compared, grows by this part of the time.
+        allowed delay. The first command of a sender, and a command without a time of sending, are never late. The
+        clocks of sender and receiver may drift by 0.05 %: the delay of the fastest command, with which others are
+        compared, grows by this part of the time.
 
         Parameters
         ----------
@@ -211,7 +213,11 @@ class Ros2Node:
         return found
 
     def summary(self) -> str:
-        """Return one line about the ROS 2 node: its address, published messages, lost samples and late commands."""
+        """Return one line about the ROS 2 node: its address, published messages, lost samples and late commands.
+
+        Samples that were lost in the acquisition or in the queue, and those that still wait in it, count as lost. Lost
+        samples and late commands are left out if there are none.
+        """
         dropped = self._lost + self._dropped_before + len(self._queue)
         lost = f"; {counted(dropped, 'sample')} could not be published" if dropped else ""
         late = f"; {counted(self._late.number, 'command')} ignored because of late arrival" if self._late.number else ""
@@ -256,7 +262,7 @@ class Ros2Node:
     def _zenoh_config(self) -> str:
         """Return the configuration of Zenoh as JSON: a client of one router, without open ports and without discovery.
 
-        The router is that of the rig file.
+        The router is that of the rig file. Messages of more than 65,536 bytes are not received.
         """
         return json.dumps({
             "mode": "client",
@@ -329,7 +335,10 @@ class Ros2Node:
                 self._lost += 1
 
     def _publish_sample(self, streamed: StreamedSample) -> None:
-        """Publish the messages of a sample to ROS 2; for an AHRS also the Imu message in the axes of REP-103."""
+        """Publish the messages of a sample to ROS 2; for an AHRS also the Imu message in the axes of REP-103.
+
+        A publisher is declared at the first message of each topic, and used again for later ones.
+        """
         messages = schema.messages(streamed.device, Frame(streamed.sample, streamed.t, NAN))
         if isinstance(streamed.sample, Ahrs):
             messages.append(rep_103_imu(streamed.device, streamed.sample))
@@ -340,7 +349,11 @@ class Ros2Node:
             self.published += 1
 
     def _publisher_of_topic(self, topic: str, type_name: str) -> _Publisher:
-        """Declare a ROS 2 publisher for a topic of the log and messages of a type, and return it."""
+        """Declare a ROS 2 publisher for a topic of the log and messages of a type, and return it.
+
+        Its name in ROS 2 has the namespace of the rig file in front, and "node_" before each part that begins with a
+        digit. If the router hangs, a message that is sent waits and is not dropped.
+        """
         name = self._namespaced_topic(ros_topic(topic))
         token = self._declare_token("MP", next(self._entities), name, type_name)
         key = f"{self._ros2.domain}{name}/{_dds_type_name(type_name)}/{self._types.hash_rihs01(type_name)}"
@@ -356,12 +369,18 @@ class _Publisher:
     """
 
     def __init__(self, publisher: Any, token: str) -> None:
-        """Store the Zenoh publisher, and derive its unique id from its key expression `token`."""
+        """Store the Zenoh publisher, and derive its unique id (a hash of 16 bytes) from its key expression `token`.
+
+        The same token gives the same id. Sequence numbers start at 1.
+        """
         self._publisher, self._numbers = publisher, itertools.count(1)
         self._gid = hashlib.blake2b(token.encode(), digest_size=16).digest()
 
     def send(self, data: bytes) -> None:
-        """Publish a message, encoded in CDR, on the topic."""
+        """Publish a message, encoded in CDR, on the topic.
+
+        Its attachment has the next sequence number, which starts at 1, and the present wall time.
+        """
         attachment = ATTACHMENT.pack(next(self._numbers), time.time_ns(), len(self._gid), self._gid)
         self._publisher.put(data, attachment=attachment)
 

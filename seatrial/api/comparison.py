@@ -120,7 +120,7 @@ def compare(
 def _name_of(model: AnyModel, index: int) -> str:
     """Return a name for a model: its path as text, or "model 2" for a fitted model with the `index` 1 (from 0).
 
-    The path of a `Saved` is that from which it was loaded.
+    The path of a `Saved` is that from which it was loaded. A model that is neither is taken as a path and not checked.
     """
     from seatrial.api.loading import Saved
 

@@ -38,7 +38,10 @@ class Figure:
         return f"<Figure {self.title!r}: {len(self.data)} traces>"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the figure as a dictionary with ``data`` and ``layout``, whose values JSON can represent."""
+        """Return the figure as a dictionary with ``data`` and ``layout``, whose values JSON can represent.
+
+        The values are those of the figure and not copies. The `title` is not in the dictionary.
+        """
         return {"data": self.data, "layout": self.layout}
 
     def _repr_mimebundle_(self, **_: Any) -> dict[str, Any]:
@@ -81,7 +84,7 @@ class Figure:
         Parameters
         ----------
         path : Path or str
-            File, for example ``prediction.html``. An existing file is replaced.
+            File, for example ``prediction.html``. An existing file is replaced. Its folder must exist.
         """
         from seatrial.ident.report import figure_page
 

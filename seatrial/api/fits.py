@@ -669,13 +669,16 @@ def _paths_or_none(logs: Logs) -> list[Path]:
         If a log does not exist, or if a `Log` has a window.
     """
     several = [logs] if isinstance(logs, str | Path | Log) else list(logs)
-    if any(isinstance(x, Log) and (x.start > 0.0 or np.isfinite(x.end)) for x in several):
-        raise SeatrialError("validation logs are always used as a whole: open them without start and end")
+    if cut := [x.path.name for x in several if isinstance(x, Log) and (x.start > 0.0 or np.isfinite(x.end))]:
+        raise SeatrialError(f"validation logs are always used as a whole: open {', '.join(cut)} without start and end")
     return as_paths(several) if several else []
 
 
 def known_options(given: Mapping[str, Any], options: type) -> dict[str, Any]:
     """Return the options as a new dict, after a check of their names. A list of names may be given as one name.
+
+    One name of effects, profiles or homogeneity becomes a list of one. All other values are not changed or checked,
+    except the horizon.
 
     Parameters
     ----------

@@ -185,7 +185,10 @@ def simulate(
     named = {name: np.asarray(values, dtype=float) for name, values in inputs.items()}
     for name, values in named.items():
         if values.shape != times.shape:
-            raise SeatrialError(f"input {name}: it has the shape {values.shape}, but the times have {times.shape}")
+            raise SeatrialError(
+                f"input {name}: it has the shape {values.shape}, but the times have {times.shape}; give one value for "
+                "each time"
+            )
     known = {i.tap_of or i.name for i in structure.inputs}
     if unknown := [n for n in named if n not in known]:
         raise SeatrialError(f"the model has no input {unknown[0]!r}; its inputs are {', '.join(sorted(known))}")

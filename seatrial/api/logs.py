@@ -291,6 +291,8 @@ def check(logs: PathLike | Sequence[PathLike]) -> Findings:
 def as_paths(logs: PathLike | Log | Sequence[PathLike | Log]) -> list[Path]:
     """Return the paths of one log or of several logs, given as paths or as `Log`. The window of a `Log` is not used.
 
+    The order is kept, and a log that is given twice is returned twice. Only its existence is checked.
+
     Raises
     ------
     SeatrialError

@@ -53,8 +53,9 @@ class Messages:
 def errors_of_users() -> Iterator[None]:
     """Context that turns ValueError and KeyError of a computation into SeatrialError with the same text.
 
-    A SeatrialError gets the arguments of the Python interface in place of command-line options. Classes derived from it
-    and other errors pass unchanged.
+    A SeatrialError, and the new text of ValueError and KeyError, get the arguments of the Python interface in place of
+    command-line options, for example ``fixed`` for ``--fix``. Classes derived from SeatrialError and other errors pass
+    unchanged. The new error has the old one as its cause.
     """
     try:
         yield

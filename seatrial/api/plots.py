@@ -108,6 +108,6 @@ def _stacked(title: str, panels: Sequence[Panel]) -> Figure:
     A panel is a diagram with its title and traces.
     """
     if not panels:
-        raise SeatrialError("there is nothing to draw: the fit has no such channel with samples")
+        raise SeatrialError("there is nothing to draw: the result has no channel with samples; fit logs with more data")
     figure, height = stacked(panels, "time [s]")
     return Figure(title, figure["data"], figure["layout"] | {"height": height, "showlegend": False})

@@ -140,8 +140,8 @@ def fit(link: LinkStatus, n_max: float = 0.0, said: list[str] | None = None, mes
     ("link", "code", "reason"),
     [
         (replace(LINK, age=3.2), StopCode.LINK, "autopilot: no heartbeat received for 3.2 s; check"),
-        (replace(LINK, age=math.inf), StopCode.LINK, "autopilot: no heartbeat received for inf s"),
-        (replace(LINK, age=math.nan), StopCode.LINK, "autopilot: no heartbeat received for nan s"),
+        (replace(LINK, age=math.inf), StopCode.LINK, "autopilot: no heartbeat received since its port was opened"),
+        (replace(LINK, age=math.nan), StopCode.LINK, "autopilot: no heartbeat received since its port was opened"),
         (replace(LINK, armed=False), StopCode.LINK, "autopilot was disarmed during the run; find out"),
         (
             replace(LINK, armed=False, alarm="critical: Leak"),

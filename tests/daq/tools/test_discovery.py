@@ -135,7 +135,7 @@ def test_right_frames_without_a_sample_are_no_wrong_baud_rate() -> None:
 def test_an_unknown_device_is_reported() -> None:
     with device(115200, lambda k: b"\x00\xf7 nothing of the kind") as port:
         found = identify_protocol(port, bauds=(115200, 9600), listen=0.2)
-    says = "bytes of no known protocol at 115200, 9600 baud: check the output settings of the device"
+    says = "bytes of no known protocol at 115200, 9600 baud: check the output settings of the device, or give --baud"
     assert (found.protocol, found.says) == ("", says)
     assert "is not there" in identify_protocol("/dev/none", listen=0.1).says
 
