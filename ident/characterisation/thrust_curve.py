@@ -115,8 +115,9 @@ def find_levels(command: Channel, force: Channel, settle: float = 1.5) -> Levels
     -------
     Levels
         One level for each command, in ascending order of the command. Commands that differ by 0.001 or less are one
-        level, and so are several visits to a command. Visits with fewer than 20 samples of the force after ``settle``
-        are left out. If there is a level at zero command, its force has been subtracted from all levels.
+        level, and so are several visits to a command. The last command counts as constant to the end of the force.
+        Visits with fewer than 20 samples of the force after ``settle`` are left out. If there is a level at zero
+        command, its force has been subtracted from all levels.
 
     Raises
     ------
@@ -199,8 +200,9 @@ def _merged_visits(visits: Sequence[tuple[float, float, float, int, float]]) -> 
 
     ``visits`` are tuples in ascending order of the command: command, mean force [N], its standard error [N], number of
     samples, and their autocorrelation time [samples]. Commands that differ by 0.001 or less from their neighbour are
-    one level. The variance between visits is common to all levels except that at rest, which has its own, because it
-    has no thrust that could scatter.
+    one level. Its command is the mean of its visits, its force their mean weighted by inverse variance. The variance
+    between visits is common to all levels except that at rest, which has its own, because it has no thrust that could
+    scatter.
     """
     n, force, se, count, memory = np.array(visits).T
     se = np.maximum(se, 1e-9)
