@@ -421,6 +421,9 @@ def _format_force(force: float) -> str:
 def curve_answer(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) -> str:
     """Return the answer of a static curve: force at the largest commands, and misfit of the quadratic to the levels.
 
+    A direction without a level is named as not measured. If the quadratic does not describe the levels within their
+    errors, the answer advises the monotone curve and compares both by levels that were left out.
+
     Parameters
     ----------
     levels : Levels
