@@ -283,7 +283,7 @@ def _print_timing(server: Server) -> None:
     """
     lag = f"{1e3 * server.max_lag:.1f} ms"
     if server.max_lag > LAG_WARNING_S:
-        message = f"FELL BEHIND real time by up to {lag}; give a smaller speed in the rig, or end other programs"
+        message = f"FELL BEHIND real time by up to {lag}; give a smaller speed in the rig file, or end other programs"
     else:
         message = f"samples were sent at most {lag} late"
     click.echo(f"mock: {server.t:.1f} s of run time, {message}", err=True)

@@ -614,7 +614,7 @@ def load_curve(path: Path) -> ThrustCurve | None:
         calibration = None if uncertainty is None else float(uncertainty)
     except (KeyError, TypeError, ValueError) as problem:
         raise SeatrialError(
-            f"{path}: the thrust curve is incomplete or has a wrong type of value: {problem}; fit the curve again"
+            f"{path}: the thrust curve lacks a key, or a value has a wrong type: {problem}; fit the curve again"
         ) from problem
     if not (n.size == force.size == se.size >= 2 and thrusters >= 1 and np.all(np.diff(n) > 0)):
         raise SeatrialError(

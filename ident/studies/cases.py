@@ -320,7 +320,7 @@ def make_case(
         case = case.with_truth(truth or {})
         case = replace(case, model=case.model.with_free(free)) if free else case
     except (KeyError, ValueError) as problem:
-        raise SeatrialError(str(problem.args[0])) from problem
+        raise SeatrialError(f"{name}: {problem.args[0]}; correct --truth or --free") from problem
     if reml is not None:
         case = replace(case, reml=reml)
     case = replace(case, model=EstimationOptions(mean_order=mean_order).with_mean_order(case.model))

@@ -165,9 +165,13 @@ def _parameters_to_analyse(model: Model, chosen: Sequence[str], path: Path) -> t
     """
     free = dynamic_parameters(model)
     lost = [n for n in chosen if n not in free]
-    if lost or not free:
-        missing = f"no free parameter {lost[0]!r}" if lost else "no free parameters"
-        raise SeatrialError(f"{path}: the model has {missing}; its free parameters are {', '.join(free) or 'none'}")
+    if not free:
+        raise SeatrialError(f"{path}: the model has no free parameters; give a model that was fitted to logs")
+    if lost:
+        raise SeatrialError(
+            f"{path}: the model has no free parameter {lost[0]!r}; its free parameters are {', '.join(free)}: give "
+            "some of these to --parameters"
+        )
     return tuple(chosen) or tuple(free)
 
 

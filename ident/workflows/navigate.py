@@ -220,12 +220,15 @@ def _check_fixes(rows: Record, t0: float, without: Sequence[tuple[float, float]]
         return
     fixes = rows.t[np.isfinite(rows.y[:, rows.outputs.index(POSITION[0])])] + t0
     if not fixes.size:
-        raise SeatrialError(f"{path}: the log has no GNSS position; navigation needs at least one fix")
+        raise SeatrialError(
+            f"{path}: the log has no GNSS position; navigation needs at least one fix: give a log with GNSS, or other "
+            "--from and --to"
+        )
     for begin, end in without:
         if not ((fixes >= begin) & (fixes < end)).any():
             raise SeatrialError(
                 f"{path}: no GNSS position between {begin:g} s and {end:g} s to withhold; it "
-                f"has them from {fixes[0]:.0f} s to {fixes[-1]:.0f} s"
+                f"has them from {fixes[0]:.0f} s to {fixes[-1]:.0f} s: give an interval in this time to --gnss-outage"
             )
 
 

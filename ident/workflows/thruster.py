@@ -382,7 +382,7 @@ def _changing_commands(log: LoadedLog, name: str | None) -> list[str]:
     if not moved:
         raise SeatrialError(
             f"{log.about['path']}: no command changes, so there is no thrust curve to fit; the log has "
-            f"{', '.join(sorted(channels))}"
+            f"{', '.join(sorted(channels))}; give a log of steps (seatrial bench steps)"
         )
     first = channels[moved[0]]
     for second in moved[1:]:
