@@ -100,9 +100,9 @@ def mock() -> None:
     "late, rounded or slightly wrong.",
 )
 def boat(rig: Path, seed: int, run: int, effect: str, realistic: bool, truth_file: Path | None, **how: Any) -> None:
-    """Serve a simulated boat with two thrusters at the ports of RIG.
+    """Serve a simulated boat with two thrusters at the ports of RIG, one thruster on each side.
 
-    Prints `ready` when all ports are open.
+    Prints `ready` when all ports are open. The thrusters are like that of `mock bench` with the same seed.
 
     \b
     Example: seatrial mock boat boat.toml --seed 7 --effect wind --fault pull/gnss@60:5
@@ -122,7 +122,7 @@ def boat(rig: Path, seed: int, run: int, effect: str, realistic: bool, truth_fil
 @mock.command(short_help="A simulated thruster on a load cell.")
 @_shared_options(list(bench_effects.EFFECTS))
 def bench(rig: Path, seed: int, run: int, effect: str, truth_file: Path | None, **how: Any) -> None:
-    """Serve a simulated bench, one thruster on a load cell, at the ports of RIG.
+    """Serve a simulated bench, one thruster on a load cell, at the ports of RIG, which has exactly one thruster.
 
     Prints `ready` when all ports are open.
 
@@ -144,8 +144,9 @@ def _device_specs(rig: Rig, thrusters: Sequence[Thruster]) -> DeviceSpecs:
     """Return the specifications from which the devices of a rig are simulated: names, rates and calibrations.
 
     The speed controllers on one bus share the rate of the bus. An autopilot has an AHRS (50 Hz), a GNSS receiver (5 Hz)
-    and speed controllers (10 Hz). A load cell without calibration has 0.001 N per count. A thruster without ``rpm_max``
-    has a full shaft speed of 4500 rev/min. Devices of other kinds are left out.
+    and speed controllers (10 Hz). A load cell without calibration has 0.001 N per count, and without ``saturation`` the
+    range of a converter with 24 bits. The lever ratio is included in the force per count. A thruster without
+    ``rpm_max`` has a full shaft speed of 4500 rev/min. Devices of other kinds are left out.
 
     Parameters
     ----------
@@ -211,6 +212,8 @@ def _serve(
     ------
     SeatrialError
         If a fault is invalid, a device cannot be simulated, or a port cannot be opened.
+    OSError
+        If the file ``trace`` or ``truth_file`` cannot be written, for example because ``trace`` is a symbolic link.
     """
     names, thrusters = [d.name for d in rig.devices], [t.name for t in rig.thrusters]
     schedule = Faults([parse_fault(text, names, thrusters) for text in faults], random_stream(plant.seed, FAULT, run))
@@ -257,7 +260,7 @@ def _signal_handlers(server: Server) -> Iterator[None]:
     """
 
     def stop(number: int, frame: object) -> None:
-        """Let the server of the simulated devices end (handler of Ctrl-C and SIGTERM)."""
+        """Let the server of the simulated devices end after its present round (handler of Ctrl-C and SIGTERM)."""
         server.stopping = True
 
     def trigger(number: int, frame: object) -> None:
@@ -280,7 +283,7 @@ def _print_timing(server: Server) -> None:
     """
     lag = f"{1e3 * server.max_lag:.1f} ms"
     if server.max_lag > LAG_WARNING_S:
-        message = f"FELL BEHIND real time by up to {lag}; give a smaller speed in the rig, or end other programs"
+        message = f"FELL BEHIND real time by up to {lag}; give a smaller speed in the rig file, or end other programs"
     else:
         message = f"samples were sent at most {lag} late"
     click.echo(f"mock: {server.t:.1f} s of run time, {message}", err=True)

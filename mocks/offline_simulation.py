@@ -70,7 +70,7 @@ def simulate(
     n : Array (n_commands, 2)
         Commands of the left and the right thruster (-1 to 1).
     duration : float
-        Duration of the simulation [s].
+        Duration of the simulation [s], rounded to a whole number of steps. Samples at its end are included.
     run : int
         Number of the run. The same boat with another number is a second mission with other noise.
     disturbed : bool
@@ -115,7 +115,7 @@ def simulate_bench(
     n : Array (n_commands,) or (n_commands, 1)
         Commands (-1 to 1, positive forward).
     duration : float
-        Duration of the simulation [s].
+        Duration of the simulation [s], rounded to a whole number of steps. Samples at its end are included.
     run : int
         Number of the run. It selects the noise.
     disturbed : bool
@@ -158,16 +158,18 @@ def _simulate(
     n : array_like (n_commands, n_thrusters)
         Commands of the thrusters (-1 to 1); for one thruster also (n_commands,).
     duration : float
-        Duration of the simulation [s].
+        Duration of the simulation [s], rounded to a whole number of steps. Samples at its end are included.
     truth : callable
-        Function without arguments that returns the present true states. It is called 10 times per second (TRUTH_HZ).
+        Function without arguments that returns the present true states. It is called 10 times per simulated second
+        (TRUTH_HZ), from time 0 on.
     faults : Faults, optional
         Faults of devices and speed controllers.
 
     Returns
     -------
     list of Reading
-        Commands and samples in the order of time. A command to a dead controller is listed too.
+        Commands and samples in the order of time. A command to a dead controller is listed too; a sample that a fault
+        suppresses is not.
     list of tuple
         The results of ``truth``, oldest first.
 
@@ -255,7 +257,7 @@ def tables(readings: Sequence[Reading]) -> dict[str, NDArray[np.void]]:
     dict of structured arrays (n_samples,)
         One array for each device with samples. Its fields are ``t`` [s] and the fields of the sample. The key is the
         name of the device. Telemetry and commands of a speed controller have the keys ``DEVICE/NODE/state`` and
-        ``DEVICE/NODE/command``.
+        ``DEVICE/NODE/command``. The samples keep their order.
     """
     rows: dict[str, list[tuple[float, ...]]] = {}
     names: dict[str, list[str]] = {}

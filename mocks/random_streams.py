@@ -75,7 +75,10 @@ class WhiteWalk:
         self._walk = bias * draw()
 
     def __call__(self) -> float:
-        """Return the next value of the sensor noise (white noise plus random walk), in the unit of the sensor."""
+        """Return the next value of the sensor noise (white noise plus random walk), in the unit of the sensor.
+
+        The random walk advances by one sample first.
+        """
         draw = self._draw
         if self._step:
             self._walk += self._step * draw()

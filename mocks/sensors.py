@@ -110,7 +110,8 @@ class AhrsSensor:
 class AhrsErrors:
     """Systematic errors of a simulated AHRS that hidden effects cause. They do not include noise.
 
-    The errors are those of compass, mounting, gyro, accelerometers and heading filter.
+    The errors are those of compass, mounting, gyro, accelerometers and heading filter. `step` returns the true motion
+    with these errors.
     """
 
     def __init__(self, effects: Sequence[HiddenEffect], dt: float) -> None:
@@ -257,8 +258,8 @@ class GnssSensor:
         """Return the next GNSS sample, for the true motion ``m``, with the time stamp ``utc`` [s since 1970].
 
         Each call advances the noise by one sample. Lever arm and latency are already in ``m`` (`RigidBodyState.fix_x`).
-        The velocity is rounded to the coarsest resolution of the hidden effects. The type of fix is 6, an RTK float
-        solution.
+        The velocity is rounded to the coarsest resolution of the hidden effects. The height is noise around 0 m. The
+        type of fix is 6, an RTK float solution.
         """
         north, east = self._position
         vel_n, vel_e = self._velocity

@@ -46,7 +46,7 @@ class Server:
         faults: Faults,
         trace: IO[str] | None = None,
     ) -> None:
-        """Set up a server of simulated devices.
+        """Set up a server of simulated devices. It sets the hook `on_change` of all speed controllers, for the trace.
 
         Parameters
         ----------
@@ -83,6 +83,7 @@ class Server:
         """Simulate the boat or bench and serve the ports of its devices in real time, until `stopping` is set.
 
         The priority of this process is raised first, as far as the system allows. Run time 0 is the time of this call.
+        The ports are not closed at the end.
         """
         # A real device keeps its time on a busy machine too. A system that denies the priority raises OSError.
         with contextlib.suppress(OSError):
@@ -145,6 +146,7 @@ class Server:
         """Pass the bytes that hosts have sent to the emulated devices, and send their answers, at run time ``t`` [s].
 
         During a fault "refuse" the device gets no bytes, and each line of the host is answered with the character BELL.
+        Ports that are not plugged are left out.
         """
         for name, port in self._ports.items():
             if not port.plugged or not (data := port.read()):
@@ -191,7 +193,10 @@ class Server:
         select.select([port for port in self._ports.values() if port.plugged], [], [], self._wait_s)
 
     def _write_trace(self, t: float, node: int, n: float, why: str) -> None:
-        """Write a changed effective command to the trace file, if there is one.
+        """Write a changed effective command to the trace file as one line of JSON, if there is a trace file.
+
+        The line also has the monotonic time ``wall`` [s], and ``forgiven``: the wall time [s] by which time-outs have
+        been extended so far because of pauses of this process.
 
         Parameters
         ----------

@@ -175,8 +175,9 @@ class EscController:
     def check(self, t: float) -> None:
         """Stop the motor if no command has arrived within the controller's time-out before ``t`` [s].
 
-        The stop gets the time at which the time-out ended. A controller whose attribute `stuck` is true does not stop.
-        Before the first command there is no time-out.
+        The stop gets the time at which the time-out ended, and this time-out does not end again before the next
+        command. A controller whose attribute `stuck` is true does not stop. Before the first command there is no
+        time-out.
         """
         if t > self.deadline and not self.stuck:
             t_end, self.deadline = self.deadline, math.inf
@@ -407,7 +408,7 @@ class World:
     def readings(self) -> list[Reading]:
         """Return the samples of all devices that are due at the present step, and schedule the next ones.
 
-        Each sample is returned once. A device that is silent gives none.
+        Each sample is returned once, in the order in which the devices were added. A device that is silent gives none.
         """
         steps = self.plant.steps
         if steps < self.next_due:
@@ -533,7 +534,7 @@ def _gnss_reader(sensor: GnssSensor, motion: Callable[[], RigidBodyState], utc: 
     """
 
     def read() -> Sample:
-        """Return the next GNSS sample for the present motion of the boat."""
+        """Return the next GNSS sample for the present motion of the boat or bench, with the present UTC."""
         m = motion()
         return sensor.read(m, utc + m.t)
 

@@ -115,8 +115,9 @@ def find_levels(command: Channel, force: Channel, settle: float = 1.5) -> Levels
     -------
     Levels
         One level for each command, in ascending order of the command. Commands that differ by 0.001 or less are one
-        level, and so are several visits to a command. Visits with fewer than 20 samples of the force after ``settle``
-        are left out. If there is a level at zero command, its force has been subtracted from all levels.
+        level, and so are several visits to a command. The last command counts as constant to the end of the force.
+        Visits with fewer than 20 samples of the force after ``settle`` are left out. If there is a level at zero
+        command, its force has been subtracted from all levels.
 
     Raises
     ------
@@ -199,8 +200,9 @@ def _merged_visits(visits: Sequence[tuple[float, float, float, int, float]]) -> 
 
     ``visits`` are tuples in ascending order of the command: command, mean force [N], its standard error [N], number of
     samples, and their autocorrelation time [samples]. Commands that differ by 0.001 or less from their neighbour are
-    one level. The variance between visits is common to all levels except that at rest, which has its own, because it
-    has no thrust that could scatter.
+    one level. Its command is the mean of its visits, its force their mean weighted by inverse variance. The variance
+    between visits is common to all levels except that at rest, which has its own, because it has no thrust that could
+    scatter.
     """
     n, force, se, count, memory = np.array(visits).T
     se = np.maximum(se, 1e-9)
@@ -612,7 +614,7 @@ def load_curve(path: Path) -> ThrustCurve | None:
         calibration = None if uncertainty is None else float(uncertainty)
     except (KeyError, TypeError, ValueError) as problem:
         raise SeatrialError(
-            f"{path}: the thrust curve is incomplete or has a wrong type of value: {problem}; fit the curve again"
+            f"{path}: the thrust curve lacks a key, or a value has a wrong type: {problem}; fit the curve again"
         ) from problem
     if not (n.size == force.size == se.size >= 2 and thrusters >= 1 and np.all(np.diff(n) > 0)):
         raise SeatrialError(

@@ -55,7 +55,8 @@ def ident() -> None:
     type=FiniteRange(0.0),
     default=1.5,
     show_default=True,
-    help="Time left out after each change of command [s], if only force and command were logged.",
+    help="Time left out after each change of command [s]: from the levels of a static curve, and from the rests that "
+    "give the zero of the load cell.",
 )
 @click.option("--profile", "profiles", multiple=True, metavar="NAME", help="Profile likelihood of this parameter.")
 @horizon_option
@@ -93,7 +94,9 @@ def _parse_intervals(
 @click.argument("models", nargs=-1, required=True, type=MODEL)
 @click.option("--on", "logs", multiple=True, required=True, type=LOG, help="Log to compare on; may be repeated.")
 @horizon_option
-@click.option("--rate", type=FiniteRange(0.0, min_open=True), help="Rate of the rows [Hz]; default: that of MODELS.")
+@click.option(
+    "--rate", type=FiniteRange(0.0, min_open=True), help="Rate of the rows [Hz].  [default: 10, on the bench 50]"
+)
 @click.option("--thruster", help="The static curve that the models were fitted with, or the name of the thruster.")
 @despite_option
 @window_option
@@ -400,7 +403,13 @@ def diagnose(model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], ou
     show_default=True,
     help="Number of simulated missions.",
 )
-@click.option("--seed", type=click.IntRange(0), default=1, show_default=True)
+@click.option(
+    "--seed",
+    type=click.IntRange(0),
+    default=1,
+    show_default=True,
+    help="Seed; the same seed gives the same missions and noise.",
+)
 @click.option(
     "--jobs", type=int, default=-1, callback=check_jobs, help="Number of processes.  [default: -1, one for each core]"
 )
@@ -512,7 +521,13 @@ def _parse_area(_context: click.Context, _parameter: click.Parameter, text: str 
     show_default=True,
     help="Largest current [m/s], from any direction, that the track must allow for.",
 )
-@click.option("--n-max", type=FiniteRange(0, 1, min_open=True), default=1.0, show_default=True)
+@click.option(
+    "--n-max",
+    type=FiniteRange(0, 1, min_open=True),
+    default=1.0,
+    show_default=True,
+    help="Largest size of a command; 1: full command.",
+)
 @click.option("--slew", type=FiniteRange(0, min_open=True), help="Slew limit of a command [1/s].")
 @click.option(
     "--rate",

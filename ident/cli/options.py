@@ -180,6 +180,7 @@ def window_option(f: Callable[..., Any]) -> Callable[..., Any]:
 
     @wraps(f)
     def command(*args: Any, t_from: float, t_to: float | None, **rest: Any) -> Any:
+        """Call the decorated command with ``window`` in place of ``t_from`` and ``t_to`` [s]; None: to the end."""
         from seatrial.ident.data import TimeWindow
 
         t_to = math.inf if t_to is None else t_to
@@ -197,7 +198,7 @@ def window_option(f: Callable[..., Any]) -> Callable[..., Any]:
 def force_option(f: Callable[..., Any]) -> Callable[..., Any]:
     """Decorate a command with the flag ``--force``, which allows it to replace existing results.
 
-    The command does not receive the flag; `check_output` reads it.
+    The command does not receive the flag; `check_output`, the callback of its ``--out``, reads it.
     """
     help_ = "Replace existing results."
     return click.option("--force", is_flag=True, expose_value=False, is_eager=True, callback=_store_force, help=help_)(
@@ -280,7 +281,10 @@ def despite_option(f: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def rate_option(f: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorate a command with the option ``--rate``: rows of a record per second, 1 to 200 Hz, by default 10 Hz."""
+    """Decorate a command with the option ``--rate``: rows of a record per second, 1 to 200 Hz, by default 10 Hz.
+
+    The command receives it as ``rate``.
+    """
     return click.option(
         "--rate",
         type=FiniteRange(1.0, 200.0),
@@ -308,7 +312,7 @@ def horizon_option(f: Callable[..., Any]) -> Callable[..., Any]:
 def robust_option(f: Callable[..., Any]) -> Callable[..., Any]:
     """Decorate a command with the flag ``--robust``: robust estimation with outliers in all sensors.
 
-    The command receives it as ``outlier_model``.
+    The command receives it as ``outlier_model``, False without the flag.
     """
     words = "Robust estimation: allow outliers in all sensors, and count them."
     return click.option("--robust", "outlier_model", is_flag=True, help=words)(f)
@@ -395,6 +399,7 @@ class Lines:
     """
 
     def __init__(self, err: bool = False) -> None:
+        """Choose the stream: standard error if ``err``, otherwise standard output."""
         self.err = err
 
     def progress(self, text: str) -> None:
@@ -418,6 +423,7 @@ class LiveLine:
     """
 
     def __init__(self, console: Console, status: Status) -> None:
+        """Store the console and its live line, which the caller starts and stops."""
         self.console, self.status = console, status
 
     def progress(self, text: str) -> None:
@@ -472,6 +478,6 @@ def run_workflow(work: Callable[[Reporter], Result], out: Path) -> None:
 def command_line() -> str:
     """Return the command line of this process as text that begins with ``seatrial``, for the provenance of a result.
 
-    The arguments are joined by spaces, without quotes.
+    The arguments are those of ``sys.argv`` after the first, joined by spaces, without quotes.
     """
     return " ".join(["seatrial", *sys.argv[1:]])

@@ -105,7 +105,10 @@ def _history_lines(content: Content) -> list[str]:
     physical, n = past.inputs, len(past.inputs)
 
     def array(kind: str, name: str, values: Sequence[float | bool], description: str) -> str:
-        """Return the line of an array; an empty array gets one zero."""
+        """Return the line of the C array NAME_``name`` of type ``kind``, with ``description`` as its comment.
+
+        Truth values become 0 and 1. C has no arrays without elements, so an empty array gets one zero.
+        """
         numbers = ", ".join(repr(v) if isinstance(v, float) else str(int(v)) for v in values) or "0"
         return f"static const {kind} {content.name}_{name}[] = {{{numbers}}}; /* {description} */"
 

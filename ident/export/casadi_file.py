@@ -130,7 +130,11 @@ def write(content: Content) -> str:
 
 
 def _function(content: Content, name: str, program: Program) -> str:
-    """Return the text of one Python function ``name`` of CasADi symbols (x, u, p) that returns the list of results."""
+    """Return the text of one Python function ``name`` of CasADi symbols (x, u, p) that returns the list of results.
+
+    ``program`` computes these results. ``content`` gives the order of states in x, of inputs in u and of parameters in
+    p.
+    """
     lines, results = write_lines(program, CASADI, [*RESERVED, *program.used])
     named = ["    p = dict(zip(P, ca.vertsplit(p)))"] if any(s in program.used for s in content.symbols[2]) else []
     return "\n".join(

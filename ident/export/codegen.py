@@ -77,18 +77,21 @@ class Content:
 
     @cached_property
     def exported_parameters(self) -> tuple[Parameter, ...]:
-        """Exported parameters of the model, in the order of ``parameters``."""
+        """Parameters of the model on which rates or outputs depend, in the order of ``parameters``.
+
+        Only these are exported.
+        """
         used = parameters_of(self.model)
         return tuple(p for p in self.model.parameters if p.name in used)
 
     @cached_property
     def history(self) -> History:
-        """Physical inputs, and the source and the delay of each input."""
+        """Physical inputs (signals that a user provides), and for each input of the equations its source and delay."""
         return history_of(self.model)
 
     @cached_property
     def physical_inputs(self) -> tuple[str, ...]:
-        """Identifiers of the physical inputs."""
+        """Identifiers of the physical inputs, the signals that a user provides, in the order of ``history.inputs``."""
         return identifiers(i.name for i in self.history.inputs)
 
     @cached_property
@@ -111,7 +114,7 @@ class Content:
 
     @cached_property
     def programs(self) -> tuple[Program, Program]:
-        """Programs that compute the rates of the states and the outputs."""
+        """Two programs: the first computes the rates of the states, the second the outputs. Computed once."""
         return programs(self.model, [*self.symbols, [f"out_{n}" for n in self.outputs]])
 
     @property
@@ -121,7 +124,10 @@ class Content:
 
     @property
     def validity(self) -> dict[str, tuple[float, float]]:
-        """Range (minimum, maximum) of the estimation data by identifier, for the exported states and inputs."""
+        """Range (minimum, maximum) of the estimation data by identifier, for the exported states and inputs.
+
+        States and inputs without a range in the model file are left out.
+        """
         names = dict(zip([s.name for s in self.model.states], self.states, strict=True))
         names |= dict(zip([i.name for i in self.model.inputs], self.inputs, strict=True))
         return {names[k]: v for k, v in self.saved.validity.items() if k in names}
@@ -191,8 +197,9 @@ def identifiers(names: Iterable[str]) -> tuple[str, ...]:
 def prefix(name: str) -> str:
     """Return a valid prefix of functions and files.
 
-    Invalid characters become underscores. The prefix starts with a letter (``model_`` is put in front if needed; an
-    empty name becomes ``model``) and has no two underscores in a row, as CasADi requires.
+    Invalid characters become underscores, and underscores at both ends are removed. The prefix starts with a letter
+    (``model_`` is put in front if needed; an empty name becomes ``model``) and has no two underscores in a row, as
+    CasADi requires.
     """
     valid = re.sub(r"_+", "_", re.sub(r"[^A-Za-z0-9]", "_", name)).strip("_")
     return valid if valid[:1].isalpha() else f"model_{valid}".rstrip("_")
@@ -301,7 +308,8 @@ def header(content: Content, target: str) -> list[str]:
     """Return the lines of the comment at the top of an exported file, without the comment signs of the language.
 
     They describe the model, its provenance, states, inputs, outputs, range of validity, and remarks on noise and
-    parameters. ``target`` is the name of the language, for the first line.
+    parameters. ``target`` is the name of the language, for the first line. A line break within a text of the model
+    becomes a space.
     """
     made = content.saved.provenance
     lines = [f"{content.model.name}: fitted model, exported to {target} by seatrial.", ""]
@@ -328,7 +336,10 @@ def header(content: Content, target: str) -> list[str]:
 
 
 def _input_lines(content: Content) -> list[str]:
-    """Return the header lines of the inputs, with an explanation of delayed input taps if there are any."""
+    """Return the header lines of the inputs, one for each input of the equations.
+
+    If there are delayed copies of an input (taps), a last line explains their names.
+    """
     lines, taps = [], [i for i in content.model.inputs if i.tap]
     for j, (n, i) in enumerate(zip(content.inputs, content.model.inputs, strict=True)):
         if i.tap:
@@ -342,7 +353,11 @@ def _input_lines(content: Content) -> list[str]:
 
 
 def _physical_input_lines(content: Content) -> list[str]:
-    """Return the header lines of the physical inputs, from which the inputs are computed."""
+    """Return the header lines of the physical inputs, from which the inputs of the equations are computed.
+
+    They state the interpolation of each physical input, whether time and work are computed, and how a negative delay is
+    handled. The list is empty if there are neither physical inputs nor computed ones.
+    """
     lines = ["", "Physical inputs, from which the inputs u are computed:"]
     for name, signal, hold in zip(content.physical_inputs, content.history.inputs, content.holds, strict=True):
         between = "linear between its samples" if hold == "linear" else "each value is held until the next one"
@@ -370,7 +385,10 @@ def _input_meaning(signal: Input) -> str:
 
 
 def _remark_lines(content: Content) -> list[str]:
-    """Return the header lines about removed states, their noise, relative parameters, and per-record parameters."""
+    """Return the header lines about removed states, their noise, relative parameters, and per-record parameters.
+
+    The list is empty for a model without any of these.
+    """
     lines = []
     if content.removed_states:
         lines += [
@@ -410,7 +428,7 @@ def comment(content: Content, i: int) -> str:
     """Return the comment beside the exported parameter with index ``i``: unit, standard error and meaning, in one line.
 
     A considered parameter (not estimated, with an uncertain prior) shows the standard deviation of its prior as the
-    error. A fixed parameter shows the origin of its value instead.
+    error. A fixed parameter shows the origin of its value instead, and a free one without a standard error neither.
     """
     p = content.exported_parameters[i]
     error = content.errors[i] if p.considered_sd is None else p.considered_sd
@@ -476,7 +494,7 @@ class Syntax:
 
 
 def _arithmetic_templates() -> Templates:
-    """Return the templates of the arithmetic operations, which all targets share."""
+    """Return the templates of the arithmetic operations, which all targets share, by CasADi's code of the operation."""
     return {
         ca.OP_ADD: ("{0} + {1}", SUM),
         ca.OP_SUB: ("{0} - {1}", SUM),
@@ -490,7 +508,10 @@ def _arithmetic_templates() -> Templates:
 
 
 def _function_templates(prefix: str) -> Templates:
-    """Return the templates of the functions that all targets share, with a prefix such as ``ca.`` before each name."""
+    """Return the templates of the functions that all targets share, by CasADi's code of the operation.
+
+    ``prefix``, such as ``ca.`` or an empty text, is put before the name of each function.
+    """
     unary = {getattr(ca, "OP_" + n.upper()): (f"{prefix}{n}({{0}})", ATOM) for n in SHARED}
     return unary | {getattr(ca, "OP_" + n.upper()): (f"{prefix}{n}({{0}}, {{1}})", ATOM) for n in SHARED_TWO}
 
@@ -685,7 +706,8 @@ def _program(symbols: list[list[Any]], results: list[Any], labels: Mapping[str, 
     results
         CasADi expressions to be computed. Common subexpressions are computed once.
     labels
-        Intermediate expressions by name; they keep their names.
+        Intermediate expressions by name; they keep their names. An expression with several names keeps the first one.
+        Those that no result needs are in the program, but count as unused.
     names
         Names of the results. A result that is also a named intermediate expression keeps that name.
     """
@@ -783,6 +805,11 @@ class _Writer:
     """
 
     def __init__(self, program: Program, syntax: Syntax, taken: set[str]) -> None:
+        """Set up the writer, and select the nodes that become variables (``named``). Nothing is written yet.
+
+        ``taken`` are the names that variables must not have; the set is changed later. Raise ValueError if the language
+        lacks an operation that the results need.
+        """
         self.nodes, self.syntax, self.taken, self.count = program.nodes, syntax, taken, 0
         self.text: dict[int, tuple[str, int]] = {}  # by node: its expression or variable, and the precedence
         repeated = {n.operands[0] for n in self.nodes if n.uses and n.code >= 0 and self._repeats(n)}
@@ -863,7 +890,10 @@ class _Writer:
 
 
 def _number_text(value: float, infinite: str, nan: str) -> str:
-    """Return a constant as text with all digits; ``infinite`` and ``nan`` are the texts of these values."""
+    """Return a constant as text with all digits; ``infinite`` and ``nan`` are the texts of these values.
+
+    Minus infinity is ``infinite`` with a minus sign in front.
+    """
     if math.isnan(value):
         return nan
     return repr(value) if math.isfinite(value) else infinite if value > 0 else f"-{infinite}"

@@ -48,13 +48,17 @@ class History:
 
     @property
     def longest(self) -> tuple[float, ...]:
-        """Longest delay of each physical input [s]; zero for an input without delayed copies."""
+        """Longest delay of each physical input [s]; zero if no copy of the input has a positive delay."""
         pairs = list(zip(self.sources, self.delays, strict=True))
         return tuple(max([0.0, *(d for s, d in pairs if s == k)]) for k in range(len(self.inputs)))
 
 
 def history_of(model: Model) -> History:
     """Return the physical inputs of a model, and the source and the delay of each of its inputs.
+
+    The physical inputs are in the order in which the model's inputs first need them. A delayed copy whose original is
+    no input of the model gives a physical input with the name of the original. ``work`` is computed from two shaft
+    speeds if both are inputs, else from two commands; without these it is a physical input.
 
     Notes
     -----

@@ -55,7 +55,7 @@ class Linearisation:
 
     @property
     def poles(self) -> NDArray[np.complex128]:
-        """Eigenvalues (n,) of A [1/s], the slowest first."""
+        """Eigenvalues (n,) of A [1/s], the slowest first: in the order of the size of their real part."""
         found = np.linalg.eigvals(self.A).astype(np.complex128)
         return found[np.argsort(np.abs(found.real), kind="stable")]
 
@@ -172,7 +172,7 @@ class _Rates:
     """
 
     def __init__(self, model: Model, names: list[str]) -> None:
-        """Set up the rates of the states ``names`` of a model."""
+        """Set up the rates of the states ``names`` of a model. The current has the value zero, for still water."""
         self.names = names
         self.inputs = tuple(i.name for i in model.inputs if not i.tap)
         self.delayed = frozenset(i.tap_of for i in model.inputs if i.tap)
@@ -183,7 +183,10 @@ class _Rates:
         self._values = np.array([0.0 if n in CURRENT else v for n, v in model.values.items()])
 
     def __call__(self, x: Array, u: Array) -> Array:
-        """Return the rates (n,) at dynamic states x (n,) and inputs u (m,), with position and heading zero."""
+        """Return the rates (n,) at dynamic states x (n,) and inputs u (m,), with position and heading zero.
+
+        Delayed copies of an input have its present value.
+        """
         whole = np.zeros((1, self._n))
         whole[0, self._at] = x
         found: Array = self._rowwise(whole, u[self._own][None, :], self._values)[0]
@@ -220,7 +223,11 @@ def _operating_point(rates: _Rates, speed: float) -> tuple[Array, Array]:
     free = [k for k, name in enumerate(rates.names) if name not in held]
 
     def unpacked(z: Array) -> tuple[Array, Array]:
-        """Return the states and the inputs of the unknowns: the states that are not held, then the inputs."""
+        """Return the states (n,) and the inputs (m,) that the unknowns ``z`` stand for.
+
+        ``z`` has the states that are not held, then the inputs. Held are the surge speed, ``speed``, and the yaw rate,
+        which is zero.
+        """
         x = np.array([held.get(name, 0.0) for name in rates.names])
         x[free] = z[: len(free)]
         return x, z[len(free) :]

@@ -15,7 +15,7 @@ def write(content: Content) -> str:
     """Return the text of the YAML file of a model, with the parameters of a ROS 2 node.
 
     Empty lists are left out, because ROS 2 cannot infer their type. Parameters without a standard error are left out of
-    ``standard_errors``.
+    ``standard_errors``. The name of the node is the prefix of the content.
     """
     own = [p.name for p in content.exported_parameters]
     units = {n: p.unit for n, p in zip(content.parameters, content.exported_parameters, strict=True)}

@@ -235,7 +235,10 @@ def optimal_design_case(seconds: float = 300.0) -> Case:
 
 
 def _row_times(seconds: float, step: float) -> Array:
-    """Return the times of the rows (n_rows,) [s], from 0 to ``seconds`` in steps of ``step`` [s]."""
+    """Return the times of the rows (n_rows,) [s], from 0 to ``seconds`` in steps of ``step`` [s].
+
+    The last time is the whole multiple of ``step`` nearest to ``seconds``.
+    """
     return np.asarray(np.arange(round(seconds / step) + 1) * step)
 
 
@@ -317,7 +320,7 @@ def make_case(
         case = case.with_truth(truth or {})
         case = replace(case, model=case.model.with_free(free)) if free else case
     except (KeyError, ValueError) as problem:
-        raise SeatrialError(str(problem.args[0])) from problem
+        raise SeatrialError(f"{name}: {problem.args[0]}; correct --truth or --free") from problem
     if reml is not None:
         case = replace(case, reml=reml)
     case = replace(case, model=EstimationOptions(mean_order=mean_order).with_mean_order(case.model))
@@ -345,7 +348,7 @@ def case_from_file(source: str, seconds: float | None, seed: int) -> Case:
         estimated as the model was fitted. ``FILE.py:NAME``: a ``Case``, which is estimated as `ident vehicle` does. The
         Python file is run.
     seconds
-        Length of the mission [s], only for a model.toml. None: 400 s.
+        Length of the mission [s], only for a model.toml. None or 0: 400 s.
     seed
         Seed of the mission, only for a model.toml.
 
@@ -558,7 +561,7 @@ def _repeat_statistics(made: Design, name: str, d: Array) -> RepeatStatistics:
         Name of the parameter.
     d : Array (n,)
         Errors (estimate minus truth) in the coordinate of the estimator, for example the logarithm of a positive
-        parameter.
+        parameter. With fewer than two regular ones (below 8 predicted standard errors) the ratio is NaN.
     """
     p, predicted = made.problem.model.parameter(name), made.predicted[name]
     z = d * p.slope(p.value) / predicted  # d is in the estimator's coordinate

@@ -206,7 +206,7 @@ def estimate(case: Case, record: Record, truth: Array, x0: Array, rng: np.random
     truth : Array (n_parameters,)
         True parameter values.
     x0 : Array (n_states,)
-        True initial states.
+        True initial states, which are used only for output error.
     rng
         Random generator of the replicate.
     method
@@ -411,7 +411,8 @@ def _missed_statistic(statistic: str, beyond: bool, significant: bool) -> str:
 def summarise(rows: Iterable[Row]) -> list[ParameterCoverage]:
     """Return bias, variance and coverage of each parameter over the rows of `run_replicates`.
 
-    Failed and unconverged replicates are left out, and so are parameters with fewer than three usable replicates.
+    Failed and unconverged replicates are left out, and so are parameters with fewer than three usable replicates. The
+    parameters are in the order in which the rows first contain them.
     """
     good = [r for r in rows if r.get("converged")]
     names = dict.fromkeys(n for r in good for n in r["d"])

@@ -305,7 +305,7 @@ def _n_estimates(model: Model, n_records: int) -> int:
 
 
 def _is_nested(first: Model, second: Model) -> bool:
-    """Return whether the first model is the second model with some free parameters fixed, or without them.
+    """Return whether the first model is the second model with some (or none) of its free parameters fixed or missing.
 
     Both models must have the same source (name of the structure). Each parameter of the first must exist in the second,
     and each free parameter of the first must be free there. A parameter that is fixed in the second must have the same
@@ -375,7 +375,8 @@ def comparison_lines(found: ModelComparison, names: Sequence[str] | None = None)
     """Return a comparison as lines of text.
 
     The lines are the list of models, a table of the RMS prediction errors by channel, the differences of each model to
-    the first one, and warnings about models that were fitted to the compared logs.
+    the first one, and warnings about models that were fitted to the compared logs. The models have the
+    labels (a), (b), ... in their order. The table shows ``-`` for a channel that a model does not predict.
 
     Parameters
     ----------
@@ -419,7 +420,10 @@ def _error_text(error: float | None) -> str:
 
 
 def _change_text(change: PredictionChange) -> str:
-    """Return a sentence on the change of the prediction error of all channels, with its 95 % interval if finite."""
+    """Return a sentence on the change of the prediction error of all channels, with its 95 % interval.
+
+    Without a finite interval the sentence has no verdict, and states that the logs are too short.
+    """
     by, low, high = (100.0 * (r - 1.0) for r in (change.ratio, change.low, change.high))
     if not np.isfinite(low):
         return f"the prediction error of all channels changes by {by:+.0f} %; the logs are too short for an interval."

@@ -229,7 +229,7 @@ def _paths_beside_mission(out: Path) -> dict[str, Path]:
             "give a name that ends in .toml"
         )
     if not out.parent.is_dir():
-        raise SeatrialError(f"{out.parent}: no such folder; the mission cannot be saved there")
+        raise SeatrialError(f"{out.parent}: no such folder for the mission; make it, or give another --out")
     beside = {kind: out.with_suffix(kind) for kind in (".json", ".html")}
     for path in (out, *beside.values()):
         if path.exists():

@@ -165,9 +165,13 @@ def _parameters_to_analyse(model: Model, chosen: Sequence[str], path: Path) -> t
     """
     free = dynamic_parameters(model)
     lost = [n for n in chosen if n not in free]
-    if lost or not free:
-        missing = f"no free parameter {lost[0]!r}" if lost else "no free parameters"
-        raise SeatrialError(f"{path}: the model has {missing}; its free parameters are {', '.join(free) or 'none'}")
+    if not free:
+        raise SeatrialError(f"{path}: the model has no free parameters; give a model that was fitted to logs")
+    if lost:
+        raise SeatrialError(
+            f"{path}: the model has no free parameter {lost[0]!r}; its free parameters are {', '.join(free)}: give "
+            "some of these to --parameters"
+        )
     return tuple(chosen) or tuple(free)
 
 
@@ -227,10 +231,11 @@ def _informed_parameter(
 ) -> InformedParameter:
     """Return the table row of one parameter: standard error from all logs, and the segment that contributes most.
 
-    This is the segment without which the standard error would grow most. ``k``: index of the parameter ``name`` in the
-    arrays of ``segments``. ``segments``: information of each segment of the logs. ``rows``: table rows of the same
-    segments. ``known`` of the result is true if the standard error is below half of the size of the value. The size of
-    a zero value is the standard deviation of its prior, or five characteristic steps if it has no prior.
+    This is the segment without which the standard error would grow most, the first of equal ones. ``k``: index of the
+    parameter ``name`` in the arrays of ``segments``. ``segments``: information of each segment of the logs. ``rows``:
+    table rows of the same segments. ``known`` of the result is true if the standard error is below half of the size of
+    the value. The size of a zero value is the standard deviation of its prior, or five characteristic steps if it has
+    no prior.
     """
     best = max(range(len(rows)), key=lambda i: float(np.nan_to_num(segments[i].weight[k], posinf=np.inf)))
     p, row, units = model.parameter(name), rows[best], reported_units(model)
@@ -282,7 +287,8 @@ def _information_answer(parameters: Sequence[InformedParameter], n_segments: int
 
     ``parameters``: rows of the result. ``n_segments``: number of segments of all logs. If it is 1, the answer asks for
     more logs or shorter segments. If no parameter has a finite standard error, the answer is that there is no
-    information.
+    information. If only one segment informs a parameter, it is named. If no standard error would grow by a factor of
+    1.2 or more without a segment, the answer is that the information is spread evenly.
     """
     known = [p for p in parameters if p.se is not None]
     if not known:

@@ -162,7 +162,10 @@ def navigate_logs(request: NavigationRequest, command: str, reporter: Reporter) 
 
 
 def _write_results(out: Path, result: NavigationResult, tables: Mapping[str, Columns]) -> None:
-    """Write NAME.csv for each table, result.json and report.html to the folder ``out``, which is created."""
+    """Write NAME.csv for each table, result.json and report.html to the folder ``out``.
+
+    The folder is created if it does not exist. Existing files of these names are replaced.
+    """
     out.mkdir(parents=True, exist_ok=True)
     for name, table in tables.items():
         write_csv(out / f"{name}.csv", table)
@@ -176,8 +179,8 @@ def _outages_by_segment(
     """Return, for each segment of one log, those intervals of the option --gnss-outage that begin in it.
 
     ``outages``: intervals (from, to) [s] from the start of the log. ``parts``: segments of the log in order of time. An
-    interval that begins between two segments belongs to the later one. An interval that begins after all segments
-    belongs to the last one.
+    interval that begins at the last sample of a segment belongs to it. An interval that begins between two segments
+    belongs to the later one, and one that begins after all segments to the last one. Intervals are not cut.
     """
     ends = [max(float(c.t[-1]) for c in log.run.channels.values()) for log in parts[:-1]]
     own: list[list[tuple[float, float]]] = [[] for _ in parts]
@@ -217,12 +220,15 @@ def _check_fixes(rows: Record, t0: float, without: Sequence[tuple[float, float]]
         return
     fixes = rows.t[np.isfinite(rows.y[:, rows.outputs.index(POSITION[0])])] + t0
     if not fixes.size:
-        raise SeatrialError(f"{path}: the log has no GNSS position; navigation needs at least one fix")
+        raise SeatrialError(
+            f"{path}: the log has no GNSS position; navigation needs at least one fix: give a log with GNSS, or other "
+            "--from and --to"
+        )
     for begin, end in without:
         if not ((fixes >= begin) & (fixes < end)).any():
             raise SeatrialError(
                 f"{path}: no GNSS position between {begin:g} s and {end:g} s to withhold; it "
-                f"has them from {fixes[0]:.0f} s to {fixes[-1]:.0f} s"
+                f"has them from {fixes[0]:.0f} s to {fixes[-1]:.0f} s: give an interval in this time to --gnss-outage"
             )
 
 

@@ -70,7 +70,8 @@ class NoiseEstimate:
     def remedy(self) -> str:
         """Advice to the user, a sentence, for a channel that is not white noise plus a random walk.
 
-        It is defined only if `reason` is not empty; otherwise it raises IndexError.
+        If `reason` names two departures, the advice is that for the second. It is defined only if `reason` is not
+        empty; otherwise it raises IndexError.
         """
         return self._departures()[-1][1]
 
@@ -168,7 +169,9 @@ def noise(logs: Sequence[Path], out: Path, *, signals: Sequence[str], command: s
                 notes.append(f"{label}: cut at {counted(len(gaps), 'gap')}; each part has its own unknown offset")
             found.append(NoiseEstimate(log.run.name, name, label, channel, fit))
     if not found:
-        raise SeatrialError(f"{logs[0]}: no channel whose noise could be estimated; {'; '.join(notes)}")
+        names = ", ".join(str(path) for path in logs)
+        why = "; ".join(notes) or "no channel has two samples: record at least a minute at rest"
+        raise SeatrialError(f"{names}: no channel whose noise could be estimated; {why}")
     made = provenance(loaded, command)
     result = NoiseResult(
         created=made.created,
@@ -201,7 +204,9 @@ def _channels_to_estimate(path: Path, loaded: LoadedLog, signals: Sequence[str])
     everything = {n: _with_unwrapped_angles(c) for n, c in everything.items() if c.t.size > 1}
     lost = [n for n in signals if n not in everything]
     if lost:
-        raise SeatrialError(f"{path}: no signal {lost[0]!r}; the log has {', '.join(sorted(everything))}")
+        raise SeatrialError(
+            f"{path}: no signal {lost[0]!r}; the log has {', '.join(sorted(everything))}; give one of these to --signal"
+        )
     return {n: everything[n] for n in signals} if signals else everything
 
 

@@ -357,7 +357,8 @@ def study_answer(study: ModelStudy) -> str:
     """Return a sentence on a study: replicates that were left out, and parameters that meet or miss the aims.
 
     The aims are limits for bias, variance and coverage. If more than 5 % of the replicates failed or did not converge,
-    there is no verdict.
+    or if no parameter has statistics, the sentence states this and has no verdict. Parameters that miss an aim
+    significantly are named; those that may miss it by chance are counted.
 
     Parameters
     ----------

@@ -382,7 +382,7 @@ def _changing_commands(log: LoadedLog, name: str | None) -> list[str]:
     if not moved:
         raise SeatrialError(
             f"{log.about['path']}: no command changes, so there is no thrust curve to fit; the log has "
-            f"{', '.join(sorted(channels))}"
+            f"{', '.join(sorted(channels))}; give a log of steps (seatrial bench steps)"
         )
     first = channels[moved[0]]
     for second in moved[1:]:
@@ -420,6 +420,9 @@ def _format_force(force: float) -> str:
 
 def curve_answer(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) -> str:
     """Return the answer of a static curve: force at the largest commands, and misfit of the quadratic to the levels.
+
+    A direction without a level is named as not measured. If the quadratic does not describe the levels within their
+    errors, the answer advises the monotone curve and compares both by levels that were left out.
 
     Parameters
     ----------

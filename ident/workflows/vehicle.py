@@ -155,6 +155,6 @@ def _assess(request: VehicleRequest, problem: VehicleProblem, reporter: Reporter
     except FIT_ERRORS as failure:
         reporter.warning(
             "the score tests of the model failed, so the standard errors exclude the uncertainty of the model: "
-            f"{failure}"
+            f"{failure}; --no-score-tests leaves the tests out"
         )
         return None

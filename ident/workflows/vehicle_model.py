@@ -140,8 +140,8 @@ def with_calibration(model: Model, curve: ThrustCurve, user_defined: bool) -> tu
     """
     if curve.calibration is None:
         return model, [
-            "The thrust curve has no calibration error, so the standard errors exclude it; add `calibration` to the "
-            "file of the curve."
+            "The thrust curve has no calibration error, so the standard errors exclude it; add `calibration` (relative "
+            "standard uncertainty of the load cell, such as 0.02) to the file of the curve."
         ]
     calibrated = f"The thrust curve is calibrated to ± {100 * curve.calibration:.2g} %"
     if user_defined:

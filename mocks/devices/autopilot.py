@@ -63,9 +63,9 @@ class AutopilotEmulator(DeviceEmulator):
         rig : Rig
             Rig with the thrusters of the autopilot.
         device : Device
-            The autopilot.
+            The autopilot. It must have MAVLink settings (``device.mavlink``).
         controllers : mapping of int to EscController
-            Speed controllers, by servo output.
+            Speed controllers, by servo output. The autopilot commands these objects.
         now_unix : float
             Present time [s since 1970] for the signatures of the messages.
 
@@ -152,8 +152,9 @@ class AutopilotEmulator(DeviceEmulator):
         stays). A negative RC_OVERRIDE_TIME never ends. A command of zero is not repeated.
 
         In AUTO and RTL an armed autopilot drives by itself. If in MANUAL the heartbeats, after a first one, are
-        missing for longer than FS_GCS_TIMEOUT plus FS_TIMEOUT, the autopilot is disarmed or changes to RTL or HOLD, as
-        FS_ACTION demands; with FS_GCS_ENABLE or FS_ACTION 0 it does nothing. These times are wall seconds.
+        missing for longer than FS_GCS_TIMEOUT plus FS_TIMEOUT, the autopilot obeys FS_ACTION: 5 disarms it, 1 changes
+        its mode to RTL, and any other value to HOLD. With FS_GCS_ENABLE or FS_ACTION 0 it does nothing. These times are
+        wall seconds.
         """
         own, p = self.vehicle, self.vehicle.parameters
         silence = (self._now - own.overridden) / self._speed
@@ -179,14 +180,17 @@ class AutopilotEmulator(DeviceEmulator):
                 self._set_mode(RTL if p["FS_ACTION"] == 1.0 else HOLD)
 
     def disarm(self, text: str = "Throttle disarmed") -> None:
-        """Disarm the autopilot and stop its thrusters. If it was armed, ``text`` is queued as a message to the host."""
+        """Disarm the autopilot, and stop its thrusters in any case.
+
+        If it was armed, ``text`` is queued as a message to the host.
+        """
         if self.vehicle.armed:
             self.vehicle.armed = False
             self._queue_text(INFO, text)
         self._stop_thrusters()
 
     def _set_mode(self, mode: int) -> None:
-        """Change the mode of the autopilot to ``mode``, a number of ArduPilot Rover.
+        """Change the mode of the autopilot to ``mode``, a number of ArduPilot Rover, which is not checked here.
 
         In all modes except MANUAL the thrusters are stopped first. In AUTO and RTL an armed autopilot then drives by
         itself.
@@ -222,8 +226,9 @@ class AutopilotEmulator(DeviceEmulator):
         """Process one decoded MAVLink message ``m``: act on it, and queue the answer.
 
         The messages are HEARTBEAT, TIMESYNC, RC_CHANNELS_OVERRIDE, COMMAND_LONG, PARAM_REQUEST_READ, PARAM_REQUEST_LIST
-        and PARAM_SET. Heartbeats and overrides of other ground stations, messages for other systems or for all systems
-        (target 0), unknown parameters and other messages are ignored.
+        and PARAM_SET. Heartbeats and overrides of other ground stations, answers to TIMESYNC (``tc1`` not 0), messages
+        for other systems or for all systems (target 0), unknown parameters and other messages are ignored. A heartbeat
+        and an override have no answer.
         """
         name = m.get_type()
         if name in ("HEARTBEAT", "RC_CHANNELS_OVERRIDE") and m.get_srcSystem() != self._ground:
@@ -257,7 +262,8 @@ class AutopilotEmulator(DeviceEmulator):
     def _apply_override(self, m: Any) -> None:
         """Apply the decoded message RC_CHANNELS_OVERRIDE: store its pulses as commands of the thrusters' RC channels.
 
-        If the autopilot is armed and in MANUAL, the thrusters get these commands at once. The message is ignored if the
+        The command is linear in the pulse on each side of neutral, with the widths in the rig, and is limited to -1 to
+        1. If the autopilot is armed and in MANUAL, the thrusters get it at once. The message is ignored if the
         parameter MAV_GCS_SYSID is not the id of the ground station, or if RC_OPTIONS forbids overrides. A pulse of
         65535 changes no command. A pulse of 0 gives the channel back to the receiver, which is neutral; without a
         receiver, and for channels above 8, it changes no command. A message that is not ignored restarts the time-out
@@ -285,8 +291,8 @@ class AutopilotEmulator(DeviceEmulator):
     def _execute_command(self, m: Any) -> int:
         """Execute the decoded message COMMAND_LONG, and return the result code (MAV_RESULT) for the host.
 
-        The commands are to set a message interval, to set the mode (FAILED for an unknown mode), and to arm or disarm.
-        A command to set a servo is denied. Other commands give UNSUPPORTED.
+        The commands are to set a message interval, to set the mode (FAILED for an unknown mode), and to arm (parameter
+        1 is 1) or disarm (any other value). A command to set a servo is denied. Other commands give UNSUPPORTED.
         """
         if m.command == 511:  # SET_MESSAGE_INTERVAL
             return self._set_message_interval(int(m.param1), m.param2)
@@ -343,7 +349,7 @@ class AutopilotEmulator(DeviceEmulator):
         """Return the reason why the autopilot refuses to arm, as a text of ArduPilot; empty if it can arm.
 
         The position estimator must be ready, the mode must be MANUAL or HOLD, and the commands of the last RC override
-        must be neutral (within 0.02).
+        must be neutral (within 0.02). The text is about the first of these conditions that is not met.
         """
         if self._reports.ekf != EKF_READY:
             return "PreArm: AHRS: EKF3 is still initialising, wait for it or reboot"

@@ -201,8 +201,9 @@ class Reports:
         """Return the bytes (frame) of a MAVLink message with latest measurements.
 
         ``name`` is GPS_RAW_INT, BATTERY_STATUS or ESC_TELEMETRY_1_TO_4. Empty bytes are returned for other names, and
-        if the quantity has not been measured yet. The battery has the mean voltage and the sum of the currents of all
-        speed controllers.
+        if the quantity has not been measured yet. The battery has the mean voltage of all speed controllers and the sum
+        of the magnitudes of their currents. Its charge is 0 % at 12 V or less and 100 % at 16.8 V or more, linear in
+        between.
         """
         if name == "GPS_RAW_INT" and self._gnss is not None:
             return self._encode_fix(self._gnss)
@@ -246,7 +247,8 @@ class Reports:
     def _encode_escs(self, name: str) -> bytes:
         """Return the bytes (frame) of the message ``name``, ESC_TELEMETRY_1_TO_4, with telemetry of outputs 1 to 4.
 
-        Shaft speeds and currents have no sign. An output without telemetry so far has zeros.
+        Shaft speeds and currents have no sign. Temperatures are limited to 0 to 255 deg C. Values must not be NaN. An
+        output without telemetry so far has zeros.
         """
         zeros = Esc(0, 0.0, 0.0, 0.0, 0.0, 0.0)
         escs = [self._esc.get(node, zeros) for node in range(1, 5)]

@@ -66,7 +66,10 @@ class VescBus(DeviceEmulator):
     """Emulated VESC speed controllers on a CAN bus behind an slcan adapter."""
 
     def __init__(self, controllers: Mapping[int, EscController], pole_pairs: Mapping[int, int]) -> None:
-        """Set up a bus from its VESC speed controllers and the pole pairs of their motors, both by CAN node."""
+        """Set up a bus from its VESC speed controllers and the pole pairs of their motors, both by CAN node.
+
+        The bus commands these controllers. Each node in telemetry must have pole pairs.
+        """
         self._controllers = controllers
         self._pole_pairs = pole_pairs
         self._adapter = Adapter()
@@ -77,7 +80,7 @@ class VescBus(DeviceEmulator):
         """Return the bytes of the slcan adapter with the status frames of one speed controller at run time ``t`` [s].
 
         ``sample`` is its telemetry. STATUS 1 is always sent, STATUS 4 and 5 (temperature and voltage) at most five
-        times per second. The bytes are empty while the channel of the adapter is closed.
+        times per second for each controller. The bytes are empty while the channel of the adapter is closed.
         """
         assert isinstance(sample, Esc)
         if t < self._slow_due.get(sample.node, 0.0):
@@ -192,7 +195,7 @@ def by_side(rig: Rig) -> tuple[Thruster, Thruster]:
     Raises
     ------
     SeatrialError
-        If the rig does not have exactly one thruster on each side.
+        If the rig does not have exactly one thruster on each side. A thruster at y = 0 is on neither side.
     """
     left = [t for t in rig.thrusters if t.position_m[1] < 0.0]
     right = [t for t in rig.thrusters if t.position_m[1] > 0.0]

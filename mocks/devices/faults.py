@@ -106,7 +106,7 @@ def parse_fault(text: str, devices: Sequence[str] = (), thrusters: Sequence[str]
     text : str
         `NAME[/TARGET]@T[:SECONDS]`, for example `pull/gnss@30:5`.
     devices, thrusters : sequence of str
-        Names of all devices and of all thrusters of the rig.
+        Names of all devices and of all thrusters of the rig. Without names every TARGET is refused.
 
     Returns
     -------
@@ -140,7 +140,10 @@ class Faults:
     """Schedule of the faults of a run, which changes samples and bytes of the devices while faults are active."""
 
     def __init__(self, faults: Sequence[Fault], rng: np.random.Generator) -> None:
-        """Set up the schedule of ``faults``. ``rng`` is the generator of random bytes and noise."""
+        """Set up the schedule of ``faults``. ``rng`` is the generator of random bytes and noise.
+
+        Faults whose start is None wait for `trigger`.
+        """
         self._faults = list(faults)
         self._on_signal = [index for index, fault in enumerate(faults) if fault.start is None]
         self._rng = rng
@@ -171,6 +174,9 @@ class Faults:
 
         It sends none during a fault "silence", and every second one not during "slow". Of "silence", "stuck" and "hold"
         (for a GNSS receiver), the first active one excludes all other faults; these are otherwise applied together.
+        During "stuck" the device repeats its last sample before the fault, or the first one in the fault if there is
+        none before. During "hold" it repeats only the position. During "late" it sends the sample of 1 s ago; until the
+        fault has lasted 1 s, this is the first sample in the fault.
 
         Parameters
         ----------
@@ -219,7 +225,7 @@ class Faults:
         """Return the time [s] by which the clock of a device is fast at run time ``t`` [s]; negative if it is slow.
 
         An active fault "clock-back" gives -0.6 s, and "clock-skew" 1e-4 times the time since its start. The errors of
-        all active faults add up.
+        all active faults add up. Without an active fault, also after its end, the error is 0.
         """
         starts = [(f.kind, f.start) for f in self._faults if f.start is not None and f.hits(device) and f.active(t)]
         return sum(

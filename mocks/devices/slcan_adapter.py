@@ -111,8 +111,10 @@ class Adapter:
     def _execute_line(self, line: bytes) -> bytes:
         """Execute a command line of the host that sends no CAN frame, and return the adapter's answer.
 
-        The commands `O` and `L` open the channel, and `C` closes it. The answer to an unknown command, or to one that
-        is not possible in this state, is the character BELL.
+        The commands `O` and `L` open the channel, and `C` closes it. `V`, `v` and `N` give version and serial number,
+        `F` the status (no fault). A remote frame (`r`, `R`) is confirmed and not sent. Set-up commands such as `S6` are
+        accepted while the channel is closed, and have no effect. The answer to an unknown command, or to one that is
+        not possible in this state, is the character BELL.
         """
         command = line[:1]
         if command in (b"", b"X") or (command == b"Z" and line == b"Z0"):

@@ -24,7 +24,7 @@ def _wind(rng: np.random.Generator, scale: float) -> HiddenEffect:
     w_n, w_e = speed * math.cos(toward), speed * math.sin(toward)
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
-        """Return the force X, Y [N] and moment N [N m] of the effect, in body axes.
+        """Return the force X, Y [N] and moment N [N m] of the wind on the moving boat, in body axes.
 
         ``c`` and ``s`` are cosine and sine of the heading, ``u`` and ``v`` [m/s] the velocity through the water in body
         axes, ``r`` [rad/s] the yaw rate, and ``v_n`` and ``v_e`` [m/s] the velocity over ground, north and east.
@@ -53,7 +53,10 @@ def _current_drift(rng: np.random.Generator, scale: float) -> HiddenEffect:
     north, east = change * math.cos(toward), change * math.sin(toward)
 
     def current(t: float) -> tuple[float, float]:
-        """Return the change of the current [m/s], north and east, at ``t`` [s] after the start."""
+        """Return the change of the current [m/s], north and east, at ``t`` [s] after the start.
+
+        It is zero at 200 s, and has opposite signs before and after.
+        """
         part = 0.5 * math.tanh((t - 200.0) / 180.0)
         return part * north, part * east
 
@@ -74,7 +77,10 @@ def _tether(rng: np.random.Generator, scale: float) -> HiddenEffect:
     slack = 8.0  # m
 
     def tether(x: float, y: float, v_n: float, v_e: float) -> tuple[float, float]:
-        """Return the force of the line [N], north and east, at a position [m] and velocity over ground [m/s]."""
+        """Return the force of the line [N], north and east, at a position [m] and velocity over ground [m/s].
+
+        It acts against the velocity, and is zero at the start of the boat.
+        """
         away = math.hypot(x, y)
         paid_out = away * away / (away + slack)
         pull = k * paid_out * math.hypot(v_n, v_e)
@@ -118,7 +124,7 @@ def _heading_moment(rng: np.random.Generator, scale: float) -> HiddenEffect:
     n, at = scale * effect_size(rng, 0.5), 2.0 * math.pi * rng.uniform()  # N m
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
-        """Return the force X, Y [N] and moment N [N m] of the effect, in body axes.
+        """Return the forces X and Y [N], zero, and the yaw moment N [N m] at this heading.
 
         ``c`` and ``s`` are cosine and sine of the heading, ``u`` and ``v`` [m/s] the velocity through the water in body
         axes, ``r`` [rad/s] the yaw rate, and ``v_n`` and ``v_e`` [m/s] the velocity over ground, north and east.

@@ -24,7 +24,7 @@ def _sway_yaw(rng: np.random.Generator, scale: float) -> HiddenEffect:
     n_v = math.copysign(scale * effect_size(rng, 3.0), y_r)  # N s
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
-        """Return the force X, Y [N] and moment N [N m] of the effect, in body axes.
+        """Return X [N], zero, the sway force Y [N] by the yaw rate, and the yaw moment N [N m] by ``v``.
 
         ``c`` and ``s`` are cosine and sine of the heading, ``u`` and ``v`` [m/s] the velocity through the water in body
         axes, ``r`` [rad/s] the yaw rate, and ``v_n`` and ``v_e`` [m/s] the velocity over ground, north and east.
@@ -44,7 +44,7 @@ def _turning_resistance(rng: np.random.Generator, scale: float) -> HiddenEffect:
     k = scale * effect_size(rng, 7.5)  # N at 1 rad/s
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
-        """Return the force X, Y [N] and moment N [N m] of the effect, in body axes.
+        """Return the resistance X [N] by the yaw rate; Y [N] and N [N m] are zero.
 
         ``c`` and ``s`` are cosine and sine of the heading, ``u`` and ``v`` [m/s] the velocity through the water in body
         axes, ``r`` [rad/s] the yaw rate, and ``v_n`` and ``v_e`` [m/s] the velocity over ground, north and east.
@@ -62,7 +62,7 @@ def _cubic_drag(rng: np.random.Generator, scale: float) -> HiddenEffect:
     k = scale * effect_size(rng, 11.0)  # N at 1 m/s
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
-        """Return the force X, Y [N] and moment N [N m] of the effect, in body axes.
+        """Return the additional drag X [N] at the surge velocity ``u``; Y [N] and N [N m] are zero.
 
         ``c`` and ``s`` are cosine and sine of the heading, ``u`` and ``v`` [m/s] the velocity through the water in body
         axes, ``r`` [rad/s] the yaw rate, and ``v_n`` and ``v_e`` [m/s] the velocity over ground, north and east.
@@ -82,7 +82,7 @@ def _yaw_bias(rng: np.random.Generator, scale: float) -> HiddenEffect:
     n_0 = scale * effect_size(rng, 0.28, signed=True)  # N m
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
-        """Return the force X, Y [N] and moment N [N m] of the effect, in body axes.
+        """Return X and Y [N], zero, and the almost constant yaw moment N [N m].
 
         ``c`` and ``s`` are cosine and sine of the heading, ``u`` and ``v`` [m/s] the velocity through the water in body
         axes, ``r`` [rad/s] the yaw rate, and ``v_n`` and ``v_e`` [m/s] the velocity over ground, north and east.
@@ -97,7 +97,7 @@ def _cg_offset(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "cg-offset": a centre of gravity that lies ``x_g`` [m] forward of the body's origin.
 
     The offset of the rigid-body mass couples sway and yaw in the equations of motion (``make_rhs`` in
-    seatrial.mocks.plant.hull). ``x_g`` is drawn within 15 % of ``0.13 scale`` with a random sign.
+    seatrial.mocks.plant.hull). ``x_g`` is drawn within 15 % of ``0.13 scale`` with a random sign; negative is aft.
     """
     x_g = scale * effect_size(rng, 0.13, signed=True)  # m; offset of the rigid mass of 17 kg
     where = "forward of" if x_g > 0.0 else "behind"
@@ -136,7 +136,7 @@ def _cross_flow(rng: np.random.Generator, scale: float) -> HiddenEffect:
     n_vr = scale * effect_size(rng, 10.0)  # kg m
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
-        """Return the force X, Y [N] and moment N [N m] of the effect, in body axes.
+        """Return X [N], zero, and the damping of sway, Y [N], and of yaw, N [N m], by the cross-flow.
 
         ``c`` and ``s`` are cosine and sine of the heading, ``u`` and ``v`` [m/s] the velocity through the water in body
         axes, ``r`` [rad/s] the yaw rate, and ``v_n`` and ``v_e`` [m/s] the velocity over ground, north and east.
@@ -159,7 +159,7 @@ def _lift(rng: np.random.Generator, scale: float) -> HiddenEffect:
     y_uv, n_ur = scale * effect_size(rng, 30.0), scale * effect_size(rng, 9.0)  # kg/m, kg m
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
-        """Return the force X, Y [N] and moment N [N m] of the effect, in body axes.
+        """Return X [N], zero, and the damping of sway, Y [N], and of yaw, N [N m], by the lift of the skegs.
 
         ``c`` and ``s`` are cosine and sine of the heading, ``u`` and ``v`` [m/s] the velocity through the water in body
         axes, ``r`` [rad/s] the yaw rate, and ``v_n`` and ``v_e`` [m/s] the velocity over ground, north and east.
@@ -180,7 +180,7 @@ def _hump(rng: np.random.Generator, scale: float) -> HiddenEffect:
     height, speed, width = scale * effect_size(rng, 7.0), effect_size(rng, 0.80), 0.17  # N, m/s, m/s
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
-        """Return the force X, Y [N] and moment N [N m] of the effect, in body axes.
+        """Return the additional drag X [N] around one speed, against the motion; Y [N] and N [N m] are zero.
 
         ``c`` and ``s`` are cosine and sine of the heading, ``u`` and ``v`` [m/s] the velocity through the water in body
         axes, ``r`` [rad/s] the yaw rate, and ``v_n`` and ``v_e`` [m/s] the velocity over ground, north and east.
@@ -200,7 +200,7 @@ def _coulomb(rng: np.random.Generator, scale: float) -> HiddenEffect:
     friction = scale * effect_size(rng, 4.0)  # N
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
-        """Return the force X, Y [N] and moment N [N m] of the effect, in body axes.
+        """Return the friction X [N] against the surge velocity ``u``; Y [N] and N [N m] are zero.
 
         ``c`` and ``s`` are cosine and sine of the heading, ``u`` and ``v`` [m/s] the velocity through the water in body
         axes, ``r`` [rad/s] the yaw rate, and ``v_n`` and ``v_e`` [m/s] the velocity over ground, north and east.

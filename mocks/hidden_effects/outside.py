@@ -23,13 +23,13 @@ def _thrust_band(rng: np.random.Generator, scale: float) -> HiddenEffect:
     loss, at = scale * effect_size(rng, 0.28), effect_size(rng, 0.55)
 
     def lost(n: float) -> float:
-        """Return the fraction of the thrust that is lost at the mean shaft speed ``n``."""
+        """Return the fraction of the thrust that is lost at the mean shaft speed ``n``, at most ``loss``."""
         return loss / (1.0 + ((n - at) / 0.12) ** 4)
 
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
     ) -> tuple[float, float]:
-        """Return the thrust [N], left and right, after the effect has changed ``f_l`` and ``f_r`` [N].
+        """Return the thrust [N], left and right: ``f_l`` and ``f_r`` [N] less the share lost in the band.
 
         ``n_l`` and ``n_r`` are the shaft speeds (-1 to 1), ``a_l`` and ``a_r`` [m/s] the forward velocities of the
         thrusters through the water, and ``energy`` is the used energy in units of ENERGY_UNIT.
@@ -38,7 +38,7 @@ def _thrust_band(rng: np.random.Generator, scale: float) -> HiddenEffect:
         return f_l * (1.0 - share), f_r * (1.0 - share)
 
     def curve(n: float) -> float:
-        """Return the change of the surge force [N] of a boat at rest, at the mean shaft speed ``n``."""
+        """Return the change of the surge force [N] of a boat at rest at mean shaft speed ``n``: minus the loss."""
         return -2.0 * lost(n) * thrust_at_rest(ThrusterTruth(), n)
 
     sentence = f"both propellers draw air in a band of shaft speeds around {at:.2f}"
@@ -58,12 +58,12 @@ def _yaw_saddle(rng: np.random.Generator, scale: float) -> HiddenEffect:
     n, at = scale * effect_size(rng, 0.7, signed=True), effect_size(rng, 0.55)  # N m, m/s
 
     def curve(u: float) -> float:
-        """Return the yaw moment [N m] at the surge velocity ``u`` [m/s]."""
+        """Return the yaw moment [N m] at the surge velocity ``u`` [m/s]; its sign changes at ``at``."""
         z = (u - at) / 0.3
         return n * 1.65 * z * math.exp(-0.5 * z * z)
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
-        """Return the force X, Y [N] and moment N [N m] of the effect, in body axes.
+        """Return X and Y [N], zero, and the yaw moment N [N m] at the surge velocity ``u``.
 
         ``c`` and ``s`` are cosine and sine of the heading, ``u`` and ``v`` [m/s] the velocity through the water in body
         axes, ``r`` [rad/s] the yaw rate, and ``v_n`` and ``v_e`` [m/s] the velocity over ground, north and east.
@@ -83,11 +83,11 @@ def _surge_step(rng: np.random.Generator, scale: float) -> HiddenEffect:
     relief, at = scale * effect_size(rng, 6.0), effect_size(rng, 0.75)  # N, m/s
 
     def curve(u: float) -> float:
-        """Return the surge force [N] at the surge velocity ``u`` [m/s]."""
+        """Return the surge force [N] at the surge velocity ``u`` [m/s]: 0 well below ``at``, ``relief`` above."""
         return relief * 0.5 * (1.0 + math.tanh((u - at) / 0.05))
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
-        """Return the force X, Y [N] and moment N [N m] of the effect, in body axes.
+        """Return the surge force X [N] at the surge velocity ``u``; Y [N] and N [N m] are zero.
 
         ``c`` and ``s`` are cosine and sine of the heading, ``u`` and ``v`` [m/s] the velocity through the water in body
         axes, ``r`` [rad/s] the yaw rate, and ``v_n`` and ``v_e`` [m/s] the velocity over ground, north and east.
@@ -109,11 +109,11 @@ def _heading_third(rng: np.random.Generator, scale: float) -> HiddenEffect:
     n, at = scale * effect_size(rng, 0.5), 2.0 * math.pi * rng.uniform()  # N m
 
     def curve(psi: float) -> float:
-        """Return the yaw moment [N m] at the heading ``psi`` [rad]."""
+        """Return the yaw moment [N m] at the heading ``psi`` [rad]: a sine with three cycles per turn."""
         return n * math.sin(3.0 * (psi - at))
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
-        """Return the force X, Y [N] and moment N [N m] of the effect, in body axes.
+        """Return X and Y [N], zero, and the yaw moment N [N m] at this heading.
 
         ``c`` and ``s`` are cosine and sine of the heading, ``u`` and ``v`` [m/s] the velocity through the water in body
         axes, ``r`` [rad/s] the yaw rate, and ``v_n`` and ``v_e`` [m/s] the velocity over ground, north and east.
@@ -136,7 +136,7 @@ def _jet_on_hull(rng: np.random.Generator, scale: float) -> HiddenEffect:
     y = scale * effect_size(rng, 5.0, signed=True)  # N
 
     def curve(difference: float) -> float:
-        """Return the sway force [N] at a difference of the shaft speeds, left minus right."""
+        """Return the sway force [N] at a difference of the shaft speeds, left minus right: a bell curve around 0.35."""
         return y * math.exp(-0.5 * ((difference - 0.35) / 0.15) ** 2)
 
     def jet(n_l: float, n_r: float) -> tuple[float, float]:

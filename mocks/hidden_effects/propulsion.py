@@ -24,7 +24,7 @@ def _advance_ratio(rng: np.random.Generator, scale: float) -> HiddenEffect:
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
     ) -> tuple[float, float]:
-        """Return the thrust [N], left and right, after the effect has changed ``f_l`` and ``f_r`` [N].
+        """Return the thrust [N], left and right: ``f_l`` and ``f_r`` [N] less the loss by the motion ahead.
 
         ``n_l`` and ``n_r`` are the shaft speeds (-1 to 1), ``a_l`` and ``a_r`` [m/s] the forward velocities of the
         thrusters through the water, and ``energy`` is the used energy in units of ENERGY_UNIT.
@@ -53,7 +53,7 @@ def _reverse_thrust(rng: np.random.Generator, scale: float) -> HiddenEffect:
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
     ) -> tuple[float, float]:
-        """Return the thrust [N], left and right, after the effect has changed ``f_l`` and ``f_r`` [N].
+        """Return the thrust [N], left and right: ``f_l`` and ``f_r`` [N], reduced if the shaft turns in reverse.
 
         ``n_l`` and ``n_r`` are the shaft speeds (-1 to 1), ``a_l`` and ``a_r`` [m/s] the forward velocities of the
         thrusters through the water, and ``energy`` is the used energy in units of ENERGY_UNIT.
@@ -75,7 +75,7 @@ def _mismatch(rng: np.random.Generator, scale: float) -> HiddenEffect:
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
     ) -> tuple[float, float]:
-        """Return the thrust [N], left and right, after the effect has changed ``f_l`` and ``f_r`` [N].
+        """Return the thrust [N], left and right: one of ``f_l`` and ``f_r`` [N] is increased, the other reduced.
 
         ``n_l`` and ``n_r`` are the shaft speeds (-1 to 1), ``a_l`` and ``a_r`` [m/s] the forward velocities of the
         thrusters through the water, and ``energy`` is the used energy in units of ENERGY_UNIT.
@@ -97,7 +97,7 @@ def _thruster_interaction(rng: np.random.Generator, scale: float) -> HiddenEffec
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
     ) -> tuple[float, float]:
-        """Return the thrust [N], left and right, after the effect has changed ``f_l`` and ``f_r`` [N].
+        """Return the thrust [N], left and right: ``f_l`` and ``f_r`` [N], reduced by the other shaft's speed.
 
         ``n_l`` and ``n_r`` are the shaft speeds (-1 to 1), ``a_l`` and ``a_r`` [m/s] the forward velocities of the
         thrusters through the water, and ``energy`` is the used energy in units of ENERGY_UNIT.
@@ -120,7 +120,7 @@ def _battery_sag(rng: np.random.Generator, scale: float) -> HiddenEffect:
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
     ) -> tuple[float, float]:
-        """Return the thrust [N], left and right, after the effect has changed ``f_l`` and ``f_r`` [N].
+        """Return the thrust [N], left and right: ``f_l`` and ``f_r`` [N], reduced by the used energy.
 
         ``n_l`` and ``n_r`` are the shaft speeds (-1 to 1), ``a_l`` and ``a_r`` [m/s] the forward velocities of the
         thrusters through the water, and ``energy`` is the used energy in units of ENERGY_UNIT.
@@ -151,7 +151,7 @@ def _dead_band(rng: np.random.Generator, scale: float) -> HiddenEffect:
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
     ) -> tuple[float, float]:
-        """Return the thrust [N], left and right, after the effect has changed ``f_l`` and ``f_r`` [N].
+        """Return the thrust [N], left and right: ``f_l`` and ``f_r`` [N], reduced at low shaft speed.
 
         ``n_l`` and ``n_r`` are the shaft speeds (-1 to 1), ``a_l`` and ``a_r`` [m/s] the forward velocities of the
         thrusters through the water, and ``energy`` is the used energy in units of ENERGY_UNIT.

@@ -21,7 +21,7 @@ def _compass(rng: np.random.Generator, scale: float) -> HiddenEffect:
     d = scale * effect_size(rng, 0.006, signed=True)
 
     def compass(psi: float) -> float:
-        """Return the compass deviation [rad] at the heading ``psi`` [rad]."""
+        """Return the compass deviation [rad], measured minus true, at the true heading ``psi`` [rad]."""
         return b * math.sin(psi) + c * math.cos(psi) + d * math.sin(2.0 * psi)
 
     sentence = "iron on board deviates the compass, by an angle that depends on heading"
@@ -70,7 +70,7 @@ def _gyro_scale(rng: np.random.Generator, scale: float) -> HiddenEffect:
     k = scale * effect_size(rng, 0.03, signed=True)
 
     def gyro(r: float) -> float:
-        """Return the error of the yaw rate [rad/s] at the true yaw rate ``r`` [rad/s]."""
+        """Return the error of the yaw rate [rad/s], measured minus true, at the true yaw rate ``r`` [rad/s]."""
         return k * (r + 0.15 * r * abs(r))
 
     return HiddenEffect("gyro-scale", "the yaw gyro's scale is off", {"k": k}, gyro=gyro)
@@ -91,7 +91,11 @@ def _accelerometer_tilt(rng: np.random.Generator, scale: float) -> HiddenEffect:
     pitch, roll = scale * effect_size(rng, 4e-4), scale * effect_size(rng, 0.04)  # rad/N, rad s2/m
 
     def accelerometer(a_x: float, a_y: float, thrust: float, u: float, r: float) -> tuple[float, float]:
-        """Return the measured acceleration [m/s2], forward and to starboard."""
+        """Return the measured acceleration [m/s2], forward and to starboard: the true one plus a part of gravity.
+
+        ``a_x`` and ``a_y`` [m/s2] are the true acceleration, ``thrust`` [N] is that of both thrusters, ``u`` [m/s] the
+        surge velocity over ground, and ``r`` [rad/s] the yaw rate.
+        """
         squat = 0.05 * math.tanh(pitch * thrust / 0.05)
         heel = 0.12 * math.tanh(roll * u * r / 0.12)
         return a_x + GRAVITY * squat, a_y + GRAVITY * heel
@@ -109,7 +113,10 @@ def _accelerometer_scale(rng: np.random.Generator, scale: float) -> HiddenEffect
     k = scale * effect_size(rng, 0.15, signed=True)
 
     def accelerometer(a_x: float, a_y: float, thrust: float, u: float, r: float) -> tuple[float, float]:
-        """Return the measured acceleration [m/s2], forward and to starboard."""
+        """Return the measured acceleration [m/s2], forward and to starboard: the true one with its scale error.
+
+        ``a_x`` and ``a_y`` [m/s2] are the true acceleration. The other arguments are not used.
+        """
         return a_x * (1.0 + k / (1.0 + 0.1 * abs(a_x))), a_y * (1.0 + k / (1.0 + 0.1 * abs(a_y)))
 
     sentence = "the accelerometers are set to another range than the driver assumes"
@@ -120,7 +127,7 @@ def _shaft_clip(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "shaft-clip": telemetry that cannot report large shaft speeds.
 
     Both controllers report at most ``ceiling = 1 - cut`` times the full shaft speed. ``cut`` is drawn within 15 % of
-    ``0.35 scale``.
+    ``0.35 scale``. With ``scale`` 0 there is no limit.
     """
     cut = scale * effect_size(rng, 0.35)
     ceiling = 1.0 - cut if cut else math.inf

@@ -23,7 +23,7 @@ def _thrust_angle(rng: np.random.Generator, scale: float) -> HiddenEffect:
     side = int(rng.integers(2))
 
     def jet(n_l: float, n_r: float) -> tuple[float, float]:
-        """Return the sway force [N] and the yaw moment [N m] at the shaft speeds of both thrusters (-1 to 1)."""
+        """Return the sway force [N] and yaw moment [N m] of the turned thruster, at both shaft speeds (-1 to 1)."""
         sway = math.sin(angle) * thrust_at_rest(ThrusterTruth(), (n_l, n_r)[side])
         return sway, STERN_M * sway
 
@@ -42,11 +42,14 @@ def _propeller_walk(rng: np.random.Generator, scale: float) -> HiddenEffect:
     walk = scale * effect_size(rng, 0.2, signed=True)
 
     def of_one(n: float) -> float:
-        """Return the sway force [N] of one propeller at the shaft speed ``n``."""
+        """Return the sway force [N] of one propeller at the shaft speed ``n``.
+
+        Forward (``n`` above 0) it has a third of its size in reverse, and the opposite sign.
+        """
         return walk * 41.0 * n * n * (-1.0 if n < 0.0 else 1.0 / 3.0)
 
     def jet(n_l: float, n_r: float) -> tuple[float, float]:
-        """Return the sway force [N] and the yaw moment [N m] at the shaft speeds of both thrusters (-1 to 1)."""
+        """Return the sum of the sway forces [N] of both propellers, and its yaw moment [N m] about the origin."""
         sway = of_one(n_l) + of_one(n_r)
         return sway, STERN_M * sway
 
@@ -65,7 +68,10 @@ def _current_shear(rng: np.random.Generator, scale: float) -> HiddenEffect:
     c, s = math.cos(along), math.sin(along)
 
     def stream(x: float, y: float) -> tuple[float, float]:
-        """Return the change of the current [m/s], north and east, at a position [m]."""
+        """Return the change of the current [m/s], north and east, at a position [m].
+
+        It is parallel to the stream, and zero at the start of the boat.
+        """
         change = jump * math.tanh((c * y - s * x) / 40.0)
         return change * c, change * s
 
@@ -87,7 +93,7 @@ def _bank(rng: np.random.Generator, scale: float) -> HiddenEffect:
     c_b, s_b = math.cos(bearing), math.sin(bearing)
 
     def shore(x: float, y: float, c: float, s: float, u: float, v: float) -> tuple[float, float, float]:
-        """Return the force X, Y [N] and moment N [N m] of the effect, in body axes.
+        """Return X [N], zero, the sway force Y [N] towards the quay, and the yaw moment N [N m] away from it.
 
         ``x`` and ``y`` are the position [m], ``c`` and ``s`` cosine and sine of the heading, and ``u`` and ``v`` [m/s]
         the velocity through the water in body axes.
@@ -111,7 +117,7 @@ def _shallow_water(rng: np.random.Generator, scale: float) -> HiddenEffect:
     c_b, s_b = math.cos(bearing), math.sin(bearing)
 
     def shore(x: float, y: float, c: float, s: float, u: float, v: float) -> tuple[float, float, float]:
-        """Return the force X, Y [N] and moment N [N m] of the effect, in body axes.
+        """Return the additional drag X [N] at this position; Y [N] and N [N m] are zero.
 
         ``x`` and ``y`` are the position [m], ``c`` and ``s`` cosine and sine of the heading, and ``u`` and ``v`` [m/s]
         the velocity through the water in body axes.

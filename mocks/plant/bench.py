@@ -164,14 +164,20 @@ class BenchPlant:
         return self._rod_force() + effect.drift * math.sqrt(self.t / 60.0)
 
     def _rod_force(self) -> float:
-        """Return the force [N] on the load cell: the thrust behind the rod's resonance, plus the force of the water."""
+        """Return the force [N] on the load cell: the thrust behind the rod's resonance, plus the force of the water.
+
+        With a rigid rod it is the thrust itself, plus the force of the water.
+        """
         effect, force = self.bench.effect, self.thrust()
         if effect.flex_hz:
             force += effect.flex_share * (self._rod.force - force)
         return force + self._water_force
 
     def _advance_cell_filter(self) -> None:
-        """Advance the two equal first-order lags of the load cell's filter by one step."""
+        """Advance the two equal first-order lags of the load cell's filter by one step.
+
+        It must be called only if the hidden effect has such a filter (``smooth_s`` is not 0).
+        """
         decay, force = math.exp(-2.0 * self.step_s / self.bench.effect.smooth_s), self._rod_force()
         for k in range(2):
             force = self._cell[k] = force + (self._cell[k] - force) * decay

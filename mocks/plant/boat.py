@@ -316,7 +316,8 @@ class TowedLine:
         """Move the end of the line to the next time, and return its force X, Y [N] and moment N [N m] on the boat.
 
         ``state`` is the state of the boat. ``current`` is the velocity of the water [m/s], north and east, with which
-        the end drifts. A line that is not stretched exerts no force.
+        the end drifts. A line that is not stretched exerts no force. The first call places the end behind the boat, at
+        the length of the line.
         """
         x, y, psi = state[:3]
         c, s = math.cos(psi), math.sin(psi)
@@ -371,6 +372,7 @@ class Antenna:
 
         They are those of the antenna, without noise. Without a latency, or before the first `push`, they belong to
         ``state``, the present state of the boat. With a latency they follow from the states that `push` has taken.
+        Until the dead time has passed, they are those of the first one.
         """
         return self._position_and_velocity(state) if self._filtered is None else self._filtered
 

@@ -171,7 +171,8 @@ def make_rhs(
         Velocity of the current [m/s], north and east. The caller may change the values between steps, but slowly:
         the equations neglect the acceleration of the current.
     effects : sequence of HiddenEffect
-        Hidden effects whose hooks act on forces and masses.
+        Hidden effects whose hooks act on forces and masses. Forces and offsets of the centre of gravity of several
+        effects add up; thrust hooks act one after the other. Only the first swinging payload is used.
 
     Returns
     -------

@@ -97,7 +97,7 @@ class Shaft:
         return self.n
 
     def _slows_down(self) -> bool:
-        """Return whether the delayed command makes the shaft turn more slowly; False for a shaft at rest."""
+        """Return whether the delayed command makes the shaft turn more slowly or reverse; False for a shaft at rest."""
         return (self._ref - self.n) * self.n < 0.0
 
     def _advance_with_new_references(self) -> None:

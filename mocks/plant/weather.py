@@ -45,7 +45,8 @@ class Weather:
     def forces(self, t: float, psi: float) -> Forces:
         """Return the sum of the forces of all waves and gusts on the boat: X, Y, N [N, N, N m] in body axes.
 
-        ``t`` is the time [s], and ``psi`` the heading [rad]. Each call advances the gusts by one step.
+        ``t`` is the time [s], and ``psi`` the heading [rad]. Each call advances the gusts by one step. The sum is zero
+        without waves and gusts.
         """
         every = [part.forces(t, psi) for part in self._sources]
         return sum(f[0] for f in every), sum(f[1] for f in every), sum(f[2] for f in every)

@@ -40,7 +40,8 @@ class NetPort:
         Raises
         ------
         SeatrialError
-            If the address is not on the loopback of this machine, or the port cannot be opened.
+            If the address is neither `localhost` nor a numeric address on the loopback of this machine, or the port
+            cannot be opened.
         """
         kind, _, address = port.partition(":")
         host, _, number = address.rpartition(":")
@@ -62,7 +63,10 @@ class NetPort:
         return self._socket is not None
 
     def plug(self) -> None:
-        """Open the socket of the port. Raises SeatrialError if the system refuses, for example if it is in use."""
+        """Open the socket of the port, which must not be plugged. A TCP port then waits for one host.
+
+        Raises SeatrialError if the system refuses, for example if the address is in use.
+        """
         family = socket.AF_INET6 if ":" in self._address[0] else socket.AF_INET
         sock = socket.socket(family, socket.SOCK_STREAM if self._kind == "tcp" else socket.SOCK_DGRAM)
         try:
@@ -109,7 +113,8 @@ class NetPort:
         """Return the bytes that the host has sent since the last call; empty without any. The call never blocks.
 
         A UDP port stores the sender of the newest datagram, to which `write` then sends. A TCP port accepts a host that
-        connects, and closes the connection of a host that has left.
+        connects, in a call that returns no bytes, and closes the connection of a host that has left. The port must be
+        plugged.
         """
         if self._kind == "tcp":
             return self._read_stream()

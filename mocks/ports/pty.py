@@ -73,7 +73,8 @@ class PtyPort:
     def plug(self) -> None:
         """Open the pty, and create the symbolic link to its host's end at the path of the port.
 
-        A link of the same name is replaced. Raises SeatrialError if the path is a file that is not a link.
+        A link of the same name is replaced. The port must not be plugged. Raises SeatrialError if the path exists and
+        is not a link.
         """
         if os.path.lexists(self.path) and not self.path.is_symlink():
             raise SeatrialError(
