@@ -125,8 +125,9 @@ class SavedModel:
     def covariance(self, wanted: Collection[str] | None = None) -> ParameterCovariance:
         """Return the covariance of all estimates, or of those whose full names are in ``wanted``.
 
-        The covariance is in the parameters' units. Estimates without a standard error are left out, and so are
-        per-record parameters, of which the file has no standard error for each record.
+        The covariance is in the parameters' units, and in the order of the file. Estimates without a standard error are
+        left out, and so are per-record parameters, of which the file has no standard error for each record. A name that
+        the file lacks is ignored.
         """
         names = self.names if wanted is None else [n for n in self.names if n in wanted]
         known = tuple(n for n in names if np.isfinite(self.errors.get(n, np.nan)) and self.errors[n] > 0.0)
@@ -401,7 +402,9 @@ def _trusted_python_files(table: Mapping[str, Any], path: Path) -> tuple[str, Pa
 def _build_model(table: Mapping[str, Any], source: str, own: Mapping[str, Effect]) -> Model:
     """Return the model that a model.toml describes: its structure with effects, outlier model and parameter values.
 
-    A parameter without a table in the file is that of the structure.
+    A parameter without a table in the file is that of the structure. Effects are added in the order of the file; one
+    that the structure has already is not added again. A user-defined effect takes precedence over an effect of the
+    catalogue with the same name.
 
     Parameters
     ----------
@@ -447,7 +450,7 @@ def _build_model(table: Mapping[str, Any], source: str, own: Mapping[str, Effect
 def _with_saved_state_numbers(state: State, row: Mapping[str, Any]) -> State:
     """Return the state with the initial standard deviation ``sd0`` and the process noise ``noise`` of its file table.
 
-    Numbers that the table ``row`` lacks are not changed.
+    Numbers that the table ``row`` lacks are not changed. Other entries of the table are ignored.
     """
     numbers: dict[str, Any] = {k: float(row[k]) for k in STATE_NUMBERS if k in row}
     return replace(state, **numbers)
@@ -487,7 +490,7 @@ def _with_bounds_around_values(effect: Effect, rows: Sequence[Mapping[str, Any]]
     values = {row["name"]: float(row["value"]) for row in rows}
 
     def wide(p: Parameter) -> Parameter:
-        """Return the parameter with bounds that include its value in the file."""
+        """Return the parameter with bounds that include its value in the file; a bound of zero stays."""
         value, (low, high) = values.get(p.name, p.value), p.bounds
         # a bound of zero does not depend on the size: it stays
         return replace(p, bounds=(low and min(low, value), high and max(high, value)))

@@ -196,7 +196,7 @@ def predict_ahead(
 
 
 def _simulation_kernel(model: Model) -> Kernel:
-    """Return the compiled function that simulates the model without process noise."""
+    """Return the compiled function that simulates the model without process noise. It is compiled on first use."""
     return filter_kernels_for(model, covariance=False).simulate
 
 

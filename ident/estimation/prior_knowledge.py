@@ -69,9 +69,9 @@ def _with_antenna(model: Model, rig: Rig) -> tuple[Model, list[str]]:
     """Return the model with the lever arm of the rig's antenna, and a note if this is not possible or ambiguous.
 
     The lever arm is the position of the antenna from the centre of gravity. The first device of the rig with a lever
-    arm counts as the antenna of all GNSS outputs. The model is unchanged, and there is no note, if no device has a
-    lever arm other than zero or the model has no GNSS output. The height of an antenna does not count for a model
-    without roll and pitch.
+    arm counts as the antenna of all GNSS outputs. Further devices with the same lever arm give no note. The model is
+    unchanged, and there is no note, if no device has a lever arm other than zero or the model has no GNSS output. The
+    height of an antenna does not count for a model without roll and pitch.
     """
     sensitive = slice(2 if "hull" in model.provides else 3)  # without roll and pitch the height has no effect
     arms = [d.lever_arm_m for d in rig.devices if any(tuple(d.lever_arm_m)[sensitive])]
@@ -120,7 +120,8 @@ def _moved_from_zero(p: Parameter) -> Parameter:
 def _effect_form_for_model(model: Model, name: str) -> Effect:
     """Return the effect of the catalogue with this name, in the form that the model accepts.
 
-    All forms of an effect have the same first parameter, by which they are found. SeatrialError is raised if there is
+    All forms of an effect have the same first parameter, by which they are found. If the model accepts several forms,
+    the first one in the catalogue is returned. SeatrialError is raised if there is
     no such effect, if the model has its first parameter already, or if the model accepts no form.
     """
     known = {**catalogue(), CURRENT_WALK: current_walk(), TELEMETRY_AGE: telemetry_age()}
@@ -192,7 +193,8 @@ def fix_parameters(model: Model, thruster: Path | None, given: Mapping[str, floa
 def _bench_parameter(bench: SavedModel, name: str, path: Path) -> Parameter:
     """Return the thrust coefficient ``name`` of a bench test's model, which was read from ``path``.
 
-    SeatrialError is raised if the model lacks the coefficient, or if it is free but has no standard error.
+    The file is not read again; the path is for the messages. A coefficient that is fixed in the model is returned as it
+    is. SeatrialError is raised if the model lacks the coefficient, or if it is free but has no standard error.
     """
     if name not in bench.model.values:
         raise SeatrialError(
