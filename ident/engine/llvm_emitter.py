@@ -460,7 +460,10 @@ class LlvmEmitter:
             return self._write_select("une", a[0], ZERO, a[1])
         if code in LIBRARY:
             return self._write_library_call(LIBRARY[code], *a)
-        raise NotImplementedError(f"CasADi's operation {code} in the model cannot be compiled; use another function")
+        name = next((n for n in dir(ca) if n.startswith("OP_") and getattr(ca, n) == code), str(code))
+        raise NotImplementedError(
+            f"the model uses CasADi's operation {name}, which cannot be compiled; write it with numpy's functions"
+        )
 
     def _write_instruction(
         self, template: str, *args: Value, vector: bool = False, constant: bool = True, again: bool = False

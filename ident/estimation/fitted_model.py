@@ -444,7 +444,7 @@ def evaluate_records(
             if not np.isfinite(v.ll).all():
                 raise ValueError(
                     f"record {v.record.name}: the likelihood of model {model.name} is not finite for the estimated "
-                    "parameters"
+                    "parameters; check this log with `seatrial check`, or leave it out"
                 )
         return views, []
     except FIT_ERRORS as problem:

@@ -428,7 +428,7 @@ class Likelihood:
         if np.shape(values) != (len(self._index),):
             raise ValueError(
                 f"model {self.model.name} has {len(self._index)} parameters, but the array of their values has the "
-                f"shape {np.shape(values)}"
+                f"shape {np.shape(values)}; give one value for each parameter, in the order of the model"
             )
         data = self._prepare(record)
         return data, initial_condition(self.model, values, data, self.process_noise)

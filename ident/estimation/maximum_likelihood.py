@@ -360,7 +360,9 @@ def _check_data(problem: Problem) -> None:
     ``problem`` is the objective of the fit.
     """
     if not problem.names:
-        raise ValueError(f"model {problem.model.name} has no free parameters to estimate; free at least one of them")
+        raise ValueError(
+            f"model {problem.model.name} has no free parameters to estimate; leave out a --fix, or free a parameter"
+        )
     n_measured = sum(problem.likelihood.measured(record) for record in problem.records)
     n_unknown = int(np.sum(problem.prior[1] == 0))
     if n_measured < n_unknown:

@@ -365,7 +365,7 @@ def load_model(path: Path) -> SavedModel:
     except (AttributeError, KeyError, TypeError, ValueError) as problem:  # AttributeError: a value instead of a table
         raise SeatrialError(
             f"{path}: the model in this file is incomplete or does not match this version of seatrial, so fit it "
-            f"again: {problem}"
+            f"again: {_reason(problem)}"
         ) from problem
     return SavedModel(
         model,
@@ -382,6 +382,20 @@ def load_model(path: Path) -> SavedModel:
         rates,
         holds,
     )
+
+
+def _reason(problem: Exception) -> str:
+    """Return the reason why a model.toml cannot be read, for the message, from the error that was raised.
+
+    A KeyError whose text is a single word names a missing entry; any other one has a text of its own. A TypeError or
+    AttributeError comes from a value of the wrong type. The text of any other error is returned as it is.
+    """
+    if isinstance(problem, KeyError):
+        text = str(problem.args[0])
+        return text if " " in text else f"it has no entry {text!r}"
+    if isinstance(problem, (AttributeError, TypeError)):
+        return f"one of its entries has a wrong type ({problem})"
+    return str(problem)
 
 
 def _trusted_python_files(table: Mapping[str, Any], path: Path) -> tuple[str, Path | None]:

@@ -132,9 +132,12 @@ def profile(fit: Fit, records: Sequence[Record], name: str, *, threads: int = 2)
         sides = _trace_both_sides(objective)
     notes = [f"{word} side: {side.note}" for word, side in zip(("lower", "upper"), sides, strict=True) if side.note]
     if objective.best_found[0] > before + MIN_GAIN:
+        p = objective.parameter
+        value = p.from_free(float(objective.z[objective.coordinate]))
+        again = f"--initial {full}={value:.6g}" if p.segment is None else "other initial values (--initial)"
         notes.append(
             f"the profile found a fit with a log-likelihood larger by {objective.best_found[0] - before:.2g}, and "
-            "belongs to that fit: fit again from these values (--initial)"
+            f"belongs to that fit: fit again with {again}"
         )
     error = fit.errors[objective.coordinate] / np.abs(objective.parameter.slope(fit.values[objective.coordinate]))
     return _profile_in_own_unit(
