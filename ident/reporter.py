@@ -26,7 +26,7 @@ class Quiet:
         """Ignore the text."""
 
     def warning(self, text: str) -> None:
-        """Print the text in one line to the standard error stream."""
+        """Print ``seatrial: `` and the text in one line to the standard error stream."""
         print(f"seatrial: {text}", file=sys.stderr)
 
 

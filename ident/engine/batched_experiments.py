@@ -130,7 +130,8 @@ class FilterSymbols:
         model : Model
             Model of the experiment.
         free : Sequence[str]
-            Names of the parameters to differentiate by; may be empty, for a filter without sensitivities.
+            Names of the parameters to differentiate by; may be empty, for a filter without sensitivities. ValueError is
+            raised for a name that the model lacks.
         covariance : bool
             True for prediction error (Kalman filter), False for output error.
         """
@@ -149,7 +150,8 @@ class FilterSymbols:
         """Return the total derivative (m, q) of a column of expressions (m, 1) by the q free parameters.
 
         It includes the dependence of the filter's mean on the parameters, by the sensitivities ``X``. The expressions
-        may contain the symbols of the mean, the parameters, the inputs and the length of the interval.
+        may contain the symbols of the mean, the parameters, the inputs and the length of the interval. The result has
+        the shape (m, 0) if q is 0.
         """
         g = self.graphs
         if not self.q:
@@ -160,7 +162,7 @@ class FilterSymbols:
     def end_of_interval(self) -> dict[str, Any]:
         """Expressions of filter state ``s`` and sensitivities ``X`` at the end of the interval to the next row.
 
-        There is no ``X`` if q is 0.
+        The mapping has no ``X`` if q is 0. Without a covariance, ``s`` is the mean alone.
         """
         g = self.graphs
         result = {"s": g.predict[0]}
@@ -178,8 +180,10 @@ class FilterSymbols:
     def update(self, sensor: Sensor, first: int, y: Any = None) -> tuple[dict[str, Any], list[Any], list[Any]]:
         """Return the expressions of the update of the filter and its sensitivities by the sample of one sensor.
 
-        The outputs of the sensor are processed one after the other. The density of the noise is normal, without
-        outliers. The derivative of the Kalman gain is neglected, which is exact if all innovations are zero.
+        The outputs of the sensor are processed one after the other; each innovation and its variance are given the
+        outputs before it. The innovation of an angle is wrapped to -pi to pi. The density of the noise is normal, even
+        for an output with the outlier model. The derivative of the Kalman gain is neglected, which is exact if all
+        innovations are zero.
 
         Parameters
         ----------
@@ -196,9 +200,10 @@ class FilterSymbols:
             Filter state ``s`` and sensitivities ``X`` after the update; no ``X`` if q is 0. Empty without a covariance,
             because the sample does not change the filter then.
         list[SX]
-            For each output, the sensitivities (1, q) of the innovation, divided by its standard deviation.
+            For each output, the sensitivities (1, q) of its prediction (minus those of the innovation), divided by the
+            standard deviation of the innovation.
         list[SX]
-            For each output, the innovation divided by its standard deviation.
+            For each output, the innovation (measured minus predicted) divided by its standard deviation.
         """
         g, P, X, dx = self.graphs, None, self.columns, 0 * self.graphs.mean
         slopes, innovations = [], []
@@ -392,7 +397,8 @@ class DiscriminationBatch:
 
         e are the innovations, S their variances and de their derivatives by the q free parameters. The results for each
         experiment (lane) are sums over the rows of the record: ``ee`` of ``e' S^-1 e``, ``score`` (q,) of
-        ``de' S^-1 e``, and ``fisher`` of ``de' S^-1 de``, its upper triangle by matrix rows. Further results are
+        ``de' S^-1 e``, and ``fisher`` of ``de' S^-1 de``, its upper triangle by matrix rows. Here de has the sign of
+        the derivatives of the prediction. Further results are
         ``low`` and ``high``, the least and largest values of the states (and squared speed) of the filter; the caller
         starts them from plus and minus infinity. The names of the arrays of the model ``truth`` end in ``_true``. Both
         models have separate inputs for each experiment.

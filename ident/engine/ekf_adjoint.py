@@ -154,7 +154,9 @@ def adjoint_of_prediction(g: EkfGraphs, tape: str, bar: Any) -> Adjoint:
         Expressions of the filter.
     tape : str
         Name of the array in which the forward pass stores single values for the adjoint. It stores varying columns of
-        the matrices Phi and T in the array ``moved``, and columns of P + Q in ``spread`` (matrices of the module).
+        the matrices Phi and T in the array ``moved``, and columns of P + Q in ``spread``. Phi is the transition matrix
+        of the interval, T twice that from its midpoint to its end, P the covariance, and Q its process noise
+        (`IntervalTransition`).
     bar : SX (n_s, 1)
         Symbols of the derivatives by the filter state after the prediction.
     """
@@ -261,15 +263,17 @@ class _TapeColumns:
     def product(self, left: Sequence[Sequence[Factor]]) -> ProductStage:
         """Return the stage of a kernel that multiplies the matrix ``left`` (n, n) by the stored columns.
 
-        ``left`` has, in each row of the matrix, references to entries of arrays. The result is the second array.
+        ``left`` has, in each row of the matrix, references to entries of arrays. The result is written to the second
+        array, whose name is that of the stored columns with ``_turned``.
         """
         return ProductStage(tuple(map(tuple, left)), *self._names, self._stride, self._width)
 
     def factor(self, column: tuple[str, int], i: int) -> Factor:
         """Return a reference to entry i of the product with one stored column, which is given by its key.
 
-        The key ``column`` is (name of the matrix, index of the column). The reference is to the second array. The same
-        index is that of the stored entry in the first array.
+        The key ``column`` is (name of the matrix, index of the column). The reference is to the second array, which
+        holds the product. Its index is also that of entry i of the stored column in the first array. KeyError is raised
+        for a column that is not stored.
         """
         return Factor(self._names[1], i * self._stride + self._column_of[column])
 
@@ -350,10 +354,16 @@ def _doubled_diagonal(upper: Any) -> Any:
 
 
 def _is_constant(matrix: Any) -> bool:
-    """Return whether all entries of a CasADi matrix are numbers, so that none depends on a symbol."""
+    """Return whether all entries of a CasADi matrix are numbers, so that none depends on a symbol.
+
+    Structural zeros count as numbers, so that the result is True for a matrix without nonzero entries.
+    """
     return all(entry.is_constant() for entry in matrix.nonzeros())
 
 
 def _restricted_to_pattern(pattern: Any, matrix: Any) -> Any:
-    """Return ``matrix`` without the entries where the sparse matrix ``pattern`` (same shape) has no entry."""
+    """Return ``matrix`` without the entries where the sparse matrix ``pattern`` (same shape) has no entry.
+
+    An entry that only ``pattern`` has becomes zero in the result. The values of ``pattern`` do not matter.
+    """
     return ca.project(matrix, pattern.sparsity())

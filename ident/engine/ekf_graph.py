@@ -64,7 +64,7 @@ class Sample:
     output : Output
         Output of the model that is measured.
     e : SX
-        Measured minus predicted value. If it is an angle, it is not wrapped yet.
+        Measured minus predicted value, by the mean before the row. If it is an angle, it is not wrapped yet.
     H : SX (1, n) or None
         Derivative of the predicted value by the model states; None without a covariance.
     R : SX
@@ -326,7 +326,7 @@ class EkfGraphs:
 
     @property
     def _diffusion_squared(self) -> Any:
-        """Squared diffusion of the process noise of each model state (n, 1) [unit^2/s]."""
+        """Squared diffusion of the process noise of each model state (n, 1) [unit^2/s]; a number or an expression."""
         return ca.vertcat(*[self.parameter_symbol(s.noise) ** 2 for s in self.model.states])
 
     def parameter_symbol(self, value: float | str) -> Any:

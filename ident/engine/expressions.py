@@ -112,7 +112,10 @@ def _simplified_product(a: Any, b: Any) -> Any:
 
 
 def _is_modulus_or_sign(y: Any, x: Any) -> bool:
-    """Return whether the expression y is the modulus or the sign of the expression x."""
+    """Return whether the expression y is the modulus or the sign of the expression x, and x is structurally the same.
+
+    An expression that is only mathematically equal to x does not count.
+    """
     return (y.is_op(ca.OP_FABS) or y.is_op(ca.OP_SIGN)) and ca.is_equal(y.dep(0), x)
 
 
@@ -170,6 +173,7 @@ class _ReverseSweep:
     """
 
     def __init__(self) -> None:
+        """Create a graph without nodes."""
         self.values: list[Any] = []
         self.derivatives: list[Any] = []
         # code of the operation and indices of the operands, for each node
@@ -177,7 +181,7 @@ class _ReverseSweep:
         self._reciprocals: dict[int, int] = {}  # index of the node 1 / y, by the index of the node y
 
     def add_leaf(self, value: Any) -> int:
-        """Append a node for the symbol or number ``value``. Return the index of the node."""
+        """Append a node for the symbol or number ``value``. Return its index. An equal value gets another node."""
         return self._append(value, LEAF)
 
     def add_operation(self, code: int, *operands: int) -> int:
@@ -209,7 +213,11 @@ class _ReverseSweep:
         self.derivatives[node] = self.derivatives[node] + derivative
 
     def propagate_backwards(self) -> None:
-        """Apply the chain rule from the last node to the first, which completes ``derivatives`` in place."""
+        """Apply the chain rule from the last node to the first, which completes ``derivatives`` in place.
+
+        The weights of the sum must have been added to the derivatives of its nodes before. A second call would add all
+        contributions again.
+        """
         for node in range(len(self.values) - 1, -1, -1):
             derivative = self.derivatives[node]
             if self._operations[node][0] != LEAF and not derivative.is_zero():

@@ -153,7 +153,10 @@ class FilterKernels:
 
     @property
     def tapes(self) -> frozenset[str]:
-        """Names of the arrays, with values for each row, that ``forward`` writes and ``backward`` reads (the tape)."""
+        """Names of the arrays, with values for each row, that ``forward`` writes and ``backward`` reads (the tape).
+
+        Inputs, samples and interval lengths are not among them. The first access compiles or loads ``backward``.
+        """
         layout = self.backward.layout
         return (layout.rows - ROWS).intersection(layout.sizes)
 
@@ -166,7 +169,7 @@ class FilterKernels:
         with _lock:
 
             def plan() -> Plan:
-                """Build the plan (description before compilation) of the kernel with this name."""
+                """Build the plan (description before compilation) of the kernel with this name, anew in each call."""
                 with _lock:
                     made: Any = getattr(self._plans, name)()
                     return made  # type: ignore[no-any-return]

@@ -149,7 +149,10 @@ class Plans:
 
     @property
     def tapes(self) -> frozenset[str]:
-        """Names of the arrays, with values for each row, that the forward pass stores for the backward pass."""
+        """Names of the arrays, with values for each row, that the forward pass stores for the backward pass.
+
+        They are ``tape0``, ``tape1``, ... and, if they are used, ``moved`` and ``spread``.
+        """
         return frozenset(name for adjoint in self._adjoints for name in adjoint.tape_values)
 
     def _forward_steps(self) -> list[tuple[str, Update, int | None]]:
@@ -165,7 +168,10 @@ class Plans:
 
     @staticmethod
     def _stage_results(u: Update) -> dict[str, Any]:
-        """Return the results of a stage by name: filter state ``s``, and log-likelihood ``ll`` if it is an update."""
+        """Return the results of a stage by name: filter state ``s`` after it, and log-likelihood ``ll`` of an update.
+
+        A prediction has no ``ll``.
+        """
         return {"s": u.s} if u.ll is None else {"s": u.s, "ll": u.ll}
 
 

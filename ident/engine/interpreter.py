@@ -60,7 +60,7 @@ def _run_expression_stage(plan: Plan, stage: ExpressionStage, now: Mapping[str, 
     """Evaluate one stage of CasADi expressions in one row, and write its results into the arrays ``now`` of this row.
 
     The stage is evaluated once. If it has arrays in lanes (``plan.width`` numbers for each entry), it is evaluated for
-    each lane of all ``groups``.
+    each lane of all ``groups``. A summed result is added to its array, another result overwrites it.
     """
     f = stage.function
     names_in, names_out = f.name_in(), f.name_out()
@@ -76,7 +76,10 @@ def _run_expression_stage(plan: Plan, stage: ExpressionStage, now: Mapping[str, 
 
 
 def _store_result(plan: Plan, name: str, target: Array, value: Array) -> None:
-    """Add ``value`` to the array ``target`` in place if the result ``name`` is summed; otherwise overwrite it."""
+    """Add ``value`` to the array ``target`` in place if the result ``name`` is summed; otherwise overwrite it.
+
+    Both arrays have the shape (entries,). Results that the caller wants for each row are added, too.
+    """
     if name in plan.summed:
         target += value
     else:

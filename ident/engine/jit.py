@@ -81,7 +81,8 @@ def quick_compilation(n_rows: int) -> Iterator[None]:
     The setting applies to all threads, as long as one of them is in such a context.
 
     It is meant for models that are fitted only once. Above 10 000 rows (`QUICK_ROWS`), it has no effect, because the
-    slower code would cost more time than the compilation saves.
+    slower code would cost more time than the compilation saves. A kernel of a filter that was
+    compiled in such a context and stored in the cache on disk is also loaded outside of it.
 
     Parameters
     ----------
@@ -262,7 +263,8 @@ def write_cache(name: str, content: bytes) -> None:
     """Store a file with this name and content in the cache on disk, for later processes.
 
     The SHA-256 of the content is put before it. A file of the same name is replaced as a whole, so that other processes
-    never read a part of it.
+    never read a part of it. Only this user can read and write the file.
+
     If the cache exceeds 400 MB, its least recently used files are deleted. The size is checked at the first file of a
     process and then after every 4 MB. A cache that cannot be written is not an error.
     """
@@ -284,7 +286,8 @@ def write_cache(name: str, content: bytes) -> None:
 def _delete_least_recently_used(folder: Path) -> None:
     """Delete the least recently used files of the cache folder, if their total size exceeds 400 MB (`LARGEST_CACHE`).
 
-    Files are deleted until at most 70 % of this size remain. Each nonparametric effect and each change of a
+    Files are deleted until at most 70 % of this size remain. All files of the folder count, whoever wrote them. OSError
+    is raised if one cannot be deleted. Each nonparametric effect and each change of a
     user-defined model adds files, which would fill the disk without a limit.
     """
     with os.scandir(folder) as entries:

@@ -87,7 +87,8 @@ class ArenaPool:
     def borrow(self) -> Iterator[Arena]:
         """Context that lends an arena (memory for arrays) which no other caller has. Create one if all are lent.
 
-        At the end of the context the arena returns to the pool. Arrays in it must not be used any more.
+        It never waits for an arena. At the end of the context, also after an error, the arena returns to the pool with
+        its memory. Arrays in it must not be used any more.
         """
         with self._lock:
             arena = self._free.pop() if self._free else Arena()
@@ -257,7 +258,7 @@ class Kernel:
         initial_values : Array (n, size)
             Initial values of the array that passes from row to row, for each interval. It is not changed.
         wanted : Sequence[str]
-            Names of the results to return, which must have entries for each row.
+            Names of the results to return, which must have entries for each row. An unknown name raises KeyError.
 
         Returns
         -------

@@ -30,7 +30,7 @@ class TracedNumber:
 
     An operation with a traced number appends a line to ``lines`` and returns a new traced number. numpy's elementwise
     functions are recorded under their names. A truth value, a reduction or an operand that is no number raises
-    TypeError.
+    TypeError. Comparisons are recorded too: they return a traced number, not a bool. A traced number cannot be hashed.
 
     Attributes
     ----------
@@ -148,7 +148,7 @@ def _operand_text(operand: Any) -> str:
     """Return the text of an operand of a recorded operation.
 
     A traced number is written as ``#`` and the index of the line that defines it, an ordinary number as ``float.hex``
-    writes it. TypeError is raised for any other type.
+    writes it. A bool counts as a number. TypeError is raised for any other type, also for a CasADi symbol or an array.
     """
     if isinstance(operand, TracedNumber):
         return f"#{operand.index}"

@@ -460,12 +460,18 @@ class LlvmEmitter:
             return self._write_select("une", a[0], ZERO, a[1])
         if code in LIBRARY:
             return self._write_library_call(LIBRARY[code], *a)
-        raise NotImplementedError(f"CasADi's operation {code} in the model cannot be compiled; use another function")
+        name = next((n for n in dir(ca) if n.startswith("OP_") and getattr(ca, n) == code), str(code))
+        raise NotImplementedError(
+            f"the model uses CasADi's operation {name}, which cannot be compiled; write it with numpy's functions"
+        )
 
     def _write_instruction(
         self, template: str, *args: Value, vector: bool = False, constant: bool = True, again: bool = False
     ) -> Value:
         """Write an LLVM instruction, unless the same instruction was written before. Return its result.
+
+        Before means in the same stage; for a constant result, anywhere in the module. A constant instruction is placed
+        before the loop over the rows, any other one in the loop. The earlier result is returned if there is one.
 
         Parameters
         ----------
@@ -534,7 +540,7 @@ class LlvmEmitter:
     def _vector_text(self, a: Value) -> str:
         """Return the name or literal of a value as a vector. A scalar is repeated in all elements of the vector.
 
-        The instructions that repeat it are written.
+        The instructions that repeat it are written; a literal needs none.
         """
         if a.vector:
             return a.text
@@ -551,7 +557,8 @@ class LlvmEmitter:
     def _write_address(self, name: str, j: int) -> str:
         """Write the computation of the address of entry j of the array ``name``. Return the name of the pointer.
 
-        The address is that of the current row, and of the current group of lanes (vector).
+        The address is that of the current row if the array has entries for each row or is a summed result, and that of
+        the current group of lanes (vector) if the array is in lanes.
         """
         kind, size, pointer = self._type_text(name in self.plan.lanes), self.plan.sizes[name], f"%{name}"
         offsets: list[str] = []
@@ -602,9 +609,12 @@ class LlvmEmitter:
         self._append_lines(f"store {self._type_text(lane)} {text}, ptr {self._write_address(name, j)}, align 8")
 
     def _type_text(self, vector: bool) -> str:
-        """Return LLVM's name of the type: a vector of ``width`` doubles if ``vector`` is true, else double."""
+        """Return LLVM's name of the type: a vector of ``width`` doubles if ``vector`` is true, else ``double``."""
         return f"<{self.width} x double>" if vector else "double"
 
     def _append_lines(self, *lines: str, constant: bool = False) -> None:
-        """Append lines of IR to the loop over the rows, or to the lines before the loop if ``constant`` is true."""
+        """Append lines of IR to the loop over the rows, or to the lines before the loop if ``constant`` is true.
+
+        While a stage is written as a separate function, the loop's lines are those of this function.
+        """
         (self.entry_lines if constant else self.loop_lines).extend(lines)

@@ -191,7 +191,10 @@ class Plan:
 
     @property
     def grams(self) -> frozenset[str]:
-        """Names of the result matrices of the Gram stages, which add the inner products between all lanes."""
+        """Names of the result matrices of the Gram stages, which add the inner products between all lanes.
+
+        Gram stages are the `GramStage` among ``stages``. Their results are not in ``summed``.
+        """
         return frozenset(s.result for s in self.stages if isinstance(s, GramStage))
 
     @cached_property

@@ -109,7 +109,10 @@ def _compiled_recursion() -> Callable[..., None]:
     entry = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 7, *[ctypes.c_void_p] * 8)(address)
 
     def run(*arguments: Any) -> None:
-        """Call the machine code of the recursion with seven sizes and eight addresses of arrays."""
+        """Call the machine code of the recursion with seven sizes and eight addresses of arrays.
+
+        It writes the arrays ``x`` and ``out`` in place. The arguments are not checked.
+        """
         assert library is not None  # the code lives as long as its library
         entry(*arguments)
 

@@ -63,7 +63,9 @@ class VectorisedModel:
         """Return the rates of the states, followed by the outputs, as a list of n_states + n_outputs arrays (n_rows,).
 
         The arguments are states x (n_rows, n_states), inputs u (n_rows, n_inputs) and values of the parameters
-        (n_parameters,). A rate or output that is the same for all rows is repeated.
+        (n_parameters,). A rate or output that is the same for all rows is repeated. If the functions of the model raise
+        TypeError or ValueError for arrays, CasADi evaluates them, which is slower. Values that are not finite raise no
+        warning.
         """
         with np.errstate(all="ignore"):
             try:
@@ -119,7 +121,10 @@ class VectorisedModel:
         )
 
         def rates(state: Any, row: Any) -> Any:
-            """Return the rates of the last states in a row."""
+            """Return the rates of the last states, from their values ``state`` and from ``row``.
+
+            ``row`` has the known states of the row, followed by its inputs.
+            """
             found = self._rates_and_outputs(ca.vertcat(row[:known], state), row[known:], p)
             return found[known : self.n_states]
 

@@ -51,7 +51,8 @@ def time_blocks(
     """Cut each record into blocks of consecutive rows, for cross-validation.
 
     A record gets five to eight blocks of equal duration. The number is the duration of the record divided by twelve
-    times ``block``, rounded down, within these limits.
+    times ``block``, rounded down, within these limits. Each row is in exactly one block: a row at an edge belongs to
+    the later block, the last row to the last block. The name of a block has its times, as ``run[0:60]``.
 
     Parameters
     ----------
@@ -128,14 +129,20 @@ def leave_one_block_out(
         informations[b][np.ix_(own, own)] = np.outer(slope[own], slope[own]) * score.information
 
     def block_values(b: int, z: Array) -> Array:
-        """Return the parameter values (n_parameters,) of block b for the estimator's coordinates z (n,)."""
+        """Return the parameter values (n_parameters,) of block b for the estimator's coordinates z (n,).
+
+        Values outside their bounds are moved onto them. Parameters that are not estimated keep their ``values``.
+        """
         found: Array = values[blocks.record_indices[b]].copy()
         for k in coordinates[b]:
             found[index[parameters[k].name]] = np.clip(parameters[k].from_free(float(z[k])), *parameters[k].bounds)
         return found
 
     def others_log_posterior(b: int, z: Array) -> float:
-        """Return the log-posterior of all blocks except b for the estimator's coordinates z (n,)."""
+        """Return the log-posterior of all blocks except b for the estimator's coordinates z (n,).
+
+        The constants of the priors are left out. The result is NaN if the filter diverges in a block.
+        """
         others = (j for j in range(len(rows)) if j != b)
         total = sum(float(likelihood.value_by_row(rows[j], block_values(j, z)).sum()) for j in others)
         return total - 0.5 * float(weight @ (z - mean) ** 2)

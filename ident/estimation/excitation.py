@@ -38,7 +38,7 @@ class UnexcitedMotion:
 
     @property
     def clause(self) -> str:
-        """Clause for reports: that the data do not determine these parameters, and the reason if it is known."""
+        """Clause for reports: the data do not determine these parameters, followed by the reason if it is known."""
         reason = f": {self.reason}" if self.reason else ""
         return f"the data do not determine {', '.join(self.parameters)}{reason}"
 
@@ -73,8 +73,10 @@ def unexcited_motion(fit: Fit, records: Sequence[Record]) -> UnexcitedMotion | N
 def _reason_in_commands(fit: Fit, records: Sequence[Record]) -> str:
     """Return why the motion was not excited, as a clause about the inputs of the left and the right thruster.
 
-    The reason is that neither input changed, or that the two did not differ: a standard deviation below 2 % of the
-    largest input. The clause is empty if neither is true, or if the model has no inputs of two sides.
+    The inputs are the first of the model whose names end in ``_left`` and ``_right``, over all records together. The
+    reason is that neither input changed, or that the two did not differ: a standard deviation below 2 % of the largest
+    absolute value of both. The first reason is given if both are true. The clause is empty if neither is true, or if
+    the model lacks one of these inputs.
     """
     own = [i.name for i in fit.model.inputs if not i.tap_of]
     sides = [next((n for n in own if n.endswith(f"_{side}")), None) for side in ("left", "right")]

@@ -100,7 +100,7 @@ class Bounds:
     logarithmic: Flags
 
     def clip(self, z: Array) -> Array:
-        """Return the coordinates z (n,) clipped to the bounds."""
+        """Return a copy of the coordinates z (n,), each clipped to its bounds."""
         return np.clip(z, self.low, self.high)
 
     def pushed_against(self, z: Array, gradient: Array) -> Flags:
@@ -181,7 +181,7 @@ class BfgsCorrection:
         """Add an accepted step of the search, and update ``largest`` from the point after it.
 
         If the step gained more than 3 in log-likelihood, the objective is not quadratic yet: all pairs are deleted, and
-        the step is not added.
+        the step is not added. Otherwise the oldest pair is dropped if there are 12 already.
 
         Parameters
         ----------
@@ -463,7 +463,7 @@ class Problem:
         Largest number of records that are evaluated at the same time.
     initial_values
         Initial values by full name (``V_x@0`` is V_x in record 0) that differ from the model's, also of shared
-        parameters. None: no such values.
+        parameters. A name that is not estimated is ignored. None: no such values.
 
     Attributes
     ----------
@@ -619,7 +619,10 @@ class Problem:
         """
 
         def work(i: int, v: Array) -> float:
-            """Return the log-likelihood of record i, from the last call if its values are the same."""
+            """Return the log-likelihood of record i with the values v (n_parameters,), and store it for the next call.
+
+            If v are the values of the last call, the stored result is returned.
+            """
             last, known = self._last_values.get(i, (None, 0.0))
             if last is None or not np.array_equal(last, v):
                 known = self.likelihood.value(self.records[i], v)
@@ -630,7 +633,10 @@ class Problem:
         return sum(self._for_each_record(work, z), -0.5 * float(weight @ (z - mean) ** 2))
 
     def value_and_gradient(self, z: Array) -> tuple[float, Array]:
-        """Return the log-posterior at the coordinates z (n,) and its gradient (n,), by the adjoint filter."""
+        """Return the log-posterior at the coordinates z (n,) and its gradient (n,), by the adjoint filter.
+
+        The constants of the priors are left out, as in `value`. Both results are not finite if the filter diverges.
+        """
         mean, weight = self.prior
         value, gradient = -0.5 * float(weight @ (z - mean) ** 2), -weight * (z - mean)
         slope = self.slopes(z)
@@ -674,7 +680,8 @@ class Problem:
     def _for_each_record(self, work: Callable[[int, Array], T], z: Array) -> list[T]:
         """Return the results of ``work(i, values)`` for all records i in order, computed in up to ``threads`` threads.
 
-        ``values`` (n_parameters,) are all parameters of record i at the coordinates z (n,), in their own units.
+        The call waits for all of them. An error of ``work`` is raised here. ``values`` (n_parameters,) are all
+        parameters of record i at the coordinates z (n,), in their own units.
         """
         values = self.values(z)
         if self.threads == 1:

@@ -82,7 +82,7 @@ class FittedModel:
 
     @property
     def records(self) -> list[Record]:
-        """Records of the estimation data."""
+        """Records of the estimation data, in order, with the inputs and outputs of the fitted model only."""
         return [v.record for v in self.estimation]
 
     @property
@@ -121,7 +121,8 @@ class RecordEvaluation:
     def ll(self) -> Array:
         """Contribution of each row (instant of the record) to the log-likelihood (n_rows,).
 
-        It is cheaper than `run`, and enough for most candidates of a diagnosis.
+        It is cheaper than `run`, and enough for most candidates of a diagnosis. It is not finite from the row on in
+        which the filter diverges.
         """
         return Likelihood(self.model).value_by_row(self.record, self.values)
 
@@ -184,7 +185,8 @@ def validation_records(
 ) -> tuple[list[Record], tuple[FailedRun, ...]]:
     """Convert validation runs to records of the model's inputs and outputs.
 
-    Return the records, and the runs that cannot be converted with the reason. ``rate`` [Hz] is the rate of the rows of
+    Return the records, and the runs that cannot be converted with the reason, both in the order of ``segments``. A run
+    that cannot be converted raises no error. ``rate`` [Hz] is the rate of the rows of
     a record, to which faster sensors are averaged.
     """
     records, failed = list[Record](), list[FailedRun]()
@@ -261,9 +263,9 @@ def without_contradicted_noise(full: Model, fitted: FittedModel) -> Model:
     """Replace the declared noise of the sensors by priors if the innovations of an output contradict it.
 
     Declared noise is a fixed noise parameter of an output. It is contradicted if the robust standard deviation of the
-    standardised innovations of any such output is 1.5 or more. All declared noise parameters then become free, with
-    their values as the means of priors and 12.5 % as relative standard deviation. Otherwise the model ``full`` is
-    returned unchanged.
+    standardised innovations of any such output is 1.5 or more. The declared noise parameters of all outputs with
+    samples then become free, with their values as the means of priors and 12.5 % as relative standard deviation.
+    Otherwise the model ``full`` is returned unchanged.
 
     If noise that is declared too small were kept fixed, random errors would look like an effect, and the standard
     errors would be too small. One contradicted output makes the declared noise of all outputs doubtful: the filter puts
@@ -324,7 +326,10 @@ def fit_and_evaluate(
     initial, rows = reset_collapsed_noise(model, records), [r.for_model(model) for r in records]
 
     def fitted_from(start: Mapping[str, float]) -> Fit:
-        """Fit the model from its initial values, of which ``start`` (by parameter) replaces some."""
+        """Fit the model to all records from its initial values, of which ``start`` (by parameter) replaces some.
+
+        Options and settings are those of the caller. ValueError is raised if the model cannot be evaluated there.
+        """
         return fit(initial, rows, options, settings, start=start)
 
     full_fit = fitted_from({})
@@ -422,7 +427,8 @@ def evaluate_records(
     Returns
     -------
     evaluations, failed
-        Evaluation of each record, and the records that could not be evaluated with the reason.
+        Evaluation of each record, and the records that could not be evaluated with the reason, both in the order of
+        ``records``. A record that cannot be evaluated raises no error. Both are empty without records.
     """
     settings = settings or SearchSettings(robust_errors=False)
     own = [p.name for p in model.parameters if p.free and p.per_record]
@@ -438,7 +444,7 @@ def evaluate_records(
             if not np.isfinite(v.ll).all():
                 raise ValueError(
                     f"record {v.record.name}: the likelihood of model {model.name} is not finite for the estimated "
-                    "parameters"
+                    "parameters; check this log with `seatrial check`, or leave it out"
                 )
         return views, []
     except FIT_ERRORS as problem:
@@ -475,7 +481,8 @@ def validated_in_blocks(fitted: FittedModel) -> FittedModel:
 def _evaluation_of(model: Model, record: Record, values: Array) -> RecordEvaluation:
     """Return the evaluation of the model on a record, of which only the model's inputs and outputs are kept.
 
-    ``values`` (n_parameters,) are the estimates for this record.
+    ``values`` (n_parameters,) are the estimates for this record. The filter does not run yet. ValueError is raised if
+    the record lacks an input.
     """
     return RecordEvaluation(model, record.for_model(model), values)
 
@@ -531,7 +538,8 @@ def missing_inputs(nominal_model: Model, effect: Effect, run: LogSegment) -> set
 def without_absent_sensors(model: Model, records: Sequence[Record]) -> Model:
     """Fix the noise parameters of those sensors that have no sample in any of the records, and return the model.
 
-    The data contain no information about these parameters.
+    The data contain no information about these parameters. They are fixed at their present values. A noise parameter
+    that a sensor with samples shares stays free.
     """
     return model.replace_parameters(*[model.parameter(n).fixed() for n in _noise_of_absent_sensors(model, records)])
 
@@ -540,7 +548,8 @@ def without_unknown_noise(model: Model, records: Sequence[Record], validation_da
     """Return the validation records without the samples of sensors that have no sample in the estimation records.
 
     The samples become NaN in copies of the records. The noise of such a sensor is not estimated, so that the result of
-    the validation would depend on a guess. If the noise is fixed to a given value, the samples stay.
+    the validation would depend on a guess. If the noise is fixed to a given value, the samples stay. Records without
+    such samples are returned themselves, and the order is kept.
     """
     unknown = {n for n in _noise_of_absent_sensors(model, records) if model.parameter(n).free}
     dropped = {o.name for o in model.outputs if o.noise in unknown}

@@ -93,7 +93,7 @@ class HomogeneityTest:
 
     @property
     def agree(self) -> bool:
-        """Whether the test does not reject one common value: p is above 0.01."""
+        """Whether the test does not reject one common value for all records: p is above 0.01."""
         return self.p > LEVEL
 
 
@@ -200,7 +200,7 @@ def _refit_subset(previous: Fit, model: Model, records: Sequence[Record], which:
     previous
         Fit to all records.
     model
-        Model to be fitted.
+        Model to be fitted. Its shared parameters start at its values.
     records
         All records of the previous fit.
     which
@@ -295,7 +295,7 @@ def between_runs_effect(model: Model, target: str) -> Effect:
     target
         ``payload``: a mass [kg] added to the masses in surge and sway, with a prior of 0 +- 20 % of the surge mass.
         ``thrust``: a factor 1 + k on the thrust coefficients c1 and c2. Otherwise the name of a parameter that gets
-        this factor. The prior of k is 0 +- 0.3.
+        this factor; KeyError is raised if the model lacks it. The prior of k is 0 +- 0.3.
     """
     if target == PAYLOAD:
 
@@ -321,7 +321,7 @@ def between_runs_effect(model: Model, target: str) -> Effect:
     meaning = "the thrust" if target == THRUST else f"{target} ({model.parameter(target).meaning})"
 
     def change(s: Signals) -> None:
-        """Multiply the parameters by the factor 1 + k of the record, in place."""
+        """Multiply the parameters by the factor 1 + k of the record, in place; skip those that the model lacks."""
         factor = 1.0 + getattr(s.p, f"k_{target}")
         for name in names:
             if hasattr(s.p, name):

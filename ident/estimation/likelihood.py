@@ -167,7 +167,7 @@ class FilterResult:
 
     @cached_property
     def outliers(self) -> NDArray[np.bool_]:
-        """Whether a sample is an outlier (n_rows, n_outputs).
+        """Whether a sample is an outlier (n_rows, n_outputs); False where nothing was measured.
 
         A sample is an outlier if the filter skipped it before the first regular measurement. For an output with the
         outlier model, it is also an outlier if the probability that it belongs to the regular noise is below 0.5.
@@ -230,7 +230,7 @@ class Likelihood:
 
         ``values`` (n_parameters,) are the parameters at which it is computed. The adjoint filter, which runs backwards
         through the record, needs a time that does not depend on the number of parameters. The dependence of the initial
-        state on the parameters is included.
+        state on the parameters is included. The log-likelihood is NaN if the filter diverges.
         """
         data, start = self._prepare_with_initial_state(record, values)
         forward_kernel, backward_kernel = self._kernels.forward, self._kernels.backward
@@ -266,7 +266,8 @@ class Likelihood:
     ) -> LikelihoodAndScore:
         """Return log-likelihood, score and expected Fisher information of a record, by forward sensitivities.
 
-        The score is the gradient of the log-likelihood. Parameters are in their own units, not in logarithms.
+        The score is the gradient of the log-likelihood. Parameters are in their own units, not in logarithms. The
+        log-likelihood is NaN if the filter diverges. An unknown name in ``free`` raises KeyError.
 
         Parameters
         ----------
@@ -309,7 +310,7 @@ class Likelihood:
         """Return the contribution of each row (instant of the record) to the log-likelihood (n_rows,).
 
         ``values`` (n_parameters,) are all parameters of the model. The compiled code is that of `scores`, so that
-        nothing is compiled after a search.
+        nothing is compiled after a search. The result is not finite from the row on in which the filter diverges.
         """
         data, start = self._prepare_with_initial_state(record, values)
         kernel = self._kernels.tangent
@@ -322,6 +323,7 @@ class Likelihood:
         """Run the extended Kalman filter over a record and return its output for each row.
 
         ``values`` (n_parameters,) are all parameters of the model. Validation, the smoother and plots use the result.
+        If the filter diverges, its output is not finite from that row on, and no error is raised.
 
         Raises
         ------
@@ -381,6 +383,9 @@ class Likelihood:
     def forecast(self, record: Record, values: Array, x: Array, P: Array, first: int, last: int) -> tuple[Array, Array]:
         """Predict states and their covariances from the inputs alone, without measurements.
 
+        The samples of the record in these rows are not used, also not that of the row ``first``. The shape of
+        ``values`` is not checked.
+
         Parameters
         ----------
         record, values
@@ -423,7 +428,7 @@ class Likelihood:
         if np.shape(values) != (len(self._index),):
             raise ValueError(
                 f"model {self.model.name} has {len(self._index)} parameters, but the array of their values has the "
-                f"shape {np.shape(values)}"
+                f"shape {np.shape(values)}; give one value for each parameter, in the order of the model"
             )
         data = self._prepare(record)
         return data, initial_condition(self.model, values, data, self.process_noise)

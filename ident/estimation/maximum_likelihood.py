@@ -72,7 +72,10 @@ class EstimationOptions:
 
     @property
     def process_noise(self) -> bool:
-        """Whether the likelihood includes the process noise: True for prediction error, False for output error."""
+        """Whether the likelihood includes the process noise: True for prediction error, False for output error.
+
+        Prediction error runs an extended Kalman filter; output error is a simulation.
+        """
         return self.method == "prediction-error"
 
     def with_mean_order(self, model: Model) -> Model:
@@ -243,7 +246,7 @@ class Fit:
         """Return the value and the standard error of a parameter in a record.
 
         The value of a fixed parameter is that of the model. The error is NaN if the parameter is fixed, at a bound or
-        not identified.
+        not identified. KeyError is raised if the model lacks the parameter.
 
         Parameters
         ----------
@@ -294,8 +297,9 @@ def fit(
     settings
         Accuracy and effort of the search. None: the defaults of `SearchSettings`.
     start
-        Initial values by parameter, which replace those of the model. ``V_x@0`` is the value of V_x in record 0 only.
-        KeyError is raised for a name that is no parameter.
+        Initial values by parameter, which replace those of the model. ``V_x@0`` is the value of V_x in record 0 only;
+        one outside its bounds is moved onto them, any other value outside raises ValueError. KeyError is raised for a
+        name that is no parameter.
     progress
         Called in each iteration with its number and the log-posterior.
 
@@ -356,7 +360,9 @@ def _check_data(problem: Problem) -> None:
     ``problem`` is the objective of the fit.
     """
     if not problem.names:
-        raise ValueError(f"model {problem.model.name} has no free parameters to estimate; free at least one of them")
+        raise ValueError(
+            f"model {problem.model.name} has no free parameters to estimate; leave out a --fix, or free a parameter"
+        )
     n_measured = sum(problem.likelihood.measured(record) for record in problem.records)
     n_unknown = int(np.sum(problem.prior[1] == 0))
     if n_measured < n_unknown:

@@ -125,8 +125,9 @@ class SavedModel:
     def covariance(self, wanted: Collection[str] | None = None) -> ParameterCovariance:
         """Return the covariance of all estimates, or of those whose full names are in ``wanted``.
 
-        The covariance is in the parameters' units. Estimates without a standard error are left out, and so are
-        per-record parameters, of which the file has no standard error for each record.
+        The covariance is in the parameters' units, and in the order of the file. Estimates without a standard error are
+        left out, and so are per-record parameters, of which the file has no standard error for each record. A name that
+        the file lacks is ignored.
         """
         names = self.names if wanted is None else [n for n in self.names if n in wanted]
         known = tuple(n for n in names if np.isfinite(self.errors.get(n, np.nan)) and self.errors[n] > 0.0)
@@ -364,7 +365,7 @@ def load_model(path: Path) -> SavedModel:
     except (AttributeError, KeyError, TypeError, ValueError) as problem:  # AttributeError: a value instead of a table
         raise SeatrialError(
             f"{path}: the model in this file is incomplete or does not match this version of seatrial, so fit it "
-            f"again: {problem}"
+            f"again: {_reason(problem)}"
         ) from problem
     return SavedModel(
         model,
@@ -381,6 +382,20 @@ def load_model(path: Path) -> SavedModel:
         rates,
         holds,
     )
+
+
+def _reason(problem: Exception) -> str:
+    """Return the reason why a model.toml cannot be read, for the message, from the error that was raised.
+
+    A KeyError whose text is a single word names a missing entry; any other one has a text of its own. A TypeError or
+    AttributeError comes from a value of the wrong type. The text of any other error is returned as it is.
+    """
+    if isinstance(problem, KeyError):
+        text = str(problem.args[0])
+        return text if " " in text else f"it has no entry {text!r}"
+    if isinstance(problem, (AttributeError, TypeError)):
+        return f"one of its entries has a wrong type ({problem})"
+    return str(problem)
 
 
 def _trusted_python_files(table: Mapping[str, Any], path: Path) -> tuple[str, Path | None]:
@@ -401,7 +416,9 @@ def _trusted_python_files(table: Mapping[str, Any], path: Path) -> tuple[str, Pa
 def _build_model(table: Mapping[str, Any], source: str, own: Mapping[str, Effect]) -> Model:
     """Return the model that a model.toml describes: its structure with effects, outlier model and parameter values.
 
-    A parameter without a table in the file is that of the structure.
+    A parameter without a table in the file is that of the structure. Effects are added in the order of the file; one
+    that the structure has already is not added again. A user-defined effect takes precedence over an effect of the
+    catalogue with the same name.
 
     Parameters
     ----------
@@ -447,7 +464,7 @@ def _build_model(table: Mapping[str, Any], source: str, own: Mapping[str, Effect
 def _with_saved_state_numbers(state: State, row: Mapping[str, Any]) -> State:
     """Return the state with the initial standard deviation ``sd0`` and the process noise ``noise`` of its file table.
 
-    Numbers that the table ``row`` lacks are not changed.
+    Numbers that the table ``row`` lacks are not changed. Other entries of the table are ignored.
     """
     numbers: dict[str, Any] = {k: float(row[k]) for k in STATE_NUMBERS if k in row}
     return replace(state, **numbers)
@@ -487,7 +504,7 @@ def _with_bounds_around_values(effect: Effect, rows: Sequence[Mapping[str, Any]]
     values = {row["name"]: float(row["value"]) for row in rows}
 
     def wide(p: Parameter) -> Parameter:
-        """Return the parameter with bounds that include its value in the file."""
+        """Return the parameter with bounds that include its value in the file; a bound of zero stays."""
         value, (low, high) = values.get(p.name, p.value), p.bounds
         # a bound of zero does not depend on the size: it stays
         return replace(p, bounds=(low and min(low, value), high and max(high, value)))

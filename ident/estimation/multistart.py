@@ -27,8 +27,8 @@ def best_of_starts(first: Fit, records: Sequence[Record], refit: Callable[[Mappi
     """Return the best of a fit and of new fits from other initial values, for a likelihood with several maxima.
 
     The other initial values come from the model's start grid (a grid of initial values for a few of its parameters). A
-    refit replaces the best fit so far if its log-posterior is higher by more than 0.5. A start from which the
-    likelihood cannot be evaluated is skipped.
+    refit replaces the best fit so far if its log-posterior is higher by more than 0.5, whether or not it has converged.
+    A start from which the likelihood cannot be evaluated is skipped.
 
     Parameters
     ----------
@@ -78,7 +78,10 @@ def alternative_starts(first: Fit, records: Sequence[Record]) -> list[dict[str, 
     rows = [r.for_model(model) for r in records]
 
     def log_likelihood(point: Sequence[float]) -> float:
-        """Return the log-likelihood of all records at a point of the grid; -inf if it is not finite."""
+        """Return the log-likelihood of all records at a point of the grid; -inf if it is not finite.
+
+        ``point`` has one value for each parameter of the grid. All other parameters are as in the fit.
+        """
         values = first.record_values.copy()
         values[:, columns] = point
         found = sum(likelihood.value(r, v) for r, v in zip(rows, values, strict=True))

@@ -69,12 +69,13 @@ def with_initial_state(model: Model, names: Sequence[str] | None = None, *, per_
     Raises
     ------
     KeyError
-        If the model lacks one of the states.
+        If the model lacks one of the states. The message lists its states.
     """
     chosen = [s.name for s in model.states] if names is None else list(names)
     unknown = set(chosen) - {s.name for s in model.states}
     if unknown:
-        raise KeyError(f"model {model.name} has no state {sorted(unknown)[0]!r}")
+        states_of_model = ", ".join(s.name for s in model.states)
+        raise KeyError(f"model {model.name} has no state {sorted(unknown)[0]!r}; it has {states_of_model}")
     states, parameters = [], []
     for state in model.states:
         if state.name not in chosen or isinstance(state.x0, str):
@@ -196,7 +197,7 @@ def predict_ahead(
 
 
 def _simulation_kernel(model: Model) -> Kernel:
-    """Return the compiled function that simulates the model without process noise."""
+    """Return the compiled function that simulates the model without process noise. It is compiled on first use."""
     return filter_kernels_for(model, covariance=False).simulate
 
 

@@ -69,7 +69,7 @@ class ParameterUncertainty:
         """Return a copy of parameter values with the n uncertain ones moved by a step and clipped to their bounds.
 
         The ``step`` (n,) is in the estimator's coordinates (logarithms of positive parameters). ``values``
-        (n_parameters,) and the result are in the parameters' own units.
+        (n_parameters,) and the result are in the parameters' own units. All other values are copied unchanged.
         """
         out = values.copy()
         for i, d in zip(self.columns, step.tolist(), strict=True):
@@ -138,7 +138,8 @@ def prediction_variance(
     def outputs(v: Array) -> Array:
         """Return the outputs (n_rows - known, n_outputs) predicted after the known rows.
 
-        ``v`` (n_parameters,) are the parameter values.
+        ``v`` (n_parameters,) are the parameter values, both of the filter over the known rows and of the simulation
+        that starts from its last state.
         """
         return simulate(model, tail, v, likelihood.filter(head, v).x_filt[-1], preparer).y[1:]
 
@@ -209,7 +210,8 @@ def principal_directions(model: Model, values: Array, known: ParameterCovariance
 def dynamic_parameters(model: Model) -> list[str]:
     """Return the names of the free parameters of the dynamics, in the order of the model.
 
-    They are those that all records share, except those of noise and disturbance forces.
+    They are those that all records share, except those of noise (standard deviations, diffusions) and of zero-mean
+    disturbances.
     """
     noise = model.noise_parameters
     return [p.name for p in model.parameters if p.free and not p.per_record and p.name not in noise]

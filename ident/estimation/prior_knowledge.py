@@ -52,6 +52,11 @@ def apply_rig_geometry(
         Model with the dimensions.
     notes
         Sentences for the reader about a lever arm that the model cannot use, or about several antennas.
+
+    Raises
+    ------
+    SeatrialError
+        If a value is outside the bounds of its parameter, or not positive where it must be.
     """
     given, known = dict(vehicle if vehicle is not None else rig.vehicle if rig else {}), []
     levers = {f"y_{t.name}": t.position_m[1] for t in (rig.thrusters if rig else ()) if t.name in SIDES}
@@ -60,7 +65,12 @@ def apply_rig_geometry(
             p, sd = model.parameter(name), given.get(f"{name}_sd", 0.0)
             origin = ParameterOrigin.PRIOR if sd else ParameterOrigin.GIVEN
             initial = p.free and not sd  # a value without uncertainty is only the start of an estimate
-            known.append(p.at(value) if initial else p.known(value, sd, origin))
+            try:
+                known.append(p.at(value) if initial else p.known(value, sd, origin))
+            except ValueError as problem:
+                raise SeatrialError(
+                    f"the rig file or the import map gives {name} = {value:g}: {problem}; correct it there"
+                ) from problem
     model = model.replace_parameters(*known)
     return _with_antenna(model, rig) if rig else (model, [])
 
@@ -69,9 +79,9 @@ def _with_antenna(model: Model, rig: Rig) -> tuple[Model, list[str]]:
     """Return the model with the lever arm of the rig's antenna, and a note if this is not possible or ambiguous.
 
     The lever arm is the position of the antenna from the centre of gravity. The first device of the rig with a lever
-    arm counts as the antenna of all GNSS outputs. The model is unchanged, and there is no note, if no device has a
-    lever arm other than zero or the model has no GNSS output. The height of an antenna does not count for a model
-    without roll and pitch.
+    arm counts as the antenna of all GNSS outputs. Further devices with the same lever arm give no note. The model is
+    unchanged, and there is no note, if no device has a lever arm other than zero or the model has no GNSS output. The
+    height of an antenna does not count for a model without roll and pitch.
     """
     sensitive = slice(2 if "hull" in model.provides else 3)  # without roll and pitch the height has no effect
     arms = [d.lever_arm_m for d in rig.devices if any(tuple(d.lever_arm_m)[sensitive])]
@@ -120,7 +130,8 @@ def _moved_from_zero(p: Parameter) -> Parameter:
 def _effect_form_for_model(model: Model, name: str) -> Effect:
     """Return the effect of the catalogue with this name, in the form that the model accepts.
 
-    All forms of an effect have the same first parameter, by which they are found. SeatrialError is raised if there is
+    All forms of an effect have the same first parameter, by which they are found. If the model accepts several forms,
+    the first one in the catalogue is returned. SeatrialError is raised if there is
     no such effect, if the model has its first parameter already, or if the model accepts no form.
     """
     known = {**catalogue(), CURRENT_WALK: current_walk(), TELEMETRY_AGE: telemetry_age()}
@@ -163,8 +174,8 @@ def fix_parameters(model: Model, thruster: Path | None, given: Mapping[str, floa
     Raises
     ------
     SeatrialError
-        If the model lacks a parameter of ``given``, if the file of the bench test cannot be read, or if it has no
-        thrust coefficient or does not determine it.
+        If the model lacks a parameter of ``given`` or cannot have this value of it, if the file of the bench test
+        cannot be read, or if it has no thrust coefficient or does not determine it.
     """
     known: dict[str, Parameter] = {}
     notes = []
@@ -185,14 +196,18 @@ def fix_parameters(model: Model, thruster: Path | None, given: Mapping[str, floa
             raise SeatrialError(
                 f"--fix {name}: model {model.name} has no such parameter; it has {', '.join(model.values)}"
             )
-        known[name] = model.parameter(name).known(value, 0.0, ParameterOrigin.GIVEN)
+        try:
+            known[name] = model.parameter(name).known(value, 0.0, ParameterOrigin.GIVEN)
+        except ValueError as problem:
+            raise SeatrialError(f"--fix {name}={value:g}: {problem}") from problem
     return model.replace_parameters(*known.values()), notes
 
 
 def _bench_parameter(bench: SavedModel, name: str, path: Path) -> Parameter:
     """Return the thrust coefficient ``name`` of a bench test's model, which was read from ``path``.
 
-    SeatrialError is raised if the model lacks the coefficient, or if it is free but has no standard error.
+    The file is not read again; the path is for the messages. A coefficient that is fixed in the model is returned as it
+    is. SeatrialError is raised if the model lacks the coefficient, or if it is free but has no standard error.
     """
     if name not in bench.model.values:
         raise SeatrialError(
@@ -234,10 +249,16 @@ def set_priors(model: Model, prior: Mapping[str, tuple[float, float]]) -> Model:
 def set_initial_values(model: Model, initial: Mapping[str, float]) -> Model:
     """Return the model with other initial values, given by parameter in the parameters' units.
 
-    SeatrialError is raised if the model lacks one of the parameters.
+    SeatrialError is raised if the model lacks one of the parameters, or if a value is outside its bounds or not
+    positive where it must be.
     """
     unknown = set(initial) - set(model.values)
     if unknown:
         names = ", ".join(model.values)
         raise SeatrialError(f"--initial {sorted(unknown)[0]}: model {model.name} has no such parameter; it has {names}")
-    return model.with_values(initial)
+    for name, value in initial.items():
+        try:
+            model = model.with_values({name: value})
+        except ValueError as problem:
+            raise SeatrialError(f"--initial {name}={value:g}: {problem}") from problem
+    return model

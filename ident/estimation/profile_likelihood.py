@@ -132,9 +132,12 @@ def profile(fit: Fit, records: Sequence[Record], name: str, *, threads: int = 2)
         sides = _trace_both_sides(objective)
     notes = [f"{word} side: {side.note}" for word, side in zip(("lower", "upper"), sides, strict=True) if side.note]
     if objective.best_found[0] > before + MIN_GAIN:
+        p = objective.parameter
+        value = p.from_free(float(objective.z[objective.coordinate]))
+        again = f"--initial {full}={value:.6g}" if p.segment is None else "other initial values (--initial)"
         notes.append(
             f"the profile found a fit with a log-likelihood larger by {objective.best_found[0] - before:.2g}, and "
-            "belongs to that fit: fit again from these values (--initial)"
+            f"belongs to that fit: fit again with {again}"
         )
     error = fit.errors[objective.coordinate] / np.abs(objective.parameter.slope(fit.values[objective.coordinate]))
     return _profile_in_own_unit(
@@ -402,7 +405,10 @@ class ProfileBranch:
         return [*self.points_inside[1:], *[p for p in [self.first_outside] if p is not None and np.isfinite(p.drop)]]
 
     def add_point(self, point: ProfilePoint) -> None:
-        """Insert an evaluated point into ``points``, in order of distance from the estimate."""
+        """Insert an evaluated point into ``points``, in order of distance from the estimate.
+
+        It comes after points at the same distance.
+        """
         self.points = sorted([*self.points, point], key=lambda p: p.s)
 
     @property
@@ -631,11 +637,11 @@ class ConstrainedObjective:
         """
 
         def whole(rest: Array) -> Array:
-            """Insert the held coordinate into the others (n - 1,), and return all coordinates (n,)."""
+            """Insert the value ``z_k`` of the held coordinate into the others (n - 1,), and return all of them (n,)."""
             return np.insert(rest, self.coordinate, z_k)
 
         def evaluate(rest: Array) -> Evaluation:
-            """Return the evaluation as a function of the coordinates that are not held (n - 1,)."""
+            """Return the evaluation at the other coordinates (n - 1,), without the derivatives by the held one."""
             at, o = self._evaluate_with_flat_information(whole(rest)), self.others
             return Evaluation(at.value, at.gradient[o], at.information[np.ix_(o, o)], at.curvature[o])
 

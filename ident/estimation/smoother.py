@@ -45,7 +45,7 @@ class SmootherResult:
 
     @property
     def sd(self) -> Array:
-        """Standard deviations of the states (n_rows, n_states)."""
+        """Standard deviations of the states (n_rows, n_states); a negative variance, from rounding, counts as zero."""
         return np.asarray(np.sqrt(np.maximum(np.diagonal(self.P, axis1=1, axis2=2), 0.0)))
 
 
@@ -65,7 +65,7 @@ class SmoothedStates(NamedTuple):
 def smooth(run: FilterResult) -> SmootherResult:
     """Run the Rauch-Tung-Striebel smoother over a filter run, and return means and covariances of the states.
 
-    States without variance are not changed.
+    States without variance are not changed. In the last row the result is that of the filter.
     """
     parts = list(_smoothed_pieces(run))[::-1]
     x, P, lag_one = (np.concatenate(part) for part in zip(*[part[1:] for part in parts], strict=True))

@@ -472,10 +472,11 @@ def flat_coordinates(
     An example is the end of a dead zone that lies between two commands of the log: all values in between fit equally
     well. The curvature at the estimate is then no measure of the error, and the interval replaces it.
 
-    Such a parameter is inside its bounds, and its standard error from the information exceeds its characteristic step.
-    The log-likelihood falls by 1.92 (the limit of a 95 % interval) on one side at least. A side without such a fall
-    ends at the bound. The interval is shorter than half of the 95 % interval that the standard error gives. Parameters
-    that are estimated as logarithms are skipped, because the likelihood is smooth in them.
+    Such a parameter is inside its bounds. Its standard error from the information, all other parameters held, is not
+    smaller than its characteristic step; without information it is infinite. The log-likelihood falls by 1.92 (the
+    limit of a 95 % interval) on one side at least. A side without such a fall ends at the bound. The interval is
+    shorter than half of the 95 % interval that the standard error gives. Parameters that are estimated as logarithms
+    are skipped, because the likelihood is smooth in them.
 
     Parameters
     ----------
@@ -533,7 +534,7 @@ def _drop_test(value: Callable[[Array], float], z: Array, i: int) -> DropTest:
     top = value(z)
 
     def fallen(x: float) -> bool | None:
-        """Return whether the log-likelihood has fallen by 1.92 at x; None if it is not finite."""
+        """Return whether the log-likelihood has fallen by more than 1.92 at x; None if it is not finite."""
         moved = z.copy()
         moved[i] = x
         there = value(moved)

@@ -38,7 +38,10 @@ class SampledInputs:
 
     @classmethod
     def held(cls, t: Array, u: Array) -> SampledInputs:
-        """Return inputs that keep the value ``u`` (n_rows, n_inputs) of a row until the next of the times ``t`` [s]."""
+        """Return inputs that keep the value ``u`` (n_rows, n_inputs) of a row until the next of the times ``t`` [s].
+
+        The arrays are not copied.
+        """
         return cls(t, u, u)
 
     @classmethod

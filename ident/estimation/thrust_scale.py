@@ -55,12 +55,18 @@ class ThrustScale:
 
     @property
     def relative(self) -> bool:
-        """Whether masses, damping and forces are known only as ratios to the thrust, because the thrust is built in."""
+        """Whether masses, damping and forces are known only as ratios to the thrust, because the thrust is built in.
+
+        False without a thrust curve.
+        """
         return self.thrust is BUILT_IN
 
     @property
     def relative_yaw(self) -> bool:
-        """Whether inertia and damping in yaw are known only as ratios to the arm: the arm is built in or estimated."""
+        """Whether inertia and damping in yaw are known only as ratios to the arm: the arm is built in or estimated.
+
+        False for a model without arms.
+        """
         return self.arm in (BUILT_IN, ESTIMATED)
 
     @property
@@ -124,9 +130,9 @@ class ThrustScale:
 def thrust_scale_of(model: Model) -> ThrustScale:
     """Return the provenance of the force scale of a vehicle's model.
 
-    The provenance of the thrust is that of c1. The arms count only if the model has a yaw inertia. The thrust is taken
-    as exact if c1 is not built in and has no uncertainty. If the inputs are forces, it is exact unless their
-    calibration factor ``k_thrust`` is uncertain.
+    The provenance of the thrust is that of c1, and that of the arms is that of ``y_arm``, or else of ``y_left``. The
+    arms count only if the model has a yaw inertia. The thrust is taken as exact if c1 is not built in and has no
+    uncertainty. If the inputs are forces, it is exact unless their calibration factor ``k_thrust`` is uncertain.
     """
     values, thrust, arm = model.values, None, None
     if "c1" in values and "m_u" in values:
@@ -144,8 +150,8 @@ def thrust_scale_of(model: Model) -> ThrustScale:
 def free_unknown_scale(model: Model) -> Model:
     """Return the model with the scale of forces free as far as the data can determine it.
 
-    - If the asymmetric thrust coefficient c2 was not given, it is estimated with a prior around zero, of a standard
-      deviation of 0.1 c1.
+    - If the asymmetric thrust coefficient c2 was not given, it is estimated. It starts at zero, with a prior around
+      zero of a standard deviation of 0.1 c1.
     - If no arm (lateral position of a thruster) was given, the two arms become one symmetric arm, which the Munk moment
       determines. If one was given, the other is its negative.
     - If the thrust coefficient c1 was not given but a mass was, c1 is estimated. If neither was given, c1 keeps its
@@ -255,7 +261,9 @@ class ReportedEstimates:
     def estimate(self, p: Parameter, record: int = 0) -> tuple[float, float]:
         """Return the reported value and standard error of a parameter in the record with the index ``record``.
 
-        The error of a ratio includes the error of the estimated thrust and arm. It is NaN if there is none.
+        The error of a ratio includes the error of the estimated thrust and arm. It is NaN if there is none. A fixed
+        parameter that is reported as a ratio has the error of thrust and arm alone. KeyError is raised if the model
+        lacks the parameter.
         """
         value, error = self.fit.estimate(p.name, record)
         powers = self.scale.powers(p.unit)

@@ -61,7 +61,7 @@ class Estimate:
 
     @property
     def sd(self) -> Array:
-        """Standard deviations of the states (n_rows, n_states), in their units."""
+        """Standard deviations of the states (n_rows, n_states), in their units. A negative variance counts as zero."""
         return np.asarray(np.sqrt(np.maximum(np.diagonal(self.P, axis1=1, axis2=2), 0.0)))
 
 
@@ -77,7 +77,7 @@ class Navigation:
     model : Model
         Model with the current as states.
     record : Record
-        Record with all measurements, including withheld ones.
+        Record with the inputs and outputs of the model and all measurements, including withheld ones.
     values : Array (n_parameters,)
         Parameter values.
     kind : str
@@ -89,9 +89,9 @@ class Navigation:
     run : FilterResult
         Filter run without the withheld samples.
     used : array of bool (n_rows,)
-        Rows whose position was used.
+        Whether the row has a position fix that was given to the filter.
     withheld : array of bool (n_rows,)
-        Rows whose position was withheld.
+        Whether the row has a position fix that was withheld. A row without a fix is in neither of the two.
     """
 
     model: Model
@@ -116,7 +116,7 @@ class Navigation:
 
     @cached_property
     def _compiled(self) -> VectorisedModel:
-        """Compiled model functions that are evaluated for many rows at once."""
+        """Rates, outputs and Jacobians of the model, evaluated for many rows at once; created at the first use."""
         return VectorisedModel(self.model)
 
     def position(self, estimate: Estimate) -> tuple[Array, Array]:
@@ -145,17 +145,17 @@ class Navigation:
 
     @property
     def fixes(self) -> Array:
-        """Measured positions (n_rows, 2) [m], with the withheld ones; NaN in rows without a fix."""
+        """Measured positions, north and east (n_rows, 2) [m], with the withheld ones; NaN in rows without a fix."""
         return self.record.y[:, self._position_columns]
 
     @property
     def fix_variance(self) -> Array:
-        """Measurement-noise variance of a fix, north and east (2,) [m2]."""
+        """Measurement-noise variance of a fix, north and east (2,) [m2], the same for all rows."""
         return self.run.R[self._position_columns]
 
     @cached_property
     def _position_columns(self) -> list[int]:
-        """Indices of the position, x (north) and y (east), among the outputs."""
+        """Indices of the outputs x (north) and y (east), the position. ValueError is raised if one is missing."""
         names = [o.name for o in self.model.outputs]
         return [names.index(n) for n in POSITION]
 
@@ -269,7 +269,8 @@ def navigate(
 def _best_states(run: FilterResult, smoothed: bool) -> tuple[Array, Array]:
     """Return means (n_rows, n_states) and covariances (n_rows, n_states, n_states) of the best estimate.
 
-    They are those of the smoother if ``smoothed``, else those of the filter after the samples of each row.
+    They are those of the smoother (given all samples) if ``smoothed``, else those of the filter after the samples of
+    each row. The errors of the parameters are not included.
     """
     if not smoothed:
         return run.x_filt, run.P_filt
@@ -292,7 +293,8 @@ def _without_gnss_samples(
     record
         Record of the same outputs. It is not changed.
     intervals
-        Pairs of times of the record [s]; the end does not belong to the interval.
+        Pairs (begin, end) of times of the record [s], which may overlap; the end does not belong to the interval.
+        Empty: nothing is removed.
 
     Returns
     -------
@@ -370,7 +372,7 @@ def _state_difference(model: Model, a: Array, b: Array) -> Array:
     """Return the difference ``a - b`` of two state trajectories (n_rows, n_states).
 
     Differences of angles are wrapped to -pi to pi. A state is an angle if the model has an output of the same name that
-    is one.
+    is one; other states are not wrapped. ``a`` and ``b`` are not changed.
     """
     angles = {o.name for o in model.outputs if o.angle}
     d = a - b

@@ -28,9 +28,9 @@ class Ellipse:
     major, minor : float
         Semi-axes [m].
     azimuth : float
-        Direction of the major axis [rad from north, 0..pi).
+        Direction of the major axis [rad clockwise from north, 0..pi).
     radius : float
-        Radius of the 95 % circle about the same centre [m].
+        Radius [m] of the circle about the same centre that contains the position with a probability of 95 %.
     """
 
     major: float
@@ -109,14 +109,14 @@ class Outage:
 
     @property
     def duration(self) -> float:
-        """Duration of the outage [s]."""
+        """Duration of the outage [s], from its start to its end."""
         return self.end - self.start
 
 
 def ellipse(P: Array) -> Ellipse:
     """Return the 95 % confidence ellipse of a position with the covariance ``P`` (2, 2) [m2] of north and east.
 
-    Negative eigenvalues, from rounding, count as zero.
+    The semi-axes are the principal standard deviations times 2.45. Negative eigenvalues, from rounding, count as zero.
     """
     w, V = np.linalg.eigh(P)
     small, large = np.sqrt(np.maximum(w, 0.0))
@@ -197,6 +197,11 @@ class _OutageEvaluator:
     def outage(self, first: int, last: int, is_open: bool) -> Outage:
         """Evaluate the outage between two rows of the record: its ellipse, and its errors where fixes exist.
 
+        The position predicted for the row ``last`` is compared with the fix in this row. In an open outage it is
+        the prediction for the last withheld fix that is compared, or none if no fix was withheld. Withheld fixes count
+        from ``first`` to ``last``, both included. The outage is leading (without a fix before it) if the row ``first``
+        has no used fix.
+
         Parameters
         ----------
         first, last
@@ -249,8 +254,8 @@ class _OutageEvaluator:
         Returns
         -------
         tuple of Array (n,)
-            Distances from the fixes [m], and whether the fixes are inside the 95 % ellipses. The ellipses include the
-            measurement noise of a fix.
+            Distances from the fixes [m], and whether the fixes are inside or on the 95 % ellipses. The ellipses include
+            the measurement noise of a fix. The order is that of ``rows``.
         """
         e = estimate[0][rows] - self.navigation.fixes[rows]
         S = estimate[1][rows] + np.diag(self.navigation.fix_variance)

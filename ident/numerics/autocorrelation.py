@@ -39,7 +39,8 @@ Truncation = Literal["window", "positive"]
 def autocovariance(x: Array) -> Array:
     """Return the sums of x_k x_k+lag over k, for the lags 0 to n - 1 (n,), of a series x (n,) with zero mean.
 
-    The sums are not divided by n. The mean is not subtracted.
+    The sums are not circular: the sum at a lag has n - lag products. They are not divided by their number or by n. The
+    mean is not subtracted.
     """
     size = 1 << (2 * x.size - 1).bit_length()
     return np.asarray(np.fft.irfft(np.abs(np.fft.rfft(x, size)) ** 2, size)[: x.size])
@@ -59,7 +60,8 @@ def integrated_autocorrelation_time(series: Sequence[Array], truncation: Truncat
     Returns
     -------
     float
-        1 for white noise, constant series or series with NaN, and never less.
+        About 1 for white noise, and never less. It is 1 for constant series, or if any series has a NaN. By the window,
+        it is the number of samples of the longest series if the correlation does not end.
     """
     longest = max(x.size for x in series)
     covariance = np.zeros(longest)
@@ -118,8 +120,9 @@ def correlation_length(series: Sequence[Array]) -> float:
 def _lag_one_correlation(series: Sequence[Array]) -> tuple[float, float]:
     """Return the correlation of neighbouring samples, -1 to 1, and its ratio to its standard error.
 
-    It is that of all series together, each without its mean. Empty series are ignored. The result is (0, 0) if all
-    samples of a series are equal in every series.
+    Neighbours are successive samples of one series. The correlation is that of all series together, each without its
+    mean. The standard error is that of white noise. Empty series are ignored. The result is (0, 0) if there is no pair
+    of neighbours, or if all samples of a series are equal in every series.
     """
     centred = [x - x.mean() for x in series if x.size]
     pairs = np.concatenate([np.zeros(1), *(x[1:] * x[:-1] for x in centred)])
@@ -141,9 +144,10 @@ def _time_by_window(rho: Array) -> float:
 def _time_by_initial_positive(rho: Array) -> float:
     """Return the integrated autocorrelation time [samples] by Geyer's initial positive sequence.
 
-    The autocorrelations rho (n,), from lag 0 on, are added in pairs. The sequence of these sums ends before the first
-    one that is not positive. Each sum that exceeds an earlier one is replaced by the earlier one, since the true sums
-    of a reversible chain are positive and decrease. The result may be below 1.
+    The autocorrelations rho (n,), from lag 0 on, are added in pairs; a single last one is left out. The sequence of
+    these sums ends before the first one that is not positive. Each sum that exceeds an earlier one is replaced by the
+    earlier one, since the true sums of a reversible chain are positive and decrease. The result is twice the total of
+    the sums, minus 1. It may be below 1, and is -1 if the first sum is not positive.
     """
     pairs = rho[: rho.size // 2 * 2].reshape(-1, 2).sum(axis=1)
     negative = np.flatnonzero(pairs <= 0)
@@ -197,7 +201,8 @@ def block_error(x: Array, n_blocks: int = 10) -> float:
 def mean_error(x: Array) -> tuple[float, float]:
     """Return the standard error of the mean of evenly sampled measurements, and their autocorrelation time [samples].
 
-    The error is the larger of two: by the integrated autocorrelation time, and by blocks.
+    The error is the larger of two: by the integrated autocorrelation time, and by the scatter of the means of ten
+    blocks (of half as many blocks as samples below 20 samples).
 
     Parameters
     ----------

@@ -33,7 +33,10 @@ def chi2_cdf(x: Any, df: Any) -> Any:
 
 
 def chi2_isf(p: Any, df: Any) -> Any:
-    """Return the value that a chi-squared variable with ``df`` degrees of freedom exceeds with the probability p."""
+    """Return the value that a chi-squared variable with ``df`` degrees of freedom exceeds with the probability p.
+
+    It is the inverse of `chi2_sf`. p is in 0 to 1: a small p gives a large value.
+    """
     from scipy import special
 
     return special.chdtri(df, p)
@@ -54,7 +57,7 @@ def student_ppf(p: Any, df: Any) -> Any:
 
 
 def normal_cdf(x: Any) -> Any:
-    """Return the probability that a standard normal variable is at most x."""
+    """Return the probability that a standard normal variable is at most x, a number or an array."""
     from scipy import special
 
     return special.ndtr(x)
@@ -70,7 +73,8 @@ def normal_ppf(p: Any) -> Any:
 def fisher_sf(x: Any, df_numerator: Any, df_denominator: Any) -> Any:
     """Return the probability that a variable with Fisher's F distribution exceeds x.
 
-    The degrees of freedom are those of the numerator and the denominator of the ratio.
+    The degrees of freedom are those of the numerator and the denominator of the ratio. The arguments are numbers or
+    arrays, and x is not negative.
     """
     from scipy import special
 

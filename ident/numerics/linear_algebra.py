@@ -95,6 +95,7 @@ def scaled_pseudo_inverse(A: Array) -> Array:
     """Return the Moore-Penrose pseudo-inverse (n, n) of A scaled to unit diagonal, scaled back.
 
     A (n, n) is symmetric, positive semidefinite, with a positive diagonal. For a regular A the result is the inverse.
+    For a singular A it is in general not the pseudo-inverse of A itself, because that depends on units.
     """
     scaled, scale = unit_diagonal(A)
     return np.asarray(np.linalg.pinv(scaled, hermitian=True) / np.outer(scale, scale))

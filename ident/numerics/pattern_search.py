@@ -157,6 +157,10 @@ class PatternSearch:
         groups: NDArray[np.intp] | None = None,
         above: EvaluateAbove | None = None,
     ) -> None:
+        """Store the function and its bounds, and create the random generator. Nothing is evaluated yet.
+
+        Random numbers continue from one call of `run` to the next, so that a second call gives another result.
+        """
         self.evaluate, self.low, self.high = evaluate, low, high
         self.above: EvaluateAbove = above or (lambda z, least: evaluate(z))
         self.rng = np.random.default_rng([seed, 7])
@@ -204,8 +208,9 @@ class PatternSearch:
     def _continue_search(self, search: SearchState, until: int, progress: Callable[[int, float], None] | None) -> None:
         """Continue a search until it has used ``until`` evaluations in all or its mesh is below 0.001 of the range.
 
-        It changes ``search`` in place. After each batch it calls ``progress`` with the number of evaluations and the
-        best merit of the search.
+        It changes ``search`` in place, and appends to its ``history`` after each batch. The last batch is completed,
+        so that it may exceed ``until``. After each batch it calls ``progress`` with the number of evaluations and the
+        best merit of the search; None: no call.
         """
         while search.evaluations < until and not search.done:
             self._evaluate_batch(search)
@@ -216,9 +221,11 @@ class PatternSearch:
     def _evaluate_batch(self, search: SearchState) -> None:
         """Evaluate one batch of points and move to its best point if that is an improvement; else count an idle batch.
 
-        It changes ``search`` in place. Points outside the bounds are moved onto them before the evaluation. It halves
-        the mesh first if all coordinates have been polled and at least six batches in sequence were idle (more for many
-        coordinates).
+        A batch has two points for each of the next 16 coordinates (poll), 29 random moves, and the points in
+        ``search.ahead``. It changes ``search`` in place. Points outside the bounds are moved onto them before the
+        evaluation. After an improvement ``search.ahead`` gets three new points, which continue it; otherwise it is
+        emptied. If all coordinates have been polled and at least six batches in sequence were idle (more for many
+        coordinates), the mesh is halved before the batch.
         """
         if not search.order:
             if search.idle >= max(PATIENCE, -(-self.low.size // (BATCH // 4))):
@@ -243,9 +250,10 @@ class PatternSearch:
             search.z, search.merit, search.idle = trials[at].copy(), float(merit[at]), 0
 
     def _poll_points(self, search: SearchState, chosen: list[int]) -> Array:
-        """Return points (2 k, size) with each of the k ``chosen`` coordinates moved up and down by the mesh size.
+        """Return points (2 k, size): the best point with each of the k ``chosen`` coordinates moved by the mesh size.
 
-        The points may be outside the bounds; `_evaluate_batch` moves them onto the bounds.
+        In the first k points one coordinate is moved up, in the others down. The mesh size is a share of the range
+        between the bounds. The points may be outside the bounds; `_evaluate_batch` moves them onto the bounds.
         """
         step = search.mesh * (self.high - self.low)[chosen]
         trials = np.repeat(search.z[None], 2 * len(chosen), axis=0)

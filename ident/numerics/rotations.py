@@ -15,13 +15,20 @@ Matrix = list[list[Any]]
 
 
 def body_to_ned(psi: Any, forward: Any, starboard: Any) -> tuple[Any, Any]:
-    """Return the components north and east of a horizontal vector in body axes, at the heading psi [rad]."""
+    """Return the components north and east of a horizontal vector in body axes, at the heading psi [rad].
+
+    ``forward`` and ``starboard`` are its components; psi is zero at north and positive clockwise. Roll and pitch do not
+    count.
+    """
     cos, sin = np.cos(psi), np.sin(psi)
     return cos * forward - sin * starboard, sin * forward + cos * starboard
 
 
 def ned_to_body(psi: Any, north: Any, east: Any) -> tuple[Any, Any]:
-    """Return the components forward and to starboard of a horizontal vector in NED, at the heading psi [rad]."""
+    """Return the components forward and to starboard of a horizontal vector in NED, at the heading psi [rad].
+
+    It is the inverse of `body_to_ned`; psi is zero at north and positive clockwise. Roll and pitch do not count.
+    """
     cos, sin = np.cos(psi), np.sin(psi)
     return cos * north + sin * east, cos * east - sin * north
 

@@ -129,7 +129,7 @@ def fit_first_order_lag(
 
 
 class SteadySegment(NamedTuple):
-    """A segment of time over which a signal is constant.
+    """A segment of time over which a signal is constant. The end is not part of it.
 
     Attributes
     ----------
@@ -185,7 +185,8 @@ def noise_from_differences(second_differences: Array) -> float:
     Returns
     -------
     float
-        In the unit of the signal. Zero if there are no differences, NaN if one of them is NaN.
+        In the unit of the signal. Zero if there are no differences or if more than half of them are zero, NaN if one of
+        them is NaN.
     """
     if not second_differences.size:
         return 0.0
@@ -225,7 +226,7 @@ def rounding_step(value: Array) -> float:
 
 
 def wrap(e: Array, angle: bool) -> Array:
-    """Return differences wrapped to -pi (included) to pi (excluded) if they are angles; others unchanged.
+    """Return differences wrapped to -pi (included) to pi (excluded) if they are angles; others unchanged, uncopied.
 
     Parameters
     ----------
@@ -250,6 +251,6 @@ def cumulative_integral(t: Array, rate: NDArray[Any]) -> NDArray[Any]:
     Returns
     -------
     array (n,)
-        0 at the first sample.
+        Integral from the first sample to each sample; 0 at the first. A NaN makes all later values NaN.
     """
     return np.append(np.zeros(1, rate.dtype), np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t)))

@@ -213,8 +213,8 @@ def test_better_optimum_found_by_the_profile_replaces_the_estimate(y: float, z: 
     assert profiled.drop.min() == 0.0
     gain = global_fit.log_likelihood - found.log_likelihood
     assert profiled.notes == (
-        f"the profile found a fit with a log-likelihood larger by {gain:.2g}, and belongs to that fit: fit again from "
-        "these values (--initial)",
+        f"the profile found a fit with a log-likelihood larger by {gain:.2g}, and belongs to that fit: fit again with "
+        f"--initial b={profiled.value:.6g}",
     )
     assert same.notes == ()
 

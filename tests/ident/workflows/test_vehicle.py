@@ -13,7 +13,7 @@ from seatrial.daq.errors import SeatrialError
 from seatrial.ident.data.loading import LoadedLog, PropulsionInput, TimeWindow, load_all, load_run, load_runs
 from seatrial.ident.data.record import Channel, LogSegment
 from seatrial.ident.estimation.fitted_model import fit_nominal_model
-from seatrial.ident.estimation.prior_knowledge import apply_rig_geometry, fix_parameters
+from seatrial.ident.estimation.prior_knowledge import apply_rig_geometry, fix_parameters, set_initial_values
 from seatrial.ident.models.catalogue import make_model
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.workflows.model_inputs import choose_model, thrust_from, with_derived_signals
@@ -126,6 +126,12 @@ def test_known_parameters_are_fixed() -> None:
     assert (model.values["y_left"], model.values["y_right"]) == (-0.15, 0.15)
     with pytest.raises(SeatrialError, match="--fix mass: model horizontal has no such parameter; it has m_u"):
         fix_parameters(horizontal_model(), None, {"mass": 1.0})
+    with pytest.raises(SeatrialError, match=r"--fix m_u=-1: parameter m_u: -1\.0 is not positive"):
+        fix_parameters(horizontal_model(), None, {"m_u": -1.0})
+    with pytest.raises(SeatrialError, match=r"--initial m_u=-1: parameter m_u: -1\.0 is not positive"):
+        set_initial_values(horizontal_model(), {"m_u": -1.0})
+    with pytest.raises(SeatrialError, match=r"the rig file or the import map gives m_u = -1: .*; correct it there"):
+        apply_rig_geometry(horizontal_model(), None, {"m_u": -1.0})
 
 
 def test_range_of_a_state_is_not_that_of_an_input_with_the_same_name() -> None:
