@@ -77,7 +77,8 @@ def make_model(source: str, sensors: Sequence[str] | None = None) -> Model:
 def is_own_model(source: str) -> bool:
     """Return whether the text ``source`` has the form ``FILE.py:NAME`` of a user-defined model.
 
-    The file is not read.
+    The part before the last colon must end with ``.py``; NAME may be empty. A path without a colon gives False. The
+    file is not read and need not exist.
     """
     return source.rpartition(":")[0].endswith(".py")
 
@@ -89,10 +90,11 @@ def catalogue_model(source: str, sensors: Sequence[str] | None = None) -> Model:
     ----------
     source : str
         Name with options, for example ``horizontal:shaft``, ``horizontal:force:no-current``, ``kinematic:shaft:yaw``.
+        Options that are left out have the defaults of the model.
     sensors : Sequence[str], optional
         Names of the sensors that the log contains. The models horizontal, nomoto and kinematic get only those of their
         sensors, and the model thruster has a load cell only if ``load_cell`` is among them. None: all usual sensors of
-        the model; also if a model gets none otherwise. Other models ignore it.
+        the model; also if horizontal, nomoto or kinematic would get none otherwise. Other models ignore it.
 
     Raises
     ------
@@ -132,7 +134,7 @@ def _model_of_package(source: str, kind: str, options: Sequence[str]) -> Model:
     kind : str
         Name of the package's entry point in the group ``seatrial.models``.
     options : Sequence[str]
-        Options behind the name, which are the positional arguments of the function.
+        Options behind the name, which are the positional arguments of the function, as texts.
 
     Raises
     ------
@@ -160,9 +162,10 @@ def _model_of_package(source: str, kind: str, options: Sequence[str]) -> Model:
 
 
 def _is_delay_step(options: Sequence[str]) -> bool:
-    """Return whether the options of a thruster model are one number above 1e-4 and below 1.
+    """Return whether the options of a thruster model are exactly one number above 1e-4 and below 1.
 
-    The number is the delay [s] between copies of the thruster's command. Any other options give False.
+    The number, a text here, is the delay [s] between copies of the thruster's command. Any other options give False,
+    also none and a text that is no number.
     """
     try:
         return len(options) == 1 and 1e-4 < float(options[0]) < 1.0

@@ -41,7 +41,8 @@ def trusting_code() -> Iterator[None]:
 
     The hash of each file that is used inside is stored (`remember_trusted_file`). Such a file therefore stays known
     after the context: it may be run later without `--trust-code` while it is unchanged and in the folder of the
-    model.toml. The option `--trust-code` uses this context.
+    model.toml. At the end, the state before is restored, so that contexts may be nested. The option `--trust-code` uses
+    this context.
     """
     before = _TRUST.set(True)
     try:
@@ -127,7 +128,8 @@ def remember_trusted_file(path: Path) -> None:
 def _known_digests() -> set[str]:
     """Return the SHA-256 hashes of the Python files that this user has run.
 
-    Return the empty set if the file of hashes is missing, is not ASCII text, or may have been written by another user.
+    Return the empty set if the file of hashes is missing or is not ASCII text. Return it also if another user may have
+    written the file: it belongs to another user, or its group or all users may write it.
     """
     try:
         about = known_file().stat()
@@ -304,9 +306,10 @@ def error_place(problem: BaseException, path: Path, model: Model | None = None) 
 
 
 def _first_lines(function: Any, path: Path) -> list[int]:
-    """Return the number of the first line of a function in the file ``path``, as a list.
+    """Return the number of the first line of a function in the file ``path``, as a list of one number.
 
-    The list is empty if the function is not defined in this file.
+    The list is empty if the function is not defined in this file. Of a wrapped function (`functools.update_wrapper`),
+    the function inside counts.
     """
     code = getattr(inspect.unwrap(function), "__code__", None)
     return [code.co_firstlineno] if code is not None and _same_file(code.co_filename, path) else []
@@ -318,7 +321,7 @@ def _same_file(file: str, path: Path) -> bool:
 
 
 def error_message(problem: BaseException) -> str:
-    """Return the message for an error in the user's code, in one line.
+    """Return the message for an error in the user's code, in one line. It has no file and no line number.
 
     If the error comes from the use of symbols, for example in an ``if``, the message is advice from `ADVICE`, or the
     text of the error with a hint. Otherwise it is the text of the error. The texts of ValueError, TypeError and similar
