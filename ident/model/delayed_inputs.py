@@ -89,5 +89,8 @@ def _keys(s: Any) -> Any:
 
 
 def weighted_sum(weights: Iterable[Any], values: Iterable[Any]) -> Any:
-    """Return the sum of each weight times its value. Raise ValueError if the numbers of weights and values differ."""
+    """Return the sum of each weight times its value; 0 without values.
+
+    Raise ValueError if the numbers of weights and values differ.
+    """
     return sum(w * value for w, value in zip(weights, values, strict=True))

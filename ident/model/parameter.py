@@ -139,8 +139,8 @@ class Parameter:
         Raises
         ------
         ValueError
-            If the value is outside its bounds, if it is not positive with the transform "log", or if a considered
-            parameter has no prior or is `per_record`.
+            If the value is NaN or outside its bounds, if it is not positive with the transform "log", or if a
+            considered parameter has no prior or is `per_record`. The prior is not compared with the bounds.
         """
         low, high = self.bounds
         if self.considered and (self.prior is None or self.per_record):
@@ -226,7 +226,8 @@ class Parameter:
     def free_bounds(self) -> tuple[float, float]:
         """Return the lower and upper bound in the coordinate of the search (`to_free`).
 
-        With the transform "log", a lower bound of zero or less becomes minus infinity.
+        With the transform "log", a lower bound of zero or less becomes minus infinity. The upper bound must then be
+        positive (ValueError otherwise). Infinite bounds stay infinite.
         """
         low, high = self.bounds
         if self.transform == "log":
@@ -246,7 +247,7 @@ class Parameter:
     def fixed(self) -> Parameter:
         """Return the parameter as one that is not estimated, at its present value.
 
-        A considered parameter stays considered.
+        Its prior is kept. A considered parameter stays considered.
         """
         return replace(self, free=False)
 
@@ -275,7 +276,10 @@ class Parameter:
         return replace(self, value=float(value), prior=prior, free=self.considered_sd is None, origin=origin)
 
     def freed(self) -> Parameter:
-        """Return the parameter as one that is estimated. If it was a considered parameter, it is none any more."""
+        """Return the parameter as one that is estimated. If it was a considered parameter, it is none any more.
+
+        Value and prior are kept.
+        """
         return replace(self, free=True, considered=False)
 
 
