@@ -38,6 +38,7 @@ class DesignEvaluator:
     """
 
     def __init__(self, problem: DesignProblem) -> None:
+        """Store the design problem. Nothing is computed here."""
         self.problem = problem
 
     @cached_property
@@ -81,7 +82,10 @@ class DesignEvaluator:
 
     @cached_property
     def experiments(self) -> Experiments:
-        """Simulator of experiments, with the information about the parameters ``problem.free``."""
+        """Simulator of experiments, with the information about the parameters ``problem.free``.
+
+        It has the model with its measurement noise scaled for the sample rates on the rows of the problem.
+        """
         problem = self.problem
         model = problem.observed(problem.model)
         return Experiments(model, problem.free, problem.t, problem.every, process_noise=problem.process_noise)
@@ -128,7 +132,7 @@ class DesignEvaluator:
         """Return n parameter samples (n, n_parameters) from the prior, each with its own random current.
 
         The currents are uniform in a disc with the radius ``problem.limits.current`` [m/s]. ``purpose`` selects the
-        random stream.
+        random stream. With a radius of 0 the samples keep the current of the model.
 
         Raises
         ------
@@ -286,7 +290,8 @@ class DesignEvaluator:
     def _track_violation(self, low: Array, high: Array) -> Array:
         """Return the summed relative excess (n,) over the limits of area and speed; ``DIVERGED`` if it is not finite.
 
-        ``low`` and ``high`` are the minima and maxima (n, k) from ``extents``.
+        It is 0 within the limits, and a missing limit adds nothing. The extent to the north and east counts, not the
+        place of the area. ``low`` and ``high`` are the minima and maxima (n, k) from ``extents``.
 
         Raises
         ------

@@ -92,6 +92,7 @@ class TrackExtent:
     """
 
     def __init__(self, model: Model, t: Array, boats: Array, seed: Sequence[int]) -> None:
+        """Store the arguments, and extend the model by process noise as inputs. Nothing is simulated here."""
         self._model, self._t, self._boats, self._seed = model, t, boats, list(seed)
         self._disturbed, self._noisy = with_noise_inputs(model)
 
