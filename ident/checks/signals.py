@@ -370,8 +370,8 @@ def _noise_or_zero(channel: Channel) -> float:
 def _headings_by_other_sensors(c: Channels, group: Sequence[str], begin: float, end: float) -> Iterator[Array]:
     """Yield the heading (n,) [rad] from ``begin`` to ``end`` [s] by compass and by gyro, unless it is in ``group``.
 
-    If the yaw rate is the group, the turn at its constant rate is subtracted from the heading. A sensor with too few
-    samples gives one zero.
+    By gyro it is the integral of the yaw rate. If the yaw rate is the group, the turn at its constant rate is
+    subtracted from the heading. A sensor with too few samples gives one zero.
     """
     if "psi" in c and "psi" not in group:
         t, psi = _samples_between(Channel(c["psi"].t, np.unwrap(c["psi"].value)), begin, end)
