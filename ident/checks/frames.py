@@ -272,7 +272,10 @@ def mirrored_signals(signs: Mapping[Relation, int]) -> tuple[str, ...] | None:
     related = sorted({name for pair in known for name in pair})
 
     def explains(mirrored: tuple[str, ...]) -> bool:
-        """Return whether all known signs follow if exactly these signals are mirrored."""
+        """Return whether all known signs follow if exactly these signals are mirrored.
+
+        The sign of a pair is negative if just one of its two signals is mirrored.
+        """
         return all((sign < 0) == (len(set(pair) & set(mirrored)) == 1) for pair, sign in known.items())
 
     together = [names for names in TOGETHER if set(names) <= set(related)]
@@ -302,7 +305,9 @@ MIRRORED = {
 def _mirror_fault(names: tuple[str, ...], courses: Mapping[str, Course | None]) -> Finding:
     """Return the fault for mirrored signals.
 
-    ``names``: the signals, or all signals of which some are mirrored (`mirrored_signals`). ``courses``: relation of
+    A signal, or two signals of one device, have a fault of their own (`MIRRORED`); for any other set of names it is
+    ``frames-mirrored``, which does not state the wrong one. ``names``: the signals, or all signals of which some are
+    mirrored (`mirrored_signals`). ``courses``: relation of
     each track to the heading, None if unknown. It shows whether the axes are exchanged or one sign is reversed.
     """
     offset = next((f.offset for f in courses.values() if f is not None and f.parity < 0), None)

@@ -261,7 +261,10 @@ def _thrust_signals(c: Channels, sides: Mapping[str, float]) -> ThrustSignals | 
 
 
 def _signed_square(shaft: Channel) -> Channel:
-    """Return ``n|n|`` of a shaft speed or command n, which is proportional to the thrust."""
+    """Return ``n|n|`` of a shaft speed or command n, which is proportional to the thrust.
+
+    Times, source and hold are those of n.
+    """
     return Channel(shaft.t, shaft.value * np.abs(shaft.value), "", shaft.source, shaft.hold)
 
 

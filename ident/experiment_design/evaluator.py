@@ -92,7 +92,10 @@ class DesignEvaluator:
 
     @cached_property
     def _inflations(self) -> Array:
-        """Factors (q,) by which standard errors of fits exceed those by the information; 1 if unknown."""
+        """Factors (q,) by which standard errors of fits exceed those by the information, for ``problem.free``.
+
+        They are those of earlier logs; 1 for a parameter without one.
+        """
         return np.array([self.prior.inflation.get(n, 1.0) for n in self.problem.free])
 
     def information(self, u: Array, values: Array | None = None) -> Array:

@@ -168,7 +168,10 @@ class DesignProblem:
 
     @property
     def every(self) -> dict[str, int]:
-        """Number of rows from one sample of a sensor to its next sample (1 or more), by sensor name."""
+        """Number of rows from one sample of a sensor to its next sample, by sensor name.
+
+        It is the interval of the sensor over that of the rows, rounded to a whole number, and at least 1.
+        """
         return {s.name: max(1, round(1.0 / (self.rate(s.name) * self.grid))) for s in self.model.sensors}
 
     def rate(self, sensor: str) -> float:

@@ -98,7 +98,7 @@ class TrackExtent:
 
     @cached_property
     def _experiments(self) -> Experiments:
-        """Simulator of the model that has process noise as inputs."""
+        """Simulator of the model that has process noise as inputs, without any information about parameters."""
         return Experiments(self._disturbed, (), self._t, process_noise=False)
 
     @property

@@ -948,11 +948,17 @@ def plain_model(
     """
 
     def rate(s: Signals) -> None:
-        """Set the time derivatives ``s.rate`` of the states by the user's function ``f``."""
+        """Set the time derivatives ``s.rate`` of the states by the user's function ``f``.
+
+        Raise TypeError if ``f`` does not return a dictionary.
+        """
         s.rate.update(_checked_dictionary(f(s.x, s.u, s.p), "f", "{state: rate}"))
 
     def output(s: Signals) -> None:
-        """Set the outputs ``s.y`` by the user's function ``h``."""
+        """Set the outputs ``s.y`` by the user's function ``h``.
+
+        Raise TypeError if ``h`` does not return a dictionary.
+        """
         s.y.update(_checked_dictionary(h(s.x, s.u, s.p), "h", "{output: value}"))
 
     for stage, own in ((rate, f), (output, h)):
@@ -988,18 +994,21 @@ def resolve_initial_states(states: Iterable[State], sensors: Iterable[Sensor]) -
 
 
 class States(Named):
-    """States of a model by name, read as attributes."""
+    """States of a model by name, read as attributes. An unknown name raises an AttributeError that lists the states."""
 
     _kind = "state"
 
 
 class Inputs(Named):
-    """Inputs of a model by name, read as attributes."""
+    """Inputs of a model by name, read as attributes. An unknown name raises an AttributeError that lists the inputs."""
 
     _kind = "input"
 
 
 class Parameters(Named):
-    """Values of the parameters of a model by name, read as attributes."""
+    """Values of the parameters of a model by name, read as attributes.
+
+    An unknown name raises an AttributeError that lists the parameters.
+    """
 
     _kind = "parameter"

@@ -91,7 +91,7 @@ def _thrust_scaler(*sides: str) -> Callable[[Signals, Any], None]:
     """Return a function of (signals, value) that multiplies the thrust of the thrusters ``sides`` by ``1 + value``."""
 
     def add(s: Signals, extra: Any) -> None:
-        """Multiply the thrusts ``s.f`` of the sides by ``1 + extra``, in place."""
+        """Multiply the thrust in ``s.f`` of each side that was named by ``1 + extra``, in place."""
         for side in sides:
             s.f[side] = s.f[side] * (1 + extra)
 
@@ -143,7 +143,7 @@ def _pair_variable(name: str, unit: str, pair: ThrusterPair) -> Variable:
     """
 
     def read(s: Signals) -> Any:
-        """Return the mean, or the difference left minus right, of the two thrusters."""
+        """Return the mean, or the difference left minus right (not halved), of the two thrusters."""
         left, right = (s.state_or_input(f"{pair.quantity}_{side}") for side in ("left", "right"))
         return left - right if pair.difference else (left + right) / 2
 
@@ -271,7 +271,7 @@ def shaft_disturbance() -> Effect:
     q = sd * float(np.sqrt(2 / tau))
 
     def add(s: Signals) -> None:
-        """Add ``b_n`` to the time derivative of the shaft speed. Set that of ``b_n`` to ``-b_n / tau_n``."""
+        """Add the state ``b_n`` to the time derivative of the shaft speed, and set its own one to ``-b_n / tau_n``."""
         s.rate["n"] = s.rate["n"] + s.x.b_n
         s.rate["b_n"] = -s.x.b_n / s.p.tau_n
 

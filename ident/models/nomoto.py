@@ -328,7 +328,10 @@ def delayed(s: Signals) -> None:
 
 
 def thrust(s: Signals) -> None:
-    """Set the thrust ``s.f`` [N] of each thruster (dict by side) from its shaft speed ``s.n``."""
+    """Set the thrust ``s.f`` [N] of each thruster (dict by side) from its normalised shaft speed ``s.n``.
+
+    It is ``c1 ((1 - lambda_n) n|n| + lambda_n n) + c2 n^2``, with the parameters of the model.
+    """
     s.f = {side: _static_thrust(s.p, n) for side, n in s.n.items()}
 
 

@@ -14,7 +14,7 @@ def smooth(s: Signals) -> None:
 
 
 def follow(s: Signals) -> None:
-    """Set the rate of the filtered force [N/s], which follows the thrust with the time constant ``T_cell`` [s]."""
+    """Set the rate of the filtered thrust [N/s]: ``(s.force - cell) / T_cell``, with the state ``cell`` [N]."""
     s.rate["cell"] = (s.force - s.x.cell) / s.p.T_cell
 
 
