@@ -787,7 +787,8 @@ def _parts_with_inputs(log: LoadedLog) -> list[LoadedLog]:
     if not spans:
         raise SeatrialError(
             f"{log.about['path']}: no segment of the log in which all inputs are known is as long as "
-            f"{SHORTEST_PIECE_S:g} s; record without gaps in the inputs"
+            f'{SHORTEST_PIECE_S:g} s; record without gaps in the inputs, or give another column or nan = "zero" for '
+            "them in the import map"
         )
     found = []
     for k, (a, b) in enumerate(spans):

@@ -415,7 +415,8 @@ def _limits_message(problem: DesignProblem, violation: float) -> str:
     return (
         f"no sequence of {problem.steps.n_steps} steps in {problem.steps.duration:g} s was found that keeps to "
         f"{', '.join(options)} for all of {N_TRACKS} parameter samples (exceeded by {100 * violation:.0f} %); "
-        "give more room, a shorter --duration, a smaller --prior-halfwidth, or a model.toml with smaller errors"
+        "give more room (weaker limits), a shorter --duration, a smaller --prior-halfwidth, or a model.toml with "
+        "smaller errors"
     )
 
 

@@ -148,7 +148,10 @@ def outlier_notes(
         n, total = (sum(int(flags[:, j].sum()) for flags in records) for records in (outliers, measured))
         if output.robust and total:
             share = f" ({100 * n / total:.2g} %)" if n else ""
-            caveat = ", too many for outliers: the model lacks an effect on this channel, which --robust hides"
+            caveat = (
+                ", too many for outliers: the model lacks an effect on this channel, which --robust hides; fit or "
+                "diagnose without --robust"
+            )
             many = caveat if n > MANY_OUTLIERS * total else ""
             were = "was" if n == 1 else "were"
             notes.append(f"{output.name}: {n} of {total} samples {were} treated as outliers{share}{many}")

@@ -149,12 +149,16 @@ class Parameter:
                 "value for all records"
             )
         if self.transform == "log" and self.value <= 0:
-            raise ValueError(f"parameter {self.name}: {self.value} is not positive, but this parameter has to be")
+            raise ValueError(
+                f"parameter {self.name}: {self.value} is not positive; this parameter needs a value above 0"
+            )
         nearest = min(max(self.value, low), high)
         if 0 < abs(self.value - nearest) <= ROUNDING * abs(nearest):
             object.__setattr__(self, "value", nearest)
         if not low <= self.value <= high:
-            raise ValueError(f"parameter {self.name}: {self.value} is outside its bounds [{low}, {high}]")
+            raise ValueError(
+                f"parameter {self.name}: {self.value} is outside its bounds [{low}, {high}]; give a value inside them"
+            )
 
     @property
     def exact(self) -> bool:

@@ -120,6 +120,8 @@ def catalogue_model(source: str, sensors: Sequence[str] | None = None) -> Model:
         allowed = OPTIONS[kind][place] if place < len(OPTIONS[kind]) else ()
         if option not in allowed:
             advice = f"choose {', '.join(allowed)}" if allowed else "no further option is possible"
+            if kind == "thruster" and allowed:
+                advice += ", or the time [s] between copies of the command, above 0.0001 and below 1"
             raise SeatrialError(f"no model {source!r}: {kind} has no option {option!r} at this place; {advice}")
     return make(*options)
 
@@ -198,7 +200,7 @@ def _horizontal_by_options(source: str, options: Sequence[str], sensors: Sequenc
     kinds, currents = ("shaft", "command", "force", "general"), ("no-current", "random-walk-current")
     unknown = [o for o in options if o not in (*kinds, *currents, SYMMETRIC)]
     if unknown or (SYMMETRIC in options and "general" in options):
-        others = f"{', '.join(currents)} or {SYMMETRIC}"
+        others = f"{', '.join(currents)} or {SYMMETRIC} (not with general, which has no thrusters)"
         raise SeatrialError(f"no model {source!r}: the options of horizontal are {', '.join(kinds)}, and {others}")
     propulsion: Any = next((o for o in options if o in kinds), "shaft")
     chosen = [s for s in SENSORS if s in sensors] if sensors is not None else None
@@ -268,8 +270,8 @@ def _kinematic_by_options(source: str, options: Sequence[str], sensors: Sequence
     ]
     if unknown:
         raise SeatrialError(
-            f"no model {source!r}: write kinematic:shaft or kinematic:force, followed by any of :yaw, :no-current and "
-            ":random-walk-current"
+            f"no model {source!r}: write kinematic:shaft or kinematic:force, followed by any of :yaw, :no-current, "
+            f":random-walk-current and :{SYMMETRIC}"
         )
     chosen = SEEN if sensors is None else [s for s in SEEN if s in sensors] or SEEN
     propulsion: Any = options[0] if options else "shaft"

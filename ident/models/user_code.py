@@ -27,7 +27,8 @@ from seatrial.ident.model import Effect, Model
 ADVICE = {
     "truth value": "`if`, `and`, `or`, `max` and `min` cannot decide on a symbol; write np.where(condition, a, b), "
     "np.maximum(a, b) or x * (x > 0)",
-    "new_SX": "one of the returned rates or outputs is not a number",
+    "new_SX": "one of the returned rates or outputs is not a number; return a number or an expression of the arguments "
+    "for each",
     "to_int not defined": "`int` and `range` cannot take a symbol; write np.floor(x)",
 }
 
@@ -214,8 +215,8 @@ def load_effects(path: Path) -> dict[str, Effect]:
     effects = getattr(module, "EFFECTS", None) or ((module.EFFECT,) if hasattr(module, "EFFECT") else ())
     if not effects or not all(isinstance(e, Effect) for e in effects):
         raise SeatrialError(
-            f"{path}: defines neither EFFECT nor EFFECTS; set EFFECT to a seatrial.ident.model.Effect, or EFFECTS to a "
-            "list of them"
+            f"{path}: neither EFFECT nor EFFECTS is an effect or a list of effects; set EFFECT to a "
+            "seatrial.ident.model.Effect, or EFFECTS to a list of them"
         )
     return {e.name: e for e in effects}
 
