@@ -264,7 +264,7 @@ def mirrored_signals(signs: Mapping[Relation, int]) -> tuple[str, ...] | None:
     tuple or None
         The signal, or the two signals of one device, whose mirroring explains all signs. If there are several
         explanations, all their signals; ``thrusters`` alone if they are one of them. If there is no explanation, all
-        signals with a known sign. None if no known sign is negative.
+        signals with a known sign. None if no known sign is negative. Several names are in alphabetical order.
     """
     known = {pair: sign for pair, sign in signs.items() if sign}
     if all(sign > 0 for sign in known.values()):
@@ -272,7 +272,10 @@ def mirrored_signals(signs: Mapping[Relation, int]) -> tuple[str, ...] | None:
     related = sorted({name for pair in known for name in pair})
 
     def explains(mirrored: tuple[str, ...]) -> bool:
-        """Return whether all known signs follow if exactly these signals are mirrored."""
+        """Return whether all known signs follow if exactly these signals are mirrored.
+
+        The sign of a pair is negative if just one of its two signals is mirrored.
+        """
         return all((sign < 0) == (len(set(pair) & set(mirrored)) == 1) for pair, sign in known.items())
 
     together = [names for names in TOGETHER if set(names) <= set(related)]
@@ -302,7 +305,9 @@ MIRRORED = {
 def _mirror_fault(names: tuple[str, ...], courses: Mapping[str, Course | None]) -> Finding:
     """Return the fault for mirrored signals.
 
-    ``names``: the signals, or all signals of which some are mirrored (`mirrored_signals`). ``courses``: relation of
+    A signal, or two signals of one device, have a fault of their own (`MIRRORED`); for any other set of names it is
+    ``frames-mirrored``, which does not state the wrong one. ``names``: the signals, or all signals of which some are
+    mirrored (`mirrored_signals`). ``courses``: relation of
     each track to the heading, None if unknown. It shows whether the axes are exchanged or one sign is reversed.
     """
     offset = next((f.offset for f in courses.values() if f is not None and f.parity < 0), None)
@@ -350,6 +355,11 @@ def half_turn(text: str) -> Finding:
     ----------
     text
         Text of the finding: the observation that shows the fault.
+
+    Returns
+    -------
+    Finding
+        Fault ``heading-half-turn`` of the signal ``psi``, with advice on the offset of psi and on the signs.
     """
     advice = "set offset = 180 of psi (deg), or sign = -1 of both axes of the reversed signals, in the import map"
     return Finding("fault", "heading-half-turn", "frame", "psi", text, advice)
@@ -516,7 +526,7 @@ def _body_frame_comparison(c: Channels, forward: str, starboard: str, track: Win
         return None
 
     def moved(rate: Complex) -> Complex:
-        """Return the integral (n,) of a signal on the grid over each window."""
+        """Return the integral (n,) of a signal on the common grid over each window that the channels cover."""
         integral = cumulative_integral(t, rate)
         ends = [np.interp(at + s * track.width / 2, t, integral) for s in (1, -1)]
         return np.asarray(ends[0] - ends[1])
@@ -589,7 +599,7 @@ def preferred_hypothesis(found: Mapping[str, HypothesisFit]) -> str | None:
     -------
     str or None
         None if the hypothesis with the least misfit is "", or is not significantly better than ""
-        (`_is_significantly_better`).
+        (`_is_significantly_better`). Another hypothesis that is significantly better than "" is then not returned.
     """
     best = min(found, key=lambda name: found[name].misfit)
     return best if best and _is_significantly_better(found[""].blocks, found[best].blocks) else None
@@ -623,5 +633,5 @@ def _sum_per_block(values: Array, block: NDArray[np.intp]) -> Array:
 
 
 def _regression_residuals(columns: Array, values: NDArray[Any]) -> NDArray[Any]:
-    """Return the residuals (n,) of the linear regression of values (n,) on columns (n, k)."""
+    """Return the residuals (n,) of the linear regression of values (n,) on columns (n, k), without a constant."""
     return np.asarray(values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0])

@@ -105,8 +105,8 @@ def _constant_inputs(c: Channels, names: list[str]) -> Iterator[Finding]:
 def _is_constant(name: str, channel: Channel) -> bool:
     """Return whether the values of the channel ``name`` vary by at most 0.5 % of full speed, or of the largest force.
 
-    Commands and shaft speeds are compared with full speed (1), forces with their largest value. The result is false
-    without samples.
+    Commands and shaft speeds are compared with full speed (1), forces with their own largest size. The result is false
+    without samples, and true for a force that is zero throughout.
     """
     if channel.value.size == 0:
         return False
@@ -161,7 +161,7 @@ def _count_rises(curve: Array, least: float) -> int:
     """Count the rises of a curve (n,) by more than ``least``, in the unit of the curve.
 
     A rise starts at the lowest value since the last rise ended. It ends when the curve has fallen by more than
-    ``least``.
+    ``least`` from its highest value in the rise. NaN is ignored.
     """
     n, low, high, rising = 0, np.inf, -np.inf, False
     for value in curve.tolist():
@@ -181,7 +181,7 @@ def _stuck_against_command(shaft: Channel, command: Channel) -> tuple[float, flo
 
     In this time, of 5 s or more and with at least 11 samples, the shaft speed stays exactly the same, and its size is
     0.05 of full speed or more. Its command is below half of it, or in the other direction, for at least 5 s in
-    sequence. The result is None if the shaft speed is never stuck.
+    sequence. Of equally long times the first is returned. The result is None if the shaft speed is never stuck.
     """
     first = np.flatnonzero(np.diff(shaft.value, prepend=np.nan) != 0)
     last = np.append(first[1:], shaft.value.size) - 1

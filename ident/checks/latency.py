@@ -152,10 +152,10 @@ def _motion_thrust_delay(
 
     The motion cannot come before the thrust (``thrust-late``), and cannot come long after a measured thrust
     (``motion-late``). Otherwise the finding is ``thrust-in-time`` (ok), also for a long delay behind commands or given
-    forces. Severities are those of `_level_of_delay`. A time before commands or given forces is a fault 0.2 s earlier,
-    since the lag of the shafts hides a part of it. ``attitude``, ``velocity``: delays of yaw rate and surge speed, None
-    if unknown. The one of smaller size is judged. If their signs differ, the finding is ok. If none is well estimated,
-    it is ``delay-unknown`` (ok).
+    forces. Severities are those of `_level_of_delay`. For commands and given forces, ``thrust-late`` is a fault from
+    0.4 s on instead of 0.6 s, since the lag of the shafts hides a part of it. ``attitude``, ``velocity``: delays of yaw
+    rate and surge speed, None if unknown. The one of smaller size is judged. If their signs differ, the finding is
+    ``thrust-in-time`` (ok). If none is well estimated, it is ``delay-unknown`` (ok).
     """
     found = [estimate for estimate in (attitude, velocity) if estimate is not None and _is_well_estimated(estimate)]
     if not found:
@@ -261,7 +261,10 @@ def _thrust_signals(c: Channels, sides: Mapping[str, float]) -> ThrustSignals | 
 
 
 def _signed_square(shaft: Channel) -> Channel:
-    """Return ``n|n|`` of a shaft speed or command n, which is proportional to the thrust."""
+    """Return ``n|n|`` of a shaft speed or command n, which is proportional to the thrust.
+
+    Times, source and hold are those of n.
+    """
     return Channel(shaft.t, shaft.value * np.abs(shaft.value), "", shaft.source, shaft.hold)
 
 
@@ -432,7 +435,7 @@ def _lag_behind_thrust(
 def _increments_without_pause(c: Channels, t: Array, at: NDArray[np.intp], width: int) -> NDArray[np.bool_]:
     """Return which increments (n_rows,) do not overlap a pause of a sensor: true for those that can be used.
 
-    A pause is longer than 1 s and than five sample intervals.
+    A pause is longer than 1 s and than five median sample intervals of the signal. Pauses of the thrust do not count.
 
     ``at``: first index of each increment on the grid t (n,) [s]. ``width``: its number of steps.
     """

@@ -93,7 +93,7 @@ class SampleIntervals:
     expected: float | None
 
     def between(self, begin: float, end: float) -> SampleIntervals:
-        """Return the intervals that lie completely between the times ``begin`` and ``end`` [s]."""
+        """Return the intervals that lie completely between the times ``begin`` and ``end`` [s], both included."""
         own = (self.t > begin) & (self.t <= end) & (self.t - self.interval >= begin)
         return replace(self, t=self.t[own], interval=self.interval[own])
 
@@ -285,7 +285,7 @@ def _intervals_of_samples(source: str, t: Array, start: float, expected: float |
 
 
 def _shaft_responses(c: Channels) -> list[ShaftResponse]:
-    """Return command and shaft speed of each thruster that has both, by name.
+    """Return command and shaft speed of each thruster that has both, sorted by name.
 
     A shaft speed that is a copy of the command is left out: its array of times is the same object.
     """
@@ -353,7 +353,8 @@ def sensor_pairs(c: Channels) -> list[SensorPair]:
     Returns
     -------
     list
-        Empty if no motion is measured twice.
+        Yaw rate, velocity north and velocity east, as far as two sensors measure them; empty if no motion is measured
+        twice. A heading in degrees (a value above 7) is unwrapped as such, but not converted to radians.
     """
     found = []
     if {"psi", "r"} <= set(c):
@@ -401,7 +402,11 @@ def _rate_pair(
 
 
 def _signal_curves(c: Channels) -> list[SignalCurve]:
-    """Return the curves of at most 12 sensors: motion signals and force first, then other imported signals."""
+    """Return the curves of at most 12 signals: those of `SHOWN` (motion and force) first, then all other signals.
+
+    Roll, pitch, their rates, the speed along the track, and commands, shaft speeds and thrusts of thrusters are left
+    out.
+    """
     others = [n for n in c if n not in SHOWN + NOT_SHOWN and not is_of_thruster(n, *INPUTS)]
     names = [*(n for n in SHOWN if n in c), *others][:MAX_SIGNALS_SHOWN]
     return [SignalCurve(n, c[n].unit, c[n].t, c[n].value, n == "psi") for n in names]
@@ -450,8 +455,8 @@ def invalidates_fit(finding: Finding, uses_shaft_speeds: bool = True) -> bool:
 def check_log(path: Path | str) -> list[Finding]:
     """Return the findings of one log on its signals, and on speed controllers that sent no telemetry.
 
-    The checks of the devices are not included (`device_faults`). A log whose signals cannot be read gives a warning,
-    not an error.
+    The checks of the devices are not included (`device_faults`). A log that cannot be read gives the warning
+    ``log-not-readable`` alone, not an error.
 
     Parameters
     ----------

@@ -255,8 +255,8 @@ def turning_signs(c: Channels, sides: Mapping[str, float]) -> dict[str, int]:
     -------
     dict
         By ``gyro`` and ``heading``, without a heading also by the course of the ``position``: +1 as expected, -1 if the
-        boat turns against the moment, 0 if it is not significant. Empty if the log has no thrust, or is shorter than 15
-        s.
+        boat turns against the moment, 0 if it is not significant. A sensor that the log lacks is left out. Empty if the
+        log has no thrust, or is shorter than 15 s.
     """
     forces = thruster_forces(c, sides)
     if forces is None:
@@ -334,8 +334,8 @@ def thruster_forces(c: Channels, sides: Mapping[str, float]) -> ThrusterForces |
     Returns
     -------
     ThrusterForces or None
-        None if the log is shorter than 15 s, or has no thrust or no sensor of heading, yaw rate or position. Thrusters
-        without a thrust are left out.
+        None if thrusts and motion overlap for less than 15 s, or if the log has no thrust or no sensor of heading, yaw
+        rate or position. Thrusters without a thrust are left out. The thrust is interpolated linearly at t.
     """
     found = {n: s for n in sides if (s := _thrust_channel(c, n)) is not None}
     turns = next((c[n] for n in ("r", "psi", "x") if n in c), None)
@@ -464,7 +464,7 @@ def _block_variance(X: Array, e: Array, inverse: NDArray[Any], lag: float) -> Ar
 def _independent_share(f: Array) -> Array:
     """Return the share (k,) of the standard deviation of each column of f (n, k) that the other columns cannot explain.
 
-    The share is 1 for a column that is independent of the others, and 0 for a constant column.
+    The share is 1 for a column that is independent of the others and for a single column, and 0 for a constant column.
     """
     centred = f - f.mean(axis=0)
     spread = centred.std(axis=0)
@@ -533,7 +533,8 @@ def surge_speed(c: Channels, t: Array) -> Array | None:
 def fill_gaps(t: Array, values: Array) -> Array:
     """Return values (n,) at times t (n,) [s] with each NaN interpolated between its neighbours.
 
-    The first and last finite values are continued to the ends. At least one value is finite.
+    The first and last finite values are continued to the ends. At least one value must be finite. Infinite values are
+    interpolated too.
     """
     good = np.isfinite(values)
     return np.interp(t, t[good], values[good])

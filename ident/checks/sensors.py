@@ -70,6 +70,7 @@ class LagErrors:
     """
 
     def __init__(self, lags: Array, n_rows: int) -> None:
+        """Divide the rows into blocks. The search has no regression yet."""
         self._lags = lags
         self._edges = np.linspace(0, n_rows, BLOCKS + 1).astype(int)
         self._whole: list[float] = []
@@ -113,7 +114,7 @@ class LagErrors:
     def _refined_minimum(self, error: Array) -> float:
         """Return the lag [s] of the least squared error (n_lags,), refined by a parabola through its neighbours.
 
-        At either end of the search the lag is not refined.
+        Of equal errors the first counts. At either end of the search the lag is not refined.
         """
         k = int(np.argmin(error))
         if not 0 < k < error.size - 1:
@@ -451,7 +452,7 @@ def delay_level(lag: float, half: float, fault_from: float = DELAY_FAULT) -> str
 
 
 def delay_interval(lag: float, half: float) -> str:
-    """Return the 95 % interval of a delay as text, for example ``95 %: 0.30 to 0.50 s``.
+    """Return the 95 % interval of a delay as text, for example ``95 %: 0.30 to 0.50 s``. Its low end may be negative.
 
     Parameters
     ----------
@@ -482,9 +483,9 @@ def sensor_delay(
     Yields
     ------
     Finding
-        ``sensor-late`` for a lag of at least 0.3 s that removes more than 30 % of the squared error. ``delay-unknown``
-        (ok) for another lag of this size, which may be chance, or if the half interval is wider than 0.3 s. Else
-        ``sensors-in-time`` (ok).
+        ``sensor-late`` (warning or fault by `delay_level`) for a lag of at least 0.3 s, less half a step of the search
+        (0.025 s), that removes more than 30 % of the squared error. ``delay-unknown`` (ok) for another lag of this
+        size, which may be chance, or if the half interval is wider than 0.3 s. Else ``sensors-in-time`` (ok).
     """
     late, early, late_source = (first, second, first_source) if found.lag > 0 else (second, first, second_source)
     interval = delay_interval(abs(found.lag), found.half)
@@ -516,7 +517,8 @@ def _best_lag(columns: list[Array], regressors: list[list[Array]], window: float
     Returns
     -------
     Match
-        ``scale`` is the factor of the first regressor. A positive lag: the columns come after the regressors.
+        ``scale`` is the factor of the first regressor. A positive lag: the columns come after the regressors. The lag
+        is one of the grid, without refinement between its steps.
     """
     width, most = round(window / SENSOR_GRID_S), round(float(LAGS[-1]) / SENSOR_GRID_S)
     at = np.arange(most, columns[0].size - most - width, max(1, width // 2))
@@ -543,7 +545,7 @@ def _best_lag(columns: list[Array], regressors: list[list[Array]], window: float
 def common_grid(*channels: Channel) -> Array:
     """Return times (n,) [s] at steps of 0.05 s (`SENSOR_GRID_S`) in the span that all channels cover.
 
-    The result is empty if they do not overlap.
+    The first time is the start of the span; its end is not included. The result is empty if they do not overlap.
 
     Parameters
     ----------

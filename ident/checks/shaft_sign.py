@@ -105,8 +105,9 @@ def check_wrapped(c: Channels) -> Iterator[Finding]:
 def _one_sided_fault(name: str, command: Channel, shaft: Channel) -> Finding | None:
     """Return a fault if the shaft speed of a thruster is zero in one direction only, or positive in both; else None.
 
-    Zero is a speed below 0.05 of the command, and positive is 0.3 to 3 times the command. The result is None also if
-    the command was not steady for long enough in each direction (`_speed_over_command`).
+    Zero in one direction is a speed below 0.05 of the command there, and above 0.3 of it in the other direction.
+    Positive in both is a speed of 0.3 to 3 times the size of the command. The result is None also if the command was
+    not steady for long enough in each direction (`_speed_over_command`).
     """
     forward, reverse = (_speed_over_command(command, shaft, sign) for sign in (1.0, -1.0))
     if forward is None or reverse is None:
@@ -128,10 +129,11 @@ def _one_sided_fault(name: str, command: Channel, shaft: Channel) -> Finding | N
 
 
 def _speed_over_command(command: Channel, shaft: Channel, sign: float) -> float | None:
-    """Return the median of shaft speed over size of the command, at steady commands of one sign (+1 or -1).
+    """Return the median of shaft speed over command, at steady commands of one sign (``sign`` +1 or -1).
 
-    A positive result means that the shaft turns forward. A command is steady if it exceeds 0.12 of full command and
-    varied by less than 0.1 in the last 1.5 s. The result is None for fewer than 10 such samples of the shaft speed.
+    A positive result means that the shaft turns in the direction of its command. A command is steady if its size
+    exceeds 0.12 of full command and it varied by less than 0.1 in the last 1.5 s. The result is None for fewer than 10
+    such samples of the shaft speed.
     """
     at = [sample_and_hold(command, shaft.t - late) * sign for late in np.linspace(0.0, SETTLED_S, 7)]
     steady: NDArray[np.bool_] = np.min(at, axis=0) > MIN_COMMAND

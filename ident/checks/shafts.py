@@ -252,7 +252,10 @@ def response(commands: Channel, shaft: Channel) -> Response | NoResponse:
         answering[k:] |= commanded[:-k]
 
     def quiet(speed: Array) -> bool:
-        """Return whether the shaft stands still: 99 % of its speeds are near zero for the size of the commands."""
+        """Return whether the shaft stands still: 99 % of its speeds are below 0.02 of the largest command.
+
+        A largest command above 1 counts as 1.
+        """
         return bool(np.quantile(np.abs(speed), 0.99) < MIN_SPEED * min(1.0, np.abs(commands.value).max()))
 
     # A dead shaft needs no fit, so the first seconds count too. The second part finds a shaft that dies after them.
@@ -268,7 +271,10 @@ def response(commands: Channel, shaft: Channel) -> Response | NoResponse:
     n = turned[longest:] if used.all() else np.where(used, turned[longest:], 0.0)
 
     def delayed(lagged: Array, delay: float, seen: NDArray[np.bool_]) -> Array:
-        """Return the lagged command after a delay [s], with zero at times without telemetry (``seen`` false)."""
+        """Return the lagged command after a delay [s], at the times of ``seen``.
+
+        It is zero at times without telemetry (``seen`` false).
+        """
         late = longest - round(delay / SHAFT_GRID_S)
         x = lagged[late : late + seen.size]
         return x if seen.all() else np.where(seen, x, 0.0)
@@ -279,7 +285,7 @@ def response(commands: Channel, shaft: Channel) -> Response | NoResponse:
     total_part = float(n_part @ n_part)
 
     def fitted(at: slice, band: float) -> LagFit:
-        """Fit time constant and delay of the shaft, for a dead band and the part ``at`` of the searched delays."""
+        """Return the best time constant and delay of the shaft, for a dead band and the part ``at`` of `DELAYS`."""
 
         def misfit(lagged: Array, delay: float) -> float:
             """Return the squared error of the delayed command, times its best factor, against the shaft speed."""
@@ -376,7 +382,9 @@ def held_commands(command: Channel, shaft: Channel) -> list[HeldCommand]:
 def _step_findings(name: str, command: Channel, shaft: Channel) -> Iterator[Finding]:
     """Yield findings of single steps that a fit to the whole log does not show: slow telemetry, a limit, drop-outs.
 
-    ``name``: the thruster, for the findings.
+    ``shaft-step-late`` (fault): at least three steps between commands held for 4 s, with a median above 1 s until half
+    of the step. ``shaft-speed-limited`` and ``shaft-speed-drops-out`` are warnings. ``name``: the thruster, for the
+    findings.
     """
     held = held_commands(command, shaft)
     half = []
@@ -432,7 +440,8 @@ def _count_drop_outs(held: HeldCommand) -> int:
 def _saturation_findings(name: str, held: list[HeldCommand]) -> Iterator[Finding]:
     """Yield a warning if the shaft settles at the same speed for all commands above some size (saturation).
 
-    At least two commands of different size must fall short of their speed, and a smaller one must reach it.
+    At least two held commands of different size must fall short of their speed (0.3 to 0.97 of it), all at the same
+    speed within 2 %. At least one command must be followed within 3 %, and none of these beyond that speed.
     """
     followed = [abs(h.settled) for h in held if abs(h.level) > MIN_COMMAND and abs(h.settled / h.level - 1.0) < 0.03]
     short = [h for h in held if abs(h.level) > MIN_COMMAND and 0.3 < h.settled / h.level < 0.97]

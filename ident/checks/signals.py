@@ -325,7 +325,11 @@ def _boat_moves(c: Channels, group: Sequence[str], whole: bool, begin: float, en
 
 
 def _lacks_sensor_noise(name: str, channel: Channel) -> bool:
-    """Return whether the white noise of the channel ``name`` is below that of any sensor, or below its resolution."""
+    """Return whether the white noise of the channel ``name`` is below that of any sensor, or below its resolution.
+
+    The resolution is the least difference between two different values. The result is false for fewer than 200 samples
+    that differ from the one before, also for a constant channel.
+    """
     return noise_floor(channel) < max(NO_NOISE[name], float(np.diff(np.unique(channel.value)).min(initial=np.inf)))
 
 
@@ -370,8 +374,8 @@ def _noise_or_zero(channel: Channel) -> float:
 def _headings_by_other_sensors(c: Channels, group: Sequence[str], begin: float, end: float) -> Iterator[Array]:
     """Yield the heading (n,) [rad] from ``begin`` to ``end`` [s] by compass and by gyro, unless it is in ``group``.
 
-    If the yaw rate is the group, the turn at its constant rate is subtracted from the heading. A sensor with too few
-    samples gives one zero.
+    By gyro it is the integral of the yaw rate. If the yaw rate is the group, the turn at its constant rate is
+    subtracted from the heading. A sensor with too few samples gives one zero.
     """
     if "psi" in c and "psi" not in group:
         t, psi = _samples_between(Channel(c["psi"].t, np.unwrap(c["psi"].value)), begin, end)
@@ -513,5 +517,8 @@ def noise_floor(channel: Channel) -> float:
 
 
 def _noise_from_differences(differences: Array, order: int) -> float:
-    """Return the standard deviation of white noise from the median size of its differences (n,) of the given order."""
+    """Return the standard deviation of white noise from the median size of its differences (n,) of the given order.
+
+    The differences have zero mean and the variance of the noise times the binomial coefficient (2 order, order).
+    """
     return float(NORMAL_MAD * np.median(np.abs(differences)) / np.sqrt(comb(2 * order, order)))

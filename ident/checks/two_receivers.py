@@ -145,7 +145,8 @@ def _robust_residuals(track: Array, place: Array) -> Array:
 def _two_clusters(residuals: Array) -> NDArray[np.bool_]:
     """Divide residuals (n, 2) into two clusters at the widest gap along their main direction.
 
-    Each cluster has at least three. The result (n,) is true for one cluster.
+    Each cluster has at least three, of at least six residuals. The result (n,) is true for one cluster, which may be
+    the larger one.
     """
     main = np.linalg.svd(residuals, full_matrices=False)[2][0]
     along = residuals @ main

@@ -29,7 +29,7 @@ def is_held(name: str, channel: Channel) -> bool:
     Parameters
     ----------
     name
-        Name of the signal. Commands of thrusters (``n_cmd_...``) are held.
+        Name of the signal. Commands of thrusters (``n_cmd_...``) are held, whatever the hold of the channel is.
     channel
         Samples of the signal. An imported input is held if its hold is ``zero`` or ``average``. A signal with the hold
         ``linear`` or an unknown (empty) hold is not.
@@ -80,7 +80,8 @@ def parts_between(channels: Mapping[str, Channel], gaps: Sequence[tuple[float, f
     channels
         The signals of the log by name.
     gaps
-        Start and end [s] of each gap in order of time, as `silent_times` returns them. Without gaps, there is one part.
+        Start and end [s] of each gap in order of time, as `silent_times` returns them. They are the times of the last
+        sample before the gap and of the first one after it, which belong to the parts. Without gaps, there is one part.
 
     Returns
     -------
@@ -132,10 +133,12 @@ def slice_channel(channel: Channel, a: int, b: int) -> Channel:
 def gap_line(gaps: Sequence[tuple[float, float]]) -> str:
     """Return the text of the warning about the gaps at which a log is cut. It states the times of the longest gap.
 
+    With several gaps it also states their number. The text has no name of a log.
+
     Parameters
     ----------
     gaps
-        Start and end [s] of each gap, at least one.
+        Start and end [s] of each gap, at least one. Of equally long gaps the first is stated.
     """
     begin, end = max(gaps, key=lambda gap: gap[1] - gap[0])
     where = f"no sensor has a sample from {seconds(begin)} to {seconds(end)} s"

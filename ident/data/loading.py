@@ -106,7 +106,7 @@ TimeWindows = TimeWindow | Sequence[TimeWindow]  # one interval for all logs, or
 
 
 def window_of_each(windows: TimeWindows, n: int) -> list[TimeWindow]:
-    """Return the interval of time of each of n logs: the same for all, or the given ones in their order.
+    """Return a list with the interval of time of each of n logs: the same for all, or the given ones in their order.
 
     Raises
     ------
@@ -147,7 +147,7 @@ def propulsion_input(log: Log, found: Mapping[str, Channel], holds: Mapping[str,
         None if the log has neither shaft speeds nor commands of both thrusters left and right. ``COMMAND`` if it has no
         shaft speeds of both, if one of these has the hold ``zero`` or is a sampled output (`Channel.sampled`), or if
         the log also has both commands and a median interval of the shaft speeds exceeds `SLOWEST_TELEMETRY` (0.15 s).
-        Otherwise ``TELEMETRY`` behind an autopilot, else ``MEASURED``.
+        Otherwise ``TELEMETRY`` behind an autopilot (a thruster of the rig names its output), else ``MEASURED``.
 
     Notes
     -----
@@ -265,8 +265,8 @@ def _rows_with_position(table: Table) -> Table:
 def _origin_row(table: Table) -> int:
     """Return the index of the fix that is the origin of x and y: the first one after the receiver has settled.
 
-    ``table`` (n,) has the fixes of the receiver, at least one. It is the first fix that is not in a short section at
-    another place (`sections_elsewhere`); 0 if all are.
+    ``table`` (n,) has the fixes of the receiver, at least one. The origin is the first fix that is not in a short
+    section at another place (`sections_elsewhere`); the index is 0 if all are.
     """
     x, y = local_ned(table["lat"], table["lon"])
     return int(np.argmin(sections_elsewhere(table["t"], x, y, np.ones(x.size, bool))))
@@ -358,7 +358,7 @@ def _channel_of_column(table: Table, column: str, unit: str, source: str) -> Cha
 
 
 def _without_error_flags(table: Table) -> Table:
-    """Return the samples of a load cell (``table``, (n,)) whose error flags are zero."""
+    """Return the samples of a load cell (``table``, (n,)) without an error flag (``flags`` 0), in their order."""
     good: Table = table[table["flags"] == 0]
     return good
 
@@ -448,11 +448,17 @@ def shaft_speed(t: Array, speed: Array, t_command: Array, command: Array) -> tup
     held = command[np.maximum(np.searchsorted(t_command, clock, side="right") - 1, 0)]
 
     def scale(size: Array) -> float:
-        """Return the factor on ``size`` (k,) that fits the magnitudes of the shaft speed best (least squares)."""
+        """Return the factor on ``size`` (k,) that fits the magnitudes of the shaft speed best (least squares).
+
+        It is 0 if ``size`` is zero.
+        """
         return float(size @ speed) / max(float(size @ size), 1e-12)
 
     def misfit(lagged: Array, delay: float) -> float:
-        """Return the sum of squared errors of the shaft speed against the lagged command, later by ``delay`` [s]."""
+        """Return the sum of squared errors of the shaft speed against the lagged command, later by ``delay`` [s].
+
+        Magnitudes are compared, and the command is multiplied by its best factor.
+        """
         size = np.abs(np.interp(t - delay, clock, lagged))
         return float(np.sum((speed - scale(size) * size) ** 2))
 
@@ -545,19 +551,25 @@ class LoadedLog:
 
     @property
     def own_channels(self) -> Mapping[str, Channel]:
-        """Signals of the log by name, with x and y relative to the log's own first fix instead of `origin`."""
+        """Signals of the log by name, with x and y relative to the log's own first fix instead of `origin`.
+
+        If the log was not moved (`shift` is zero), they are the signals of `run` themselves.
+        """
         return _shift_positions(self.run.channels, -self.shift[0], -self.shift[1])
 
     @property
     def unplaced(self) -> bool:
-        """Whether the log has positions x, y of which the origin (latitude and longitude) is unknown."""
+        """Whether the log has positions x, y of which the origin (latitude and longitude) is unknown.
+
+        False for a log without positions.
+        """
         return self.origin is None and "x" in self.run.channels
 
 
 def _shift_positions(found: Mapping[str, Channel], north: float, east: float) -> Mapping[str, Channel]:
     """Return the signals ``found`` with ``north`` [m] added to x and ``east`` [m] added to y.
 
-    If both are zero, return the same object.
+    If both are zero, return the same object. Otherwise return a copy of the mapping; x and y must then exist.
     """
     if not (north or east):
         return found
@@ -649,6 +661,8 @@ def load_all(
     ------
     SeatrialError
         If a log is in both lists, or cannot be used.
+    ValueError
+        If the number of intervals of time is neither one for all nor that of the logs.
     """
     same = {p.resolve() for p in logs} & {p.resolve() for p in validate}
     if same:
@@ -773,7 +787,8 @@ def _parts_with_inputs(log: LoadedLog) -> list[LoadedLog]:
     if not spans:
         raise SeatrialError(
             f"{log.about['path']}: no segment of the log in which all inputs are known is as long as "
-            f"{SHORTEST_PIECE_S:g} s; record without gaps in the inputs"
+            f'{SHORTEST_PIECE_S:g} s; record without gaps in the inputs, or give another column or nan = "zero" for '
+            "them in the import map"
         )
     found = []
     for k, (a, b) in enumerate(spans):
@@ -848,6 +863,8 @@ def load_runs(
     ------
     SeatrialError
         If a log cannot be used.
+    ValueError
+        If the number of intervals of time is neither one for all nor that of the logs.
     """
     windows = window_of_each(window, len(logs))
     whole = [(p, load_run(p, role, own, device_faults)) for p, own in zip(logs, windows, strict=True)]
@@ -893,8 +910,8 @@ def with_unique_names(loaded: Sequence[LoadedLog], files: Sequence[Path]) -> lis
 def _unique_labels(labels: Sequence[str], files: Sequence[Path]) -> list[str]:
     """Return unique ``labels`` (names or paths) of files, in the same order.
 
-    A label that occurs several times gets the name of the file's folder before it, and a number from 2 on if it is
-    still not unique.
+    A label that occurs several times gets the name of the file's folder before it. If it is still not unique, the first
+    one stays so, and the next ones get a number from 2 on: ``mon/run (2)``. Other labels are unchanged.
     """
     found: list[str] = []
     for label, file in zip(labels, files, strict=True):
@@ -917,8 +934,8 @@ def load_run(path: Path, role: str, window: TimeWindow = WHOLE, device_faults: D
         Interval of time of the log to load. The rest of the log is not read (except its first minute, and one minute on
         both sides), so that ``about["sha256"]`` is empty. The signals contain the minute on both sides.
     device_faults
-        Function that returns the findings on the devices of an open log. It uses the tables that are read here. None:
-        the devices are not checked.
+        Function that returns the findings on the devices of an open log. It uses the tables that are read here, and of
+        a window only those of the part that is read. None: the devices are not checked.
 
     Returns
     -------
@@ -993,7 +1010,8 @@ def _unknown_inputs(log: Log) -> list[tuple[float, float]]:
 def _origin_of_positions(log: Log, found: Mapping[str, Channel], name: str) -> FrameOrigin | None:
     """Return the origin of x and y if a GNSS receiver of the log measured them as latitude and longitude; else None.
 
-    ``found`` has the signals of the log by name, and ``name`` is the name of the log, which is stored in the origin.
+    The origin is the first fix after the receiver has settled. ``found`` has the signals of the log by name, and
+    ``name`` is the name of the log, which is stored in the origin. Imported positions x, y have no known origin.
     """
     if "x" not in found or found["x"].source not in log.sources(Gnss):
         return None

@@ -91,7 +91,7 @@ def without_outliers(found: Mapping[str, Channel]) -> dict[str, Channel]:
 def _remove_samples(c: Channel, bad: Mask) -> Channel:
     """Return the signal ``c`` without the samples for which ``bad`` (n,) is True; they become its `Channel.left_out`.
 
-    If all samples are marked, return the signal unchanged.
+    Outliers that the signal had there before are replaced. If all samples are marked, return the signal unchanged.
     """
     if bad.all():
         return c  # the checks of ranges and units name a signal that is wrong throughout
@@ -324,7 +324,10 @@ def _burst_candidates(
 
 
 def _wrapped_difference(name: str, a: Array, b: Array) -> Array:
-    """Return ``a - b`` (n,), wrapped to -pi..pi if ``name`` is that of an angle: ``psi``, ``phi`` or ``theta``."""
+    """Return ``a - b`` (n,), wrapped to -pi..pi if ``name`` is that of an angle: ``psi``, ``phi`` or ``theta``.
+
+    Any other name gives the plain difference.
+    """
     return wrap(a - b, angle=name in ANGLES)
 
 
@@ -368,7 +371,7 @@ def position_jumps(t: Array, x: Array, y: Array) -> NDArray[np.intp]:
     Returns
     -------
     Array (n_jumps,)
-        Index of the first sample after each jump.
+        Index of the first sample after each jump, in ascending order. Empty without a jump.
     """
     moved = np.hypot(np.diff(x), np.diff(y))
     return np.flatnonzero((moved > JUMP) & (moved > FASTEST * np.diff(t))) + 1
@@ -422,7 +425,7 @@ def sections_elsewhere(t: Array, x: Array, y: Array, regular: Mask) -> Mask:
 def _is_reachable(t: Array, x: Array, y: Array, i: int, j: int) -> bool:
     """Return whether a craft can move from the fix with index ``i`` to that with index ``j``.
 
-    It can move 30 m in any time, and farther with less than 5 m/s on average. ``t`` (n,) [s], ``x``, ``y`` (n,) [m] are
-    the times and positions of the fixes.
+    It can move less than 30 m in any time, and farther with less than 5 m/s on average. ``t`` (n,) [s], ``x``, ``y``
+    (n,) [m] are the times and positions of the fixes.
     """
     return bool(np.hypot(x[j] - x[i], y[j] - y[i]) < max(JUMP, 5.0 * (t[j] - t[i])))

@@ -236,7 +236,7 @@ class Record:
 
     @property
     def duration(self) -> float:
-        """Time from the first to the last row [s]. IndexError is raised for a record without rows."""
+        """Time from the first to the last row [s]; 0 for one row. IndexError is raised for a record without rows."""
         return float(self.t[-1] - self.t[0])
 
     def for_model(self, model: Model) -> Record:
@@ -279,7 +279,7 @@ class Record:
         """Return the record with only the selected rows, with unchanged times.
 
         ``which`` is a slice of the rows, or an array (n_rows,) that is True for rows to keep. The result may have no
-        row.
+        row. Its name is unchanged. ``u_next`` is kept too: after a removed row, it is not the next row of the result.
         """
         return replace(self, t=self.t[which], u=self.u[which], u_next=self.u_next[which], y=self.y[which])
 
@@ -395,7 +395,8 @@ def _present_sensors(model: Model, channels: Mapping[str, Channel], name: str) -
     Raises
     ------
     ValueError
-        If no sensor has all its channels, or if the channel of an input other than ``t`` is missing.
+        If no sensor has all its channels, or if the channel of an input other than ``t`` is missing. A sensor of
+        which a channel is missing is left out without an error.
     """
     missing = [i.name for i in model.inputs if i.name not in channels and i.name != TIME_INPUT]
     if missing:
@@ -469,8 +470,8 @@ def _derived_inputs(model: Model, channels: Mapping[str, Channel]) -> dict[str, 
     """Return, by name, the inputs of the model that ``channels`` lacks and that are computed from other channels.
 
     A delayed copy has the samples of its source, later by its delay. ``work`` is the integral of the cubed shaft speeds
-    of both thrusters (or of their commands, without shaft speeds), divided by `WORK_UNIT` (150 s). An input whose
-    source is missing is left out.
+    of both thrusters, left and right (or of their commands, without shaft speeds), divided by `WORK_UNIT` (150 s). It
+    has the sample times of the left one and is 0 at the first of them. An input whose source is missing is left out.
     """
     derived: dict[str, Channel] = {}
     for signal in (i for i in model.inputs if i.name not in channels):
@@ -556,7 +557,7 @@ def _nearest_to_block_middles(times: Array, start: float, end: float, rate: floa
     """Return the one of the ``times`` in each block of 1/rate [s] that is nearest to the middle of the block.
 
     ``times`` (n,) [s] increase, and ``rate`` is in Hz. The first block begins at ``start`` [s]. Blocks without a time,
-    and blocks whose middle is not before ``end`` [s], are left out.
+    and blocks whose middle is not before ``end`` [s], are left out. Of two equally near times, the earlier is returned.
     """
     # Only blocks that contain a time: all blocks in a gap of years would need gigabytes.
     numbers = np.unique(np.floor((times - start) * rate + SAME_TIME))
@@ -606,9 +607,9 @@ def _row_times(
     """Return the times of the rows of a record [s] from ``start`` to ``end`` [s], increasing.
 
     The times are the union of ``measured`` (times of the samples of each sensor), of ``switches`` (times at which an
-    input changes) inside the record, and of both ends. Times closer than `SAME_TIME` (1 us) become one row. Where two
-    rows are farther apart than ``max_step`` [s] by more than 10 %, rows at equal intervals are added. ``name`` is that
-    of the record, for messages.
+    input changes) inside the record, and of both ends. Of times closer than `SAME_TIME` (1 us), the first is kept.
+    Where two rows are farther apart than ``max_step`` [s] by more than 10 %, rows at equal intervals are added.
+    ``name`` is that of the record, for messages.
 
     Raises
     ------
@@ -636,7 +637,8 @@ def _row_times(
 def _change_times(channel: Channel) -> Array:
     """Return the times [s] of the samples of a channel that differ from the sample before.
 
-    The first sample never counts as a change. A repeated command thus adds no row to a record.
+    The first sample never counts as a change. A repeated command thus adds no row to a record. The result is empty for
+    a constant channel.
     """
     return np.asarray(channel.t[1:][np.diff(channel.value) != 0.0])
 

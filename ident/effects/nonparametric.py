@@ -219,7 +219,10 @@ def nonparametric_effect(model: Model, curve: ForceCurve, span: tuple[float, flo
     names = [f"{force}_{curve.variable}{curve.second}_{k}" for k in range(len(terms_of))]
 
     def add(s: Signals) -> None:
-        """Add the value of the curve to the residual quantity, or multiply a relative one by one plus the value."""
+        """Add the value of the curve to the residual quantity, or multiply a relative one by one plus the value.
+
+        The value is the sum of each parameter t_k times its basis function, or its product of the two variables.
+        """
         if len(of) == 2:
             a, b = (v.read(s) for v in of)
             terms = [a * b, abs(a) * b, a * abs(b)]
@@ -330,7 +333,8 @@ def simultaneous_critical_value(B: Array, P: Array, n: int = 4000) -> float:
     Returns
     -------
     float
-        The critical value. Points with a standard deviation of zero are ignored; 0 if all have none.
+        The critical value. Points with a standard deviation of zero are ignored; 0 if all have none. Negative
+        eigenvalues of P, from rounding, count as zero.
     """
     w, V = np.linalg.eigh(P)
     curves = B @ (V * np.sqrt(np.maximum(w, 0.0))) @ np.random.default_rng(0).standard_normal((len(P), n))
@@ -395,7 +399,7 @@ def _drive_reader(pair: ThrusterPair) -> Signal:
     """
 
     def read(s: Signals) -> Any:
-        """Return the mean thrust, or half the difference left minus right."""
+        """Return the mean thrust, or half the difference left minus right; the thrust of a shaft speed n is n |n|."""
         left, right = (s.state_or_input(f"{pair.quantity}_{side}") for side in ("left", "right"))
         if pair.quantity == "n":
             left, right = left * abs(left), right * abs(right)
@@ -436,13 +440,13 @@ def lagged_response(force: DisturbanceChannel, of: str, drive: Signal, unit: str
     states = [f"late_{of}_{k}" for k in range(len(TIME_CONSTANTS))]
 
     def add(s: Signals) -> None:
-        """Add the response to the force, in place."""
+        """Add the response ``sum_k t_k (z_k - w)`` of the states z_k to the drive w to the force, in place."""
         w = drive(s)
         terms = zip(names, states, strict=True)
         force.add(s, sum(getattr(s.p, name) * (getattr(s.x, state) - w) for name, state in terms))
 
     def follow(s: Signals) -> None:
-        """Set the rates of the states that follow the drive, in place."""
+        """Set the rate of each state to ``(drive - state) / T``, in place, with its time constant T."""
         for state, time_constant in zip(states, TIME_CONSTANTS, strict=True):
             s.rate[state] = (drive(s) - getattr(s.x, state)) / time_constant
 
@@ -498,12 +502,12 @@ def resonant_response(force: DisturbanceChannel, of: str, drive: Signal, unit: s
     states, f_name = (f"swing_{of}", f"swing_{of}_rate"), f"f_{force.name}_{of}"
 
     def add(s: Signals) -> None:
-        """Add the response to the force, in place."""
+        """Add ``a (z - w) + b z' / omega`` to the force, in place, with the drive w and the two states."""
         z, quadrature = (getattr(s.x, n) for n in states)
         force.add(s, getattr(s.p, names[0]) * (z - drive(s)) + getattr(s.p, names[1]) * quadrature)
 
     def swing(s: Signals) -> None:
-        """Set the rates of the two states of the second-order response, in place."""
+        """Set the rates of the two states of the second-order response, in place: z, and z' over omega."""
         omega = 2 * math.pi * getattr(s.p, f_name)
         z, quadrature = (getattr(s.x, n) for n in states)
         s.rate[states[0]] = omega * quadrature

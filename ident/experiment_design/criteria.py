@@ -59,7 +59,7 @@ class Criterion:
         """Return the criterion (n,) of finite information matrices F (n, q, q) in characteristic steps.
 
         The diagonal of F must be positive. The criterion of a singular matrix is ``SINGULAR`` (-1e9): scaled to a unit
-        diagonal, its smallest eigenvalue is below 1e-12.
+        diagonal, its smallest eigenvalue is below 1e-12. Without matrices the result is empty.
         """
         if not len(F):
             return np.zeros(0)

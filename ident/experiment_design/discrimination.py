@@ -144,7 +144,10 @@ class HypothesisPair:
         size = kernel.plan.sizes["low"]
 
         def work(lanes: slice) -> tuple[Array, Array, Array]:
-            """Return the three sums of a slice of the experiments, one row per experiment; matrices as triangles."""
+            """Return the three sums of a slice of the experiments, one row per experiment; matrices as upper triangles.
+
+            The rows that fill up the last group of vector lanes are removed.
+            """
             groups = -(-(lanes.stop - lanes.start) // width)
             p = in_lanes(values[lanes].T[None], groups, width)[0]
             p_true = in_lanes(np.repeat(truth, lanes.stop - lanes.start, axis=0).T[None], groups, width)[0]
@@ -219,7 +222,7 @@ class DiscriminationDesign:
 
     @property
     def clear(self) -> bool:
-        """Return whether a fit is expected to prefer the true model, whichever of the two it is: both T exceed 30."""
+        """Whether a fit is expected to prefer the true model, whichever of the two it is: both T exceed 30."""
         return min(self.separation) > RELIABLE_T
 
 
@@ -312,7 +315,10 @@ def discriminate(
     pairs = _both_hypotheses(model_a, model_b, problem)
 
     def evaluate(z: Array) -> tuple[Array, Array]:
-        """Return log T (n,) of the worse hypothesis and the violation (n,) of the limits, at search points z."""
+        """Return log T (n,) of the worse hypothesis and the violation (n,) of the limits, at search points z (n, size).
+
+        Log T is that of the smaller T, to first order. It is ``SINGULAR`` (-1e9) if a T is not finite.
+        """
         command = problem.commands(z)
         parts: Sequence[Array] = [
             np.minimum(*(r(command[:, :, k : k + 32]) for r in pairs)) for k in range(0, command.shape[2], 32)

@@ -38,6 +38,7 @@ class DesignEvaluator:
     """
 
     def __init__(self, problem: DesignProblem) -> None:
+        """Store the design problem. Nothing is computed here."""
         self.problem = problem
 
     @cached_property
@@ -81,14 +82,20 @@ class DesignEvaluator:
 
     @cached_property
     def experiments(self) -> Experiments:
-        """Simulator of experiments, with the information about the parameters ``problem.free``."""
+        """Simulator of experiments, with the information about the parameters ``problem.free``.
+
+        It has the model with its measurement noise scaled for the sample rates on the rows of the problem.
+        """
         problem = self.problem
         model = problem.observed(problem.model)
         return Experiments(model, problem.free, problem.t, problem.every, process_noise=problem.process_noise)
 
     @cached_property
     def _inflations(self) -> Array:
-        """Factors (q,) by which standard errors of fits exceed those by the information; 1 if unknown."""
+        """Factors (q,) by which standard errors of fits exceed those by the information, for ``problem.free``.
+
+        They are those of earlier logs; 1 for a parameter without one.
+        """
         return np.array([self.prior.inflation.get(n, 1.0) for n in self.problem.free])
 
     def information(self, u: Array, values: Array | None = None) -> Array:
@@ -128,7 +135,7 @@ class DesignEvaluator:
         """Return n parameter samples (n, n_parameters) from the prior, each with its own random current.
 
         The currents are uniform in a disc with the radius ``problem.limits.current`` [m/s]. ``purpose`` selects the
-        random stream.
+        random stream. With a radius of 0 the samples keep the current of the model.
 
         Raises
         ------
@@ -286,7 +293,8 @@ class DesignEvaluator:
     def _track_violation(self, low: Array, high: Array) -> Array:
         """Return the summed relative excess (n,) over the limits of area and speed; ``DIVERGED`` if it is not finite.
 
-        ``low`` and ``high`` are the minima and maxima (n, k) from ``extents``.
+        It is 0 within the limits, and a missing limit adds nothing. The extent to the north and east counts, not the
+        place of the area. ``low`` and ``high`` are the minima and maxima (n, k) from ``extents``.
 
         Raises
         ------

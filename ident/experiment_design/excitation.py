@@ -53,7 +53,10 @@ def reason_without_mission(model: Model) -> str:
 
 
 def _input_names(model: Model) -> list[str]:
-    """Return the names of the inputs of a model, without delayed taps, the time input and the work input."""
+    """Return the names of the inputs of a model in its order, without delayed taps, the time input and the work input.
+
+    A delayed tap is a copy of an input with its value of an earlier or later time.
+    """
     return [i.name for i in model.inputs if not i.tap and i.name not in (TIME_INPUT, WORK_INPUT)]
 
 
@@ -125,7 +128,8 @@ class ThrusterResponse:
         """Return the commands of n step sequences on the rows, with the slew limit.
 
         With a finite slew limit a command starts from zero and approaches each level at the largest rate. A step may
-        end before its level is reached. After the last step its level is held.
+        end before its level is reached. After the last step its level is held. A row at the end of a step belongs to
+        the next step.
 
         Parameters
         ----------
@@ -158,7 +162,7 @@ class ThrusterResponse:
 
     @property
     def shafts_are_states(self) -> bool:
-        """Return whether the shaft speeds are states of the model, so that its inputs are commands.
+        """Whether the shaft speeds are states of the model, so that its inputs are commands.
 
         They are if the command of the left thruster, ``n_cmd_left``, is an input of the model.
         """
@@ -297,6 +301,7 @@ class StepInput:
     n_max: float = 1.0
 
     def __post_init__(self) -> None:
+        """Raise SeatrialError if steps of the least duration do not fit into the total duration."""
         if self.n_steps * self.least_rows > self.n_rows:
             least = f"{self.least_rows * self.grid:g} s" + (  # rounded up to whole rows
                 f" ({self.shortest:g} s in steps of {self.grid:g} s)"

@@ -67,7 +67,8 @@ class Experiments:
     every
         Number of rows from one sample to the next, by sensor; 1 for a sensor that is not named.
     process_noise
-        Whether the information is that of prediction error. Else it is that of output error.
+        Whether the information is that of prediction error: of the innovations of a filter, with process noise. Else it
+        is that of output error: of a simulation without process noise.
     threads
         Number of threads.
 
@@ -101,6 +102,7 @@ class Experiments:
         process_noise: bool = True,
         threads: int = 2,
     ) -> None:
+        """Compile the simulations (kernels) of the model, and compute sensor mask, intervals and parameter values."""
         from seatrial.ident.engine import batch_for, extremes
 
         self.model, self.free, self.t, self.threads = model, tuple(free), t, threads
@@ -192,7 +194,7 @@ class Experiments:
         start = start_in_lanes(self.model, p)
 
         def work(missions: slice) -> list[tuple[Array, Array]]:
-            """Return minima and maxima (n_values, k) of each mission of a slice."""
+            """Return minima and maxima (n_values, k) of each mission of a slice, in a list of pairs in their order."""
             found = []
             for j in range(missions.start, missions.stop):
                 shared = np.ascontiguousarray(u[:, :, j])
@@ -492,7 +494,8 @@ def prediction_information(
 def prior_information(parameters: Sequence[Parameter]) -> Array:
     """Return the diagonal matrix of the prior information (q, q) about parameters, in their units.
 
-    An element is 1 over the variance of the prior of a parameter at its value; 0 for a parameter without a prior.
+    An element is 1 over the variance of the prior of a parameter at its value; 0 for a parameter without a prior. With
+    the transform "log", the standard deviation is that of the logarithm times the present value of the parameter.
     """
     found = np.zeros(len(parameters))
     for i, p in enumerate(parameters):

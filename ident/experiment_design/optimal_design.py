@@ -113,7 +113,11 @@ class Design:
         return predicted_errors(self.problem, self.command_on(self.problem.finer))
 
     def _errors_by_name(self, information: Array) -> dict[str, float]:
-        """Return the standard error of each observed parameter, from information (q, q) about ``problem.free``."""
+        """Return the standard error of each observed parameter, from information (q, q) about ``problem.free``.
+
+        The other parameters in ``problem.free``, nuisance parameters, count as unknown. The error is inf for a
+        parameter that cannot be separated from others.
+        """
         q = len(self.problem.observed_parameters)
         return dict(zip(self.problem.observed_parameters, errors_of(information)[:q].tolist(), strict=True))
 
@@ -315,7 +319,8 @@ def _search_within_limits(
 ) -> SearchResult:
     """Search the step sequence with the largest criterion within the limits of the design problem.
 
-    ``warm``: search points (n, size) to start from; None: the best four of 512 random points.
+    ``warm``: search points (n, size) to start from; None: the best four of 512 random points. The result violates the
+    limits if no point within them was found; this is not an error here.
     """
     problem = evaluator.problem
     return search_design(
@@ -398,7 +403,11 @@ def _no_information_message(problem: DesignProblem, singular: float) -> str:
 
 
 def _limits_message(problem: DesignProblem, violation: float) -> str:
-    """Return the error message for limits that no sequence keeps; ``violation`` is the summed relative excess."""
+    """Return the error message for limits that no sequence keeps.
+
+    It lists the limits as options of the command line. ``violation`` is the summed relative excess, which is shown in
+    per cent.
+    """
     limits = problem.limits
     options = [f"--area {limits.area[0]:g}x{limits.area[1]:g}"] if limits.area else []
     options += [f"--max-speed {limits.speed:g}"] if limits.speed else []
@@ -406,7 +415,8 @@ def _limits_message(problem: DesignProblem, violation: float) -> str:
     return (
         f"no sequence of {problem.steps.n_steps} steps in {problem.steps.duration:g} s was found that keeps to "
         f"{', '.join(options)} for all of {N_TRACKS} parameter samples (exceeded by {100 * violation:.0f} %); "
-        "give more room, a shorter --duration, a smaller --prior-halfwidth, or a model.toml with smaller errors"
+        "give more room (weaker limits), a shorter --duration, a smaller --prior-halfwidth, or a model.toml with "
+        "smaller errors"
     )
 
 
@@ -535,7 +545,7 @@ class Robustness:
     def share_won(self, ours: str = "design") -> float:
         """Return the share (0 to 1) of the samples in which the command ``ours`` is better than all others.
 
-        A tie counts as not better. Without other commands the share is 1.
+        A tie counts as not better. Without other commands the share is 1. Raise KeyError for an unknown name.
         """
         others = [v for name, v in self.values.items() if name != ours]
         return float(np.mean(self.values[ours] > np.max(others, axis=0))) if others else 1.0

@@ -47,12 +47,12 @@ class DesignLimits:
 
     @property
     def bind(self) -> bool:
-        """Return whether at least one limit (area, speed or energy) is set, so that commands must be checked."""
+        """Whether at least one limit (area, speed or energy) is set, so that commands must be checked."""
         return self.energy is not None or self.concern_the_track
 
     @property
     def concern_the_track(self) -> bool:
-        """Return whether there is a limit of area or speed, which only a simulation of the tracks can check."""
+        """Whether there is a limit of area or speed, which only a simulation of the tracks can check."""
         return self.area is not None or self.speed is not None
 
 
@@ -91,7 +91,8 @@ class DesignProblem:
         Number of parameter samples over which the criterion is averaged; 0 for nominal values only. With the criterion
         D the average is ELD optimality (Walter and Pronzato 1997, section 6.4).
     process_noise
-        Whether the information is that of prediction error. Else it is that of output error.
+        Whether the information is that of prediction error: of the innovations of a filter, with process noise. Else it
+        is that of output error: of a simulation without process noise.
     seed
         Seed of the search and of all samples.
     grid
@@ -167,7 +168,10 @@ class DesignProblem:
 
     @property
     def every(self) -> dict[str, int]:
-        """Number of rows from one sample of a sensor to its next sample (1 or more), by sensor name."""
+        """Number of rows from one sample of a sensor to its next sample, by sensor name.
+
+        It is the interval of the sensor over that of the rows, rounded to a whole number, and at least 1.
+        """
         return {s.name: max(1, round(1.0 / (self.rate(s.name) * self.grid))) for s in self.model.sensors}
 
     def rate(self, sensor: str) -> float:
@@ -217,7 +221,7 @@ class DesignProblem:
         )
 
     def _observed_among(self, names: Sequence[str]) -> tuple[str, ...]:
-        """Return those of the parameters on which at least one output depends.
+        """Return those of the parameters on which at least one output depends, in the order of ``names``.
 
         Four random step sequences, always the same, are simulated without process noise. A parameter is observed if its
         information is not zero in at least one of them. Information that is NaN, because a simulation diverges, counts

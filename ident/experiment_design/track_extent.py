@@ -92,12 +92,13 @@ class TrackExtent:
     """
 
     def __init__(self, model: Model, t: Array, boats: Array, seed: Sequence[int]) -> None:
+        """Store the arguments, and extend the model by process noise as inputs. Nothing is simulated here."""
         self._model, self._t, self._boats, self._seed = model, t, boats, list(seed)
         self._disturbed, self._noisy = with_noise_inputs(model)
 
     @cached_property
     def _experiments(self) -> Experiments:
-        """Simulator of the model that has process noise as inputs."""
+        """Simulator of the model that has process noise as inputs, without any information about parameters."""
         return Experiments(self._disturbed, (), self._t, process_noise=False)
 
     @property

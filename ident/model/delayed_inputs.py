@@ -89,9 +89,10 @@ def _keys(s: Any) -> Any:
 
 
 def weighted_sum(weights: Iterable[Any], values: Iterable[Any]) -> Any:
-    """Return the sum of each weight times its value. Raise ValueError if the numbers of weights and values differ.
+    """Return the sum of each weight times its value; 0 without values.
 
-    A value whose weight is the number 0.0 does not count, even if it is NaN.
+    A value whose weight is the number 0.0 does not count, even if it is NaN. Raise ValueError if the numbers of weights
+    and values differ.
     """
     pairs = zip(weights, values, strict=True)
     # Most weights of an interpolation are zero. For arrays of values, the products would take most of the time.

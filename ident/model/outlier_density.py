@@ -43,7 +43,8 @@ def log_density(z: Any) -> Any:
 def robust_weight(z: Any) -> Any:
     """Return the probability (0 to 1) that a sample is no outlier, given its standardised innovation ``z``.
 
-    ``z`` is the innovation divided by its standard deviation: a number, an array or a symbol.
+    ``z`` is the innovation divided by its standard deviation: a number, an array or a symbol. One sample in 100 is
+    assumed to be an outlier. The probability is near 1 for a small ``z``, and falls to 0 as its size grows.
     """
     return _inlier_density(z) / (_inlier_density(z) + _outlier_density(z))
 
@@ -92,7 +93,8 @@ def with_outlier_model(model: Model, sensors: Iterable[str] | None = None) -> Mo
     model : Model
         Model to change.
     sensors : Iterable[str], optional
-        Names of the sensors. None: all sensors of the model.
+        Names of the sensors. None: all sensors of the model. Empty: none. Sensors that are not named are kept as they
+        are, also with outliers in their density.
 
     Raises
     ------
@@ -114,7 +116,10 @@ def with_outlier_model(model: Model, sensors: Iterable[str] | None = None) -> Mo
 
 
 def robust_sensors(model: Model) -> tuple[str, ...]:
-    """Return the names of the sensors whose innovation density includes outliers, in the order of the model."""
+    """Return the names of the sensors whose innovation density includes outliers, in the order of the model.
+
+    One such output of a sensor is enough. Return () if there is no such sensor.
+    """
     return tuple(s.name for s in model.sensors if any(o.robust for o in s.outputs))
 
 
@@ -135,15 +140,18 @@ def outlier_notes(
     Returns
     -------
     list of str
-        An output without a sample has no sentence. If more than 10 % of the samples are outliers, the sentence warns
-        that the model lacks an effect.
+        An output without a sample has no sentence. Without outliers the sentence has the number 0 and no share. If more
+        than 10 % of the samples are outliers, the sentence warns that the model lacks an effect.
     """
     notes = []
     for j, output in enumerate(model.outputs):
         n, total = (sum(int(flags[:, j].sum()) for flags in records) for records in (outliers, measured))
         if output.robust and total:
             share = f" ({100 * n / total:.2g} %)" if n else ""
-            caveat = ", too many for outliers: the model lacks an effect on this channel, which --robust hides"
+            caveat = (
+                ", too many for outliers: the model lacks an effect on this channel, which --robust hides; fit or "
+                "diagnose without --robust"
+            )
             many = caveat if n > MANY_OUTLIERS * total else ""
             were = "was" if n == 1 else "were"
             notes.append(f"{output.name}: {n} of {total} samples {were} treated as outliers{share}{many}")

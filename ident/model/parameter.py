@@ -139,8 +139,8 @@ class Parameter:
         Raises
         ------
         ValueError
-            If the value is outside its bounds, if it is not positive with the transform "log", or if a considered
-            parameter has no prior or is `per_record`.
+            If the value is NaN or outside its bounds, if it is not positive with the transform "log", or if a
+            considered parameter has no prior or is `per_record`. The prior is not compared with the bounds.
         """
         low, high = self.bounds
         if self.considered and (self.prior is None or self.per_record):
@@ -149,12 +149,16 @@ class Parameter:
                 "value for all records"
             )
         if self.transform == "log" and self.value <= 0:
-            raise ValueError(f"parameter {self.name}: {self.value} is not positive, but this parameter has to be")
+            raise ValueError(
+                f"parameter {self.name}: {self.value} is not positive; this parameter needs a value above 0"
+            )
         nearest = min(max(self.value, low), high)
         if 0 < abs(self.value - nearest) <= ROUNDING * abs(nearest):
             object.__setattr__(self, "value", nearest)
         if not low <= self.value <= high:
-            raise ValueError(f"parameter {self.name}: {self.value} is outside its bounds [{low}, {high}]")
+            raise ValueError(
+                f"parameter {self.name}: {self.value} is outside its bounds [{low}, {high}]; give a value inside them"
+            )
 
     @property
     def exact(self) -> bool:
@@ -226,7 +230,8 @@ class Parameter:
     def free_bounds(self) -> tuple[float, float]:
         """Return the lower and upper bound in the coordinate of the search (`to_free`).
 
-        With the transform "log", a lower bound of zero or less becomes minus infinity.
+        With the transform "log", a lower bound of zero or less becomes minus infinity. The upper bound must then be
+        positive (ValueError otherwise). Infinite bounds stay infinite.
         """
         low, high = self.bounds
         if self.transform == "log":
@@ -246,7 +251,7 @@ class Parameter:
     def fixed(self) -> Parameter:
         """Return the parameter as one that is not estimated, at its present value.
 
-        A considered parameter stays considered.
+        Its prior is kept. A considered parameter stays considered.
         """
         return replace(self, free=False)
 
@@ -275,7 +280,10 @@ class Parameter:
         return replace(self, value=float(value), prior=prior, free=self.considered_sd is None, origin=origin)
 
     def freed(self) -> Parameter:
-        """Return the parameter as one that is estimated. If it was a considered parameter, it is none any more."""
+        """Return the parameter as one that is estimated. If it was a considered parameter, it is none any more.
+
+        Value and prior are kept.
+        """
         return replace(self, free=True, considered=False)
 
 

@@ -25,7 +25,8 @@ class SignalId(NamedTuple):
         For a thruster one of `THRUSTER_QUANTITIES`, for example ``n_cmd``. For another signal its name, for example
         ``psi``.
     tap : int
-        Delay of a delayed copy of the signal in steps (0.1 s each; 0.05 s for commands). 0 for the signal itself.
+        Delay of a delayed copy of the signal in steps (0.1 s each; 0.05 s for commands), positive for an earlier value.
+        0 for the signal itself.
     """
 
     source: str
@@ -84,7 +85,8 @@ def is_of_thruster(name: str, *quantities: str) -> bool:
     """Return whether the signal ``name`` belongs to a thruster and has one of ``quantities``.
 
     The quantities are entries of `THRUSTER_QUANTITIES`. For example, ``n_left`` and its delayed copy ``n_left~3`` have
-    the quantity ``n``, and ``n`` has no thruster.
+    the quantity ``n``, and ``n`` has no thruster. Any name of a thruster counts. Without ``quantities`` the result is
+    False.
     """
     signal = SignalId.parse(name)
     return bool(signal.source) and signal.quantity in quantities

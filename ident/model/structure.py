@@ -45,7 +45,10 @@ class Named(SimpleNamespace):
     _kind = "signal"
 
     def __getattr__(self, name: str) -> Any:  # Python calls this only for missing attributes
-        """Raise the AttributeError for a name that does not exist. Python calls this method only for such names."""
+        """Raise the AttributeError for a name that does not exist. Python calls this method only for such names.
+
+        The message lists the names that exist, or "none".
+        """
         available = ", ".join(vars(self)) or "none"
         raise AttributeError(f"no {self._kind} {name!r}; there is {available}", name=name, obj=self)
 
@@ -427,7 +430,7 @@ class Effect:
     def is_table_of(self, curve: ForceCurve | None) -> bool:
         """Return whether this effect is the nonparametric curve of the force and variables of ``curve``.
 
-        False for None.
+        False for None, and for any effect of another kind, also a lagged or resonant response of the same names.
         """
         return self.kind is EffectKind.NONPARAMETRIC and self.curve is not None and self.curve == curve
 
@@ -654,7 +657,7 @@ class Model:
 
     @property
     def values(self) -> dict[str, float]:
-        """Values of the parameters by name."""
+        """Values of the parameters by name, in their units and in the order of the model. The dict is a new one."""
         return {p.name: p.value for p in self.parameters}
 
     def parameter(self, name: str) -> Parameter:
@@ -789,9 +792,10 @@ class Model:
 
     @property
     def considered(self) -> tuple[str, ...]:
-        """Names of the considered parameters.
+        """Names of the considered parameters, in the order of the model.
 
-        They are not estimated, but the uncertainty of their priors adds to the errors of the estimates.
+        They are not estimated, but the uncertainty of their priors adds to the errors of the estimates. A parameter
+        that is free is not among them, even if it is marked as considered.
         """
         return tuple(p.name for p in self.parameters if p.considered_sd is not None)
 
@@ -807,8 +811,8 @@ class Model:
     def role(self, name: str) -> ParameterRole:
         """Return the role of the parameter ``name``.
 
-        The role is noise or initial state if the model uses the parameter so, otherwise the role that the parameter
-        declares.
+        The role is noise if the parameter is a standard deviation or a diffusion of the model, also that of an initial
+        state. Else it is initial state if the parameter is an initial mean, otherwise the role that it declares.
 
         Raises
         ------
@@ -901,9 +905,9 @@ class Model:
         return f"model {self.name} has {min(common)} already" if common else None
 
     def _missing_signals(self, effect: Effect) -> set[str]:
-        """Return the signals that an effect requires and the model does not provide.
+        """Return the signals that an effect requires and the model does not provide; empty if it provides all.
 
-        A model that provides ``hull`` also provides ``plane``.
+        A model that provides ``hull`` (motion with sway and yaw) also provides ``plane`` (position and velocity).
         """
         provided = {*self.provides, *(["plane"] if "hull" in self.provides else [])}
         return set(effect.requires) - provided
@@ -944,11 +948,17 @@ def plain_model(
     """
 
     def rate(s: Signals) -> None:
-        """Set the time derivatives ``s.rate`` of the states by the user's function ``f``."""
+        """Set the time derivatives ``s.rate`` of the states by the user's function ``f``.
+
+        Raise TypeError if ``f`` does not return a dictionary.
+        """
         s.rate.update(_checked_dictionary(f(s.x, s.u, s.p), "f", "{state: rate}"))
 
     def output(s: Signals) -> None:
-        """Set the outputs ``s.y`` by the user's function ``h``."""
+        """Set the outputs ``s.y`` by the user's function ``h``.
+
+        Raise TypeError if ``h`` does not return a dictionary.
+        """
         s.y.update(_checked_dictionary(h(s.x, s.u, s.p), "h", "{output: value}"))
 
     for stage, own in ((rate, f), (output, h)):
@@ -984,18 +994,21 @@ def resolve_initial_states(states: Iterable[State], sensors: Iterable[Sensor]) -
 
 
 class States(Named):
-    """States of a model by name, read as attributes."""
+    """States of a model by name, read as attributes. An unknown name raises an AttributeError that lists the states."""
 
     _kind = "state"
 
 
 class Inputs(Named):
-    """Inputs of a model by name, read as attributes."""
+    """Inputs of a model by name, read as attributes. An unknown name raises an AttributeError that lists the inputs."""
 
     _kind = "input"
 
 
 class Parameters(Named):
-    """Values of the parameters of a model by name, read as attributes."""
+    """Values of the parameters of a model by name, read as attributes.
+
+    An unknown name raises an AttributeError that lists the parameters.
+    """
 
     _kind = "parameter"

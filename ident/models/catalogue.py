@@ -77,7 +77,8 @@ def make_model(source: str, sensors: Sequence[str] | None = None) -> Model:
 def is_own_model(source: str) -> bool:
     """Return whether the text ``source`` has the form ``FILE.py:NAME`` of a user-defined model.
 
-    The file is not read.
+    The part before the last colon must end with ``.py``; NAME may be empty. A path without a colon gives False. The
+    file is not read and need not exist.
     """
     return source.rpartition(":")[0].endswith(".py")
 
@@ -89,10 +90,11 @@ def catalogue_model(source: str, sensors: Sequence[str] | None = None) -> Model:
     ----------
     source : str
         Name with options, for example ``horizontal:shaft``, ``horizontal:force:no-current``, ``kinematic:shaft:yaw``.
+        Options that are left out have the defaults of the model.
     sensors : Sequence[str], optional
         Names of the sensors that the log contains. The models horizontal, nomoto and kinematic get only those of their
         sensors, and the model thruster has a load cell only if ``load_cell`` is among them. None: all usual sensors of
-        the model; also if a model gets none otherwise. Other models ignore it.
+        the model; also if horizontal, nomoto or kinematic would get none otherwise. Other models ignore it.
 
     Raises
     ------
@@ -118,6 +120,8 @@ def catalogue_model(source: str, sensors: Sequence[str] | None = None) -> Model:
         allowed = OPTIONS[kind][place] if place < len(OPTIONS[kind]) else ()
         if option not in allowed:
             advice = f"choose {', '.join(allowed)}" if allowed else "no further option is possible"
+            if kind == "thruster" and allowed:
+                advice += ", or the time [s] between copies of the command, above 0.0001 and below 1"
             raise SeatrialError(f"no model {source!r}: {kind} has no option {option!r} at this place; {advice}")
     return make(*options)
 
@@ -132,7 +136,7 @@ def _model_of_package(source: str, kind: str, options: Sequence[str]) -> Model:
     kind : str
         Name of the package's entry point in the group ``seatrial.models``.
     options : Sequence[str]
-        Options behind the name, which are the positional arguments of the function.
+        Options behind the name, which are the positional arguments of the function, as texts.
 
     Raises
     ------
@@ -160,9 +164,10 @@ def _model_of_package(source: str, kind: str, options: Sequence[str]) -> Model:
 
 
 def _is_delay_step(options: Sequence[str]) -> bool:
-    """Return whether the options of a thruster model are one number above 1e-4 and below 1.
+    """Return whether the options of a thruster model are exactly one number above 1e-4 and below 1.
 
-    The number is the delay [s] between copies of the thruster's command. Any other options give False.
+    The number, a text here, is the delay [s] between copies of the thruster's command. Any other options give False,
+    also none and a text that is no number.
     """
     try:
         return len(options) == 1 and 1e-4 < float(options[0]) < 1.0
@@ -195,7 +200,7 @@ def _horizontal_by_options(source: str, options: Sequence[str], sensors: Sequenc
     kinds, currents = ("shaft", "command", "force", "general"), ("no-current", "random-walk-current")
     unknown = [o for o in options if o not in (*kinds, *currents, SYMMETRIC)]
     if unknown or (SYMMETRIC in options and "general" in options):
-        others = f"{', '.join(currents)} or {SYMMETRIC}"
+        others = f"{', '.join(currents)} or {SYMMETRIC} (not with general, which has no thrusters)"
         raise SeatrialError(f"no model {source!r}: the options of horizontal are {', '.join(kinds)}, and {others}")
     propulsion: Any = next((o for o in options if o in kinds), "shaft")
     chosen = [s for s in SENSORS if s in sensors] if sensors is not None else None
@@ -265,8 +270,8 @@ def _kinematic_by_options(source: str, options: Sequence[str], sensors: Sequence
     ]
     if unknown:
         raise SeatrialError(
-            f"no model {source!r}: write kinematic:shaft or kinematic:force, followed by any of :yaw, :no-current and "
-            ":random-walk-current"
+            f"no model {source!r}: write kinematic:shaft or kinematic:force, followed by any of :yaw, :no-current, "
+            f":random-walk-current and :{SYMMETRIC}"
         )
     chosen = SEEN if sensors is None else [s for s in SEEN if s in sensors] or SEEN
     propulsion: Any = options[0] if options else "shaft"

@@ -146,12 +146,20 @@ def antenna_component(model: Model, arm: Sequence[float] = (0.0, 0.0, 0.0)) -> E
 
 
 def _shift_level(s: Signals) -> None:
-    """Move position and velocity in the outputs ``s.y`` to the GNSS antenna of a boat without roll and pitch."""
+    """Move position and velocity over ground in the outputs ``s.y`` from the origin to the GNSS antenna, in place.
+
+    The antenna is at the parameters ``antenna_x`` (forward) and ``antenna_y`` (to starboard) [m]. This is for a boat
+    without roll and pitch.
+    """
     shift(s, s.p.antenna_x, s.p.antenna_y)
 
 
 def _shift_tilted(s: Signals) -> None:
-    """Move position and velocity in the outputs ``s.y`` to the GNSS antenna of a boat with measured attitude."""
+    """Move position and velocity over ground in the outputs ``s.y`` from the origin to the GNSS antenna, in place.
+
+    The antenna is at the parameters ``antenna_x``, ``antenna_y`` and ``antenna_z`` (forward, to starboard, down) [m].
+    This is for a boat with measured attitude.
+    """
     rotations.shift(s, (s.p.antenna_x, s.p.antenna_y, s.p.antenna_z))
 
 
@@ -166,7 +174,7 @@ def current_walk() -> Effect:
     """
 
     def drift(s: Signals) -> None:
-        """Add the current ``drift_x``, ``drift_y`` to the time derivatives of position.
+        """Add the current ``drift_x`` (north), ``drift_y`` (east) to the time derivatives of position, in place.
 
         Set the derivatives of these states themselves to zero: only their process noise changes them.
         """
@@ -211,7 +219,10 @@ def telemetry_age() -> Effect:
     """
 
     def earlier(s: Signals) -> None:
-        """Replace the shaft speeds ``s.n`` by those that are stamped ``tau_age`` later."""
+        """Replace the shaft speeds ``s.n`` by those that are stamped ``tau_age`` later, in place.
+
+        A model with the parameter ``tau_delay`` (delay of the thrust) is shifted by it in the other direction too.
+        """
         shift_in_time(s, "n")
 
     now = [Input(f"n_{side}", "", "linear") for side in SIDES]
@@ -255,11 +266,14 @@ def thrust_calibration(model: Model, sd: float = 0.05) -> Effect:
     """
 
     def scale_each(s: Signals) -> None:
-        """Multiply the thrust ``s.f`` [N] of each thruster by ``k_thrust``."""
+        """Multiply the thrust ``s.f`` [N] of each thruster by ``k_thrust``. ``s.f`` becomes a new dict by side."""
         s.f = {side: s.p.k_thrust * f for side, f in s.f.items()}
 
     def scale_sum(s: Signals) -> None:
-        """Multiply the part ``s.X_thrust`` [N] of the surge force ``s.X`` by ``k_thrust``."""
+        """Multiply the part of the thrusters in the surge force ``s.X`` [N] by ``k_thrust``.
+
+        This part is ``s.X_thrust``, which itself is not changed.
+        """
         s.X = s.X + (s.p.k_thrust - 1.0) * s.X_thrust
 
     return Effect(
@@ -306,14 +320,15 @@ def estimator_error(sensors: Sequence[str]) -> Effect:
     sensors : Sequence[str]
         Names of the model's sensors. The yaw rate has an error if the model has a ``gyro``, the heading with
         ``attitude``, the position with ``position``, and acceleration and velocity with ``ground_velocity`` or
-        ``body_velocity``.
+        ``body_velocity``. The error of the acceleration acts only through the velocity error that integrates it; the
+        outputs ``ax`` and ``ay`` have no error.
 
     Returns
     -------
     Effect
         Effect with one state for each axis of each error, and two parameters for each error: ``A_...`` (standard
         deviation) and ``tau_...`` (correlation time [s]). It has none of these if no sensor has such an error. At the
-        start of a record, an error has twice its typical standard deviation.
+        start of a record, the standard deviation of an error is twice its typical value.
 
     Notes
     -----
@@ -344,13 +359,20 @@ def estimator_error(sensors: Sequence[str]) -> Effect:
         return getattr(s.p, f"A_{e.name}") * np.sqrt(2 / getattr(s.p, f"tau_{e.name}"))
 
     def value(s: Signals, of: str) -> list[Any]:
-        """Return the error of the quantity ``of`` on each of its axes; [0, 0] if the model lacks this error."""
+        """Return the error of the quantity ``of``, in its unit, on each of its axes (one or two values).
+
+        Return [0, 0] if the model lacks this error.
+        """
         if of not in errors:
             return [0.0, 0.0]
         return [size(s, errors[of]) * getattr(s.x, f"error_{axis}") for axis in errors[of].axes]
 
     def grow(s: Signals) -> None:
-        """Set the time derivatives ``s.rate`` of the scaled error states, by the equation in the notes."""
+        """Set the time derivatives ``s.rate`` of the scaled error states, in place.
+
+        Each state decays with its correlation time ``tau_...``. The error that it integrates, divided by `size`, is
+        added: yaw rate for the heading, acceleration (turned to NED) for the velocity, velocity for the position.
+        """
         ahead, starboard = value(s, "acceleration")
         integrated = {
             "heading": value(s, "yaw rate"),
@@ -363,9 +385,10 @@ def estimator_error(sensors: Sequence[str]) -> Effect:
                 s.rate[state] = rate / size(s, e) - getattr(s.x, state) / getattr(s.p, f"tau_{e.name}")
 
     def add(s: Signals) -> None:
-        """Add the errors to the outputs ``s.y``.
+        """Add the errors of yaw rate, heading, position and velocity over ground to the outputs ``s.y``, in place.
 
-        The body velocity, if it is measured, is rotated by the heading error, and gets the velocity error too.
+        The accelerations are not changed. The body velocity, if it is measured, is rotated by the heading error, and
+        gets the velocity error too.
         """
         turn, (north, east) = value(s, "heading")[0], value(s, "velocity")
         for of in ("yaw rate", "heading", "position"):

@@ -33,7 +33,10 @@ TIME = Variable("t", "s", lambda s: s.u.t)
 
 
 def adder(name: str) -> Callable[[Signals, Any], None]:
-    """Return a function of (signals, value) that adds the value to the signal ``name``, for example to ``X``."""
+    """Return a function of (signals, value) that adds the value to the signal ``name``, for example to ``X``.
+
+    The function changes the signals in place and returns None.
+    """
 
     def add(s: Signals, extra: Any) -> None:
         """Add ``extra`` to the signal, in place."""
@@ -49,7 +52,10 @@ HULL = tuple(
 
 
 def _measurement_adder(name: str) -> Callable[[Signals, Any], None]:
-    """Return a function of (signals, value) that adds the value to the output ``name``, for example to ``psi``."""
+    """Return a function of (signals, value) that adds the value to the output ``s.y[name]``, for example ``psi``.
+
+    The function changes the signals in place and returns None.
+    """
 
     def add(s: Signals, extra: Any) -> None:
         """Add ``extra`` to the output, in place."""
@@ -85,7 +91,7 @@ def _thrust_scaler(*sides: str) -> Callable[[Signals, Any], None]:
     """Return a function of (signals, value) that multiplies the thrust of the thrusters ``sides`` by ``1 + value``."""
 
     def add(s: Signals, extra: Any) -> None:
-        """Multiply the thrusts ``s.f`` of the sides by ``1 + extra``, in place."""
+        """Multiply the thrust in ``s.f`` of each side that was named by ``1 + extra``, in place."""
         for side in sides:
             s.f[side] = s.f[side] * (1 + extra)
 
@@ -137,7 +143,7 @@ def _pair_variable(name: str, unit: str, pair: ThrusterPair) -> Variable:
     """
 
     def read(s: Signals) -> Any:
-        """Return the mean, or the difference left minus right, of the two thrusters."""
+        """Return the mean, or the difference left minus right (not halved), of the two thrusters."""
         left, right = (s.state_or_input(f"{pair.quantity}_{side}") for side in ("left", "right"))
         return left - right if pair.difference else (left + right) / 2
 
@@ -184,12 +190,12 @@ def disturbance(forces: Sequence[str] = ("X", "Y", "N")) -> Effect:
     sd, units = zip(*(SIZES[n] for n in names), strict=True)
 
     def add(s: Signals) -> None:
-        """Add each disturbance state to its force."""
+        """Add each disturbance state ``b_NAME`` to its signal ``s.NAME``, in place."""
         for name in names:
             setattr(s, name, getattr(s, name) + getattr(s.x, f"b_{name}"))
 
     def decay(s: Signals) -> None:
-        """Set the time derivatives of the disturbance states, which decay with the correlation time ``tau_b``."""
+        """Set the time derivative of each disturbance state to ``-b_NAME / tau_b``, in place."""
         for name in names:
             s.rate[f"b_{name}"] = -getattr(s.x, f"b_{name}") / s.p.tau_b
 
@@ -265,7 +271,7 @@ def shaft_disturbance() -> Effect:
     q = sd * float(np.sqrt(2 / tau))
 
     def add(s: Signals) -> None:
-        """Add ``b_n`` to the time derivative of the shaft speed. Set that of ``b_n`` to ``-b_n / tau_n``."""
+        """Add the state ``b_n`` to the time derivative of the shaft speed, and set its own one to ``-b_n / tau_n``."""
         s.rate["n"] = s.rate["n"] + s.x.b_n
         s.rate["b_n"] = -s.x.b_n / s.p.tau_n
 
@@ -334,7 +340,7 @@ def sensor_bias(sensors: Sequence[str]) -> Effect:
     rows = [row for s in sensors for row in table.get(s, ())]
 
     def add(s: Signals) -> None:
-        """Add each bias to its output in ``s.y``."""
+        """Add the state ``bias_OUTPUT`` of each bias to its output in ``s.y``, in place."""
         for name, *_ in rows:
             s.y[name] = s.y[name] + getattr(s.x, f"bias_{name}")
 
@@ -357,8 +363,8 @@ def with_disturbances(model: Model) -> Model:
     """Return the model with disturbance states and with states for sensor biases.
 
     Biases are added to heading, yaw rate and acceleration, as far as the model measures them. The disturbance states
-    take over the process noise: the diffusions ``s_u``, ``s_v``, ``s_r`` and ``s_n`` of velocities and shaft speed are
-    fixed at 1e-4, which is negligible.
+    take over the process noise: the diffusions ``s_u``, ``s_v``, ``s_r`` and ``s_n`` of velocities and shaft speed, as
+    far as the model has them, are set to 1e-4, which is negligible, and are no longer estimated.
 
     Raises
     ------

@@ -378,7 +378,8 @@ def symmetric_arms(model: Model) -> Model:
     """Return the model with one estimated arm ``y_arm`` for both thrusters, in the place of ``y_left`` and ``y_right``.
 
     The model is for a boat with unknown lateral positions of its thrusters. The prior of the arm is wide: 0.3 m, with a
-    standard deviation of 1 in its logarithm. The option ``symmetric-arms`` is appended to the source of the model.
+    standard deviation of 1 in its logarithm. The option ``symmetric-arms`` is appended to the source of the model. The
+    model given is not changed. It is not checked whether it has the parameters ``y_left`` and ``y_right``.
     """
     own = tuple(p for p in model.parameters if p.name not in ("y_left", "y_right"))
     return replace(model, parameters=(*own, *UNKNOWN_ARM), source=f"{model.source}:{SYMMETRIC}")
@@ -387,8 +388,9 @@ def symmetric_arms(model: Model) -> Model:
 def force(s: Signals) -> None:
     """Set the external forces less damping: ``s.X``, ``s.Y`` [N] and ``s.N`` [N m]. Effects add to them later.
 
-    ``s.X_thrust`` [N] and ``s.N_thrust`` [N m] are the parts of the thrusters. They follow from the thrusts ``s.f`` and
-    arms ``s.arm``, or are the inputs X and N in a model without thrusters.
+    ``s.X_thrust`` [N] and ``s.N_thrust`` [N m] are set to the parts of the thrusters. They follow from the thrusts
+    ``s.f`` and arms ``s.arm`` (positive to starboard, where a forward thrust turns the bow to port), or are the inputs
+    X and N in a model without thrusters. The sway force Y is damping only.
     """
     x, p = s.x, s.p
     if hasattr(s, "f"):
@@ -403,7 +405,8 @@ def force(s: Signals) -> None:
 def rate(s: Signals) -> None:
     """Set the time derivatives ``s.rate`` of position [m/s], heading [rad/s] and body velocities [m/s2, rad/s2].
 
-    The forces ``s.X``, ``s.Y``, ``s.N`` are given. The Coriolis terms, the Munk moment and the current are added here.
+    The forces less damping ``s.X``, ``s.Y``, ``s.N`` have been set before. A model without the parameters ``V_x``,
+    ``V_y`` has no current. The Coriolis terms, the Munk moment and the current are added here.
     """
     x, p = s.x, s.p
     north, east = body_to_ned(x.psi, x.u, x.v)
@@ -417,7 +420,8 @@ def rate(s: Signals) -> None:
 def output(s: Signals) -> None:
     """Set the outputs ``s.y`` of all sensors of `SENSORS`. Those that no sensor of the model measures are ignored.
 
-    They are position, heading, yaw rate, velocity over ground in NED and in the body frame, and specific force.
+    They are position, heading, yaw rate, velocity over ground in NED and in the body frame, and specific force. The
+    time derivatives ``s.rate`` must have been set before.
     """
     x, y = s.x, s.y
     y["x"], y["y"], y["psi"], y["r"] = x.x, x.y, x.psi, x.r

@@ -139,9 +139,10 @@ def attitude(s: Signals) -> None:
 
 
 def _shaft_and_attitude(s: Signals) -> None:
-    """Set the shaft speeds ``s.n`` by side from the inputs, and the orientation of the boat.
+    """Set the shaft speeds ``s.n`` (dict by side) to the inputs ``n_left``, ``n_right``, and set the orientation.
 
-    The orientation includes body rates and heave velocity (`attitude`).
+    The orientation follows from the measured attitude, less the offsets of heading and yaw gyro. Body rates and heave
+    velocity are set with it (`attitude`).
     """
     shaft(s)
     attitude(s)
@@ -150,7 +151,8 @@ def _shaft_and_attitude(s: Signals) -> None:
 def force(s: Signals) -> None:
     """Set the forces less damping, ``s.X`` and ``s.Y`` [N], and the thrust of both thrusters ``s.X_thrust`` [N].
 
-    X is the thrust less damping in surge. Y is minus the damping in sway. Effects add their forces to X and Y later.
+    X is the thrust less damping in surge. Y is minus the damping in sway, since the thrusts push only fore and aft.
+    Effects add their forces to X and Y later.
     """
     x, p = s.x, s.p
     s.X_thrust = sum(s.f.values())
@@ -172,7 +174,8 @@ def turning(s: Signals) -> None:
 def rate(s: Signals) -> None:
     """Set the time derivatives ``s.rate`` of position [m/s], velocity [m/s2] and sensor offsets (zero).
 
-    A model with the yaw equation also has the derivative of the yaw rate [rad/s2].
+    A model with the yaw equation also has the derivative of the yaw rate [rad/s2]. All other equations use the measured
+    body rates. A model without the parameters ``V_x``, ``V_y`` has no current.
     """
     x, p = s.x, s.p
     north, east, _ = rotate(s.R, (x.u, x.v, s.w))

@@ -318,16 +318,20 @@ def _inputs_at(s: Signals, ago: Any) -> list[Any]:
 
 
 def delayed(s: Signals) -> None:
-    """Set the inputs that act on the vehicle now, which are those of ``tau_n`` [s] ago.
+    """Set the normalised inputs that act on the vehicle now, which are those of ``tau_n`` plus its error ``dt_n`` ago.
 
-    ``s.n`` (dict by side) is changed by effects later. ``s.n_now`` (left, right) keeps the values without effects.
+    They are interpolated between the shifted copies of the inputs. ``s.n`` (dict by side) is changed by effects later.
+    ``s.n_now`` (list: left, right) keeps the values without effects.
     """
     s.n_now = _inputs_at(s, 0.0)  # kept unchanged: effects change s.n
     s.n = dict(zip(SIDES, s.n_now, strict=True))
 
 
 def thrust(s: Signals) -> None:
-    """Set the thrust ``s.f`` [N] of each thruster (dict by side) from its shaft speed ``s.n``."""
+    """Set the thrust ``s.f`` [N] of each thruster (dict by side) from its normalised shaft speed ``s.n``.
+
+    It is ``c1 ((1 - lambda_n) n|n| + lambda_n n) + c2 n^2``, with the parameters of the model.
+    """
     s.f = {side: _static_thrust(s.p, n) for side, n in s.n.items()}
 
 
@@ -345,7 +349,8 @@ def rate(s: Signals) -> None:
     """Set the time derivatives ``s.rate`` of all states, and the yaw rate ``s.r`` [rad/s] after its first-order lag.
 
     The states are position, heading, surge speed, sideslip, yaw rate, the gyro's low-pass filter, and time errors of
-    the inputs. Sideslip and time errors are left out if the model lacks them.
+    the inputs. Sideslip and time errors are left out if the model lacks them. With a time constant ``T`` of zero,
+    ``s.r`` is the steady yaw rate ``s.r_ref`` itself.
     """
     x = s.x
     s.r = first_order(s, "r", s.r_ref, s.p.T)

@@ -45,7 +45,8 @@ def shift(s: Signals, arm: Sequence[Any]) -> None:
         Signals with a known orientation (`set_orientation`). Their outputs ``x``, ``y`` [m] and ``vx``, ``vy`` [m/s]
         are changed in place.
     arm : Sequence (3,)
-        Position of the point relative to the origin: forward, to starboard and down [m].
+        Position of the point relative to the origin: forward, to starboard and down [m]. The height
+        has an influence only while the boat rolls or pitches.
     """
     (x, y, z), (p, q, r) = arm, (s.p_rate, s.q_rate, s.r_rate)
     about = (q * z - r * y, r * x - p * z, p * y - q * x)

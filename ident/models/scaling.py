@@ -45,7 +45,8 @@ class Dimension(NamedTuple):
     def unit(self) -> str:
         """Unit as text that `dimension` can parse, for example ``kg m2/s`` or ``1/s``.
 
-        The exponents must be integers. The text is empty if all exponents are zero.
+        The exponents must be integers, which is not checked. The words come in the order kg, m, s. Several words in the
+        denominator are in brackets. The text is empty if all exponents are zero.
         """
         above, below = list[str](), list[str]()
         for word, power in zip(("kg", "m", "s"), self, strict=True):
@@ -62,8 +63,9 @@ WORDS = {"kg": Dimension(1, 0, 0), "N": Dimension(1, 1, -2), "m": Dimension(0, 1
 def dimension(unit: str) -> Dimension:
     """Return the exponents of kg, m and s in a unit such as ``kg m2/s``, ``N s2/m2`` or ``m/s/sqrt(s)``.
 
-    Every word after the first ``/`` is in the denominator. N and Hz are converted to kg, m and s. Words that are not in
-    ``WORDS``, such as ``rad``, are ignored. The exponents of an empty text are zero.
+    Every word after the first ``/`` is in the denominator. A digit behind a word is its exponent; ``sqrt(`` halves that
+    of the first word behind it only. N and Hz are converted to kg, m and s. Words that are not in ``WORDS``, such as
+    ``rad``, are ignored. The exponents of an empty text are zero.
     """
     mass = length = time = 0.0
     for i, part in enumerate(unit.split("/")):
@@ -119,13 +121,17 @@ def force_power(unit: str) -> int:
 def is_moment(unit: str) -> bool:
     """Return whether a coefficient of this ``unit`` belongs to a moment (True) or to a force (False).
 
-    A moment has ``N m`` in the numerator, or metres with a total exponent of two or more (``kg m2/s``).
+    A moment has ``N m`` in the numerator, or metres with a total exponent of two or more (``kg m2/s``). Any other unit
+    gives False, also one without a force.
     """
     return "N m" in unit.partition("/")[0] or _metre_exponent(unit) >= 2
 
 
 def _metre_exponent(unit: str) -> int:
-    """Return the exponent of metres in a ``unit``: 2 for ``kg m2/s``. Only the words ``m`` and ``m2`` are counted."""
+    """Return the exponent of metres in a ``unit``: 2 for ``kg m2/s``, -1 for ``kg/m``.
+
+    Only the words ``m`` and ``m2`` are counted. A word ``m2`` after the ``/`` counts as one, not two.
+    """
     above, _, below = unit.partition("/")
     return len(re.findall(r"\bm\b", above)) + 2 * len(re.findall(r"\bm2\b", above)) - len(re.findall(r"\bm2?\b", below))
 
@@ -168,7 +174,8 @@ def rescale(model: Model, size: VesselScale) -> Model:
         The initial standard deviation of each disturbance force is that of the catalogue (`SIZES`) times the ratio of
         forces or moments. The prior of its diffusion changes by the same factor as the initial standard deviation,
         because the correlation time does not change. A diffusion that is equal to the mean of its prior moves with the
-        prior. Any other diffusion has been fitted and is kept, and so is one without a prior.
+        prior. Any other diffusion has been fitted and is kept, and so is one without a prior. A disturbance state
+        without a parameter ``q_X``, ``q_Y`` or ``q_N`` is not changed.
     """
     factors = {"X": size.of("N"), "Y": size.of("N"), "N": size.of("N m")}
     of_state = {f"b_{name}": name for name in factors}
@@ -217,7 +224,8 @@ def scale_priors(effect: Effect, size: VesselScale) -> Effect:
 def _scaled_parameter(p: Parameter, factor: float) -> Parameter:
     """Return the parameter with its value, prior, step and bounds multiplied by ``factor``.
 
-    Both mean and standard deviation of the prior are multiplied. A parameter without a prior stays without one.
+    Both mean and standard deviation of the prior are multiplied. A parameter without a prior stays without one. With
+    the factor 1, return the same object.
     """
     if factor == 1.0:
         return p
@@ -230,6 +238,7 @@ def _scaled_state(s: State, factor: float) -> State:
     """Return the state with its initial mean, initial standard deviation and diffusion multiplied by ``factor``.
 
     An entry that is the name of a parameter instead of a number is kept; `_scaled_parameter` scales that parameter.
+    With the factor 1, return the same object.
     """
     if factor == 1.0:
         return s

@@ -215,7 +215,10 @@ def thruster_model(
         )
 
     def shaft(s: Signals) -> None:
-        """Set ``s.n_ref`` (delayed command outside the dead zone) and ``s.n`` (the state: normalised shaft speed)."""
+        """Set ``s.n_ref`` and ``s.n``, the normalised shaft speed, which is a state.
+
+        ``s.n_ref`` is the delayed command; it is zero inside the dead zone.
+        """
         s.n_ref, s.n = reference(s), s.x.n
 
     return Model(
@@ -249,8 +252,7 @@ def _start_grid(longest: float) -> StartGrid:
     """Return the initial values with which the search for the delay ``tau`` [s] and the pole ``a`` [1/s] is repeated.
 
     The delays run from 0 to below ``longest`` [s] in steps of 0.2 s, and are combined with each pole of `START_POLES`
-    (14 values, 0.2 to 20).
-    They are needed because the likelihood has several maxima with low-rate telemetry.
+    (14 values, 0.2 to 20). They are needed because the likelihood has several maxima with low-rate telemetry.
     """
     delays = np.arange(0.0, longest, START_DELAY_SPACING_S)
     return StartGrid(("tau", "a"), (tuple(delays.tolist()), tuple(START_POLES.tolist())), START_DELAY_SPACING_S)
@@ -273,9 +275,9 @@ def _components(force: bool, swing: bool) -> tuple[tuple[State, ...], tuple[Sens
 
 
 def _set_thrust(s: Signals) -> None:
-    """Set the thrust ``s.force = c1 n|n| + c2 n^2`` [N] at the shaft speed ``s.n``.
+    """Set the thrust ``s.force = c1 n|n| + c2 n^2`` [N] at the normalised shaft speed ``s.n``.
 
-    In a model without a load cell, ``s.force`` is not set.
+    In a model without a load cell, which lacks the parameter ``c1``, ``s.force`` is not set.
     """
     if hasattr(s.p, "c1"):
         s.force = s.p.c1 * s.n * abs(s.n) + s.p.c2 * s.n * s.n

@@ -27,7 +27,8 @@ from seatrial.ident.model import Effect, Model
 ADVICE = {
     "truth value": "`if`, `and`, `or`, `max` and `min` cannot decide on a symbol; write np.where(condition, a, b), "
     "np.maximum(a, b) or x * (x > 0)",
-    "new_SX": "one of the returned rates or outputs is not a number",
+    "new_SX": "one of the returned rates or outputs is not a number; return a number or an expression of the arguments "
+    "for each",
     "to_int not defined": "`int` and `range` cannot take a symbol; write np.floor(x)",
 }
 
@@ -41,7 +42,8 @@ def trusting_code() -> Iterator[None]:
 
     The hash of each file that is used inside is stored (`remember_trusted_file`). Such a file therefore stays known
     after the context: it may be run later without `--trust-code` while it is unchanged and in the folder of the
-    model.toml. The option `--trust-code` uses this context.
+    model.toml. At the end, the state before is restored, so that contexts may be nested. The option `--trust-code` uses
+    this context.
     """
     before = _TRUST.set(True)
     try:
@@ -127,7 +129,8 @@ def remember_trusted_file(path: Path) -> None:
 def _known_digests() -> set[str]:
     """Return the SHA-256 hashes of the Python files that this user has run.
 
-    Return the empty set if the file of hashes is missing, is not ASCII text, or may have been written by another user.
+    Return the empty set if the file of hashes is missing or is not ASCII text. Return it also if another user may have
+    written the file: it belongs to another user, or its group or all users may write it.
     """
     try:
         about = known_file().stat()
@@ -212,8 +215,8 @@ def load_effects(path: Path) -> dict[str, Effect]:
     effects = getattr(module, "EFFECTS", None) or ((module.EFFECT,) if hasattr(module, "EFFECT") else ())
     if not effects or not all(isinstance(e, Effect) for e in effects):
         raise SeatrialError(
-            f"{path}: defines neither EFFECT nor EFFECTS; set EFFECT to a seatrial.ident.model.Effect, or EFFECTS to a "
-            "list of them"
+            f"{path}: neither EFFECT nor EFFECTS is an effect or a list of effects; set EFFECT to a "
+            "seatrial.ident.model.Effect, or EFFECTS to a list of them"
         )
     return {e.name: e for e in effects}
 
@@ -304,9 +307,10 @@ def error_place(problem: BaseException, path: Path, model: Model | None = None) 
 
 
 def _first_lines(function: Any, path: Path) -> list[int]:
-    """Return the number of the first line of a function in the file ``path``, as a list.
+    """Return the number of the first line of a function in the file ``path``, as a list of one number.
 
-    The list is empty if the function is not defined in this file.
+    The list is empty if the function is not defined in this file. Of a wrapped function (`functools.update_wrapper`),
+    the function inside counts.
     """
     code = getattr(inspect.unwrap(function), "__code__", None)
     return [code.co_firstlineno] if code is not None and _same_file(code.co_filename, path) else []
@@ -318,7 +322,7 @@ def _same_file(file: str, path: Path) -> bool:
 
 
 def error_message(problem: BaseException) -> str:
-    """Return the message for an error in the user's code, in one line.
+    """Return the message for an error in the user's code, in one line. It has no file and no line number.
 
     If the error comes from the use of symbols, for example in an ``if``, the message is advice from `ADVICE`, or the
     text of the error with a hint. Otherwise it is the text of the error. The texts of ValueError, TypeError and similar

@@ -6,12 +6,15 @@ from seatrial.ident.model import Effect, Parameter, Signals, State
 
 
 def smooth(s: Signals) -> None:
-    """Replace the share ``k_cell`` of the measured force of the load cell by the low-pass-filtered force, in place."""
+    """Replace the share ``k_cell`` of the thrust in the measured force by the low-pass-filtered thrust, in place.
+
+    The offset and the disturbance force in the measured force are not filtered.
+    """
     s.y["force"] = s.y["force"] + s.p.k_cell * (s.x.cell - s.force)
 
 
 def follow(s: Signals) -> None:
-    """Set the rate of the filtered force [N/s], which follows the thrust with the time constant ``T_cell`` [s]."""
+    """Set the rate of the filtered thrust [N/s]: ``(s.force - cell) / T_cell``, with the state ``cell`` [N]."""
     s.rate["cell"] = (s.force - s.x.cell) / s.p.T_cell
 
 

@@ -15,7 +15,7 @@ def filter_command(s: Signals) -> None:
 
 
 def follow(s: Signals) -> None:
-    """Set the rate of the lagged reference, which follows ``s.n_commanded`` with the time constant ``T_late`` [s]."""
+    """Set the rate of the lagged reference: ``(s.n_commanded - n_late) / T_late`` [1/s], with the state ``n_late``."""
     s.rate["n_late"] = (s.n_commanded - s.x.n_late) / s.p.T_late
 
 

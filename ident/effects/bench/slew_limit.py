@@ -10,7 +10,8 @@ from seatrial.ident.model import Effect, Parameter, Signals
 def limit(s: Signals) -> None:
     """Limit the rate of the shaft speed [1/s] to the slew-rate limit ``n_slew``, in place, with a smooth transition.
 
-    Only the share ``k_slew`` of the excess over the limit is removed.
+    The limit acts on both signs of the first-order response ``a (n_ref - n)``; what other effects add to the rate is
+    not limited. Only the share ``k_slew`` of the excess over the limit is removed.
     """
     unlimited = s.p.a * (s.n_ref - s.x.n)
     square = (unlimited / s.p.n_slew) * (unlimited / s.p.n_slew)

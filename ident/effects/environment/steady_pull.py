@@ -8,7 +8,10 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def pull(s: Signals) -> None:
-    """Add the force ``(F_north, F_east)``, constant in NED, to the surge and sway forces ``s.X`` and ``s.Y`` [N]."""
+    """Add the force ``(F_north, F_east)``, constant in NED, to the surge and sway forces ``s.X`` and ``s.Y`` [N].
+
+    The force is turned to body axes by the heading. The yaw moment is not changed.
+    """
     cos, sin = np.cos(s.x.psi), np.sin(s.x.psi)
     s.X = s.X + cos * s.p.F_north + sin * s.p.F_east
     s.Y = s.Y - sin * s.p.F_north + cos * s.p.F_east

@@ -13,9 +13,11 @@ SHORT_M = 0.05  # distance [m] below which the direction of the line is rounded
 
 
 def drawn(s: Signals) -> tuple[Any, Any, Any]:
-    """Return the speed [m/s] with which the end of the line is drawn, and its direction in body axes, unit vector.
+    """Return the speed [m/s] with which the end of the line is drawn, and the direction forward and to starboard.
 
-    The speed is that of the tow point along the line if the line is taut, and zero if it is slack or pushed.
+    The direction is a unit vector in body axes from the end of the line to the tow point; it is rounded to a shorter
+    vector within about 5 cm. The speed is that of the tow point along the line if the line is taut, and zero if it is
+    slack or pushed, with smooth transitions.
     """
     p, x = s.p, s.x
     distance = np.sqrt(x.line_x * x.line_x + x.line_y * x.line_y + SHORT_M * SHORT_M)
@@ -26,9 +28,10 @@ def drawn(s: Signals) -> tuple[Any, Any, Any]:
 
 
 def pull(s: Signals) -> None:
-    """Add the tension of the line to the forces [N] and the moment [N m], in place.
+    """Add the pull of the towed line to ``s.X``, ``s.Y`` [N] and ``s.N`` [N m], in place.
 
-    The tension is ``k_line`` times the squared speed with which the end of the line is drawn.
+    It acts at the tow point, ``x_line`` forward of the origin, towards the end of the line. Its size is ``k_line``
+    times the squared speed with which the end of the line is drawn.
     """
     speed, forward, starboard = drawn(s)
     tension = s.p.k_line * speed * speed

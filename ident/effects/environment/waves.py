@@ -102,7 +102,7 @@ def waves_at(frequency: float, size: float = 0.4) -> Effect:
     Raises
     ------
     ValueError
-        If the frequency is outside its bounds.
+        If the frequency is outside its bounds, or ``size`` is negative.
     """
     start = {f"A_{force}": size * typical for force, (_, typical) in FORCES.items()} | {"f_wave": frequency}
     return replace(EFFECT, parameters=tuple(p.at(start.get(p.name, p.value)) for p in EFFECT.parameters))

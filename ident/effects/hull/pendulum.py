@@ -18,10 +18,10 @@ LARGEST_MASS_KG = 30.0
 
 
 def _moving_mass_hooks(force: str, of: str) -> dict[str, ModelFunction]:
-    """Return the two hooks of a sprung mass that moves along one axis of the boat, by the stage of the model.
+    """Return the two hooks of a sprung mass that moves along one axis of the boat, by the place at which they run.
 
-    A hook is a function of the model's signals, which it changes in place at its stage. The first adds the force of the
-    mass; the second sets the rates of its displacement and velocity.
+    A hook is a function of the model's signals, which it changes in place. That at ``loose_mass``, after all forces,
+    adds the force of the mass. That at ``carried``, after all rates, sets the rates of its displacement and velocity.
 
     Parameters
     ----------
@@ -38,7 +38,10 @@ def _moving_mass_hooks(force: str, of: str) -> dict[str, ModelFunction]:
     """
 
     def pull(s: Signals) -> None:
-        """Add the force [N] of the moving mass to the total surge or sway force, in place."""
+        """Add the force [N] of the moving mass to the total surge or sway force, in place.
+
+        The whole mass then accelerates as the rest of the boat does, which spring and damper of the moving mass push.
+        """
         omega, x, p = 2 * math.pi * getattr(s.p, f"f_{of}"), s.x, s.p
         z, z_rate = getattr(x, f"swing_{of}"), getattr(x, f"swing_rate_{of}")
         spring = 2 * getattr(p, f"zeta_{of}") * omega * z_rate + omega * omega * z
@@ -47,7 +50,10 @@ def _moving_mass_hooks(force: str, of: str) -> dict[str, ModelFunction]:
         setattr(s, force, getattr(s, force) + free * (rigid + mass * spring) / (mass - free))
 
     def swing(s: Signals) -> None:
-        """Set the rates of the displacement [m/s] and velocity [m/s2] of the moving mass, in place."""
+        """Set the rates of the displacement [m/s] and velocity [m/s2] of the moving mass, in place.
+
+        Both are relative to the boat: spring, damper and minus the acceleration of the boat along the axis act on it.
+        """
         omega = 2 * math.pi * getattr(s.p, f"f_{of}")
         z, z_rate = getattr(s.x, f"swing_{of}"), getattr(s.x, f"swing_rate_{of}")
         acceleration = s.rate["u"] - s.x.v * s.x.r if force == "X" else s.rate["v"] + s.x.u * s.x.r

@@ -26,8 +26,9 @@ def compare_sides(estimates: Mapping[str, tuple[float, float]]) -> str:
     Returns
     -------
     str
-        The thrust of the weaker thruster in per cent of that of the stronger one, with its standard error. Without the
-        error if that is zero or not finite.
+        The thrust of the weaker thruster in per cent of that of the stronger one, with its standard error, which has
+        one significant digit and at most three decimals. Without the error if that is zero or not finite. At an
+        estimate of zero, the right thruster is named as the weaker one.
     """
     eps, se = estimates["eps_LR"]
     weaker, stronger = ("left", "right") if eps < 0 else ("right", "left")

@@ -24,7 +24,8 @@ def angles(estimates: Mapping[str, tuple[float, float]]) -> str:
     """Return a clause for reports: "the left thruster pushes 2.0 ± 0.3 deg to starboard and the right ...".
 
     ``estimates`` has estimate and standard error [rad] by parameter. Only ``delta_L`` and ``delta_R`` are used,
-    positive to starboard. A standard error that is not finite is left out.
+    positive to starboard. The size of each angle is shown in degrees with one decimal, and an angle of zero as "to
+    port". A standard error that is not finite is left out.
     """
     parts = []
     for name, side in (("delta_L", "left"), ("delta_R", "right")):

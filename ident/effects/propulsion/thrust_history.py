@@ -38,7 +38,10 @@ def _delay_effect(name: str, quantity: Quantity, requires: tuple[str, ...], **de
     """
 
     def late(s: Signals) -> None:
-        """Replace the shaft speeds or thrusts by their delayed values, in place."""
+        """Replace the shaft speeds ``s.n`` or thrusts ``s.f`` by their values of ``tau_delay`` ago, in place.
+
+        A model with the age ``tau_age`` of telemetry is shifted by it in the other direction too.
+        """
         shift_in_time(s, quantity)
 
     now = [Input(f"{quantity}_{side}", "", "linear") for side in SIDES]
@@ -85,7 +88,10 @@ def _lag_effect(name: str, title: str, quantity: Quantity, requires: tuple[str, 
     """
 
     def lagged(s: Signals) -> None:
-        """Replace the shaft speeds or thrusts by their values after the lag, and set the rates of its states."""
+        """Replace the shaft speeds ``s.n`` or thrusts ``s.f`` by their values after the lag ``T_lag``, in place.
+
+        Set the rates of the states ``late_SIDE`` of the lag. With a time constant of zero nothing is replaced.
+        """
         bag = s.n if quantity == "n" else s.f
         for side in bag:
             bag[side] = first_order(s, f"late_{side}", bag[side], s.p.T_lag)

@@ -25,7 +25,7 @@ def _thrust_reducer(parameter: str, variable: str) -> ModelFunction:
     width = YAW_RATE_WIDTH if variable == "r" else SPEED_WIDTH
 
     def lose(s: Signals) -> None:
-        """Reduce the thrust of each thruster, in place in ``s.f``."""
+        """Divide the thrust of each thruster in ``s.f`` by one plus the parameter times the modulus, in place."""
         modulus = smooth_modulus(getattr(s.x, variable), width)
         remaining = 1 / (1 + getattr(s.p, parameter) * modulus)
         for side, f in s.f.items():

@@ -16,7 +16,9 @@ from seatrial.ident.model import Effect, Parameter, Signals
 def turn_body_velocity(s: Signals, angle: Any) -> None:
     """Rotate the measured body velocity by a heading error, in place.
 
-    Use this function for a body velocity that was computed from the velocity over ground and the erroneous heading.
+    The result has the components along axes that are turned clockwise by the error: u becomes ``cos u + sin v``, and v
+    becomes ``cos v - sin u``. Use this function for a body velocity that was computed from the velocity over ground and
+    the erroneous heading.
 
     Parameters
     ----------

@@ -15,8 +15,8 @@ from seatrial.ident.numerics import Matrix, rotation_matrix
 def turn(s: Signals) -> None:
     """Rotate the measured heading, body velocity and accelerations by the yaw misalignment of the AHRS, in place.
 
-    The misalignment is ``psi_mount`` [rad], clockwise: the measured heading is the true one plus ``psi_mount``. This is
-    for models without roll and pitch.
+    The misalignment is ``psi_mount`` [rad], clockwise: the measured heading is the true one plus ``psi_mount``, and
+    velocity and accelerations are measured along axes that are turned by it. This is for models without roll and pitch.
     """
     cos, sin = np.cos(s.p.psi_mount), np.sin(s.p.psi_mount)
     s.y["psi"] = s.y["psi"] + s.p.psi_mount
@@ -35,7 +35,8 @@ def _mounting_rotation(s: Signals) -> Matrix:
 def correct_attitude(s: Signals) -> None:
     """Convert the measured attitude and body rates, which are inputs of the model, to those of the boat, in place.
 
-    The axes of the AHRS are misaligned with those of the boat in roll, pitch and yaw (parameters).
+    The axes of the AHRS are misaligned with those of the boat by ``phi_mount``, ``theta_mount`` and ``psi_mount``
+    (parameters). The heave velocity is computed again.
     """
     rotations.remove_misalignment(s, _mounting_rotation(s))
 

@@ -13,7 +13,7 @@ def exceed(s: Signals) -> None:
     """Increase the thrust of each thruster whose reported shaft speed is at the limit of the telemetry or above.
 
     The thrust in ``s.f`` is multiplied by ``1 + k_clip``, in place, if the size of the normalised shaft speed is at
-    least the limit ``n_clip``. The transition is a ramp over 0.03 around the limit.
+    least the limit ``n_clip``. The transition is a ramp over 0.03, which is half way at the limit.
     """
     for side, n in s.n.items():
         saturated = np.minimum(np.maximum((abs(n) - s.p.n_clip) / WIDTH + 0.5, 0.0), 1.0)
