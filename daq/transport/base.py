@@ -46,7 +46,7 @@ class Port(ABC):
     def is_confirmed(self) -> bool:
         """Whether the bytes of the last read are from a sender that is known to be the device.
 
-        Always True except on UDP.
+        Only a listening UDP port can return False; all other ports always return True.
         """
         return True
 
@@ -82,7 +82,7 @@ class Port(ABC):
 
     @abstractmethod
     def fileno(self) -> int:
-        """Return the file descriptor of the port, for `select`."""
+        """Return the file descriptor of the port, for `select`; -1 if the port is closed."""
 
     @abstractmethod
     def read(self) -> bytes:
@@ -133,8 +133,8 @@ _REASONS = {
 def os_error_text(error: BaseException) -> str:
     """Return the message of an error of the operating system or of a library, as one line for the user.
 
-    Known error numbers, such as that of a port in use, get a text of their own. An error without a text gives the name
-    of its class.
+    The message does not contain the name of the port. Known error numbers, such as that of a port in use, get a text of
+    their own. An error without a text gives the name of its class.
     """
     number = getattr(error, "errno", None) or getattr(error, "error_code", None)
     if number is None and (inner := re.search(r"\((\d+), '", str(error))):  # pyserial quotes the original error
