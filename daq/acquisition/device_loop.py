@@ -170,7 +170,7 @@ class DeviceLoop(threading.Thread):
                 # After any error the port is opened again. The error is reported in the status and in the log.
                 is_port_error = isinstance(error, PortError)
                 self._close_lost_port(
-                    str(error) if is_port_error else f"internal error ({type(error).__name__}: {error})"
+                    str(error) if is_port_error else f"internal error ({type(error).__name__}: {error}): report it"
                 )
                 self._wait_for_bytes(-1, self._retry_s(failures))
                 failures += 1

@@ -201,14 +201,16 @@ class LogThread(threading.Thread):
                     health_at += HEALTH_S
                     self._write_counters()
                 self._recorder.tick()
-                self.alarm = self._recorder.paused or (DELETED if self._recorder.is_deleted else "")
+                deleted = f"{self._recorder.path}: {DELETED}" if self._recorder.is_deleted else ""
+                self.alarm = self._recorder.paused or deleted
                 self.size = self._recorder.size
             self._write_queue()
             self._write_counters()
         except SeatrialError as error:
             self.failure = str(error)
         except Exception as error:  # a programming error must be reported too, so that thrust ends
-            self.failure = f"the log could not be written ({type(error).__name__}: {error}); check the disk"
+            why = f"({type(error).__name__}: {error}); check the disk, and report it if it happens again"
+            self.failure = f"{self._recorder.path}: the log could not be written {why}"
         try:
             self._recorder.close()
         except SeatrialError as error:

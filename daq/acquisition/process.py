@@ -55,6 +55,8 @@ SILENCE_S = 0.25  # longest time without a heartbeat of the parent while thrust 
 RECORD_ON_S = 1.0  # recording goes on for so long after a stop that the parent did not request
 RETURN_S = 3.0  # longest wait for a lost port of a thruster to come back and receive its zero
 
+UNRESPONSIVE = "(it hangs, or the computer is too busy: end other programs)"
+
 BATCH = 100  # samples in one message to the parent: about 25 kB, which a writable socket accepts without blocking
 
 
@@ -134,7 +136,7 @@ class Process:
         try:
             self._serve()
         except Exception as error:  # a programming error must not leave thrust on
-            self._request_end(f"internal error ({type(error).__name__}: {error})", unrequested=True)
+            self._request_end(f"internal error ({type(error).__name__}: {error}): report it", unrequested=True)
         self._shut_down()
 
     def _serve(self) -> None:
@@ -234,13 +236,13 @@ class Process:
             if now - self._parent_seen > SILENCE_S:
                 self._parent_hangs = True
                 self._request_end(
-                    f"the program that started the acquisition has not responded for {SILENCE_S} s",
+                    f"the program that started the acquisition has not responded for {SILENCE_S} s {UNRESPONSIVE}",
                     unrequested=True,
                 )
             elif now - self._runner_seen > SILENCE_S:
                 self._parent_hangs = True
                 self._request_end(
-                    f"the program that runs the mission has not responded for {SILENCE_S} s",
+                    f"the program that runs the mission has not responded for {SILENCE_S} s {UNRESPONSIVE}",
                     unrequested=True,
                 )
 

@@ -342,7 +342,7 @@ def _check_ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
             "units",
             name,
             f"specific force is {g:.3g} m/s2 and not 9.81{cause}",
-            "check the output settings of the sensor",
+            "set the sensor to send the specific force with gravity, in m/s2",
         )
     tilt = max(abs(float(np.nanmedian(table[c]))) if np.isfinite(table[c]).any() else 0.0 for c in ("roll", "pitch"))
     if tilt > 0.35:

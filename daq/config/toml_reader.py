@@ -307,8 +307,9 @@ class TomlTable:
         A bound that is None does not apply. `key` is the key of the value, for the message.
         """
         if (low is not None and value < low) or (high is not None and value > high):
-            bounds = f"{'' if low is None else low} .. {'' if high is None else high}".strip()
-            raise self.error(key, f"must be within {bounds}, not {_describe_value(value)}")
+            rule = f"must be at least {low}" if high is None else f"must be at most {high}"
+            rule = rule if low is None or high is None else f"must be within {low} .. {high}"
+            raise self.error(key, f"{rule}, not {_describe_value(value)}")
 
 
 def _describe_value(value: object) -> str:

@@ -135,7 +135,7 @@ class LogWriter:
                 f"{path}: the file exists already, and a log is never overwritten; give another name"
             ) from error
         except OSError as error:
-            text = f"{path}: the log cannot be created: {error.strerror}"
+            text = f"{path}: the log cannot be created: {error.strerror}; give another path, or free disk space"
             raise (DiskFull(text, complete=True) if error.errno in DISK_FULL_ERRORS else SeatrialError(text)) from error
         self._syncer = FileSyncer(self._stream)
         self._syncer.start()
@@ -195,7 +195,10 @@ class LogWriter:
             data = full_definition(type_name).encode()
             self._schemas[type_name] = self._writer.register_schema(type_name, "ros2msg", data)
         extra = {"offered_qos_profiles": QOS, **(metadata or {})}
-        return self._writer.register_channel(topic, "cdr", self._schemas[type_name], extra)
+        try:
+            return self._writer.register_channel(topic, "cdr", self._schemas[type_name], extra)
+        except SeatrialError as error:
+            raise SeatrialError(f"{self.path}: {error}") from error
 
     def add(self, channel: int, log_ns: int, stamp_ns: int, sequence: int, data: bytes) -> None:
         """Append one message to the log. The operating system receives it at the next flush, or in a full chunk.
@@ -344,11 +347,12 @@ class LogWriter:
         the file contains every message and its footer.
         """
         state = "closed and complete up to there" if complete else "whole up to its last record, but has no footer"
+        is_full = error.errno in DISK_FULL_ERRORS
         text = (
             f"{self.path}: writing failed ({error.strerror}) after {self.size} bytes; the log is {state}; "
-            "free disk space and start a new one"
+            f"{'free disk space' if is_full else 'check the disk'} and start a new one"
         )
-        return DiskFull(text, complete) if error.errno in DISK_FULL_ERRORS else SeatrialError(text)
+        return DiskFull(text, complete) if is_full else SeatrialError(text)
 
 
 class Output(Protocol):

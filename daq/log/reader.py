@@ -283,7 +283,10 @@ class Log:
 
     @cached_property
     def _spacing(self) -> dict[str, _StampStatistics]:
-        """Statistics of the time stamps of each topic (rate, gaps, backward steps), from one pass through the log."""
+        """Statistics of the time stamps of each topic (rate, gaps, backward steps), from one pass through the log.
+
+        They are computed once. A view (`part`) has those of its interval; topics without messages there have no stamps.
+        """
         found = {topic: _StampStatistics() for topic in self.counts}
         topics = {number: channel.topic for number, channel in self._file.channels.items()}
         for messages in self._file.read(None, *self._span_ns):

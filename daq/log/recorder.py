@@ -271,7 +271,10 @@ class Recorder:
             segment.path.unlink()
             text = f"deleted {segment.path.name}, because the log is larger than keep_gb = {keep:g}"
         except OSError as error:
-            text = f"{segment.path.name} could not be deleted ({error.strerror})"
+            text = (
+                f"{segment.path.name} could not be deleted ({error.strerror}), and the log is larger than "
+                f"keep_gb = {keep:g}: delete this file yourself"
+            )
         self.event(self._log_ns / NANO, "disk", text)
 
     def close(self) -> None:

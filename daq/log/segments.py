@@ -66,7 +66,8 @@ def open_raw(path: Path) -> RawLog | SegmentedLog:
     for before, after in pairwise(present):
         missing = dict.fromkeys(segment_path(path, number).name for number in (before + 1, after - 1))
         if after - before > 1 and len(warnings) < MAX_WARNINGS:
-            warnings.append(f"a segment is missing: {' to '.join(missing)}")
+            names = " to ".join(missing)
+            warnings.append(f"a segment is missing: {names}; copy it into the folder of {path.name}, if you have it")
     return SegmentedLog(files, warnings) if len(files) > 1 or warnings else first
 
 

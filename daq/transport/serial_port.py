@@ -12,7 +12,7 @@ from typing import Any
 
 import serial
 
-from seatrial.daq.transport.base import READ_BYTES, WRITE_S, Port, PortError, os_error_text
+from seatrial.daq.transport.base import NOT_SERIAL, READ_BYTES, WRITE_S, Port, PortError, os_error_text
 from seatrial.daq.transport.ftdi_latency import set_latency_timer
 
 
@@ -43,7 +43,7 @@ class SerialPort(Port):
         self.close()
         try:
             if not stat.S_ISCHR(os.stat(self._path).st_mode):
-                raise PortError("the port is not a serial device")
+                raise PortError(NOT_SERIAL)
             self._serial = serial.Serial(self._path, self._baud, timeout=0, exclusive=True)
         except (OSError, termios.error, ValueError) as error:  # serial.SerialException is an OSError
             raise PortError(os_error_text(error)) from error
@@ -83,7 +83,7 @@ class SerialPort(Port):
             except BlockingIOError:
                 wait = deadline - time.monotonic()
                 if wait <= 0.0 or not select.select([], [self._fd], [], wait)[1]:
-                    raise PortError("the port accepts no more bytes") from None
+                    raise PortError("the port accepts no more bytes; plug device or adapter in again") from None
             except OSError as error:
                 raise PortError("the port was disconnected") from error
 
