@@ -145,7 +145,10 @@ class DeviceLoop(threading.Thread):
             os.write(self._wake_write, b"x")
 
     def end(self) -> None:
-        """Request the thread of the port to send zero, close the port and end. The call does not wait; `join` does."""
+        """Request the thread of the port to send zero, close the port and end. The call does not wait; `join` does.
+
+        Any thread may call this.
+        """
         self._ending = True
         self.wake()
 
@@ -167,7 +170,7 @@ class DeviceLoop(threading.Thread):
                 # After any error the port is opened again. The error is reported in the status and in the log.
                 is_port_error = isinstance(error, PortError)
                 self._close_lost_port(
-                    str(error) if is_port_error else f"internal error ({type(error).__name__}: {error})"
+                    str(error) if is_port_error else f"internal error ({type(error).__name__}: {error}): report it"
                 )
                 self._wait_for_bytes(-1, self._retry_s(failures))
                 failures += 1
@@ -276,7 +279,8 @@ class DeviceLoop(threading.Thread):
     def _poll_driver(self, driver: DeviceDriver) -> None:
         """Send the requests and heartbeats of the driver that are due, and put them and its events into the log queue.
 
-        A driver is the encoder of the messages to one device.
+        A driver is the encoder of the messages to one device. Set-points are not sent here. Raise PortError if the port
+        fails.
         """
         data = driver.poll(time.monotonic())
         t = self._clock.now()
@@ -299,8 +303,8 @@ class DeviceLoop(threading.Thread):
     def _wait_for_bytes(self, fd: int, seconds: float) -> bool:
         """Wait until there are bytes at the file descriptor `fd`, `wake` is called, or `seconds` (wall) have passed.
 
-        Return whether there are bytes, or the end of the port. If `fd` is negative, no bytes are awaited, and False is
-        returned.
+        Return True if bytes can be read, or the other end of the port was closed; False after `wake` or the time-out
+        alone. If `fd` is negative, no bytes are awaited, and False is returned.
         """
         fds = [self._wake_read] if fd < 0 else [fd, self._wake_read]
         ready, _, _ = select.select(fds, [], [], seconds)
@@ -423,7 +427,10 @@ class DeviceLoop(threading.Thread):
         self._port.close()
 
     def latest(self) -> dict[Source, Latest]:
-        """Return the newest sample of each kind and node of the device, by the key of `source_of`, as a new dict."""
+        """Return the newest sample of each kind and node of the device, by the key of `source_of`, as a new dict.
+
+        Events and samples of transducers are not in it. Samples stay in it however old they are.
+        """
         return dict(self._latest)
 
     def request(self, action: str, value: float) -> None:
@@ -453,13 +460,16 @@ class DeviceLoop(threading.Thread):
     def link(self) -> LinkStatus | None:
         """Return the state of the autopilot at the port. Return None for a device that is not an autopilot.
 
-        The state is also available if the rig sends no commands to the autopilot.
+        The state is also available if this program sends nothing to the autopilot.
         """
         return None if self._driver is None else self._driver.link_at(time.monotonic())
 
     @property
     def hint(self) -> str:
-        """Advice to the user on the port or the link, such as on a slow adapter, in one line; empty without advice."""
+        """Advice to the user on the port or the link, such as on a slow adapter, in one line; empty without advice.
+
+        The advice of the port takes precedence over that of the driver.
+        """
         return self._port.hint or ("" if self._driver is None else self._driver.hint)
 
     def health(self) -> PortHealth:

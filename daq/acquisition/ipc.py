@@ -144,7 +144,10 @@ class DriverRequest:
 
 @dataclass(frozen=True)
 class StreamSamples:
-    """Request of the parent to the acquisition process: send all further logged samples to the parent."""
+    """Request of the parent to the acquisition process: send all further logged samples to the parent.
+
+    It cannot be cancelled. A second request changes nothing.
+    """
 
 
 @dataclass(frozen=True)
@@ -304,7 +307,7 @@ class AcquisitionChannel:
     def send(self, message: Message) -> None:
         """Send one message to the other process, and wait while the socket's buffer is full.
 
-        Raise OSError if the other process has closed its end.
+        Messages of several threads are never mixed. Raise OSError if the other process has closed its end.
         """
         data = encode_message(message)
         with self._lock:
@@ -341,7 +344,10 @@ class AcquisitionChannel:
         return messages[0]
 
     def messages(self) -> Iterator[Message]:
-        """Yield the messages of the other process one after the other, with waits, until it closes its end."""
+        """Yield the messages of the other process one after the other, with waits, until it closes its end.
+
+        The iteration then ends without an error.
+        """
         while True:
             try:
                 yield from self.receive()

@@ -116,7 +116,10 @@ class SampleStream:
         self.dropped = 0
 
     def put(self, sample: StreamedSample) -> None:
-        """Append a sample to the queue for the parent process, or count it as dropped if the queue is full."""
+        """Append a sample to the queue for the parent process.
+
+        If the queue is full, the new sample is left out and counted in `dropped`.
+        """
         if len(self._samples) < self._limit:
             self._samples.append(sample)
         else:
@@ -128,7 +131,10 @@ class SampleStream:
         return len(self._samples)
 
     def take(self, n_max: int) -> list[StreamedSample]:
-        """Remove and return the oldest samples that wait to be sent to the parent process, at most `n_max`."""
+        """Remove and return the oldest samples that wait to be sent to the parent process, at most `n_max`.
+
+        The oldest is first. The list is empty if no sample waits.
+        """
         return [self._samples.popleft() for _ in range(min(n_max, len(self._samples)))]
 
 
@@ -195,14 +201,16 @@ class LogThread(threading.Thread):
                     health_at += HEALTH_S
                     self._write_counters()
                 self._recorder.tick()
-                self.alarm = self._recorder.paused or (DELETED if self._recorder.is_deleted else "")
+                deleted = f"{self._recorder.path}: {DELETED}" if self._recorder.is_deleted else ""
+                self.alarm = self._recorder.paused or deleted
                 self.size = self._recorder.size
             self._write_queue()
             self._write_counters()
         except SeatrialError as error:
             self.failure = str(error)
         except Exception as error:  # a programming error must be reported too, so that thrust ends
-            self.failure = f"the log could not be written ({type(error).__name__}: {error}); check the disk"
+            why = f"({type(error).__name__}: {error}); check the disk, and report it if it happens again"
+            self.failure = f"{self._recorder.path}: the log could not be written {why}"
         try:
             self._recorder.close()
         except SeatrialError as error:
@@ -219,7 +227,8 @@ class LogThread(threading.Thread):
     def _write_queue(self) -> None:
         """Write all queued bytes, samples and events to the log, and pass samples on to the parent if requested.
 
-        Events and samples of transducers are only written to the log, because the parent does not use them.
+        Events and samples of transducers are only written to the log, because the parent does not use them. All samples
+        but events count in `messages`. Raise SeatrialError if the log cannot be written.
         """
         for item in self._sink.take():
             if item.direction:
@@ -234,6 +243,9 @@ class LogThread(threading.Thread):
                         self.stream.put(StreamedSample(item.device, frame.sample, t))
 
     def _write_counters(self) -> None:
-        """Write the present counters of all ports (bytes, frames, errors) to the log."""
+        """Write the present counters of all ports (bytes, frames, errors) to the log, with the present run time.
+
+        Raise SeatrialError if the log cannot be written.
+        """
         for device, health in self._health_of().items():
             self._recorder.health(device, health, self._clock.now())

@@ -55,6 +55,8 @@ SILENCE_S = 0.25  # longest time without a heartbeat of the parent while thrust 
 RECORD_ON_S = 1.0  # recording goes on for so long after a stop that the parent did not request
 RETURN_S = 3.0  # longest wait for a lost port of a thruster to come back and receive its zero
 
+UNRESPONSIVE = "(it hangs, or the computer is too busy: end other programs)"
+
 BATCH = 100  # samples in one message to the parent: about 25 kB, which a writable socket accepts without blocking
 
 
@@ -124,7 +126,8 @@ class Process:
     def run(self) -> None:
         """Run the acquisition until there is a reason to end, then command zero and close the log.
 
-        The reasons are: the parent requests the end, is gone or hangs, SIGTERM, or an error. Each port and the log have
+        The reasons are: the parent requests the end or is gone, the parent hangs while thrust is commanded, SIGTERM, or
+        an error. Each port and the log have
         a thread of their own, which this method starts and ends.
         """
         self._writer.start()
@@ -133,7 +136,7 @@ class Process:
         try:
             self._serve()
         except Exception as error:  # a programming error must not leave thrust on
-            self._request_end(f"internal error ({type(error).__name__}: {error})", unrequested=True)
+            self._request_end(f"internal error ({type(error).__name__}: {error}): report it", unrequested=True)
         self._shut_down()
 
     def _serve(self) -> None:
@@ -233,20 +236,21 @@ class Process:
             if now - self._parent_seen > SILENCE_S:
                 self._parent_hangs = True
                 self._request_end(
-                    f"the program that started the acquisition has not responded for {SILENCE_S} s",
+                    f"the program that started the acquisition has not responded for {SILENCE_S} s {UNRESPONSIVE}",
                     unrequested=True,
                 )
             elif now - self._runner_seen > SILENCE_S:
                 self._parent_hangs = True
                 self._request_end(
-                    f"the program that runs the mission has not responded for {SILENCE_S} s",
+                    f"the program that runs the mission has not responded for {SILENCE_S} s {UNRESPONSIVE}",
                     unrequested=True,
                 )
 
     def _request_end(self, reason: str, unrequested: bool) -> None:
         """Store the `reason` to end the acquisition, upon which the main loop ends. Only the first reason counts.
 
-        `unrequested` is whether the acquisition ends without a request of the parent.
+        `unrequested` is whether the acquisition ends without a request of the parent. Recording then goes on for 1 s,
+        and the end is logged as "stop" instead of "end".
         """
         if not self._end_reason:
             self._end_reason, self._unrequested = reason, unrequested
@@ -255,7 +259,7 @@ class Process:
         """Do what a message of the parent requests.
 
         The requests are to schedule set-points, to command zero, to log an event, to pass a request on to an autopilot,
-        to send samples, and to end. A heartbeat is stored.
+        to send samples, and to end. A heartbeat is stored. Messages of other types are ignored.
         """
         match message:
             case ParentAlive():
@@ -277,6 +281,7 @@ class Process:
     def _append_setpoints(self, message: ScheduleSetpoints) -> None:
         """Append set-points of the parent to the schedules of the devices, and wake the threads of their ports.
 
+        A schedule belongs to one device and has the commands by node; the parent sends them by name of the thruster.
         They are ignored after this process has stopped thrust by itself. In each case the message also counts as a
         heartbeat of the mission's runner.
         """
@@ -302,7 +307,10 @@ class Process:
         return {name: loop.health() for name, loop in self._loops.items()}
 
     def _command_zero(self) -> None:
-        """Discard all scheduled set-points and command zero to all thrusters, which the ports' threads send at once."""
+        """Discard all scheduled set-points and command zero to all thrusters, which the ports' threads send at once.
+
+        Thrusters that never had a command get none. The method does not wait until zero was sent.
+        """
         for name, setpoints in self._setpoints.items():
             setpoints.zero(time.monotonic())
             self._loops[name].wake()
@@ -412,8 +420,8 @@ class Process:
 def _connect_watchdog(rig: Rig, path: Path) -> Heartbeat:
     """Wait until the watchdog process is ready, and return the sender of heartbeats to it.
 
-    `rig` has the thrusters, and `path` is that of the log. The socket to the watchdog is the second argument of this
-    process. Raises SeatrialError if the watchdog does not start or cannot work.
+    `rig` has the thrusters, and `path` is that of the log. The file descriptor of the socket to the watchdog is the
+    second argument of this process. Raise SeatrialError if the watchdog does not start within 20 s or cannot work.
     """
     try:
         return Heartbeat(socket.socket(fileno=int(sys.argv[2])), rig, path)

@@ -52,7 +52,10 @@ _SampleForm = tuple[type, tuple[bool, ...]]
 
 
 def _make_getter(fields: tuple[str, ...]) -> Callable[[Any], tuple[float, ...]]:
-    """Return a function of a sample that returns the values of its named fields as a tuple, also for a single field."""
+    """Return a function of a sample that returns the values of its named fields as a tuple, also for a single field.
+
+    The values are in the order of `fields`.
+    """
     get: Callable[[Any], Any] = attrgetter(*fields)
     return get if len(fields) > 1 else lambda sample: (get(sample),)
 
@@ -81,7 +84,8 @@ class SensorHealth:
     def take(self, frame: Frame) -> None:
         """Check the sample in `frame`: repeated values, spikes of a load cell, or a wrong date of a GNSS receiver.
 
-        Nothing is returned; `message` reports a fault.
+        Samples whose values may repeat without a fault (`can_be_stuck`) are not checked for repeated values. Nothing is
+        returned; `message` reports a fault.
         """
         sample, t = frame.sample, frame.t_rx
         kind = type(sample)
@@ -183,7 +187,10 @@ class SensorHealth:
             self._same[form] = _RepeatedSample(key, before.since, t, before.repeats + 1)
 
     def _count_spikes(self, t: float, flags: int) -> None:
-        """Add the flags of a load cell at run time `t` [s], and count the spikes of the last 10 s (`SPIKES_S`)."""
+        """Add the flags of a load cell at run time `t` [s], and count the spikes of the last 10 s (`SPIKES_S`).
+
+        `flags` are the bits SATURATED and SPIKE, of which only SPIKE counts here. Older flags are discarded.
+        """
         self._cell.append((t, flags))
         self._spikes += bool(flags & SPIKE)
         while t - self._cell[0][0] > SPIKES_S:

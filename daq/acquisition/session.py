@@ -49,7 +49,10 @@ WATCHDOG_S = 5.0  # longest end of the watchdog, which tries to open ports for 3
 
 
 def _copy_of_stderr() -> int | None:
-    """Return a new file descriptor of standard error; None if standard error is closed, as in a service."""
+    """Return a new file descriptor of standard error; None if standard error is closed, as in a service.
+
+    The caller has to close it.
+    """
     try:
         return os.dup(STDERR)
     except OSError:
@@ -238,7 +241,8 @@ class Acquisition:
     def mark(self, kind: str, text: str) -> None:
         """Write an event to the log: its kind, a word such as "segment", and a description in one line.
 
-        Raise SeatrialError if the acquisition process has ended.
+        The event gets the run time at which the acquisition process receives it. The call does not wait until it is
+        written. Raise SeatrialError if the acquisition process has ended.
         """
         self._send_message(LogEvent(kind, text))
 
@@ -409,14 +413,17 @@ class Acquisition:
         return f"{text}; the log so far is {self.path}; run again, and report it if it happens again"
 
     def _raise_failure(self) -> None:
-        """Raise SeatrialError if the acquisition process has reported an error or has crashed."""
+        """Raise SeatrialError with the reason if the acquisition process has reported an error or has crashed.
+
+        An end without an error raises nothing.
+        """
         if self._failure:
             raise SeatrialError(self._failure)
 
     def _wait_until(self, condition: Callable[[], bool], seconds: float, failure: str) -> None:
         """Wait until the function `condition` returns true. It is called again after each message of the process.
 
-        Raises SeatrialError after `seconds` (wall), with the words `failure` in the message, such as "did not start",
+        Raise SeatrialError after `seconds` (wall), with the words `failure` in the message, such as "did not start",
         or as soon as the acquisition process fails.
         """
         with self._changed:

@@ -66,6 +66,8 @@ class StatusReporter:
     def report(self, stopped: str, ended: str) -> None:
         """Send the status to the parent, and write new warnings, hints and losses of set-points to the log.
 
+        A warning or hint is logged only the first time that its text occurs, also if its cause ends and comes back.
+
         Parameters
         ----------
         stopped : str
@@ -106,7 +108,8 @@ class StatusReporter:
         """Return the present status of all ports, set-points and the log.
 
         `stopped` is why the process has stopped thrust, and `ended` why it ends without a request; both are empty
-        otherwise.
+        otherwise. The status has only one of them, and `stopped` takes precedence. The warnings begin with that of the
+        log, if there is one; the faults of the ports and the stop of thrust follow.
         """
         now = self._clock.now()
         ports = {name: loop.status(now) for name, loop in self._loops.items()}

@@ -118,8 +118,9 @@ class Heartbeat:
     def _hear(self, now: float) -> None:
         """Read the watchdog's answers to the heartbeats. Set `trouble` if there was none for 1 s (`ANSWER_S`, wall).
 
-        `now` is the present monotonic time [s]. If more than 0.5 s have passed since the last call, this process itself
-        was stopped, and the time without an answer counts from now.
+        `now` is the present monotonic time [s]. The method does not wait; any bytes count as an answer. If more than
+        0.5 s have passed since the last call, this process itself was stopped, and the time without an answer counts
+        from now.
         """
         with contextlib.suppress(OSError):
             if self._socket.recv(READ_BYTES):
@@ -135,7 +136,7 @@ class Heartbeat:
     def end(self) -> None:
         """Report to the watchdog that the acquisition process ends, so that it must not be monitored any more.
 
-        The thrusters must be at zero.
+        The thrusters must be at zero. The call does not wait. If the watchdog is gone, `trouble` is set.
         """
         self._send(FINISHED)
 
@@ -242,9 +243,10 @@ class FailsafeSender(threading.Thread):
             self._frames = b"".join(pack_can(*vesc.encode_duty(t.node, 0.0)) for t in self._thrusters)
 
     def _prepare(self) -> None:
-        """Make new encoder and decoder of the device's messages (driver and decoder).
+        """Make and store a new encoder and decoder of the device's messages (driver and decoder).
 
-        They are made again before zero is sent, because an autopilot refuses an old MAVLink signature.
+        They are made again before zero is sent, because an autopilot refuses an old MAVLink signature. Raise
+        SeatrialError if the signing key of the autopilot cannot be read; the earlier driver then stays.
         """
         from seatrial.daq.drivers import LinkRole, make_driver
         from seatrial.daq.protocol import make_decoder
@@ -253,7 +255,10 @@ class FailsafeSender(threading.Thread):
         self._driver = make_driver(self._device, self._rig, self._decoder, LinkRole.RESCUE)
 
     def _zero(self) -> bytes:
-        """Return the bytes that command zero to all thrusters of the port, in the protocol of the device."""
+        """Return the bytes that command zero to all thrusters of the port, in the protocol of the device.
+
+        They are made anew for each call, except for VESC controllers, whose bytes are always the same.
+        """
         if self._driver is None:
             return self._frames
         return b"".join(data for data, _ in self._driver.zero(time.monotonic()))
@@ -284,7 +289,8 @@ class FailsafeSender(threading.Thread):
     def _send_zero(self) -> None:
         """Send zero to the thrusters of the port repeatedly for 1 s (`ZERO_S`, wall), and decode replies meanwhile.
 
-        Raises PortError if the port fails.
+        Zero is sent every 20 ms (`POLL_S`), and after each reply. The replies may contain the confirmation of an
+        autopilot. Raise PortError if the port fails.
         """
         until = time.monotonic() + ZERO_S
         while time.monotonic() < until:
@@ -299,8 +305,9 @@ class FailsafeSender(threading.Thread):
 def main() -> None:
     """Run the watchdog process: receive the rig from the acquisition process, and monitor that process until it ends.
 
-    If it dies or hangs while thrust is commanded, zero is sent to its thrusters. If the hardware watchdog of the rig
-    cannot be opened, this is reported to the acquisition process, and the watchdog ends.
+    The argument of this process is the file descriptor of the socket. If the acquisition process dies or hangs while
+    thrust is commanded, zero is sent to its thrusters. If the hardware watchdog of the rig cannot be opened, this is
+    reported to the acquisition process, and the watchdog ends. Ctrl-C and SIGTERM are ignored.
     """
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # the watchdog ends only when the acquisition process has ended

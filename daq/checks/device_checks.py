@@ -111,7 +111,8 @@ def _tables_by_device(log: Log) -> dict[str, Tables]:
     """Return the tables of samples in a log, by name of the device, each as (kind of sample, name in findings, table).
 
     Only attitudes, fixes, load cells, batteries and speed controllers are included. Speed controllers have a table for
-    each node. An autopilot that sends only its state has an empty list.
+    each node. The name in findings is that of the device for its first table, "DEVICE KIND" for others, and "DEVICE
+    node N" for a speed controller. An autopilot that sends only its state has an empty list.
     """
     found: dict[str, Tables] = {}
     for kind in (Ahrs, Gnss, LoadCell, Battery):
@@ -127,9 +128,9 @@ def _tables_by_device(log: Log) -> dict[str, Tables]:
 
 
 def _check_devices_present(log: Log, rig: Rig | None) -> Iterator[Finding]:
-    """Yield a fault for each device of the rig without a sample in the log; none if the log has no rig.
+    """Yield a fault for each device of the rig without a sample in the log; none if the log has no rig (`rig` None).
 
-    Commands to a device do not count as samples.
+    A topic of the device with a message suffices. Commands to a device do not count as samples.
     """
     topics = [name.split("/")[1:] for name in log.counts]
     present = {parts[0] for parts in topics if len(parts) > 1 and parts[-1] != "command"}
@@ -257,7 +258,8 @@ def _rows_that_can_be_stuck(kind: type, table: Any) -> Any:
     """Return a mask (n,) of the samples in a table whose values would change from sample to sample if the sensor works.
 
     `kind` is the class of the samples. For a load cell these are the samples with counts of at least 5 of their
-    smallest steps (AT_REST), because under load even coarse counts flicker. For others see `can_be_stuck`.
+    smallest steps (AT_REST), because under load even coarse counts flicker. For other kinds `can_be_stuck` decides: an
+    AHRS with a roll rate, or with heading and specific force, and a GNSS sample with a time.
     """
     if kind is not LoadCell:
         return can_be_stuck(kind, table.view(np.recarray))
@@ -268,7 +270,8 @@ def _rows_that_can_be_stuck(kind: type, table: Any) -> Any:
 def _smallest_step(counts: Any) -> float:
     """Return the smallest step other than zero between two successive counts (n,) of a load cell, in counts.
 
-    If all counts are equal, return the unit of their last decimal digit, such as 0.01 for 12.34 and 1 for 12.
+    The step is positive. If all counts are equal, return the unit of their last decimal digit, such as 0.01 for 12.34
+    and 1 for 12.
     """
     steps = np.abs(np.diff(counts))
     if (steps := steps[steps > 0.0]).size:
@@ -282,7 +285,7 @@ def _constant_intervals(kind: type, table: Any) -> Iterator[tuple[float, float]]
 
     `kind` is the class of the samples in `table`. The compared columns, the smallest number of repeats and the shortest
     duration come from STUCK_IN_LOG in daq/sensor_limits.py. All rows of the table must lack (NaN) the same columns;
-    such columns count as equal.
+    such columns count as equal. The interval begins at the first of the equal samples and ends at the last.
     """
     columns, samples, seconds = STUCK_IN_LOG[kind]
     same = np.ones(max(len(table) - 1, 0), dtype=bool)
@@ -339,7 +342,7 @@ def _check_ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
             "units",
             name,
             f"specific force is {g:.3g} m/s2 and not 9.81{cause}",
-            "check the output settings of the sensor",
+            "set the sensor to send the specific force with gravity, in m/s2",
         )
     tilt = max(abs(float(np.nanmedian(table[c]))) if np.isfinite(table[c]).any() else 0.0 for c in ("roll", "pitch"))
     if tilt > 0.35:
@@ -355,7 +358,10 @@ def _check_ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
 
 
 def _finite_values(table: Any, column: str) -> FloatArray:
-    """Return the finite values (n,) of one column of a table of samples, in order. Yaw angles [rad] are unwrapped."""
+    """Return the finite values (n,) of one column of a table of samples, in order. Yaw angles [rad] are unwrapped.
+
+    The array is shorter than the table if values are NaN or infinite.
+    """
     values: FloatArray = table[column][np.isfinite(table[column])]
     return np.unwrap(values) if column == "yaw" else values
 
@@ -437,7 +443,7 @@ def _check_esc_voltage(name: str, table: Any, rig: Rig | None) -> Iterator[Findi
 def _voltage_finding(name: str, volts: float, lowest: float) -> Finding:
     """Compare a voltage [V] of the device `name` with its lower limit [V] and return the finding.
 
-    It is a fault below the limit, a warning up to 5 % above it, and in order otherwise.
+    It is a fault below the limit, a warning from the limit to less than 5 % above it, and in order otherwise.
     """
     if volts < lowest:
         return Finding(FAULT, "voltage-low", "battery", name, f"{volts:.1f} V, limit {lowest:g}", "charge the battery")
@@ -451,7 +457,7 @@ def _voltage_finding(name: str, volts: float, lowest: float) -> Finding:
 def _check_load_cell(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
     """Yield a warning if more than 1 % of the samples of a load cell are flagged as saturated or as spikes.
 
-    `table` has the samples, `name` is the device in the finding, and `rig` is not used.
+    Otherwise there is no finding. `table` has the samples, `name` is the device in the finding, and `rig` is not used.
     """
     bad = float(np.mean(table["flags"] != 0))
     if bad > FLAGGED_SHARE:
@@ -469,8 +475,9 @@ def _check_load_cell(name: str, table: Any, rig: Rig | None) -> Iterator[Finding
 def _check_battery(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
     """Compare the remaining charge in the last sample of a battery with `limits.battery_min` of the rig.
 
-    Yield a fault if it is below the limit, and otherwise a finding that it is in order. There is no finding without a
-    rig or a limit, or if the charge is NaN. `table` has the samples, and `name` is the device in the finding.
+    Charge and limit are parts of the full charge, 0 to 1. Yield a fault if the charge is below the limit, and otherwise
+    a finding that it is in order. There is no finding without a rig or a limit, or if the charge is NaN. `table` has
+    the samples, at least one, and `name` is the device in the finding.
     """
     left, least = table["remaining"][-1], None if rig is None else rig.limits.battery_min
     if least is not None and np.isfinite(left):
@@ -790,9 +797,10 @@ def _check_clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
 def _earliest_arrivals(received: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return receive times and clock offsets [s] of the samples with the smallest offset in each block of time.
 
-    The two arrays have one item per block. A block lasts 2 s, or 5 median sample periods if that is longer. Blocks with
-    fewer than three samples are left out. `received` (n,) are receive times, and `offset` (n,) is receive time minus
-    device time [s].
+    The offset of a sample is its receive time minus its device time, so that the smallest one belongs to the sample
+    with the shortest delay. The two arrays have one item per block, in order of time. A block lasts 2 s, or 5 median
+    sample periods if that is longer. Blocks with fewer than three samples are left out. `received` (n,) are receive
+    times, and `offset` (n,) is receive time minus device time [s].
     """
     long = max(BLOCK_S, BLOCK_SAMPLES * float(np.median(np.diff(received))))
     block = ((received - received[0]) / long).astype(int)

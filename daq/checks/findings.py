@@ -42,7 +42,7 @@ class Finding(NamedTuple):
 def worst_first(findings: Iterable[Finding]) -> list[Finding]:
     """Return the findings of a check sorted by severity: faults, then warnings, then those in order (`OK`).
 
-    Findings of the same severity keep their order.
+    Findings of the same severity keep their order. The result is a new list.
     """
     order = (FAULT, WARNING, OK)
     return sorted(findings, key=lambda f: order.index(f.level))
@@ -51,7 +51,7 @@ def worst_first(findings: Iterable[Finding]) -> list[Finding]:
 def findings_lines(findings: Sequence[Finding]) -> list[str]:
     """Return each finding of a check as one line: severity, device or file, name of the check, text and advice.
 
-    The first three are padded to columns.
+    The first three are padded to columns. The advice follows the text after a colon. The order is kept.
     """
     rows = zip(_line_beginnings(findings), findings, strict=True)
     return [f"{head}{f.text}{f': {f.advice}' if f.advice else ''}" for head, f in rows]
@@ -89,13 +89,19 @@ def findings_paragraphs(findings: Sequence[Finding], width: int) -> list[str]:
 
 
 def _line_beginnings(findings: Sequence[Finding]) -> list[str]:
-    """Return the beginning of the line of each finding: severity, device or file, and check, padded to one length."""
+    """Return the beginning of the line of each finding: severity, device or file, and check, padded to one length.
+
+    Each beginning ends with two spaces.
+    """
     where_width = max((len(f.where) for f in findings), default=0)
     check_width = max((len(f.check) for f in findings), default=0)
     return [f"{f.level:<{LEVEL}} {f.where:<{where_width}}  {f.check:<{check_width}}  " for f in findings]
 
 
 def findings_summary(findings: Sequence[Finding]) -> str:
-    """Return the numbers of findings in words, such as "1 fault, 2 warnings, 5 in order"."""
+    """Return the numbers of findings in words, such as "1 fault, 2 warnings, 5 in order".
+
+    All three numbers are in the text, also if they are 0.
+    """
     count = {level: sum(f.level == level for f in findings) for level in (FAULT, WARNING, OK)}
     return f"{counted(count[FAULT], 'fault')}, {counted(count[WARNING], 'warning')}, {count[OK]} in order"

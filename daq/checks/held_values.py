@@ -171,7 +171,9 @@ def group_held_signals(found: Mapping[str, HeldValues]) -> list[tuple[str, HeldV
     Returns
     -------
     list
-        For each group the names, joined by commas, and the result for the first of them.
+        For each group the names, joined by commas, and the result for the first of them. Groups and names keep the
+        order of
+    `found`.
     """
     groups: dict[int, list[str]] = {}
     for name, held in found.items():
@@ -192,7 +194,7 @@ def _mean_rows_between_changes(changed: Mask) -> float:
 def _rows_of_change(columns: Sequence[FloatArray]) -> Mask:
     """Return a mask (n,) of rows in which any of the columns (n,) differs from the previous row.
 
-    The first row is included.
+    The first row is included, if there is one. At least one column is needed.
     """
     new = np.zeros(len(columns[0]), bool)
     new[:1] = True
@@ -205,8 +207,8 @@ def _share_of_single_steps(columns: Sequence[FloatArray], rows: npt.NDArray[np.i
     """Return the share (0 to 1) of the changes of a sensor's values that are at most one step of its resolution.
 
     `columns` are the values (n,) of each signal of the sensor, and `rows` are the indices of the rows in which any of
-    them changes. In a counted row no signal changes by more than 1.5 times its resolution, which is its smallest
-    change.
+    them changes. In a counted row no signal changes by more than 1.5 times its resolution, which is its smallest change
+    other than zero. The share is 1 if all signals are constant, and NaN without rows.
     """
     small = np.ones(rows.size, bool)
     for column in columns:
@@ -234,6 +236,7 @@ def _rows_of_measurement(changed: Mask, period: float) -> Mask:
 def _change_together(a: Mask, b: Mask) -> bool:
     """Return whether two signals change in mostly the same rows, so that they come from one sensor.
 
-    `a` and `b` are masks (n,) of the rows of change. At least 80 % of all rows of change must be common.
+    `a` and `b` are masks (n,) of the rows of change. At least 80 % (SAME_ROWS) of the rows in which one of them changes
+    must be rows in which both change.
     """
     return float(np.sum(a & b)) >= SAME_ROWS * float(np.sum(a | b))

@@ -80,7 +80,7 @@ def unknown_times(t: npt.NDArray[np.float64], values: npt.NDArray[np.float64]) -
     -------
     list
         Begin and end [s] of each gap longer than 0.5 s (SHORTEST_GAP_S), from its first NaN to the next value, or to
-        the last sample.
+        the last sample. The list is empty without such a gap.
     """
     unknown = np.isnan(values).astype(np.int8)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], unknown, [0]])))

@@ -19,8 +19,8 @@ FEWEST = 10  # smallest number of samples of the fastest controller from which r
 def _check_rpm_max(log: Log, rig: Rig) -> Iterator[Finding]:
     """Yield a warning for each thruster whose logged shaft speed cannot be normalised, because the rig lacks `rpm_max`.
 
-    `rpm_max` is the shaft speed at full command. Thrusters without a shaft speed other than zero in the log are left
-    out.
+    `rpm_max` is the shaft speed at full command [rev/min]. The advice contains the largest speed in the log. Thrusters
+    without a shaft speed other than zero in the log are left out.
     """
     for thruster in rig.thrusters:
         if np.isfinite(thruster.rpm_max) or thruster.node not in log.nodes(Esc, thruster.device):

@@ -273,8 +273,8 @@ def parse_mission(text: str, source: Path | str) -> Mission:
 def _pop_list_items(table: TomlTable, key: str) -> TomlTable:
     """Remove the list `key` from a table, and return its items as a table with the keys `key[1]`, `key[2]`, ...
 
-    With these keys an error message names the item of the list. A missing or empty list, or a value that is no list,
-    raises SeatrialError.
+    The given table is changed, so that its `done` does not report the list as an unknown key. With the new keys an
+    error message names the item of the list. A missing or empty list, or a value that is no list, raises SeatrialError.
     """
     value = table.values.pop(key, None)
     if not isinstance(value, list) or not value:
@@ -283,9 +283,10 @@ def _pop_list_items(table: TomlTable, key: str) -> TomlTable:
 
 
 def _read_thruster_names(root: TomlTable, key: str) -> tuple[str, ...]:
-    """Return the names of thrusters in the list `key` of the root table of a mission.toml.
+    """Return the names of thrusters in the list `key` of the root table of a mission.toml, in their order.
 
-    A missing or empty list, an item that is not printable text, and a name that appears twice raise SeatrialError.
+    The list is removed from the table. A missing or empty list, an item that is not printable text, and a name that
+    appears twice raise SeatrialError.
     """
     items = _pop_list_items(root, key)
     names = tuple(items.line(item) for item in items.values)
@@ -305,8 +306,8 @@ def _read_predicted_errors(table: TomlTable | None) -> dict[str, float]:
 def _read_segment(table: TomlTable, n_thrusters: int) -> Segment:
     """Read one [[segment]] table of a mission.toml, in which each row has `n_thrusters` commands.
 
-    The segment must have at least one row, one row per time, ascending times, and finite numbers; otherwise
-    SeatrialError is raised. The range of the commands is not checked here.
+    The segment must have at least one row, one row per time, strictly ascending times, and finite numbers; otherwise,
+    and for an unknown key, SeatrialError is raised. The range of the commands and the first time are not checked here.
     """
     name, t = table.line("name"), np.array(table.numbers("t"), dtype=np.float64)
     items = _pop_list_items(table, "n")
@@ -326,6 +327,9 @@ def _read_segment(table: TomlTable, n_thrusters: int) -> Segment:
 
 def parse_prediction(table: TomlTable | None) -> Prediction | None:
     """Read the table [prediction] of a mission.toml. Return None if there is no table.
+
+    All lists must have the length of `t`, at least one. Missing standard errors (`errors_before`) give an empty
+    mapping. It is not checked that the times ascend.
 
     Raises
     ------
@@ -348,9 +352,10 @@ def parse_prediction(table: TomlTable | None) -> Prediction | None:
 def _check_order_and_size(mission: Mission, root: TomlTable) -> None:
     """Raise SeatrialError if the segments of a mission do not follow each other, or if a value is beyond its limit.
 
-    The checks are: there is at least one segment, the times ascend from 0 s to the end of the mission, no command
-    exceeds `n_max`, and the ramps of the slew limit have at most 1,000,000 rows (MAX_RAMP_ROWS). `root` is the root
-    table of the file; error messages name the file and the key by it.
+    The checks are: there is at least one segment, the first time is not negative, each segment begins after the last
+    time of the one before, the mission ends after the last time, no command exceeds `n_max` in magnitude, and the ramps
+    of the slew limit have at most 1,000,000 rows (MAX_RAMP_ROWS). `root` is the root table of the file; error messages
+    name the file and the key by it.
     """
     if not mission.segments:
         raise root.error("segment", "missing; a mission needs at least one [[segment]]: add one")
@@ -412,7 +417,10 @@ def save_new_mission(mission: Mission, path: Path) -> None:
 
 
 def dump_mission(mission: Mission) -> str:
-    """Return the text of a mission.toml, from which `parse_mission` returns an equal mission."""
+    """Return the text of a mission.toml, from which `parse_mission` returns an equal mission.
+
+    Numbers are written without rounding. The mission is not checked here.
+    """
     quoted = _toml_string
     lines = [
         f"format = {quoted(FORMAT)}",

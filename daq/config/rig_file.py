@@ -132,10 +132,10 @@ def _read_clock_speed(root: TomlTable) -> float:
 def _read_log(root: TomlTable) -> tuple[str, Segments]:
     """Read the table [log] of a rig file: the folder of the logs, and the rules by which a log is split into files.
 
-    The rules are `segment_mb` and `segment_s`, after which a new file begins; `free_mb`, the disk space that a new file
+    The rules are `segment_mb` and `segment_s`, after which a new file begins; `free_mb`, the disk space that a new log
     needs; and `keep_gb`, the size at which old files are deleted. Without the table the folder is "logs" and the log is
     not split. The folder is returned as written. If `keep_gb` is given without `segment_mb` or `segment_s`, or is
-    smaller than three files of a log (LEAST_SEGMENTS), SeatrialError is raised.
+    smaller than three times `segment_mb` (LEAST_SEGMENTS), SeatrialError is raised.
     """
     log = root.table("log")
     if log is None:
@@ -164,7 +164,8 @@ def _read_log(root: TomlTable) -> tuple[str, Segments]:
 def _read_live(table: TomlTable | None) -> Live:
     """Read the table [live] of a rig file: settings of the server for Foxglove. Return the defaults if it is None.
 
-    They are its `host`, `port` (0: any free port) and `origins`, the sites whose web pages may connect.
+    They are its `host`, `port` (0: any free port) and `origins`, the sites whose web pages may connect. A missing key
+    has its default. A port outside 0 to 65535 raises SeatrialError.
     """
     if table is None:
         return Live()
@@ -283,8 +284,10 @@ def _read_device(table: TomlTable, folder: Path, recorded: bool) -> Device:
 def _read_port(table: TomlTable, protocol: str, bus: str, folder: Path) -> str:
     """Return the key `port` of a device, after a check that fits its protocol and its `bus` (`CAN` or serial).
 
-    Relative paths of serial devices, also behind "slcan:", are joined with `folder`. Names of CAN interfaces and
-    network addresses are returned as written.
+    A CAN bus needs slcan:SERIAL or socketcan:NAME. An autopilot (mavlink) may have a network address, which is checked.
+    Any other text is taken for the path of a serial device. An empty text, and slcan: or socketcan: without a CAN bus,
+    raise SeatrialError. It is not checked whether the port exists. Relative paths of serial devices, also behind
+    "slcan:", are joined with `folder`. Names of CAN interfaces and network addresses are returned as written.
     """
     port = table.text("port")
     kind, colon, rest = port.partition(":")
@@ -402,7 +405,8 @@ def _read_calibration(table: TomlTable, folder: Path) -> dict[str, Any]:
     """Return {"calibration": LoadCellCalibration} from the table [device.calibration] of a load cell.
 
     The force is (counts - zero_counts) * newton_per_count * lever_ratio; only the gain `newton_per_count` is required.
-    The dictionary is empty if there is no such table. A gain of zero raises SeatrialError. `folder` is not used.
+    `zero_counts` is 0 and `lever_ratio` 1 by default; their standard deviations are None if missing. The dictionary is
+    empty if there is no such table. A gain of zero raises SeatrialError. `folder` is not used.
     """
     inner = table.table("calibration")
     if inner is None:
@@ -458,7 +462,9 @@ def _read_dbc_signal(table: TomlTable) -> DbcSignal:
     """Read one [[device.signal]] table, which maps a signal of a DBC file to a field of a speed controller's sample.
 
     `node` is the number of the controller, 0 to 255, or the name of the signal that contains it (SOURCE: the address of
-    the sender). `scale` (1 by default) and `offset` (0) convert the value of the DBC file to the unit of the field.
+    the sender). `scale` (1 by default) and `offset` (0) convert the value of the DBC file to the unit of the field. A
+    field that a speed controller's sample lacks (ESC_FIELDS) raises SeatrialError. Whether the DBC file has the message
+    and the signal is not checked here.
     """
     by_name = isinstance(table.values.get("node"), str)
     node: int | str = table.text("node") if by_name else table.integer("node", low=0, high=255)
@@ -501,14 +507,18 @@ def read_mavlink_settings(table: TomlTable, folder: Path) -> MavlinkSettings:
 
 
 def _read_mavlink(table: TomlTable, folder: Path) -> dict[str, Any]:
-    """Return {"mavlink": MavlinkSettings} from the MAVLink keys of a [[device]]; see `read_mavlink_settings`."""
+    """Return {"mavlink": MavlinkSettings} from the MAVLink keys of a [[device]] (ids, signing key, message rates).
+
+    A relative path of the signing key counts from `folder`. A wrong value raises SeatrialError.
+    """
     return {"mavlink": read_mavlink_settings(table, folder)}
 
 
 def _read_message_rates(table: TomlTable) -> dict[str, float]:
     """Read the table [device.rates] of a [[device]]: rates [Hz], 0 to 1000, by name of the MAVLink message.
 
-    The dictionary is empty without the table. A message that is not in RATES or OTHER_RATES raises SeatrialError.
+    A message with rate 0 is not requested. The dictionary is empty without the table. A message that is not in RATES or
+    OTHER_RATES raises SeatrialError.
     """
     rates: dict[str, float] = {}
     inner = table.table("rates")
@@ -531,8 +541,9 @@ _OPTION_READERS: dict[str, Callable[[TomlTable, Path], dict[str, Any]]] = {
 def _read_thruster(table: TomlTable, devices: Sequence[Device]) -> Thruster:
     """Read one [[thruster]], whose device must be one of `devices` and must have a protocol that drives thrusters.
 
-    These protocols are vesc, dronecan and mavlink (an autopilot). Behind an autopilot `pole_pairs` is an unknown key,
-    and `rpm_max` may be missing; it is then NaN. On a DroneCAN bus `pole_pairs` may be missing. It is then 1.
+    These protocols are vesc, dronecan and mavlink (an autopilot). `node` is 0 to 255, on a DroneCAN bus at most 19, and
+    behind an autopilot 1 to 16. Behind an autopilot `pole_pairs` is an unknown key, and `rpm_max` may be missing; it is
+    then NaN. On a DroneCAN bus `pole_pairs` may be missing. It is then 1. A wrong value raises SeatrialError.
     """
     name = _read_topic_name(table)
     device = table.text("device")
@@ -596,9 +607,10 @@ def _read_pulse_widths(table: TomlTable, key: str, default: tuple[float, float, 
 def _read_limits(table: TomlTable | None) -> Limits:
     """Read the table [limits], the values at which a run ends. Return the defaults if there is no table.
 
-    The list `unwatched` has limits that a run may have without a device that reports their quantity. It may contain
-    limits that are in the table, and "telemetry": reports of speed controllers are not compared with their commands.
-    `n_max` and `link_test_n` are not monitored and must not be in it.
+    A limit that is missing is None: it does not apply. Only `n_max` (1) and `link_test_n` have other defaults. The list
+    `unwatched` has limits that a run may have without a device that reports their quantity. It may contain limits that
+    are in the table, and "telemetry": reports of speed controllers are not compared with their commands. `n_max` and
+    `link_test_n` are not monitored and must not be in it.
     """
     if table is None:
         return Limits()

@@ -49,7 +49,7 @@ def read_text(path: Path) -> str:
     Raises
     ------
     SeatrialError
-        If the file cannot be read, is not UTF-8 text, or is a pipe or a device.
+        If the file cannot be read, is not UTF-8 text, or is a folder, a pipe or a device.
     """
     try:
         # Opening a named pipe without O_NONBLOCK would wait for its writer.
@@ -116,7 +116,7 @@ class TomlTable:
     def misspelling_hint(self, key: str) -> str:
         """Return the end of an error message on the missing key `key`: an unread key that is spelt similarly.
 
-        The text is empty if no unread key is similar.
+        Of several the most similar one is named. The text begins with "; ". It is empty if no unread key is similar.
         """
         unread = [name for name in self.values if name not in self._taken]
         near = difflib.get_close_matches(key, unread, 1, NEAR)
@@ -130,7 +130,7 @@ class TomlTable:
         """Return the string of a key, or `default` if the key is missing.
 
         Another type, a string that is not one of `choices` (unless this is empty), and a missing key without `default`
-        raise SeatrialError.
+        raise SeatrialError. The default must be a string too, and is checked in the same way.
         """
         value = self._read_value(key, default)
         if not isinstance(value, str):
@@ -143,8 +143,8 @@ class TomlTable:
     def line(self, key: str, default: object = _MISSING) -> str:
         """Return the string of a key, or `default` if the key is missing. All its characters must be printable.
 
-        Otherwise, and for a missing key without `default`, SeatrialError is raised. A terminal would execute control
-        characters, and the file may be from an unknown person.
+        Otherwise, and for a missing key without `default`, SeatrialError is raised. The string may be empty. A terminal
+        would execute control characters, and the file may be from an unknown person.
         """
         value = self.text(key, default)
         if not value.isprintable():
@@ -154,7 +154,8 @@ class TomlTable:
     def flag(self, key: str, default: object = _MISSING) -> bool:
         """Return the boolean value of a key, or `default` if the key is missing.
 
-        Any other value, such as 0 or 1, and a missing key without `default` raise SeatrialError.
+        Any other value, such as 0 or 1, and a missing key without `default` raise SeatrialError. The default is checked
+        in the same way.
         """
         value = self._read_value(key, default)
         if not isinstance(value, bool):
@@ -164,8 +165,8 @@ class TomlTable:
     def integer(self, key: str, default: object = _MISSING, low: int | None = None, high: int | None = None) -> int:
         """Return the whole number of a key within [low, high], or `default` if the key is missing.
 
-        A bound that is None does not apply. Any other value, such as 1.0, and a missing key without `default` raise
-        SeatrialError.
+        Both bounds are allowed values. A bound that is None does not apply. Any other value, such as 1.0, and a missing
+        key without `default` raise SeatrialError. The default is checked in the same way.
         """
         value = self._read_value(key, default)
         if isinstance(value, bool) or not isinstance(value, int):
@@ -183,8 +184,9 @@ class TomlTable:
     ) -> float:
         """Return the finite number of a key, or `default` if the key is missing.
 
-        It must be within [low, high], and above zero if `positive` is true. A bound that is None does not apply. Any
-        other value, such as true or inf, and a missing key without `default` raise SeatrialError.
+        It must be within [low, high], bounds included, and above zero if `positive` is true. A bound that is None does
+        not apply. A whole number is returned as a float. Any other value, such as true or inf, and a missing key
+        without `default` raise SeatrialError. The default is checked in the same way.
         """
         value = self._read_value(key, default)
         number = self._to_finite(key, value)
@@ -196,7 +198,8 @@ class TomlTable:
     def scalar(self, key: str, default: object = _MISSING) -> str | float | bool:
         """Return the text, finite number or boolean of a key, or `default` if the key is missing.
 
-        Lists, tables, dates, inf and nan, and a missing key without `default` raise SeatrialError.
+        A whole number is returned as a float. Lists, tables, dates, inf and nan, and a missing key without `default`
+        raise SeatrialError. The default is checked in the same way.
         """
         value = self._read_value(key, default)
         if isinstance(value, (str, bool)):
@@ -206,15 +209,16 @@ class TomlTable:
     def maybe_number(self, key: str, low: float | None = None, high: float | None = None) -> float | None:
         """Return the finite number of a key within [low, high], or None if the key is missing.
 
-        A bound that is None does not apply. Unlike `number`, this method has no error for a missing key.
+        Both bounds are allowed values. A bound that is None does not apply. Any other value raises SeatrialError.
+        Unlike `number`, this method has no error for a missing key.
         """
         return self.number(key, low=low, high=high) if key in self.values else None
 
     def numbers(self, key: str, default: object = _MISSING, length: int | None = None) -> tuple[float, ...]:
         """Return the list of finite numbers of a key, or `default` if the key is missing.
 
-        The list must have `length` items, unless this is None. Any other value, and a missing key without `default`,
-        raise SeatrialError.
+        The list must have `length` items, unless this is None; then it may be empty. Any other value, and a missing key
+        without `default`, raise SeatrialError. The default is checked in the same way.
         """
         value = self._read_value(key, default)
         if not isinstance(value, (list, tuple)):
@@ -241,7 +245,8 @@ class TomlTable:
     def texts(self, key: str, default: object = _MISSING) -> tuple[str, ...]:
         """Return the list of strings of a key, or `default` if the key is missing. The list may be empty.
 
-        Any other value, and a missing key without `default`, raise SeatrialError.
+        Any other value, and a missing key without `default`, raise SeatrialError. The default is checked in the same
+        way.
         """
         value = self._read_value(key, default)
         if not isinstance(value, (list, tuple)) or not all(isinstance(item, str) for item in value):
@@ -249,7 +254,10 @@ class TomlTable:
         return tuple(value)
 
     def table(self, key: str) -> TomlTable | None:
-        """Return the sub-table of a key, or None if the key is missing. Any other value raises SeatrialError."""
+        """Return the sub-table of a key, or None if the key is missing. Any other value raises SeatrialError.
+
+        The keys of the sub-table do not count as read; the caller calls its own `done`.
+        """
         value = self._read_value(key, None)
         if value is None:
             return None
@@ -260,7 +268,8 @@ class TomlTable:
     def tables(self, key: str) -> list[TomlTable]:
         """Return the tables of a `[[key]]` list in their order; an empty list if the key is missing.
 
-        A value that is not a list of tables raises SeatrialError.
+        Error messages number them from 1, such as `device[1]`. A value that is not a list of tables raises
+        SeatrialError.
         """
         value = self._read_value(key, [])
         if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
@@ -278,7 +287,10 @@ class TomlTable:
                 raise self.error(key, f"unknown key; correct or remove it; known here: {known}")
 
     def _to_finite(self, key: str, value: object) -> float:
-        """Return a value as a finite number. For any other value raise SeatrialError with the name of `key`."""
+        """Return a value as a finite float. For any other value raise SeatrialError with the name of `key`.
+
+        Other values are booleans, texts, nan, inf, and whole numbers too large for a float.
+        """
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise self.error(key, f"must be a number, not {_describe_value(value)}")
         try:
@@ -290,16 +302,21 @@ class TomlTable:
         return number
 
     def _check_range(self, key: str, value: float, low: float | None, high: float | None) -> None:
-        """Raise SeatrialError if a value is outside [low, high]. A bound that is None does not apply."""
+        """Raise SeatrialError if a value is outside [low, high]; both bounds are allowed values.
+
+        A bound that is None does not apply. `key` is the key of the value, for the message.
+        """
         if (low is not None and value < low) or (high is not None and value > high):
-            bounds = f"{'' if low is None else low} .. {'' if high is None else high}".strip()
-            raise self.error(key, f"must be within {bounds}, not {_describe_value(value)}")
+            rule = f"must be at least {low}" if high is None else f"must be at most {high}"
+            rule = rule if low is None or high is None else f"must be within {low} .. {high}"
+            raise self.error(key, f"{rule}, not {_describe_value(value)}")
 
 
 def _describe_value(value: object) -> str:
     """Return a description of a wrong value for an error message: a number itself, else the kind, such as "a list".
 
-    Numbers beyond 1e15 (HUGE) are described and not printed, because they may have thousands of digits.
+    A boolean is returned as "true" or "false". Numbers beyond 1e15 (HUGE) are described and not printed, because they
+    may have thousands of digits.
     """
     if isinstance(value, bool):
         return str(value).lower()

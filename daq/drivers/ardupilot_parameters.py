@@ -61,7 +61,7 @@ class ParameterMismatch(NamedTuple):
     def __str__(self) -> str:
         """Return the wrong or unanswered parameter in one line for the user: name, value, required value, effect.
 
-        The line about an unanswered one has the name and advice on the link.
+        The line about an unanswered one (`value` None) has only the name and advice on the link.
         """
         if self.value is None:
             return (

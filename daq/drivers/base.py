@@ -193,7 +193,7 @@ class DeviceDriver(ABC):
 
     @property
     def hint(self) -> str:
-        """Advice to the user on the link, in one line; empty if there is none."""
+        """Advice to the user on the link, in one line; empty if there is none, which is the default."""
         return ""
 
     @property
@@ -205,7 +205,10 @@ class DeviceDriver(ABC):
         return ""
 
     def message(self) -> str:
-        """Return the fault of the link to the device in one line, such as a wrong signing key; empty without one."""
+        """Return the fault of the link to the device in one line, such as a wrong signing key; empty without one.
+
+        The default is empty.
+        """
         return ""
 
 
@@ -226,7 +229,7 @@ class PollingDriver(DeviceDriver):
     """
 
     def __init__(self, request: bytes, period: float) -> None:
-        """Store the bytes of one request, and the period of the requests [wall s]."""
+        """Store the bytes of one request, and the period of the requests [wall s]. The first request is due at once."""
         self._request, self._period = request, period
         self._due = 0.0  # wall time [s] of the next request
 

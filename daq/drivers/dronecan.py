@@ -66,7 +66,7 @@ class DronecanDriver(DeviceDriver):
     def _node_status_if_due(self, now: float) -> bytes:
         """Return the CAN frames of a NodeStatus, which this program must send each second; no bytes if it is not due.
 
-        `now` is wall time [s].
+        The first one is due at once. Its uptime counts from the first one. `now` is wall time [s].
         """
         if self._statuses and now < self._status_at + STATUS_S:
             return b""

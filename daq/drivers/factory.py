@@ -65,9 +65,9 @@ def make_driver(device: Device, rig: Rig, decoder: Decoder, role: LinkRole) -> D
 
 
 def check_keys(rig: Rig) -> None:
-    """Raise SeatrialError if a signing key of the rig cannot be read.
+    """Raise SeatrialError if the file of a MAVLink signing key (`key_file`) in the rig cannot be read or has no key.
 
-    The check is made before a log is written and before the watchdog is started.
+    The check is made before a log is written and before the watchdog is connected. Nothing is returned.
     """
     for device in rig.devices:
         if device.mavlink is not None and device.mavlink.key_file is not None:

@@ -307,7 +307,8 @@ class MavlinkDriver(DeviceDriver):
     def _receive_parameter(self, m: Any) -> None:
         """Store the value of a parameter of the autopilot, and log it if it is new or has changed.
 
-        `m` is the message PARAM_VALUE. A parameter that a run does not need is ignored.
+        `m` is the message PARAM_VALUE. The parameter is then no longer awaited. A change is also stored in
+        `LinkStatus.changed`. A parameter that a run does not need is ignored.
         """
         if self._awaited.pop(m.param_id, None) is not None or m.param_id in self._names:
             if m.param_id in GROUND_STATION_NAMES:  # each version has only one of both names
@@ -450,7 +451,8 @@ class MavlinkDriver(DeviceDriver):
     def _encode_command(self, command: _Command) -> bytes:
         """Encode a command to the autopilot as the bytes of one MAVLink frame (COMMAND_LONG).
 
-        Its field `confirmation` is the number of earlier tries.
+        It is addressed to system and component id of the rig. Its field `confirmation` is the number of earlier tries.
+        Nothing is stored.
         """
         address = (self._settings.system_id, self._settings.component_id)
         return self._codec.encode("COMMAND_LONG", *address, command.number, command.tries - 1, *command.parameters)
@@ -541,8 +543,8 @@ class MavlinkDriver(DeviceDriver):
     def _encode_override(self, now: float) -> bytes:
         """Encode the present commands of all thrusters behind the autopilot as one frame RC_CHANNELS_OVERRIDE.
 
-        A thruster without a command gets neutral. Channels of the transmitter that drive no thruster are left as they
-        are. `now` is stored as the wall time [s] of sending.
+        A thruster without a command gets neutral. The command of a reversed thruster changes its sign. Channels of the
+        transmitter that drive no thruster are left as they are. `now` is stored as the wall time [s] of sending.
         """
         self._overridden = now
         channels = [IGNORED_LOW] * 8 + [IGNORED_HIGH] * 10
@@ -554,7 +556,7 @@ class MavlinkDriver(DeviceDriver):
 
     @property
     def hint(self) -> str:
-        """Advice about message rates if nothing is sent to the autopilot (role LISTEN); else empty."""
+        """Advice about message rates, in one line, if nothing is sent to the autopilot (role LISTEN); else empty."""
         if self._role is not LinkRole.LISTEN:
             return ""
         return (
@@ -573,7 +575,10 @@ class MavlinkDriver(DeviceDriver):
 
     @property
     def confirmation(self) -> str:
-        """End of the sentence "zero thrust was sent ...": whether the autopilot has confirmed that it is disarmed."""
+        """End of the sentence "zero thrust was sent ...": whether the autopilot has confirmed that it is disarmed.
+
+        It begins with a comma. A confirmation counts only in the role RESCUE (watchdog).
+        """
         return DISARMED if self._disarmed else ", and not answered: it may still be armed"
 
     def message(self) -> str:
@@ -616,6 +621,10 @@ class MavlinkDriver(DeviceDriver):
 
 
 def _rate_request(message: str, rate: float) -> _Command:
-    """Return the command that requests a MAVLink message at a rate [Hz] (MAV_CMD_SET_MESSAGE_INTERVAL)."""
+    """Return the command that requests a MAVLink message at a rate [Hz] (MAV_CMD_SET_MESSAGE_INTERVAL).
+
+    `message` is the name of the message, such as "ATTITUDE". The rate must be above zero; the command contains the
+    interval [us].
+    """
     number = ESC_STATUS if message == "ESC_STATUS" else int(getattr(dialect(), f"MAVLINK_MSG_ID_{message}"))
     return _Command(SET_INTERVAL, (float(number), 1e6 / rate, 0, 0, 0, 0, 0), message, rate)

@@ -61,7 +61,8 @@ class Setpoints:
     def append(self, rows: Iterable[tuple[float, dict[int, float]]]) -> None:
         """Add set-points to the schedule, as rows of run time [s] and command, -1..1, by node, in any order of time.
 
-        Of two rows with equal times, the later added one counts.
+        Rows that wait already stay in the schedule. Of two rows with equal times, the later added one counts for the
+        nodes that it contains.
         """
         with self._lock:
             merged = [*self._rows, *((t, dict(row)) for t, row in rows)]
@@ -71,7 +72,8 @@ class Setpoints:
     def zero(self, now_wall: float) -> None:
         """Discard all scheduled set-points, and command zero to each node that has had a command.
 
-        Zero is due at once, and is repeated for ZERO_FOR_S (0.5 s). `now_wall` is wall time [s].
+        Zero is due at once, and is repeated for ZERO_FOR_S (0.5 s). Nodes without an earlier command get none.
+        `now_wall` is wall time [s].
         """
         with self._lock:
             self._rows.clear()

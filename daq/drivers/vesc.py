@@ -27,8 +27,8 @@ class VescDriver(DeviceDriver):
     def command(self, dues: Sequence[Due], held: Mapping[int, float], now: float) -> list[tuple[bytes, list[Due]]]:
         """Encode each set-point of `dues` as one CAN frame with a duty command, for one VESC controller.
 
-        The sign changes for reversed controllers. `held` and `now` are not used. Each frame is returned with its
-        set-point.
+        The sign changes for reversed controllers. `held` and `now` are not used. Each frame is returned with a list of
+        its set-point, in the order of `dues`. ValueError is raised if a command is NaN or outside -1..1.
         """
         out = []
         for due in dues:

@@ -52,7 +52,10 @@ class Field(NamedTuple):
 
     @property
     def variable(self) -> bool:
-        """Whether the encoded size of the field differs from message to message, as that of a string."""
+        """Whether the encoded size of the field differs from message to message.
+
+        True for a string and for a sequence (`length` 0); False for a number and for an array of fixed length.
+        """
         return self.primitive == "string" or self.length == 0
 
 
@@ -60,16 +63,17 @@ class Field(NamedTuple):
 def definition(type_name: str) -> str:
     """Return the text of the file in daq/msg that defines a message type `package/msg/Name`.
 
-    Raise FileNotFoundError if there is no such file.
+    Raise FileNotFoundError if there is no such file. Each file is read once for each process.
     """
     package, _, name = type_name.split("/")
     return resources.files("seatrial.daq").joinpath("msg", package, f"{name}.msg").read_text(encoding="utf-8")
 
 
 def _parse_fields(type_name: str) -> list[tuple[str, str]]:
-    """Return (type, name) of each field in the definition of a message type `package/msg/Name`. Constants are left out.
+    """Return (type, name) of each field in the definition of a message type `package/msg/Name`, in their order.
 
-    The type is as in the definition, such as "float64[9]" or "std_msgs/Header".
+    The type is as in the definition, such as "float64[9]" or "std_msgs/Header". Comments, empty lines and constants
+    are left out. Raise FileNotFoundError if daq/msg has no definition of the type.
     """
     lines = (line.partition("#")[0] for line in definition(type_name).splitlines())
     pairs = [line.split(maxsplit=1) for line in lines if line.strip() and "=" not in line]
@@ -94,7 +98,12 @@ def full_definition(type_name: str) -> str:
     -------
     str
         The text of the definition of the type, then of each type that it uses, directly or by another type, after a
-        line of 80 "=" and a line "MSG: package/Name".
+        line of 80 "=" and a line "MSG: package/Name". A type that is used several times is written once.
+
+    Raises
+    ------
+    FileNotFoundError
+        If daq/msg has no definition of one of these types.
     """
     parts, pending, seen = [definition(type_name)], [type_name], {type_name}
     while pending:
@@ -110,7 +119,8 @@ def full_definition(type_name: str) -> str:
 def flatten(type_name: str, prefix: str = "") -> list[Field]:
     """Return all fields of a message type `package/msg/Name` in the order of the CDR encoding.
 
-    A nested type is replaced by its fields, which get dotted names. `prefix` stands in front of each name.
+    A nested type is replaced by its fields, which get dotted names such as "header.stamp.sec". `prefix` stands in front
+    of each name. Raise FileNotFoundError if daq/msg has no definition of the type or of a nested one.
     """
     found: list[Field] = []
     for kind, name in _parse_fields(type_name):
@@ -141,15 +151,20 @@ class CdrLayout:
     ----------
     dtype
         numpy type of the fixed part, which includes the encapsulation bytes.
+    type_name
+        Name of the type.
     fixed
-        Fields of the fixed part after the header.
+        Fields after the header up to the first field of variable size.
     tail
-        Fields of variable size (strings and sequences of bytes), which follow the fixed part.
+        The first field of variable size (string or sequence of bytes) and all fields after it. All of them are packed
+        and unpacked as fields of variable size.
 
     Raises
     ------
     ValueError
         If the message type does not begin with a header.
+    FileNotFoundError
+        If daq/msg has no definition of the type.
     """
 
     def __init__(self, type_name: str, frame_id: bytes, lacking: tuple[str, ...] = ()) -> None:
@@ -195,7 +210,7 @@ class CdrLayout:
             Values of the fixed fields after the header, in order; arrays as bytes (see `doubles`). The length of an
             array is not checked: too few bytes are filled up with zeros, and too many are cut off.
         tail
-            Bytes of each field of variable size; strings without the final NUL.
+            Bytes of each field of variable size. Strings are given without the final NUL, which is added.
 
         Raises
         ------
@@ -216,7 +231,8 @@ class CdrLayout:
     def unpack_tail(self, message: bytes | memoryview) -> tuple[bytes, ...]:
         """Return the bytes of each string or sequence of variable size at the end of a message.
 
-        `message` is the whole message in CDR. Strings are returned without the final NUL.
+        `message` is the whole message in CDR. One final NUL of a string is removed. Bytes after the last field are
+        ignored. The tuple is empty for a type without such fields.
 
         Raises
         ------

@@ -117,7 +117,8 @@ def unpack_chunk(packed: bytes | memoryview, chunk: ChunkAt) -> Buffer:
     packed
         The compressed data.
     chunk
-        Compression, size and checksum of the chunk. A checksum of 0 is not checked.
+        Compression, size and checksum of the chunk. Data without compression ("") are returned as they are. A checksum
+        of 0 is not checked.
 
     Raises
     ------
@@ -184,18 +185,25 @@ class Messages(NamedTuple):
         return self.heads["length"].astype(np.int64) - HEAD_BYTES
 
     def where(self, mask: NDArray[np.bool_]) -> Messages:
-        """Return the messages for which a mask (n,) is true. If it is true for all, the same object is returned."""
+        """Return the messages for which a mask (n,) is true, in their order; the buffer is shared and not copied.
+
+        If the mask is true for all messages, the same object is returned.
+        """
         return self if mask.all() else Messages(self.buffer, self.offsets[mask], self.heads[mask])
 
     def rows(self, dtype: np.dtype[np.void]) -> NDArray[np.void]:
         """Return the first bytes of the data of each message as an array of the numpy type `dtype`, shape (n,).
 
-        The data are those after the head. The caller checks first that no message is shorter than `dtype`.
+        The data are those after the head. The result is a copy. The caller checks first that no message is shorter than
+        `dtype`; otherwise an item also contains bytes of the next record.
         """
         return rows_at(self.buffer, self.offsets + MESSAGE_HEAD.itemsize, dtype)
 
     def payloads(self) -> Iterator[memoryview]:
-        """Yield the data of each message (without channel, times and sequence number), in order."""
+        """Yield the data of each message (without channel, times and sequence number), in order.
+
+        Each item is a view of the buffer and no copy.
+        """
         view, starts = memoryview(self.buffer.data), self.offsets + MESSAGE_HEAD.itemsize
         for start, length in zip(starts.tolist(), self.lengths.tolist(), strict=True):
             yield view[start : start + length]
@@ -269,9 +277,10 @@ def index_entries(data: bytes, at: int) -> bytes:
 def _read_gap(view: memoryview, at: int, stop: int, register: Callable[[int, bytes], None]) -> list[int]:
     """Scan the MCAP records between the offsets `at` and `stop` of a byte buffer, which no message index covers.
 
-    Return the offsets of the message records. Opcode and content of schemas and channels are passed to `register`. The
-    scan ends at the first invalid record, and after too many other records: 70,000 schemas and channels, or 65,536
-    records of further kinds plus 16 for each message. Millions of empty records would compress to a few bytes.
+    Return the offsets of the message records in the buffer, ascending. `stop` is the first byte after the gap. Opcode
+    and content of schemas and channels are passed to `register`; records of further kinds are skipped. The scan ends at
+    the first invalid record, and after too many other records: 70,000 schemas and channels, or 65,536 records of
+    further kinds plus 16 for each message. Millions of empty records would compress to a few bytes.
     """
     found: list[int] = []
     n_kinds = n_private = 0
@@ -296,15 +305,17 @@ def _read_gap(view: memoryview, at: int, stop: int, register: Callable[[int, byt
 def rows_at(buffer: Buffer, offsets: Offsets, dtype: np.dtype[Any]) -> NDArray[Any]:
     """Return the items of the numpy type `dtype` that begin at the `offsets` of a byte buffer, shape (n,).
 
-    All items must lie within the buffer.
+    The items are copied, in the order of the offsets, and may overlap. All items must lie within the buffer; otherwise
+    IndexError is raised. Without offsets the result is empty.
     """
     return _records_at(buffer, offsets, dtype.itemsize).view(dtype) if len(offsets) else np.zeros(0, dtype)
 
 
 def _records_at(buffer: Buffer, offsets: Offsets, size: int) -> NDArray[np.void]:
-    """Return the items of `size` bytes at the `offsets` of a byte buffer, shape (n,), without named fields.
+    """Return copies of the items of `size` bytes at the `offsets` of a byte buffer, shape (n,), without named fields.
 
-    With named fields numpy would be slow here. All items must lie within the buffer.
+    With named fields numpy would be slow here. All items must lie within the buffer, which must have at least `size`
+    bytes.
     """
     starts: NDArray[np.void] = np.ndarray((len(buffer) - size + 1,), f"V{size}", buffer.data, strides=(1,))
     return starts[offsets]

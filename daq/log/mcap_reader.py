@@ -221,13 +221,12 @@ class RawLog:
         """Yield the messages of some channels and log times in file order, a few chunks (groups of messages) at a time.
 
         A yielded batch may be empty. Chunks without such messages are not read. Damaged chunks are left out, with a
-        warning.
-        If the file has far more messages than a real log of its size, the rest is left out, with a warning.
+        warning. If the file has far more messages than a real log of its size, the rest is left out, with a warning.
 
         Parameters
         ----------
         channels
-            Numbers of the channels; None for all channels.
+            Numbers of the channels; None for all channels. A number that the file lacks is ignored.
         begin_ns, end_ns
             Interval of log times [ns since 1970], without `end_ns` itself. The default includes all times.
         """
@@ -279,8 +278,9 @@ class RawLog:
     def _chunks_to_read(self, ids: NDArray[np.uint16], begin_ns: int, end_ns: int) -> Offsets:
         """Return the numbers of the undamaged chunks that may have messages of some channels and log times, shape (n,).
 
-        `ids` are the numbers of the channels. `begin_ns` and `end_ns` limit the log times [ns since 1970]. A chunk
-        without message indexes may have messages of all channels.
+        The numbers ascend, as in the file. `ids` are the numbers of the channels. A chunk counts if its span of log
+        times [ns since 1970] overlaps the interval from `begin_ns` to `end_ns`, both ends included. A chunk without
+        message indexes may have messages of all channels.
         """
         chunk, channel = self._chunk_channels
         wanted = self._unindexed.copy()
@@ -291,7 +291,8 @@ class RawLog:
     def _batches(self, numbers: Offsets) -> Iterator[list[int]]:
         """Split the numbers of chunks, shape (n,), into lists of chunks to read together.
 
-        The chunks of a list have about 4 MiB of uncompressed data (BATCH_BYTES).
+        The order is kept. The chunks of a list have about 4 MiB of uncompressed data (BATCH_BYTES); a larger chunk may
+        be alone. No list is empty.
         """
         group = np.cumsum(self._chunks["size"][numbers]) // BATCH_BYTES
         for part in np.split(numbers, np.flatnonzero(np.diff(group)) + 1):
@@ -301,7 +302,8 @@ class RawLog:
     def _read_messages(self, numbers: list[int], register: Callable[[int, bytes], None]) -> Messages:
         """Return all messages of the chunks with these numbers. Damaged chunks are left out, with a warning.
 
-        Opcode and content of schemas and channels in the chunks are passed to `register`.
+        Opcode and content of schemas and channels in the chunks are passed to `register`. The result has no messages if
+        all chunks are damaged.
         """
         chunks = []
         for number in numbers:
@@ -353,10 +355,10 @@ class RawLog:
         return found
 
     def _read_summary(self) -> bool:
-        """Read the index of the MCAP file from the summary at its end.
+        """Read the index of the MCAP file from the summary at its end. Return True if the index was read.
 
         Return False, and use nothing, if the file has no summary, or if the summary has no checksum, is damaged, or
-        does not cover the whole file.
+        does not cover the whole file. The caller then reads all records instead.
         """
         size = self._size
         try:
@@ -371,18 +373,22 @@ class RawLog:
             return False
 
     def _checksum(self, start: int, stop: int) -> int:
-        """Return the CRC-32 of the bytes `start` to `stop` of the MCAP file, without `stop` itself."""
+        """Return the CRC-32 of the bytes `start` to `stop` of the MCAP file, without `stop` itself.
+
+        The bytes are read in blocks of 1 MiB.
+        """
         checksum = 0
         for at in range(start, stop, _BLOCK):
             checksum = zlib.crc32(self._read(at, min(at + _BLOCK, stop)), checksum)
         return checksum
 
     def _use_summary(self, summary: _Summary) -> bool:
-        """Use a decoded summary as the index of the MCAP file. Return False if it does not cover the whole file.
+        """Use a decoded summary as the index of the MCAP file, and return True.
 
-        False is also returned, and nothing stored, if its statistics are missing or contradict it. Chunks, channels,
-        schemas, counts, span of log times, attachments and metadata are stored. A damaged attachment or metadata record
-        is left out, with a warning.
+        Chunks, channels, schemas, counts, span of log times, attachments, metadata and the profile of the header are
+        stored, and `complete` becomes True. A damaged attachment or metadata record is left out, with a warning. False
+        is returned, and nothing stored, if the summary does not cover the whole file, or if its statistics are missing
+        or contradict it.
         """
         chunks, statistics = summary.chunks, summary.statistics
         if statistics is None or (statistics.chunk_count, statistics.channel_count) != (
@@ -615,7 +621,11 @@ class RawLog:
             self._warn(f"a schema or channel is damaged and left out ({_error_line(error)})")
 
     def _warn(self, text: str) -> None:
-        """Add a warning about the file. After 20 warnings (MAX_WARNINGS), one line reports that there are more."""
+        """Add a warning about the file to `warnings`; the text has no path.
+
+        Only the first 20 warnings are kept (MAX_WARNINGS). In place of the 21st, one line reports that there are more;
+        later ones are dropped.
+        """
         if len(self.warnings) < MAX_WARNINGS:
             self.warnings.append(text)
         elif len(self.warnings) == MAX_WARNINGS:
@@ -645,8 +655,8 @@ class _FoundChunks:
     def append(self, at: int, stop: int, size: int, begin_ns: int, end_ns: int) -> None:
         """Append a chunk to the list: the bytes `at` to `stop` of its record in the file, its size, and its log times.
 
-        The size is that of the uncompressed data [bytes]. The log times are in ns since 1970. The chunk has no message
-        index yet.
+        The size is that of the uncompressed data [bytes]. `begin_ns` and `end_ns` are the smallest and the largest log
+        time of its messages [ns since 1970]. The chunk has no message index yet.
         """
         columns = (self.at, self._stop, self._index_bytes, self._size, self._begin_ns, self._end_ns)
         for column, value in zip(columns, (at, stop, 0, size, begin_ns, end_ns), strict=True):
@@ -719,7 +729,7 @@ class _Summary:
     Attributes
     ----------
     schemas, channels
-        Opcode and content of each schema and channel record.
+        Opcode and content of each schema and channel record, not decoded.
     records
         Position and length [bytes] of each attachment and metadata record in the file.
     statistics
@@ -781,8 +791,9 @@ class _Summary:
     def _add_record(self, opcode: int, data: bytes) -> None:
         """Decode a record of an MCAP summary by its opcode and content, and store it.
 
-        Stored are schemas, channels, statistics, and the positions of attachments and metadata. Records of other kinds
-        are ignored.
+        Stored are schemas, channels, statistics (of several the last), and the positions of attachments and metadata.
+        Schemas and channels are not decoded yet. Records of other kinds are ignored. An error in DAMAGE (errors that
+        damaged bytes cause) is raised if a decoded record is invalid.
         """
         if opcode == Opcode.SCHEMA:
             self.schemas.append((opcode, data))
@@ -808,7 +819,7 @@ def _chunk_indexes(
     block
         Bytes of a part of the summary.
     begins, ends
-        Offsets of the records in the block, shape (n,).
+        Offsets of the records in the block, shape (n,), at least one record. `ends` are the first bytes after them.
 
     Returns
     -------
@@ -819,7 +830,7 @@ def _chunk_indexes(
     Raises
     ------
     ValueError
-        If the lengths within a record do not agree.
+        If the lengths within a record do not agree, or if a length is negative.
     """
     shortest = _CHUNK_INDEX.itemsize + 8 + 4 + 8 + 8
     if np.any(ends - begins < shortest):
@@ -849,7 +860,10 @@ def _check_name(name: str) -> None:
 
 
 def _ignore(opcode: int, data: bytes) -> None:
-    """Ignore a schema or channel record in a chunk of a log, because all of them are known already."""
+    """Ignore a schema or channel record in a chunk of a log, because all of them are known already.
+
+    This is the function that `RawLog.read` passes to `scan`.
+    """
 
 
 def _parse(read: Callable[[ReadDataStream], Record], data: bytes) -> Record:

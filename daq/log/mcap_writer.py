@@ -102,8 +102,8 @@ class LogWriter:
     Raises
     ------
     SeatrialError
-        If the file cannot be created. After a failed write every method but `close` raises this error; the file is then
-        closed, and has a footer if the reserved disk space (ballast) had room for it.
+        If the file cannot be created. After a failed write the file is closed, and has a footer if the reserved disk
+        space (ballast) had room for it. Every later call of `channel`, `add`, `tick` or `flush` raises the same error.
     """
 
     def __init__(
@@ -135,7 +135,7 @@ class LogWriter:
                 f"{path}: the file exists already, and a log is never overwritten; give another name"
             ) from error
         except OSError as error:
-            text = f"{path}: the log cannot be created: {error.strerror}"
+            text = f"{path}: the log cannot be created: {error.strerror}; give another path, or free disk space"
             raise (DiskFull(text, complete=True) if error.errno in DISK_FULL_ERRORS else SeatrialError(text)) from error
         self._syncer = FileSyncer(self._stream)
         self._syncer.start()
@@ -149,7 +149,8 @@ class LogWriter:
     def _write_head(self, metadata: Mapping[str, str], attachments: Mapping[str, bytes], time_ns: int) -> None:
         """Write the first records of the log file: the header, the metadata and the attachments.
 
-        The attachments, by name, get the time `time_ns` [ns since 1970].
+        The attachments, by name, get the time `time_ns` [ns since 1970]. Their media type is "application/toml" if the
+        name ends with ".toml", and "application/octet-stream" otherwise.
         """
         self._writer = RecordWriter(self._stream, chunk_bytes=CHUNK_BYTES, profile="ros2", library="seatrial")
         self._writer.add_metadata("seatrial", metadata)
@@ -159,7 +160,7 @@ class LogWriter:
 
     @property
     def size(self) -> int:
-        """Number of bytes of the log file so far."""
+        """Number of bytes written to the log file so far, without the messages that wait for the next flush."""
         return self._stream.tell()
 
     @property
@@ -170,7 +171,8 @@ class LogWriter:
     def channel(self, topic: str, type_name: str, metadata: Mapping[str, str] | None = None) -> int:
         """Register a topic of the log and return the number of its channel, which `add` needs.
 
-        Call it once for each topic; a second call gives another number.
+        Numbers begin at 1. Call this once for each topic; a second call gives another number. The definition of the
+        message type is registered with the first topic of the type.
 
         Parameters
         ----------
@@ -193,7 +195,10 @@ class LogWriter:
             data = full_definition(type_name).encode()
             self._schemas[type_name] = self._writer.register_schema(type_name, "ros2msg", data)
         extra = {"offered_qos_profiles": QOS, **(metadata or {})}
-        return self._writer.register_channel(topic, "cdr", self._schemas[type_name], extra)
+        try:
+            return self._writer.register_channel(topic, "cdr", self._schemas[type_name], extra)
+        except SeatrialError as error:
+            raise SeatrialError(f"{self.path}: {error}") from error
 
     def add(self, channel: int, log_ns: int, stamp_ns: int, sequence: int, data: bytes) -> None:
         """Append one message to the log. The operating system receives it at the next flush, or in a full chunk.
@@ -228,8 +233,9 @@ class LogWriter:
     def tick(self) -> None:
         """Flush waiting messages of the log and sync its file when it is time. The caller calls this often.
 
-        Messages are flushed after 0.25 s (FLUSH_S), or after 0.1 s (FEW_FLUSH_S) if at most 16 wait. The file is synced
-        every second of wall time. SeatrialError is raised as by `add`, also if a sync failed.
+        Messages are flushed after 0.25 s (FLUSH_S), or after 0.1 s (FEW_FLUSH_S) if at most 16 wait. A sync of the file
+        is requested every second of wall time; another thread does it. Raise SeatrialError if the log is closed, or if
+        a write or a sync has failed; it is `DiskFull` if the disk is full.
         """
         self._require_open()
         now = time.monotonic()
@@ -249,7 +255,8 @@ class LogWriter:
         """End the current chunk (group of messages) of the log and pass it to the operating system.
 
         Without waiting messages nothing is written. Also reserve more disk space for the end of the file if the log has
-        grown. SeatrialError is raised as by `add`.
+        grown; a failure of this is ignored. Raise SeatrialError if the log is closed, or if this or an earlier write
+        failed; it is `DiskFull` if the disk is full.
         """
         self._require_open()
         with self._close_on_error():
@@ -286,7 +293,8 @@ class LogWriter:
     def _close_on_error(self) -> Iterator[None]:
         """Close the log file and raise SeatrialError if a write within the `with` block fails.
 
-        If the disk was full, but the reserved space had room for the records, the end of the file is written first.
+        If the disk was full, but the reserved space had room for the records, the end of the file is written first, and
+        `DiskFull` is raised too.
         """
         try:
             yield
@@ -312,7 +320,8 @@ class LogWriter:
     def _close_and_raise(self, error: OSError, complete: bool) -> NoReturn:
         """Close the log file and raise the error of a failed write: DiskFull if the disk is full, or SeatrialError.
 
-        `complete` is whether the file contains every message and its footer.
+        The error is also stored: later calls raise it again. `complete` is whether the file contains every message and
+        its footer.
         """
         self._close_file()
         self._failed = self._write_error(error, complete)
@@ -334,14 +343,16 @@ class LogWriter:
     def _write_error(self, error: OSError, complete: bool) -> SeatrialError:
         """Return the error for the user that a write to the log failed; `DiskFull` if the disk is full.
 
-        `complete` is whether the file contains every message and its footer.
+        The caller raises it. The text has the path, the cause, and the size of the file [bytes]. `complete` is whether
+        the file contains every message and its footer.
         """
         state = "closed and complete up to there" if complete else "whole up to its last record, but has no footer"
+        is_full = error.errno in DISK_FULL_ERRORS
         text = (
             f"{self.path}: writing failed ({error.strerror}) after {self.size} bytes; the log is {state}; "
-            "free disk space and start a new one"
+            f"{'free disk space' if is_full else 'check the disk'} and start a new one"
         )
-        return DiskFull(text, complete) if error.errno in DISK_FULL_ERRORS else SeatrialError(text)
+        return DiskFull(text, complete) if is_full else SeatrialError(text)
 
 
 class Output(Protocol):
@@ -439,7 +450,7 @@ class RecordWriter:
     def register_schema(self, name: str, encoding: str, data: bytes) -> int:
         """Add the definition of a message type to the MCAP file, and return the number of its schema, from 1.
 
-        It is written with the current chunk. Each call gives a new number.
+        The definition is written with the current chunk, and again in the summary. Each call gives a new number.
 
         Parameters
         ----------
@@ -459,7 +470,8 @@ class RecordWriter:
     def register_channel(self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]) -> int:
         """Add a topic to the MCAP file and return the number of its channel, from 1.
 
-        It is written with the current chunk. Each call gives a new number.
+        The record of the channel is written with the current chunk, and again in the summary. Each call gives a new
+        number, also for the same topic.
 
         Parameters
         ----------
@@ -488,7 +500,7 @@ class RecordWriter:
         return self._n_channels
 
     def add_message(self, channel: int, log_ns: int, data: bytes, stamp_ns: int, sequence: int) -> None:
-        """Append a message to the current chunk of the MCAP file. A full chunk is written.
+        """Append a message to the current chunk of the MCAP file. A chunk longer than `chunk_bytes` is written.
 
         Parameters
         ----------
@@ -512,7 +524,7 @@ class RecordWriter:
             self.flush()
 
     def _append_record(self, record: bytes) -> None:
-        """Append an encoded schema or channel record to the current chunk of the MCAP file."""
+        """Append an encoded schema or channel record to the current chunk of the MCAP file. Nothing is written yet."""
         self._parts.append(record)
         self._held += len(record)
 
@@ -619,7 +631,8 @@ def _message_indexes(
     Returns
     -------
     tuple of bytes and dict
-        The records, and the position of each record in the file [bytes] by channel.
+        The records, in ascending order of the channels, and the position of each record in the file [bytes] by channel.
+        The messages of a channel keep their order.
     """
     order = np.argsort(channels, kind="stable")
     entries = np.stack((times[order], offsets[order].astype(np.uint64)), axis=1).astype("<u8")
@@ -633,7 +646,7 @@ def _message_indexes(
 
 
 def _encode_record(record: McapRecord) -> bytes:
-    """Encode an MCAP record to bytes by the mcap package."""
+    """Encode an MCAP record to bytes by the mcap package, with its opcode and length at the beginning."""
     builder = RecordBuilder()
     record.write(builder)
     written: bytes = builder.end()  # type: ignore[no-untyped-call]

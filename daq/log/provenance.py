@@ -44,7 +44,7 @@ def _version(package: str) -> str:
 
 
 def _operator() -> str:
-    """Return the name of the user who records a log; "unknown" if the system has none."""
+    """Return the login name of the user who records a log; "unknown" if the system has none."""
     try:
         return getpass.getuser()
     except (OSError, KeyError):

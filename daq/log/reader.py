@@ -131,8 +131,9 @@ class Log:
     def keeping_tables(self) -> Iterator[None]:
         """Keep all tables of the log in memory within a `with` block. The tables are read-only.
 
-        The first call of `table` for an interval of time then reads all tables of this interval at once. This is faster
-        if a caller uses many tables, or uses a table more than once.
+        The first call of `table` for an interval of time then reads all tables of this interval at once, and later
+        calls return the same arrays. This is faster if a caller uses many tables, or uses a table more than once. After
+        the block the log keeps no table any more.
         """
         self._tables, self._read_spans = {}, set()
         try:
@@ -164,7 +165,7 @@ class Log:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close the files of the log."""
+        """Close the files of the log. An error of the `with` block is passed on."""
         self.close()
 
     def close(self) -> None:
@@ -193,7 +194,8 @@ class Log:
     def sha256(self) -> str:
         """SHA-256 of the log in hexadecimal digits.
 
-        For a log of several segments (files), the bytes of all, in order, are hashed.
+        For a log of several segments (files), the bytes of all, in order, are hashed. The value is computed once and
+        kept. OSError is raised if a file cannot be read.
         """
         digest = hashlib.sha256()
         for path in self.paths:
@@ -252,7 +254,8 @@ class Log:
     def types(self) -> dict[str, str]:
         """Return the message type of each topic of the log that has messages, by topic.
 
-        The type is `package/msg/Name`, or "?" if it is unknown.
+        The type is `package/msg/Name`, or "?" if it is unknown. If channels of a topic have different types, that of
+        the last channel is returned.
         """
         schemas = self._file.schemas
         names = {c.topic: schemas[c.schema_id].name for c in self._file.channels.values() if c.schema_id in schemas}
@@ -262,8 +265,8 @@ class Log:
         """Return mean rate [Hz] and longest gap [s] of the time stamps of a topic.
 
         The mean rate is the number of messages minus one, divided by the time from the earliest to the latest stamp.
-        Both are NaN if the topic has a single time, or no message in the interval of a view (`part`). Raise KeyError if
-        the log has no messages of the topic.
+        The gap is between stamps that follow each other in time. Both are NaN if the topic has a single time, or no
+        message in the interval of a view (`part`). Raise KeyError if the log has no messages of the topic.
         """
         return self._spacing[topic].rate_and_gap()
 
@@ -280,7 +283,10 @@ class Log:
 
     @cached_property
     def _spacing(self) -> dict[str, _StampStatistics]:
-        """Statistics of the time stamps of each topic (rate, gaps, backward steps), from one pass through the log."""
+        """Statistics of the time stamps of each topic (rate, gaps, backward steps), from one pass through the log.
+
+        They are computed once. A view (`part`) has those of its interval; topics without messages there have no stamps.
+        """
         found = {topic: _StampStatistics() for topic in self.counts}
         topics = {number: channel.topic for number, channel in self._file.channels.items()}
         for messages in self._file.read(None, *self._span_ns):
@@ -361,7 +367,8 @@ class Log:
     def nodes(self, kind: type[Esc] | type[Command] | type[Servo], source: str) -> list[int]:
         """Return the sorted ids of the motor controllers (or servo outputs) of a device that have samples of a kind.
 
-        `source` is the name of the device. The list is empty if there are none.
+        `source` is the name of the device, and `kind` is `Esc`, `Command` or `Servo`. The list is empty if there are
+        none.
         """
         return sorted(node for name, node in self._devices_and_nodes(kind) if name == source)
 
@@ -506,8 +513,9 @@ class Log:
     def _only_node(self, kind: type[Esc] | type[Command] | type[Servo], source: str, node: int | None) -> int:
         """Return `node`, or the id of the only motor controller (or servo output) of a device if `node` is None.
 
-        `kind` is the class of its samples, and `source` the name of the device. The result is 0 if the device has no
-        controller. SeatrialError is raised if it has several.
+        `kind` is the class of its samples, and `source` the name of the device. A `node` that is not None is returned
+        without a check. If it is None, the result is 0 for a device without a controller, and SeatrialError is raised
+        for a device with several.
         """
         nodes = self.nodes(kind, source)
         if node is None and len(nodes) == 1:
@@ -531,7 +539,8 @@ class Log:
     def events(self) -> list[tuple[float, str, str]]:
         """Return all events of the log as (time stamp [s since 1970], kind, text), in the order of the file.
 
-        The list is empty if the log has no events. Raise SeatrialError if an event cannot be decoded.
+        The list is empty if the log has no events. A view (`part`) has those of its interval. Characters that are not
+        printable become escape sequences. Raise SeatrialError if an event cannot be decoded.
         """
         if "/event" not in self.counts:
             return []
@@ -544,8 +553,8 @@ class Log:
     def health(self, device: str) -> list[tuple[float, PortHealth]]:
         """Return the counters of the port of a device over time, as (time stamp [s since 1970], counters).
 
-        The order is that of the file. Raise SeatrialError if the log has no counters of the device, or if they cannot
-        be decoded.
+        The counters (bytes, frames, errors, ...) count from the start of the log. The order is that of the file. Raise
+        SeatrialError if the log has no counters of the device, or if they cannot be decoded.
         """
         found = []
         for t, row, (port,) in self._decoded_messages(f"/health/{device}", schema.HEALTH):
@@ -565,7 +574,10 @@ class Log:
             yield t, _DIRECTIONS[min(int(row["direction"]), 1)], data
 
     def messages(self) -> Iterator[tuple[int, str, bytes]]:
-        """Yield every message of the log without decoding: log time [ns since 1970], topic and data, in file order."""
+        """Yield every message of the log without decoding: log time [ns since 1970], topic and data, in file order.
+
+        The data are a copy of the encoded message. A view (`part`) yields the messages of its interval only.
+        """
         topics = {number: channel.topic for number, channel in self._file.channels.items()}
         for messages in self._file.read(None, *self._span_ns):
             heads = (messages.heads[name].tolist() for name in ("log_ns", "channel"))
@@ -598,7 +610,7 @@ class Log:
     def _channel_metadata(self, signal: str) -> dict[str, str]:
         """Return the texts that the log has about an imported signal, by name, such as "unit", "hold" and "role".
 
-        Raise SeatrialError if the log lacks the signal.
+        They are those of the first channel of the signal. Raise SeatrialError if the log lacks the signal.
         """
         return self._file.channels[self._channel_numbers(schema.topic(Scalar, signal))[0]].metadata
 
@@ -642,8 +654,9 @@ class Log:
     def _missing_fields(self, topic: str, type_name: str) -> tuple[str, ...]:
         """Return the names of the fields that the messages of a topic lack, because an older version wrote the log.
 
-        `type_name` is the message type, for example "seatrial_msgs/msg/Gnss". Raise SeatrialError if the topic has no
-        messages.
+        Only fields in `schema.ADDED` can be missing. A field is missing if the definition of the message type in the
+        log, or one of several definitions, does not contain it; without a definition no field is missing. `type_name`
+        is the message type, for example "seatrial_msgs/msg/Gnss". Raise SeatrialError if the topic has no messages.
         """
         channels = [self._file.channels[number] for number in self._channel_numbers(topic)]
         written = [self._file.schemas[c.schema_id].data for c in channels if c.schema_id in self._file.schemas]
@@ -759,11 +772,11 @@ class _GrowingArray:
 
     @property
     def rows(self) -> NDArray[Any]:
-        """Rows appended so far. This array is invalid after the next call of `append_rows`."""
+        """Rows appended so far, shape (n,), as a view. It is invalid after the next call of `append_rows`."""
         return self._all[: self._n]
 
     def append_rows(self, n: int) -> NDArray[Any]:
-        """Append `n` rows to the array and return them, shape (n,), for the caller to fill.
+        """Append `n` rows of zeros to the array and return them as a view, shape (n,), for the caller to fill.
 
         Raise MemoryError if the memory is too small.
         """
@@ -773,7 +786,7 @@ class _GrowingArray:
         return self._all[self._n - n : self._n]
 
     def done(self) -> NDArray[Any]:
-        """Free the unused memory of the array and return all rows."""
+        """Free the unused memory of the array and return all rows, shape (n,)."""
         self._all.resize(self._n, refcheck=False)
         return self._all
 
@@ -796,7 +809,10 @@ class _TopicTable:
         self._log, self._table = log, _GrowingArray(dtype)
 
     def take(self, messages: Messages) -> None:
-        """Add the next messages of the topic to the table. Raise SeatrialError if they cannot be decoded."""
+        """Add the next messages of the topic to the table. Raise SeatrialError if they cannot be decoded.
+
+        Each subclass implements this method; here it raises NotImplementedError.
+        """
         raise NotImplementedError
 
     def done(self) -> NDArray[np.void]:
@@ -873,8 +889,9 @@ class _AhrsTable(_TopicTable):
     def take(self, messages: Messages) -> None:
         """Add the next Imu messages of the AHRS, with the device time and magnetic field of the same sequence number.
 
-        Messages of these companion topics that arrive before their Imu message wait for the next call.
-        `_NotNumberedError` is raised if the sequence numbers do not ascend and there are companion topics.
+        Messages of these companion topics that arrive before their Imu message wait for one more call, and are then
+        dropped. If the companion of an Imu message is missing, t_device or the magnetic field is NaN, and t_rx is the
+        log time. `_NotNumberedError` is raised if the sequence numbers do not ascend and there are companion topics.
         SeatrialError is raised if a message cannot be decoded.
         """
         parts = {n: messages.where(np.isin(messages.heads["channel"], g)) for n, g in self._numbers.items()}
@@ -971,7 +988,7 @@ class _StampStatistics:
         """Add the next time stamps of the topic [s], shape (n,), at least one.
 
         They are in the order of the file. Steps back of any size are allowed; those of more than 0.5 s are counted. For
-        the longest gap the stamps of this call are sorted.
+        the longest gap the stamps of this call are sorted, and the gap to the latest stamp of earlier calls counts too.
         """
         steps = -np.diff(np.append(self._newest, t))
         self.n_back += int(np.sum(steps > CLOCK_STEP_S))

@@ -91,7 +91,8 @@ class WholeRecordStream:
     def __init__(self, path: Path) -> None:
         """Create the output file `path` and reserve disk space for its last records.
 
-        Raise OSError if the file exists or cannot be created, or if the disk has too little space.
+        Raise OSError if the file exists or cannot be created, or if the disk has too little space for this reservation;
+        in the last case the file is deleted again.
         """
         self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
         # Without this a loss of power may remove the name of the file, and with the name the whole file.
@@ -120,8 +121,9 @@ class WholeRecordStream:
         Raises
         ------
         OSError
-            If the records do not fit even without the ballast, if the disk is full once more, or after any other
-            failure. The file then ends with the last record before them.
+            If the records do not fit even without the ballast, if the write fails for another reason than a full disk,
+            or if an earlier write has failed already and this one fails too. The file then ends with the last record
+            before them.
         """
         try:
             self._write_all(data)
@@ -159,14 +161,14 @@ class WholeRecordStream:
         return os.fstat(self._fd).st_nlink == 0
 
     def flush(self) -> None:
-        """Return at once: the file is written without a buffer."""
+        """Do nothing, because the file is written without a buffer."""
 
     def sync(self) -> None:
         """Wait until the written data of the file are on the disk. Raise OSError if the disk reports an error."""
         os.fsync(self._fd)
 
     def close(self) -> None:
-        """Close the output file and free the reserved disk space."""
+        """Close the output file and free the reserved disk space. The file is not synced before."""
         self.ballast.release()
         os.close(self._fd)
 
@@ -217,7 +219,10 @@ class FileSyncer(threading.Thread):
         self._wanted.set()
 
     def end(self) -> None:
-        """Stop the sync thread and wait until it has ended. A request that the thread has not taken up is dropped."""
+        """Stop the sync thread and wait until it has ended, also for a sync that is running.
+
+        A request that the thread has not taken up is dropped.
+        """
         self._ending = True
         self._wanted.set()
         self.join()

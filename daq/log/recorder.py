@@ -60,9 +60,9 @@ class Recorder:
     clock
         Run clock of the times in the log.
     attachments
-        Contents of further attached files, by name. The rig file is always attached.
+        Contents of further attached files, by name. The rig file is attached as "rig.toml".
     metadata
-        Further texts of the metadata, by name.
+        Further texts of the metadata, by name. They replace texts of the recorder with the same name.
     patient
         Whether recording goes on after a full disk. A patient recorder ends its file if the disk is full. It keeps new
         messages in memory, without limit, `paused` contains the reason, and a new segment begins when there is room.
@@ -122,9 +122,10 @@ class Recorder:
         discard_note(self.first_path)
 
     def _begin_segment(self, path: Path, number: int) -> None:
-        """Create a file of the log, the segment `path`, with all metadata and attachments.
+        """Create a file of the log, the segment `path`, with all metadata and attachments, and make it the current one.
 
-        `number` is that of the segment, 0 for the first. Raise SeatrialError if the file cannot be created.
+        `number` is that of the segment, 0 for the first. The file before is not closed here. Topics are registered
+        again with their next message. Raise SeatrialError if the file cannot be created.
         """
         about = {**self._metadata, "segment": str(number)}
         self._writer = LogWriter(path, metadata=about, attachments=self._attachments, time_ns=self._log_ns)
@@ -152,7 +153,8 @@ class Recorder:
     def write(self, device: str, frame: Frame, t: float) -> None:
         """Write one sample, event or set of port counters of a device to the log.
 
-        During a pause it is kept in memory.
+        During a pause (while the disk is full) the messages are kept in memory. All messages of a sample have the same
+        sequence number.
 
         Parameters
         ----------
@@ -167,7 +169,7 @@ class Recorder:
         Raises
         ------
         SeatrialError
-            If the file cannot be written.
+            If the file cannot be written. A patient recorder pauses instead if the disk is full.
         """
         sample = frame.sample
         if isinstance(sample, Event):
@@ -203,8 +205,9 @@ class Recorder:
     def event(self, t: float, kind: str, text: str) -> None:
         """Write an event to the log at time t [s since 1970]: its kind, such as "warning", and its description.
 
-        NUL characters in the texts are left out. If t is NaN, it becomes the log time of the message before.
-        SeatrialError is raised if the file cannot be written.
+        NUL characters in the texts are left out. If t is NaN, it becomes the log time of the message before. During a
+        pause (while the disk is full) the event is kept in memory. SeatrialError is raised if the file cannot be
+        written.
         """
         log_ns, stamp_ns = self._log_and_stamp_ns(t, t)
         message = cdr_layout(schema.EVENT, b"").pack(stamp_ns, tail=(_encode_text(kind), _encode_text(text)))
@@ -268,7 +271,10 @@ class Recorder:
             segment.path.unlink()
             text = f"deleted {segment.path.name}, because the log is larger than keep_gb = {keep:g}"
         except OSError as error:
-            text = f"{segment.path.name} could not be deleted ({error.strerror})"
+            text = (
+                f"{segment.path.name} could not be deleted ({error.strerror}), and the log is larger than "
+                f"keep_gb = {keep:g}: delete this file yourself"
+            )
         self.event(self._log_ns / NANO, "disk", text)
 
     def close(self) -> None:
@@ -462,14 +468,15 @@ class _KeptMessage(NamedTuple):
 def free_bytes(path: Path) -> int:
     """Return the free space [bytes] of the disk to which a log is written.
 
-    `path` is the log; its folders need not exist yet. The space is that of its nearest parent folder that exists.
+    `path` is the log; the file and its folders need not exist yet. The space is that of its nearest parent folder that
+    exists.
     """
     folder = next((parent for parent in path.absolute().parents if parent.is_dir()), Path("/"))
     return shutil.disk_usage(folder).free
 
 
 def check_room(path: Path, megabytes: float) -> None:
-    """Check that the disk of a new log has enough free space.
+    """Check that the disk of a new log has enough free space. Nothing is returned or reserved.
 
     Parameters
     ----------

@@ -38,6 +38,7 @@ def recover_log(path: Path, out: Path, force: bool = False) -> RecoveredLog:
     """Recover a killed or damaged log: copy all readable records of all its segments (files) to one new log.
 
     Metadata and attachments are those of the first segment. A watchdog's note beside an earlier log `out` is deleted.
+    After an error there is no new file, and an existing file `out` is unchanged.
 
     Parameters
     ----------
@@ -84,8 +85,9 @@ def recover_log(path: Path, out: Path, force: bool = False) -> RecoveredLog:
 def _copy_records(log: RawLog | SegmentedLog, part: Path) -> int:
     """Copy metadata, attachments, schemas, channels and messages of a log to the new MCAP file `part`.
 
-    Of a log with several segments, metadata and attachments of the first one are copied. `part` must not exist. The
-    file is synced to the disk. Return the number of copied messages.
+    Of a log with several segments, metadata and attachments of the first one are copied. Schemas and channels get new
+    numbers; a channel whose schema is lost gets the number 0 for it. `part` must not exist; FileExistsError is raised
+    otherwise. The file is synced to the disk. Return the number of copied messages, which may be 0.
     """
     n_messages = 0
     with part.open("xb") as file:

@@ -98,7 +98,10 @@ class Message(NamedTuple):
 
 
 def field_names(kind: type[Measured]) -> list[str]:
-    """Return the names of the fields of a class of samples, in order, for example "node", "rpm", ... for `Esc`."""
+    """Return the names of the fields of a class of samples, in order, for example "node", "rpm", ... for `Esc`.
+
+    The times of a sample (t, t_rx, t_device) are no fields of its class.
+    """
     return [field.name for field in fields(kind)]
 
 
@@ -131,8 +134,9 @@ def topic(kind: type[Measured], source: str, node: int | None = None) -> str:
 def messages(device: str, frame: Frame) -> list[Message]:
     """Convert one sample of a device to its messages in a log. The first of them contains t_rx and t_device.
 
-    An `Ahrs`, a `Gnss`, and a `LoadCell` with a force also become standard ROS messages on topics of their own. A
-    `Transducer` becomes the message of a `Scalar` with the name of the transducer instead of the device.
+    An `Ahrs`, a `Gnss`, and a `LoadCell` with a force also become standard ROS messages on topics of their own. All
+    other samples become one message, which has all fields of the sample. A `Transducer` becomes the message of a
+    `Scalar` with the name of the transducer instead of the device.
 
     Parameters
     ----------
@@ -239,8 +243,9 @@ def imu_columns(rows: NDArray[np.void]) -> Columns:
 def own_columns(kind: type[Measured], rows: NDArray[np.void]) -> Columns:
     """Convert decoded messages of a kind of samples, shape (n,), to the columns of its table, with t_rx and t_device.
 
-    The kind is any but `Ahrs`. Two columns of `Gnss` that older logs lack are computed: `speed` is the norm of the
-    horizontal velocity, and `dimensions` (of the fix) is `fix` if that is 0, 2 or 3, else -1.
+    The kind is any but `Ahrs`. All fields of the messages become columns by their names, those of the header too. Two
+    columns of `Gnss` that older logs lack are computed: `speed` is the norm of the horizontal velocity [m/s], and
+    `dimensions` (of the fix) is `fix` if that is 0, 2 or 3, else -1.
     """
     columns: Columns = {name: rows[name] for name in rows.dtype.names or ()}
     if kind is Gnss and "speed" not in columns:  # a log of an older version: same rule as the defaults of `Gnss`

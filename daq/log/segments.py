@@ -66,14 +66,15 @@ def open_raw(path: Path) -> RawLog | SegmentedLog:
     for before, after in pairwise(present):
         missing = dict.fromkeys(segment_path(path, number).name for number in (before + 1, after - 1))
         if after - before > 1 and len(warnings) < MAX_WARNINGS:
-            warnings.append(f"a segment is missing: {' to '.join(missing)}")
+            names = " to ".join(missing)
+            warnings.append(f"a segment is missing: {names}; copy it into the folder of {path.name}, if you have it")
     return SegmentedLog(files, warnings) if len(files) > 1 or warnings else first
 
 
 def _recorder_metadata(raw: RawLog) -> dict[str, str]:
     """Return the texts that the recorder wrote into a file of a log, by name: run clock ("origin"), rig, host, ...
 
-    The result is empty if the file has none.
+    They are those of the first metadata record with the name "seatrial". The result is empty if the file has none.
     """
     return next((dict(record.metadata) for record in raw.metadata if record.name == "seatrial"), {})
 
@@ -89,6 +90,15 @@ class SegmentedLog:
         The segments in order. Metadata and attachments come from the first one.
     warnings
         Further warnings, for example about missing segments.
+
+    Attributes
+    ----------
+    channels, schemas, counts
+        As in `RawLog`, by new numbers that are valid for all files.
+    complete
+        Whether every file has its footer, the last record of a file that was closed.
+    span_ns
+        Smallest and largest log time of all files [ns since 1970]; None if there is no message.
     """
 
     def __init__(self, files: list[RawLog], warnings: list[str]) -> None:
@@ -143,7 +153,8 @@ class SegmentedLog:
     ) -> Iterator[Messages]:
         """Yield the messages of all files of the log, one file after the other, some at a time.
 
-        A file without messages in the interval is not read. A file is closed after its last message.
+        The heads of the messages have the numbers of channels in the log, not those in the file. A yielded batch may be
+        empty. A file without messages in the interval is not read. A file is closed after its last message.
 
         Parameters
         ----------
@@ -185,7 +196,7 @@ class SegmentedLog:
         return self._number_by_content[key]
 
     def close(self) -> None:
-        """Close all files of the log."""
+        """Close all files of the log. A later read opens them again."""
         for raw in self.files:
             raw.close()
 
@@ -193,7 +204,7 @@ class SegmentedLog:
 def segment_path(first: Path, number: int) -> Path:
     """Return the path of a later segment (file) of a log, such as run.1.mcap for run.mcap and number 1.
 
-    `first` is the first segment. Numbers begin at 1.
+    `first` is the first segment. Numbers begin at 1. The file need not exist.
     """
     return first.with_suffix(f".{number}{first.suffix}")
 
@@ -215,7 +226,8 @@ def segments(path: Path) -> dict[int, Path]:
 def first_segments(folder: Path) -> list[Path]:
     """Return the first segment (file) of each log in a folder, sorted by name.
 
-    They are the files *.mcap without the later segments NAME.1.mcap, NAME.2.mcap, ... of an existing NAME.mcap.
+    They are the files *.mcap without the later segments NAME.1.mcap, NAME.2.mcap, ... of an existing NAME.mcap. Later
+    segments whose NAME.mcap is missing are included. Subfolders are not searched.
     """
     paths = sorted(folder.glob("*.mcap"))
     later = {segment for path in paths for segment in segments(path).values()}

@@ -35,19 +35,25 @@ class Log(Protocol):
     path: Path
 
     def sources(self, kind: type[Any]) -> list[str]:
-        """Return the names of the devices (signals, for `Scalar`) of the log that have samples of the class `kind`."""
+        """Return the names of the devices (signals, for `Scalar`) of the log that have samples of the class `kind`.
+
+        The list is empty if there are none.
+        """
 
     def nodes(self, kind: type[Any], source: str) -> list[int]:
         """Return the ids of the motor controllers (or servo outputs) of a device that have samples of the class `kind`.
 
-        `source` is the name of the device.
+        `source` is the name of the device. The ids ascend. The list is empty if there are none.
         """
 
     def table(self, kind: type[Any], source: str, node: int | None = None) -> NDArray[np.void]:
-        """Return the samples of a device or signal of the log as a structured array, shape (n,)."""
+        """Return the samples of a device or signal of the log as a structured array, shape (n,), in order of time.
+
+        `node` is the id of the controller or servo output, for `Esc`, `Command` and `Servo`; None for other classes.
+        """
 
     def unit(self, signal: str) -> str:
-        """Return the unit of an imported signal of the log, for example "m/s"."""
+        """Return the unit of an imported signal of the log, for example "m/s"; empty if it is unknown."""
 
     def hold(self, signal: str) -> str:
         """Return the hold of an imported signal, which describes its values between two samples.
@@ -103,7 +109,7 @@ def log_tables(log: Log) -> Iterator[LogTable]:
     """Yield the table of samples of each device, controller and signal of a log, in the order of `KINDS`.
 
     `Esc`, `Command` and `Servo` have a table for each controller or servo output, other classes one for each device or
-    signal.
+    signal. A device with samples of several classes has a table for each class. Each table is read when it is yielded.
     """
     for kind in KINDS:
         for source in log.sources(kind):
@@ -145,8 +151,9 @@ def resample(log: Log, rate: float) -> Resampled:
     states of the autopilot, whole numbers, and signals with hold "zero" or "sampled". Other quantities are averaged
     over the samples nearest to each time of the grid. The averages, each at the mean time of its samples, are
     interpolated linearly to the grid. The result is NaN in gaps between averages that are longer than 2 s and than five
-    times their median distance, and after the last sample. Before its first sample each column is NaN. Angles [rad] and
-    longitudes are averaged and interpolated over the shortest way.
+    times their median distance, and after the last sample. Before its first sample each column is NaN. Values that are
+    NaN or infinite are left out before. Angles [rad] and longitudes are averaged and interpolated over the shortest
+    way.
     """
     tables = [table for table in log_tables(log) if len(table.rows)]
     if not tables:
@@ -180,8 +187,9 @@ def resample(log: Log, rate: float) -> Resampled:
 def _hold_last_value(grid: Array, t: Array, values: Array) -> Array:
     """Return the value of the last sample at each time of a grid, shape (n,); NaN before the first sample.
 
-    `grid` are the times of the grid [s], shape (n,). `t` and `values` are the times [s] and values of the samples,
-    shape (m,).
+    A sample at the time of the grid, or up to 1 ns after it, counts. After the last sample its value is kept. `grid`
+    are the times of the grid [s], shape (n,). `t` (ascending) and `values` are the times [s] and values of the samples,
+    shape (m,), at least one.
     """
     newest = np.searchsorted(t, grid + 1e-9, side="right") - 1
     return np.where(newest >= 0, values[np.maximum(newest, 0)], np.nan)

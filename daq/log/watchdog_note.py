@@ -27,8 +27,8 @@ def note_path(log: Path) -> Path:
 def write_note(log: Path, text: str) -> None:
     """Write a watchdog's note (the file LOG.stop) beside a log: what it did after the logging process stopped.
 
-    An earlier note is replaced. If the file cannot be written, or is a symbolic link or a pipe without a reader, no
-    note is written and no error is raised.
+    The file then contains `text` and a line end. An earlier note is replaced. If the file cannot be written, or is a
+    symbolic link or a pipe without a reader, no note is written and no error is raised.
     """
     # A watchdog must never wait or fail here: a pipe without a reader would block, and a symbolic link may lead to a
     # file of another user.
@@ -38,10 +38,11 @@ def write_note(log: Path, text: str) -> None:
 
 
 def read_note(log: Path) -> str:
-    """Return the note of a watchdog (the file LOG.stop) beside a log, as one line of at most 500 characters.
+    """Return the note of a watchdog (the file LOG.stop) beside a log, as one line.
 
-    White space, line ends included, becomes single spaces. Other characters that are not printable become escape
-    sequences, which may lengthen the text. It is empty if there is no note, or if it cannot be read.
+    White space, line ends included, becomes single spaces. The text is then cut to 500 characters (MAX_CHARACTERS).
+    Other characters that are not printable become escape sequences, which may lengthen the text. The result is empty if
+    there is no note, if LOG.stop is not a regular file, or if the file cannot be read.
     """
     path = note_path(log)
     try:

@@ -46,7 +46,7 @@ class Port(ABC):
     def is_confirmed(self) -> bool:
         """Whether the bytes of the last read are from a sender that is known to be the device.
 
-        Always True except on UDP.
+        Only a listening UDP port can return False; all other ports always return True.
         """
         return True
 
@@ -82,7 +82,7 @@ class Port(ABC):
 
     @abstractmethod
     def fileno(self) -> int:
-        """Return the file descriptor of the port, for `select`."""
+        """Return the file descriptor of the port, for `select`; -1 if the port is closed."""
 
     @abstractmethod
     def read(self) -> bytes:
@@ -111,32 +111,42 @@ class Port(ABC):
         """Close the port in any state. This method raises no error."""
 
 
+NOT_SERIAL = "the port is not a serial device; give its device file, such as /dev/ttyUSB0"
 CLOSED = "the program at the other end (autopilot, router or simulator) closed the connection; start it again"
+_NOT_THERE = "the port is not there; plug the device in, or correct the name of the port"
+_NOT_ALLOWED = "the port may not be opened by this user; for a serial port, join the group dialout and log in again"
+_IN_USE = "the port is in use by another program; end that program"
+_NO_ROUTE = "the network has no connection to the address; check network and address"
 _REASONS = {
-    errno.ECONNREFUSED: "the address refuses the connection: no program listens there",
+    errno.ECONNREFUSED: "the address refuses the connection: no program listens there; start it, or correct the port",
     errno.ECONNRESET: CLOSED,
-    errno.EADDRINUSE: "the port is in use by another program",
-    errno.EADDRNOTAVAIL: "the address is not an address of this machine",
-    errno.ENOENT: "the port is not there (unplugged?)",
-    errno.ENODEV: "the port is not there (unplugged?)",
-    errno.ENXIO: "the port is not there (unplugged?)",
-    errno.EIO: "the port is not there (unplugged?)",
-    errno.EACCES: "the port may not be opened by this user (group dialout?)",
-    errno.EPERM: "the port may not be opened by this user (group dialout?)",
-    errno.EBUSY: "the port is in use by another program",
-    errno.EAGAIN: "the port is in use by another program",
-    errno.ENOTTY: "the port is not a serial device",
-    errno.ENETDOWN: "the CAN interface is down (ip link set ... up)",
+    errno.ETIMEDOUT: "the other end does not answer; check that it is switched on, and its address",
+    errno.EHOSTUNREACH: _NO_ROUTE,
+    errno.ENETUNREACH: _NO_ROUTE,
+    errno.EADDRINUSE: _IN_USE,
+    errno.EADDRNOTAVAIL: "the address is not an address of this machine; listen at 0.0.0.0 for all its addresses",
+    errno.ENOENT: _NOT_THERE,
+    errno.ENODEV: _NOT_THERE,
+    errno.ENXIO: _NOT_THERE,
+    errno.EIO: _NOT_THERE,
+    errno.EACCES: _NOT_ALLOWED,
+    errno.EPERM: _NOT_ALLOWED,
+    errno.EBUSY: _IN_USE,
+    errno.EAGAIN: _IN_USE,
+    errno.ENOTTY: NOT_SERIAL,
+    errno.ENETDOWN: "the CAN interface is down; start it: sudo ip link set NAME up type can bitrate BITRATE",
 }
 
 
 def os_error_text(error: BaseException) -> str:
     """Return the message of an error of the operating system or of a library, as one line for the user.
 
-    Known error numbers, such as that of a port in use, get a text of their own. An error without a text gives the name
-    of its class.
+    The message does not contain the name of the port. Known error numbers, such as that of a port in use, get a text of
+    their own. An error without a text gives the name of its class.
     """
     number = getattr(error, "errno", None) or getattr(error, "error_code", None)
+    if number is None and isinstance(error, TimeoutError):  # the time-out of a socket has no number
+        number = errno.ETIMEDOUT
     if number is None and (inner := re.search(r"\((\d+), '", str(error))):  # pyserial quotes the original error
         number = int(inner[1])
     return _REASONS.get(number or 0) or " ".join(str(error).split()) or type(error).__name__

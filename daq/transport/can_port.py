@@ -68,7 +68,11 @@ class _FrameAnswers:
         self._in_line = True  # whether the present line is a received frame; at first this is unknown
 
     def feed(self, data: bytes) -> None:
-        """Update `refused`, the number of refused frames in a row, from bytes (answers, frames) of the adapter."""
+        """Update `refused`, the number of refused frames in a row, from bytes (answers, frames) of the adapter.
+
+        Each BELL adds 1. An answer `z` or `Z`, or an empty line, sets the number to 0. Lines with received frames do
+        not change it. A line may continue in the next call.
+        """
         if not self.refused and BELL not in data:
             self._in_line = data[-1:] not in (b"\r", b"\a") if data else self._in_line
             return
@@ -122,7 +126,7 @@ class SlcanPort(Port):
         self._serial.write(commands)
 
     def fileno(self) -> int:
-        """Return the file descriptor of the serial port, for `select`."""
+        """Return the file descriptor of the serial port, for `select`; -1 if the port is closed."""
         return self._serial.fileno()
 
     def read(self) -> bytes:
@@ -187,7 +191,10 @@ class SocketCanPort(Port):
         self._bus: Any = None
 
     def open(self) -> None:
-        """Open a raw socket on the CAN interface of the kernel. Raise PortError if this fails."""
+        """Open a raw socket on the CAN interface of the kernel. Raise PortError if this fails.
+
+        A socket that is open is closed first. The interface must be up already; its bit rate is not set here.
+        """
         self.close()
         try:
             self._bus = self._can.Bus(interface="socketcan", channel=self._channel)
@@ -230,7 +237,7 @@ class SocketCanPort(Port):
             raise PortError(os_error_text(error)) from error
 
     def close(self) -> None:
-        """Close the CAN socket, if it is open."""
+        """Close the CAN socket, if it is open. No error is raised."""
         if self._bus is not None:
             with contextlib.suppress(Exception):  # the interface of the socket may not exist any more
                 self._bus.shutdown()

@@ -10,7 +10,11 @@ from seatrial.daq.transport.serial_port import SerialPort
 
 
 def make_port(device: Device) -> Port:
-    """Return the port to which a device of the rig is connected: serial, CAN, UDP or TCP. It is not opened."""
+    """Return the port to which a device of the rig is connected: serial, CAN, UDP or TCP. It is not opened.
+
+    The kind follows from the beginning of `device.port`: slcan:, socketcan:, udp:, udpin:, udpout: or tcp:. Any other
+    text is the path of a serial port.
+    """
     if device.port.startswith("slcan:"):
         return SlcanPort(device.port.removeprefix("slcan:"), device.baud, device.bitrate)
     if device.port.startswith("socketcan:"):

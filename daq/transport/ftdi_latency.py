@@ -16,7 +16,10 @@ UDEV_RULE = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{la
 
 
 def usb_vendor(path: str) -> int | None:
-    """Return the USB vendor id of the adapter behind a serial port, or None if the system does not report it."""
+    """Return the USB vendor id of the adapter behind a serial port, or None if the system does not report it.
+
+    `path` is the device file, or a symbolic link to it.
+    """
     from serial.tools import list_ports  # imported here because the import is slow and few ports need it
 
     real = os.path.realpath(path)

@@ -243,7 +243,7 @@ class TcpPort(Port):
             raise PortError(os_error_text(error)) from error
 
     def close(self) -> None:
-        """Close the TCP connection, if it is open."""
+        """Close the TCP connection, if it is open. No error is raised."""
         if self._socket is not None:
             with contextlib.suppress(OSError):
                 self._socket.shutdown(socket.SHUT_RDWR)

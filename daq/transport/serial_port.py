@@ -12,7 +12,7 @@ from typing import Any
 
 import serial
 
-from seatrial.daq.transport.base import READ_BYTES, WRITE_S, Port, PortError, os_error_text
+from seatrial.daq.transport.base import NOT_SERIAL, READ_BYTES, WRITE_S, Port, PortError, os_error_text
 from seatrial.daq.transport.ftdi_latency import set_latency_timer
 
 
@@ -37,13 +37,13 @@ class SerialPort(Port):
     def open(self) -> None:
         """Open the serial port with exclusive access, for raw bytes with 8 data bits, no parity and 1 stop bit.
 
-        The latency timer of an FTDI adapter is set to 1 ms; if this fails, `hint` has the advice. PortError is raised
-        if the path is not a serial device or cannot be opened.
+        A port that is open is closed first. The latency timer of an FTDI adapter is set to 1 ms; if this fails, `hint`
+        has the advice. PortError is raised if the path is not a serial device or cannot be opened.
         """
         self.close()
         try:
             if not stat.S_ISCHR(os.stat(self._path).st_mode):
-                raise PortError("the port is not a serial device")
+                raise PortError(NOT_SERIAL)
             self._serial = serial.Serial(self._path, self._baud, timeout=0, exclusive=True)
         except (OSError, termios.error, ValueError) as error:  # serial.SerialException is an OSError
             raise PortError(os_error_text(error)) from error
@@ -83,12 +83,12 @@ class SerialPort(Port):
             except BlockingIOError:
                 wait = deadline - time.monotonic()
                 if wait <= 0.0 or not select.select([], [self._fd], [], wait)[1]:
-                    raise PortError("the port accepts no more bytes") from None
+                    raise PortError("the port accepts no more bytes; plug device or adapter in again") from None
             except OSError as error:
                 raise PortError("the port was disconnected") from error
 
     def close(self) -> None:
-        """Close the serial port, if it is open."""
+        """Close the serial port, if it is open. No error is raised, also if the device was removed."""
         if self._serial is not None:
             # pyserial raises these errors if the device was removed. They do not matter for a port that is closed.
             with contextlib.suppress(OSError, termios.error):
@@ -97,7 +97,10 @@ class SerialPort(Port):
 
 
 def list_serial_ports() -> list[tuple[str, str]]:
-    """Return the path of each serial port of this machine, and its description by the system, sorted by path."""
+    """Return the path of each serial port of this machine, and its description by the system, sorted by path.
+
+    No port is opened. The list is empty if there are none.
+    """
     from serial.tools import list_ports  # imported here because the import is slow and only a search needs it
 
     return sorted((port.device, port.description) for port in list_ports.comports())

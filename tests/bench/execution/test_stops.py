@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from seatrial.daq.acquisition.process import UNRESPONSIVE
 from seatrial.daq.config.mission_file import Mission, Segment, save_mission
 from seatrial.daq.drivers.setpoints import REPEAT_S, ZERO_FOR_S
 from seatrial.daq.log.reader import open_log
@@ -227,7 +228,7 @@ def test_after_kill_9_of_the_runner_the_deadman_sends_zero(standin: StandIn, tmp
     assert standin.n == 0.0
     # The killed runner cannot print its last line, so the acquisition process prints it.
     why, _, thrust = run.line().partition(": ")[2].partition("; ")
-    assert why in (f"{PARENT} has ended", f"{PARENT} has not responded for 0.25 s")
+    assert why in (f"{PARENT} has ended", f"{PARENT} has not responded for 0.25 s {UNRESPONSIVE}")
     assert thrust.startswith("zero thrust was sent, not confirmed: make sure that")
     assert thrust.endswith(f"; the log is {run.log}")
     log = open_log(run.log)
@@ -246,8 +247,8 @@ def test_if_the_runner_hangs_the_deadman_sends_zero(standin: StandIn, tmp_path: 
         assert run.process.stderr is not None
         first = run.process.stderr.readline()  # printed by the acquisition process, because the runner still hangs
         assert first == (
-            f"seatrial: {PARENT} has not responded for 0.25 s; zero thrust was sent, not confirmed: make sure that the "
-            f"propellers stand still; the log is {run.log}\n"
+            f"seatrial: {PARENT} has not responded for 0.25 s {UNRESPONSIVE}; zero thrust was sent, not confirmed: "
+            f"make sure that the propellers stand still; the log is {run.log}\n"
         )
         run.process.send_signal(signal.SIGCONT)
         assert run.end() in (1, 3)

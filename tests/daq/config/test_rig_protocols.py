@@ -92,7 +92,7 @@ def test_the_segment_settings_of_a_rig_are_read() -> None:
     assert rig("nmea").segments == Segments(None, None, 50.0)
     log = "[log]\nsegment_mb = 200\nsegment_s = 600\nfree_mb = 0"
     assert rig("nmea", before=log).segments == Segments(200.0, 600.0, 0.0)
-    with pytest.raises(SeatrialError, match=r"log\.segment_s: must be within 1\.0"):
+    with pytest.raises(SeatrialError, match=r"log\.segment_s: must be at least 1\.0, not"):
         rig("nmea", before="[log]\nsegment_s = 0.5")
     assert rig("nmea", before="[log]\nsegment_mb = 200\nkeep_gb = 20").segments.keep_gigabytes == 20.0
     with pytest.raises(SeatrialError, match=r"log\.keep_gb: .*segment_mb or segment_s"):

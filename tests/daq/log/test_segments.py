@@ -280,7 +280,8 @@ def test_beyond_the_disk_budget_the_oldest_segments_except_the_first_are_deleted
     assert 3 <= len(names) <= 4
     with open_log(tmp_path / "run.mcap") as opened:
         times = [round(t - T0) for t, _, _ in opened.raw("ahrs")]
-        assert opened.warnings == [f"a segment is missing: run.1.mcap to run.{len(names_of(opened)) - 1}.mcap"]
+        missing = f"a segment is missing: run.1.mcap to run.{len(names_of(opened)) - 1}.mcap"
+        assert opened.warnings == [f"{missing}; copy it into the folder of run.mcap, if you have it"]
         deleted = [text for _, kind, text in opened.events() if kind == "disk"]
     second = next(k for k, (a, b) in enumerate(pairwise(times)) if b != a + 1) + 1
     assert times == [*range(second), *range(times[second], 300)]
