@@ -61,7 +61,7 @@ class Comparison:
     def gain(self) -> tuple[float, float]:
         """Gain d ln L from ``before`` to ``after`` on the common validation records, and its t statistic.
 
-        Both are 0 without common records.
+        Both are 0 without common records. ValueError is raised if the gain is not finite.
         """
         return validation_gain(self.before, self.after, self.policy)
 
@@ -76,8 +76,8 @@ class Comparison:
     def prediction(self) -> PredictionChange:
         """Change of the prediction errors from ``before`` to ``after``, with its 95 % interval.
 
-        The data are the common validation records. The horizon is that of the model (10 s for a boat, 1 s on the
-        bench).
+        The data are the common validation records; without such records all ratios are NaN. The horizon is that of the
+        model (10 s for a boat, 1 s on the bench).
         """
         seconds = self.before.model.horizon
         before, after = (
@@ -111,7 +111,10 @@ class Comparison:
 
     @cached_property
     def _errors_by_inputs(self) -> list[dict[str, dict[str, PredictionErrors]]]:
-        """Prediction errors by inputs alone of ``before`` and ``after``: one dict each, by record name and channel."""
+        """Prediction errors by inputs alone of ``before`` and ``after``: one dict each, by record name and channel.
+
+        They are those on the common validation records, or on the estimation records without common validation records.
+        """
         return [
             {v.record.name: _errors_by_inputs(s.model, v, self.policy.input_horizon) for v in views or s.estimation}
             for s, views in self._on_common_records

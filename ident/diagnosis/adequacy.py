@@ -205,7 +205,9 @@ def _undetermined_size_reasons(effect: Effect, fitted: FittedModel, policy: Sear
     """Return the reason for ambiguity that a parameter of the effect is at its bound, or its size is not significant.
 
     The size consists of the fitted parameters whose initial value is 0. Their joint distance from zero has to be at
-    least ``policy.min_significance`` standard errors. Return only the first reason, or [] if there is none.
+    least ``policy.min_significance`` standard errors. A parameter at its bound is reported first, and then the size is
+    not tested. The list has at most one reason. It is empty if no parameter is at its bound and the size is
+    significant, or if no parameter of the size has a standard error.
     """
     fit = fitted.fit
     by_name = {p.full_name: p for p in effect.parameters if not p.per_record}
