@@ -117,7 +117,7 @@ def _first_names(channels: Sequence[str], most: int = MOST_NAMES) -> str:
 
 
 def _percent(share: float) -> str:
-    """Return a share (1: all) as text in whole per cent: 0.34 -> ``34 %``."""
+    """Return a share (1: all) as text in whole per cent: 0.34 -> ``34 %``. It may be negative: ``-5 %``."""
     return f"{100 * share:.0f} %"
 
 
@@ -187,8 +187,9 @@ def _whiteness_sentence(
 
     Each of both is tested at 1 % over all channels: the significance level is divided by the number of tests
     (Bonferroni). If only measured inputs such as the heading are correlated, the sentence names sensor noise as a
-    possible cause. Without ``residuals`` it states that there are too few samples. ``searchable`` adds the advice to
-    run `seatrial ident diagnose`.
+    possible cause. Without ``residuals`` it states that there are too few samples. In the other cases ``searchable``
+    adds the advice to run `seatrial ident diagnose`: to find hidden effects if both tests pass, or missing effects if
+    one fails. Channels with too few samples for the tests are named only if both tests pass.
     """
     tests = [p for r in residuals for p in (r.ljung_box_p, r.periodogram_p)]
     pairs = [c for c in cross if c.p is not None]
@@ -445,7 +446,7 @@ def check_warnings(made: Provenance) -> list[ResultWarning]:
     """Return one warning for each different finding of the checks of the logs before a fit.
 
     Findings are different if their device, text, code or advice differs. A warning names up to four of the logs that
-    have the finding, and the number of the others.
+    have the finding, and the number of the others. The warnings have the order in which the findings first occur.
 
     Parameters
     ----------
@@ -547,7 +548,7 @@ def not_converged(fit: Fit) -> str | None:
 
 
 def failed_run_warnings(failed: Sequence[FailedRun]) -> list[ResultWarning]:
-    """Return one warning for each validation run that could not be evaluated, with the reason."""
+    """Return one warning for each validation run that could not be evaluated, with the reason; empty without any."""
     text = (
         "{0.record} is left out of the validation, because the model cannot be evaluated on it: {0.reason}. Check this "
         "log with `seatrial check`."
@@ -556,7 +557,10 @@ def failed_run_warnings(failed: Sequence[FailedRun]) -> list[ResultWarning]:
 
 
 def cut_records(records: Sequence[Record]) -> list[ResultWarning]:
-    """Return one warning for each record whose end was cut off because one of its signals ends early."""
+    """Return one warning for each record whose end was cut off because one of its signals ends early.
+
+    It has the name of that signal and the length of the lost data [s]. The list is empty if no record was cut.
+    """
     cuts = ((r, *r.meta["cut"]) for r in records if "cut" in r.meta)
     return [
         ResultWarning(

@@ -369,7 +369,8 @@ def what_is_lacking(diagnosis: Diagnosis, *, fell: bool) -> str:
 def in_words(effect: Effect, fitted: FittedModel) -> str:
     """Return the estimates of an effect as a clause for reports, by the effect's own function ``Effect.in_words``.
 
-    The text is empty if the effect has no such function.
+    The text is empty if the effect has no such function. Estimates are in the units of the parameters. Of a per-record
+    parameter, the estimate of the first record is used.
 
     Parameters
     ----------
@@ -628,7 +629,10 @@ def _removal_reason(removed: RemovedEffect, policy: SearchPolicy) -> str:
 
 
 def _remaining_names(diagnosis: Diagnosis) -> str:
-    """Return the names of the best four candidates that still pass the score test, separated by commas."""
+    """Return the names of the best four candidates that still pass the score test, separated by commas.
+
+    They are fewer if fewer pass; the text is empty if none passes.
+    """
     return ", ".join(s.name for s in diagnosis.remaining[:4])
 
 
