@@ -34,6 +34,8 @@ def write_design_page(result: DesignResult, path: Path) -> None:
     ------
     OSError
         If ``path`` cannot be written.
+    SeatrialError
+        If ``path`` is a symbolic link, a folder or a special file.
     """
     canvas = Canvas(Budget.for_traces(12))
     opening = Section("top", "", [Prose(_introduction(result), "lead"), Facts(_labelled_facts(result))])

@@ -64,6 +64,8 @@ def write_study_page(result: StudyResult, aims: Aims, path: Path) -> None:
     ------
     OSError
         If ``path`` cannot be written.
+    SeatrialError
+        If ``path`` is a symbolic link, a folder or a special file.
     """
     canvas = Canvas(Budget())
     body = [_study_section(canvas, study, aims) for study in result.studies]
@@ -399,7 +401,10 @@ def by_chance(key: Number, n: int) -> tuple[float, float]:
 
 
 def _median_count(found: Sequence[ParameterStudy]) -> int:
-    """Return the median over the parameters of their numbers of estimates, the ``n`` of ``by_chance``."""
+    """Return the median over the parameters of their numbers of estimates, the ``n`` of ``by_chance``.
+
+    A median of half an integer is rounded down. ``found`` must not be empty.
+    """
     return int(np.median([row.n for row in found]))
 
 
@@ -453,6 +458,8 @@ def write_study_docs(result: StudyResult, path: Path) -> None:
     ------
     OSError
         If a file cannot be written.
+    SeatrialError
+        If the path of a file is a symbolic link, a folder or a special file.
     """
     (path.parent / PICTURES).mkdir(parents=True, exist_ok=True)
     for study in result.studies:
@@ -490,7 +497,11 @@ def _text_cells(r: ParameterStudy) -> tuple[str, ...]:
 
 
 def study_as_text(result: StudyResult) -> str:
-    """Return the tables of all models of a study, and its answer, as text for a terminal."""
+    """Return the tables of all models of a study, and its answer, as text for a terminal.
+
+    Before the table of a model stand its mission, its estimator and the number of replicates that are left out, if any.
+    The columns are padded with spaces.
+    """
     lines = []
     for study in result.studies:
         rows = table(study)

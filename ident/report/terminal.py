@@ -39,7 +39,10 @@ MIN_GROWTH = 1.05  # a standard error that grows by a smaller factor does not de
 
 
 def titled_table(title: str) -> Table:
-    """Return an empty table for the terminal, with a title and the style of all tables of this module."""
+    """Return a new table for the terminal without columns and rows, with a title and the style of this module's tables.
+
+    The title is shown as written: marks of rich in it, such as ``[bold]``, have no effect.
+    """
     style = {"title_justify": "left", "title_style": "bold cyan", "header_style": "dim", "border_style": "dim"}
     return Table(title=Text(title), box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, **style)  # type: ignore[arg-type]
 
@@ -47,7 +50,8 @@ def titled_table(title: str) -> Table:
 def tables_of(result: Result) -> list[Table]:
     """Return the tables for the terminal of a result that is not a fit: of sensor noise, navigation or information.
 
-    The list is empty for other results and for a navigation without GNSS outages.
+    A result of information has two tables: parameters and segments of the logs. The list is empty for other results
+    and for a navigation without GNSS outages.
     """
     if isinstance(result, NoiseResult):
         return [noise_table(result)]
@@ -106,7 +110,8 @@ def parameter_table(result: InformationResult) -> Table:
     """Return the table of the standard errors of the parameters from all logs, with their most important segment.
 
     It is the segment of a log that a standard error depends on most; the last column is the factor by which the error
-    would grow without it. A parameter without information has neither.
+    would grow without it. A parameter without information has the words ``no information`` in place of its value and
+    standard error, no segment, and a dash as the factor.
     """
     table = titled_table("Information of these logs")
     table.add_column("", no_wrap=True)

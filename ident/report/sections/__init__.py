@@ -20,7 +20,8 @@ from seatrial.ident.results import (
 def opening(result: Result) -> Section:
     """Return the section of the report page that follows its headline: the main numbers of the result.
 
-    It is empty for a result that is neither a fit nor a diagnosis.
+    It is empty for a result that is neither a fit nor a diagnosis. For a fit that did not converge, it has at most the
+    caveat of a diagnosis.
     """
     return answer.section(result)
 

@@ -207,7 +207,7 @@ def notes_section(lines: Sequence[str], unused: Sequence[UnusedSignal] = ()) -> 
 def made_section(made: Provenance) -> Section:
     """Return the section of the provenance of a result: command line, version of seatrial and time.
 
-    Entries that are empty are left out.
+    Entries that are empty are left out. The section is empty if all are. The logs of ``made`` are not shown.
     """
     facts = (("Command", made.command), ("seatrial", made.seatrial), ("Time", formatting.moment(made.created)))
     found = [(label, value) for label, value in facts if value]
