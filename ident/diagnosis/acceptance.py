@@ -229,8 +229,9 @@ def _gains_per_block(
     """Return the gain d ln L in each block of time (n_blocks,) of the records that both models were evaluated on.
 
     ``before`` and ``after`` are the evaluations of the two models, matched by record name. The blocks are 2 ``block``
-    [s] long, or ``block`` if the data are shorter than ``policy.min_double_blocks`` blocks of double length. The result
-    is empty without common records.
+    [s] long, or ``block`` if the data are shorter than ``policy.min_double_blocks`` blocks of double length. They count
+    from the start of each record, and the last block of a record may be shorter. The result is empty without common
+    records.
     """
     new = {v.record.name: v for v in after}
     both = [v for v in before if v.record.name in new]

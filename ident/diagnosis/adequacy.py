@@ -350,8 +350,10 @@ def _competing_model_reasons(search_round: Round, policy: SearchPolicy) -> list[
 def _comparison_in_words(competitor: Refit, behind: float, policy: SearchPolicy) -> str:
     """Return a clause for reports that compares a competing model with the chosen effect.
 
-    ``behind`` is the criterion of the chosen effect less that of the competitor (gain in 2 ln L). It is negative if the
-    competitor explains the estimation data better.
+    ``behind`` is the criterion of the chosen effect less that of the competitor (gain in 2 ln L). If it is negative,
+    the competitor explains the estimation data better, but not the validation data (or not significantly better, if
+    they support it too: `is_validated`), and the clause states both. Otherwise the clause states how much less it
+    explains.
     """
     title = competitor.effect.title
     if behind < 0:

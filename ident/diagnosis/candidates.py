@@ -193,7 +193,10 @@ class TrajectoryLinearisation:
             ]  # fmt: skip
 
             def without_own_states(values: Array, rowwise: VectorisedModel = rowwise, x: Array = x) -> list[Array]:
-                """Return the columns (n_rows,) of rates and outputs, without the rates of the effect's own states."""
+                """Return the columns (n_rows,) of rates and outputs at x, without the rates of the effect's own states.
+
+                ``values`` are the parameters of the model with the effect, ``rowwise``.
+                """
                 columns = rowwise.columns(x, u, values)
                 return columns[:n] + columns[n + m :]
 
@@ -301,7 +304,8 @@ def _has_constant_coefficients(rowwise: VectorisedModel, x: Array, u: Array, val
     """Return whether the last m states of a model obey linear equations with constant coefficients.
 
     The derivatives of their rates by these states are compared at the first, middle and last rows of states x
-    (n_rows, n_states) and inputs u, with the last states as they are and increased by one.
+    (n_rows, n_states) and inputs u, with the last states as they are and increased by one. Other rows are not compared.
+    ``rowwise`` is the model, and ``values`` are its parameter values.
     """
     rows = [0, len(x) // 2, len(x) - 1]
     at = np.concatenate([x[rows], x[rows]])

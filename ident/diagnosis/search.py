@@ -781,7 +781,8 @@ class _Search:
         tuple of two Round, or None
             The round with the effect of the trial as its choice, and the next round. None if there is no such effect,
             if fewer than two rounds are left, or if the trial fails; ``candidates``, ``scores`` and ``equations`` are
-            then as before.
+            then as before. After a success they are those of the model with the effect of the trial. ``rounds`` is as
+            before in each case.
         """
         trial = max(
             (
@@ -1071,6 +1072,7 @@ class _Search:
 
         The refits are returned with the largest criterion first. The refit to add is the best accepted refit, fitted
         exactly; None if none is accepted. A refit whose exact fit fails is appended to ``untested`` instead.
+        ``current`` is the model before the round.
 
         A difference between runs (a parameter with its own value in each run) has as many parameters as there are runs,
         and explains a part of any effect. So it comes after the other effects, unless it explains the validation data
