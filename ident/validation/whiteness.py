@@ -220,7 +220,8 @@ def cross_correlation(
     Returns
     -------
     CrossCorrelation
-        z at lags of 0 to 3 s, and the p value of the largest. A constant input, or constant innovations, give z = 0.
+        z at lags of 0 to 3 s, 0.1 s apart, and the p value of the largest. A constant input, or constant innovations,
+        give z = 0.
 
     Notes
     -----
