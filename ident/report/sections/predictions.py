@@ -300,7 +300,8 @@ def _reliability_plot(canvas: Canvas, title: str, found: Mapping[str, Calibratio
     """Return the reliability plot of one kind of prediction, with one curve for each channel; None without channels.
 
     A curve is the share of the errors inside the central 20, 40, ... 100 % prediction intervals over this nominal
-    share. It is summed from the shares of the errors in each tenth of the predicted distribution (``pit``).
+    share. It is summed from the shares of the errors in each tenth of the predicted distribution (``pit``). ``found``
+    is the calibration by channel. The plot is added to ``canvas``, with ``title`` above it.
     """
     nominal: Any = 0.2 * np.arange(6)
     traces = [drawing.line_trace(nominal, nominal, "nominal", 10, color=drawing.FAINT, dash="dot")]
