@@ -191,7 +191,12 @@ def validation_gain(
     """
     per_block = _gains_per_block(before.validation, after.validation, before.model.block, policy)
     if not np.isfinite(per_block).all():
-        raise ValueError("the likelihood of the validation data is not finite with the added effect")
+        views = (*before.validation, *after.validation)
+        names = ", ".join(dict.fromkeys(v.record.name for v in views if not np.isfinite(v.ll).all()))
+        raise ValueError(
+            f"{names}: the likelihood of these validation data is not finite with the added effect; check these logs "
+            "with `seatrial check`"
+        )
     return float(per_block.sum()), _t_as_normal_deviate(per_block)
 
 

@@ -392,8 +392,8 @@ def _prepared_search(
     """
     if not residuals_of(model):
         raise ValueError(
-            f"model {model.name} cannot be diagnosed: it lacks a hull with the forces X, Y and N; fit "
-            "the horizontal model instead"
+            f"model {model.name} cannot be diagnosed: it lacks a hull with the forces X, Y and N; fit the model "
+            "horizontal:shaft instead"
         )
     full = nominal_model(model)
     requested = catalogue() if effects is None else effects
@@ -460,7 +460,10 @@ def _untestable_candidates(
     """
     in_catalogue, found = catalogue(), []
     if _lack_common_origin(runs):
-        apart = "it acts at a fixed point over ground, and the logs are too far apart for one origin of x and y"
+        apart = (
+            "it acts at a fixed point over ground, and the logs are too far apart for one origin of x and y; diagnose "
+            "the logs of each place separately"
+        )
         found = [UntestedCandidate(e, apart) for e in requested.values() if e.fixed_point and model.accepts(e)]
     user_defined = [e for name, e in requested.items() if in_catalogue.get(name) is not e]
     for effect in user_defined:
@@ -468,7 +471,14 @@ def _untestable_candidates(
             continue
         reason = model.refusal(effect)
         lacking = ((run, missing_inputs(model, effect, run)) for run in runs if reason is None)
-        reason = next((f"{run.name} lacks its input {min(names)}" for run, names in lacking if names), reason)
+        reason = next(
+            (
+                f"{run.name} lacks its input {min(names)}; leave that log out, or give one with this input"
+                for run, names in lacking
+                if names
+            ),
+            reason,
+        )
         if reason is not None:
             found.append(UntestedCandidate(effect, reason))
     return tuple(found)
@@ -689,8 +699,8 @@ class _Search:
             names = ", ".join(r.name for r in self.records)
             message = f"the residuals of model {fitted.model.name} cannot be tested"
             raise ValueError(
-                f"{names}: {message}: {problem}; check the estimates, and free fewer parameters (the fit "
-                f"{fitted.fit.message})"
+                f"{names}: {message}: {problem} (the fit {fitted.fit.message}); fit the model with fewer free "
+                "parameters (--fix NAME=VALUE), or to longer logs"
             ) from problem
 
     def uncertainty(self, passing: Sequence[Score]) -> ModelUncertainty | None:

@@ -101,12 +101,17 @@ def _introduction(aims: Aims) -> str:
 def _study_section(canvas: Canvas, study: ModelStudy, aims: Aims) -> Section:
     """Return the section of the study of one model: facts, plots of bias, variance and coverage, and their table.
 
-    If the study has no parameters, the section states that no replicate can be evaluated. The plots are added to
-    ``canvas``; ``aims`` are those of ``write_study_page``.
+    If the study has no parameters, because fewer than three replicates are usable, the section states that with
+    advice. The plots are added to ``canvas``; ``aims`` are those of ``write_study_page``.
     """
     found, name = study.parameters, study.model
     if not found:
-        return Section(f"study-{name}", name, [Prose("No replicate can be evaluated.")])
+        left = f" ({study.left_out})" if study.left_out else ""
+        words = (
+            f"No parameter can be evaluated: fewer than three of {study.replicates} replicates are usable{left}. Give "
+            "more --replicates, or longer missions (--seconds)."
+        )
+        return Section(f"study-{name}", name, [Prose(words)])
     kinds: tuple[tuple[Number, str, float], ...] = (
         ("bias", "bias [standard deviations]", 1.0),
         ("ratio", "variance / least possible variance", 1.0),

@@ -132,13 +132,16 @@ def parameter_table(result: InformationResult) -> Table:
 def segment_table(result: InformationResult) -> Table:
     """Return the table of factors by which the standard errors would grow without each segment of the logs.
 
-    The rows are the first 24 segments and the columns the first nine parameters; the title states if there are more.
+    The rows are the first 24 segments and the columns the first nine parameters. If there are more segments or more
+    parameters, the title has the shown and the total number of them.
     """
     names, found = result.information.names, result.information.segments
     shown = names[:MAX_PARAMETERS]
     title = "Without a segment, standard errors grow by ×"
-    if len(found) > MAX_SEGMENTS or len(names) > len(shown):
-        title += f" (first {min(len(found), MAX_SEGMENTS)} of {len(found)}; all in the report)"
+    left = [f"{MAX_SEGMENTS} of {len(found)} segments"] if len(found) > MAX_SEGMENTS else []
+    left += [f"{len(shown)} of {len(names)} parameters"] if len(names) > len(shown) else []
+    if left:
+        title += f" ({', '.join(left)}; all in the report)"
     table = titled_table(title)
     table.padding = (0, 1, 0, 0)
     table.add_column("", style="dim", no_wrap=True, overflow="ellipsis", max_width=26)

@@ -249,6 +249,7 @@ def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
 
     There is at most one sentence on narrow and one on wide intervals for each kind of prediction: one step ahead, over
     the horizon, simulated. The factor of each channel is its RMS error over the predicted one, or the word diverged.
+    If a channel diverged, the sentence is followed by another one that advises against such predictions.
     The sentences are about the validation data, or about the estimation data if there are no validation data. The list
     is empty if no channel is overconfident or underconfident.
 
@@ -276,9 +277,11 @@ def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
                 if c.verdict == verdict
             ]
             if wrong:
+                diverged = any(c.scale is None for c in channels.values() if c.verdict == verdict)
                 notes.append(
                     f"On {role} data, the {words} are {size} than the model predicts, by these factors: "
                     f"{', '.join(wrong)}. Multiply the predicted standard deviations of these channels by them."
+                    f"{' Do not use such predictions of a channel that diverged.' * diverged}"
                 )
     return notes
 
@@ -566,7 +569,7 @@ def cut_records(records: Sequence[Record]) -> list[ResultWarning]:
         ResultWarning(
             code="record-cut",
             text=f"{r.name}: the signal {name} ends {lost:.0f} s before the others, and the data after its end are not "
-            "used. Check its sensor, or leave this signal out.",
+            "used. Check its sensor, or leave this signal out of the rig file or import map.",
         )
         for r, name, lost in cuts
     ]
@@ -586,7 +589,7 @@ def _stuck_channel_warnings(record: Record) -> list[ResultWarning]:
         if y.size >= FEWEST_SAMPLES and np.ptp(y) == 0.0:
             text = (
                 f"{record.name}: {name} reads {y[0]:.6g} in all of its {y.size} samples: the sensor may be stuck. "
-                "Check it, or leave this signal out."
+                "Check it, or leave this signal out of the rig file or import map."
             )
             lines.append(ResultWarning(code="stuck-sensor", text=text))
     return lines

@@ -590,13 +590,16 @@ def _untested_warnings(diagnosis: Diagnosis) -> list[parts.ResultWarning]:
     texts += [f"This effect was not tested: {u.effect.title} ({u.reason})." for u in diagnosis.untestable]
     texts += [
         f"The importance of {r.effect.title} is unknown, because the model without it could not be fitted: "
-        f"{w.untested}."
+        f"{w.untested}. Its place in the order of the effects has no meaning."
         for r, w in zip(diagnosis.effects, diagnosis.importances, strict=True)
         if w.untested is not None
     ]
     found = [parts.ResultWarning(code="effect-untested", text=text) for text in texts]
     if diagnosis.curve_failure is not None:
-        text = f"No nonparametric curve could be fitted in place of {diagnosis.curve_failure}."
+        text = (
+            f"No nonparametric curve could be fitted in place of {diagnosis.curve_failure}. The figure of this curve "
+            "is missing; the other results do not depend on it."
+        )
         found.append(parts.ResultWarning(code="curve-not-drawn", text=text))
     return found
 

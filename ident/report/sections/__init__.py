@@ -54,7 +54,10 @@ def body(canvas: Canvas, result: Result) -> list[Section]:
         found = [parameters.information_section(result), parameters.segments_section(canvas, result)]
         found.append(runs.run_section(canvas, result.logs, result.inputs))
     else:
-        raise TypeError(f"there is no report page for a {type(result).__name__}; designs and studies have their own")
+        raise TypeError(
+            f"write_report has no page for a {type(result).__name__}: use write_design_page for a design, and "
+            "write_study_page for a study"
+        )
     unused = result.unused_signals if isinstance(result, FitResult) else ()
     found += [predictions.notes_section(result.notes, unused), predictions.made_section(result)]
     return [section for section in found if section.blocks]
