@@ -68,7 +68,8 @@ class Comparison:
     def pooled_t(self, penalty: float) -> float:
         """Return the t statistic of the gain over the blocks of validation and estimation data (`pooled_t`).
 
-        ``penalty`` is the part of the gain d ln L of the estimation data that is due to the added parameters.
+        ``penalty`` is the part of the gain d ln L of the estimation data that is due to the added parameters. The
+        result is 0 for fewer than two blocks, or if a gain is not finite.
         """
         return pooled_t(self.before, self.after, penalty, self.policy)
 
@@ -360,7 +361,8 @@ def improves_prediction(importance: EffectImportance, policy: SearchPolicy = DEF
 
     The 95 % interval of the change over the horizon decides: True if the errors fall significantly, False if they rise.
     If neither is significant, or if the change is unknown (None), the prediction errors over three seconds by inputs
-    alone decide: without the effect they have to be more than ``policy.min_error_ratio`` times those with it.
+    alone decide: without the effect they have to be more than ``policy.min_error_ratio`` times those with it. An
+    unknown ratio (NaN) is no improvement.
 
     Parameters
     ----------
