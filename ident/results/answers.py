@@ -187,9 +187,9 @@ def _whiteness_sentence(
 
     Each of both is tested at 1 % over all channels: the significance level is divided by the number of tests
     (Bonferroni). If only measured inputs such as the heading are correlated, the sentence names sensor noise as a
-    possible cause. Without ``residuals`` it states that there are too few samples. In the other cases ``searchable``
-    adds the advice to run `seatrial ident diagnose`: to find hidden effects if both tests pass, or missing effects if
-    one fails. Channels with too few samples for the tests are named only if both tests pass.
+    possible cause. Without ``residuals`` it states that there are too few samples. In these two cases ``searchable``
+    has no effect. Otherwise it adds the advice to run `seatrial ident diagnose`: for hidden effects if both tests pass,
+    for missing effects if one fails. Channels with too few samples for the tests are named only if both tests pass.
     """
     tests = [p for r in residuals for p in (r.ljung_box_p, r.periodogram_p)]
     pairs = [c for c in cross if c.p is not None]
@@ -236,8 +236,8 @@ def _largest_correlation(significant: Sequence[CrossCorrelationRow]) -> str:
 def _untested_channels(errors: Errors, residuals: Sequence[ResidualTests]) -> str:
     """Return the channels of the estimation data without residual tests, in brackets, as the end of a sentence.
 
-    They have too few samples in every record. The channels are those that have one-step errors. The text is empty if
-    all of them were tested.
+    They have too few samples, or constant innovations, in every record. The channels are those that have one-step
+    errors. The text is empty if all of them were tested.
     """
     tested = {r.channel for r in residuals}
     left = [n for n in errors.estimation.one_step if n not in tested]
