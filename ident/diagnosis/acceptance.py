@@ -61,14 +61,15 @@ class Comparison:
     def gain(self) -> tuple[float, float]:
         """Gain d ln L from ``before`` to ``after`` on the common validation records, and its t statistic.
 
-        Both are 0 without common records.
+        Both are 0 without common records. ValueError is raised if the gain is not finite.
         """
         return validation_gain(self.before, self.after, self.policy)
 
     def pooled_t(self, penalty: float) -> float:
         """Return the t statistic of the gain over the blocks of validation and estimation data (`pooled_t`).
 
-        ``penalty`` is the part of the gain d ln L of the estimation data that is due to the added parameters.
+        ``penalty`` is the part of the gain d ln L of the estimation data that is due to the added parameters. The
+        result is 0 for fewer than two blocks, or if a gain is not finite.
         """
         return pooled_t(self.before, self.after, penalty, self.policy)
 
@@ -76,8 +77,8 @@ class Comparison:
     def prediction(self) -> PredictionChange:
         """Change of the prediction errors from ``before`` to ``after``, with its 95 % interval.
 
-        The data are the common validation records. The horizon is that of the model (10 s for a boat, 1 s on the
-        bench).
+        The data are the common validation records; without such records all ratios are NaN. The horizon is that of the
+        model (10 s for a boat, 1 s on the bench).
         """
         seconds = self.before.model.horizon
         before, after = (
@@ -111,7 +112,10 @@ class Comparison:
 
     @cached_property
     def _errors_by_inputs(self) -> list[dict[str, dict[str, PredictionErrors]]]:
-        """Prediction errors by inputs alone of ``before`` and ``after``: one dict each, by record name and channel."""
+        """Prediction errors by inputs alone of ``before`` and ``after``: one dict each, by record name and channel.
+
+        They are those on the common validation records, or on the estimation records without common validation records.
+        """
         return [
             {v.record.name: _errors_by_inputs(s.model, v, self.policy.input_horizon) for v in views or s.estimation}
             for s, views in self._on_common_records
@@ -188,7 +192,12 @@ def validation_gain(
     """
     per_block = _gains_per_block(before.validation, after.validation, before.model.block, policy)
     if not np.isfinite(per_block).all():
-        raise ValueError("the likelihood of the validation data is not finite with the added effect")
+        views = (*before.validation, *after.validation)
+        names = ", ".join(dict.fromkeys(v.record.name for v in views if not np.isfinite(v.ll).all()))
+        raise ValueError(
+            f"{names}: the likelihood of these validation data is not finite with the added effect; check these logs "
+            "with `seatrial check`"
+        )
     return float(per_block.sum()), _t_as_normal_deviate(per_block)
 
 
@@ -226,8 +235,9 @@ def _gains_per_block(
     """Return the gain d ln L in each block of time (n_blocks,) of the records that both models were evaluated on.
 
     ``before`` and ``after`` are the evaluations of the two models, matched by record name. The blocks are 2 ``block``
-    [s] long, or ``block`` if the data are shorter than ``policy.min_double_blocks`` blocks of double length. The result
-    is empty without common records.
+    [s] long, or ``block`` if the data are shorter than ``policy.min_double_blocks`` blocks of double length. They count
+    from the start of each record, and the last block of a record may be shorter. The result is empty without common
+    records.
     """
     new = {v.record.name: v for v in after}
     both = [v for v in before if v.record.name in new]
@@ -351,7 +361,8 @@ def improves_prediction(importance: EffectImportance, policy: SearchPolicy = DEF
 
     The 95 % interval of the change over the horizon decides: True if the errors fall significantly, False if they rise.
     If neither is significant, or if the change is unknown (None), the prediction errors over three seconds by inputs
-    alone decide: without the effect they have to be more than ``policy.min_error_ratio`` times those with it.
+    alone decide: without the effect they have to be more than ``policy.min_error_ratio`` times those with it. An
+    unknown ratio (NaN) is no improvement.
 
     Parameters
     ----------

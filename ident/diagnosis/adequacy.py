@@ -207,7 +207,9 @@ def _undetermined_size_reasons(effect: Effect, fitted: FittedModel, policy: Sear
     """Return the reason for ambiguity that a parameter of the effect is at its bound, or its size is not significant.
 
     The size consists of the fitted parameters whose initial value is 0. Their joint distance from zero has to be at
-    least ``policy.min_significance`` standard errors. Return only the first reason, or [] if there is none.
+    least ``policy.min_significance`` standard errors. A parameter at its bound is reported first, and then the size is
+    not tested. The list has at most one reason. It is empty if no parameter is at its bound and the size is
+    significant, or if no parameter of the size has a standard error.
     """
     fit = fitted.fit
     by_name = {p.full_name: p for p in effect.parameters if not p.per_record}
@@ -350,8 +352,10 @@ def _competing_model_reasons(search_round: Round, policy: SearchPolicy) -> list[
 def _comparison_in_words(competitor: Refit, behind: float, policy: SearchPolicy) -> str:
     """Return a clause for reports that compares a competing model with the chosen effect.
 
-    ``behind`` is the criterion of the chosen effect less that of the competitor (gain in 2 ln L). It is negative if the
-    competitor explains the estimation data better.
+    ``behind`` is the criterion of the chosen effect less that of the competitor (gain in 2 ln L). If it is negative,
+    the competitor explains the estimation data better, but not the validation data (or not significantly better, if
+    they support it too: `is_validated`), and the clause states both. Otherwise the clause states how much less it
+    explains.
     """
     title = competitor.effect.title
     if behind < 0:

@@ -76,7 +76,8 @@ class TrajectoryLinearisation:
     def share_models(self, other: TrajectoryLinearisation) -> None:
         """Use the compiled models with candidates of ``other``, so that each is derived only once.
 
-        Both linearisations must have the same model.
+        Both linearisations must have the same model. They then share one store: a model that either of them derives
+        later is also used by the other.
         """
         self.rowwise, self._larger = other.rowwise, other._larger
 
@@ -95,7 +96,7 @@ class TrajectoryLinearisation:
 
     @cached_property
     def base(self) -> Array:
-        """Rates of the states and outputs of the model in each row, Array (n_rows, n_states + n_outputs)."""
+        """Rates of the states, then values of the outputs, in each row, Array (n_rows, n_states + n_outputs)."""
         return self.rowwise(self.x, self.own.u, self.values)
 
     @cached_property
@@ -134,9 +135,9 @@ class TrajectoryLinearisation:
     def state(self, name: str) -> Array:
         """Return the derivatives of state rates and outputs by a disturbance state of the model.
 
-        The result is an Array (n_rows, n_states + n_outputs). The difference is exact for the disturbance states,
-        because they enter linearly. The rate of the state itself is set to zero, because its decay is not an effect on
-        the boat.
+        The result is an Array (n_rows, n_states + n_outputs), per unit of the state. The difference is exact for these
+        states, because they enter linearly. The rate of the state itself is set to zero, because its decay is not an
+        effect on the boat.
 
         Raises
         ------
@@ -153,8 +154,9 @@ class TrajectoryLinearisation:
     def relative(self, residual: DisturbanceChannel) -> Array:
         """Return the derivatives of state rates and outputs by a relative change of a thrust.
 
-        The result is an Array (n_rows, n_states + n_outputs). ``residual`` is the thrust of one or of all thrusters.
-        The difference is exact, because the change enters linearly.
+        The result is an Array (n_rows, n_states + n_outputs) for a change by 1, that is by 100 % of the thrust.
+        ``residual`` is the thrust of one or of all thrusters. The difference is exact, because the change enters
+        linearly.
         """
         name = f"change_of_{residual.name}"
         hooks = {residual.stage: lambda s: residual.add(s, getattr(s.p, name))}
@@ -191,7 +193,10 @@ class TrajectoryLinearisation:
             ]  # fmt: skip
 
             def without_own_states(values: Array, rowwise: VectorisedModel = rowwise, x: Array = x) -> list[Array]:
-                """Return the columns (n_rows,) of rates and outputs, without the rates of the effect's own states."""
+                """Return the columns (n_rows,) of rates and outputs at x, without the rates of the effect's own states.
+
+                ``values`` are the parameters of the model with the effect, ``rowwise``.
+                """
                 columns = rowwise.columns(x, u, values)
                 return columns[:n] + columns[n + m :]
 
@@ -299,7 +304,8 @@ def _has_constant_coefficients(rowwise: VectorisedModel, x: Array, u: Array, val
     """Return whether the last m states of a model obey linear equations with constant coefficients.
 
     The derivatives of their rates by these states are compared at the first, middle and last rows of states x
-    (n_rows, n_states) and inputs u, with the last states as they are and increased by one.
+    (n_rows, n_states) and inputs u, with the last states as they are and increased by one. Other rows are not compared.
+    ``rowwise`` is the model, and ``values`` are its parameter values.
     """
     rows = [0, len(x) // 2, len(x) - 1]
     at = np.concatenate([x[rows], x[rows]])
@@ -451,7 +457,8 @@ class SplineBasis:
     def __call__(self, z: Array) -> Array:
         """Return the functions less their means at z (n,), Array (n, n_functions - 1).
 
-        The result has no columns if the samples of the basis were constant.
+        Values of z outside the interval of the basis are moved to its ends. The result has no columns if the samples of
+        the basis were constant.
         """
         if not self.mean.size:
             return np.zeros((z.size, 0))
@@ -606,7 +613,7 @@ def wave_peak_score(fitted: FittedModel, policy: SearchPolicy = DEFAULT_POLICY) 
     Returns
     -------
     Score or None
-        None if no peak in the band of waves is significant.
+        None if no peak in the band of waves is significant (``policy.max_peak_p``), or if no channel can be searched.
     """
     peaks = [
         peak

@@ -81,7 +81,10 @@ def common_errors_for(model: Model, candidates: Mapping[str, Effect]) -> dict[st
 
 
 def given_common_errors(model: Model, policy: SearchPolicy = DEFAULT_POLICY) -> tuple[Effect, ...]:
-    """Return the common errors that a model has already, or () if it has fewer than ``policy.min_common_errors``."""
+    """Return the common errors (timing, mounting, hull form) that a model has already, in the order of its effects.
+
+    Return () if the model has fewer than ``policy.min_common_errors`` of them.
+    """
     given = tuple(e for e in model.effects if e.name in COMMON_ERRORS)
     return given if len(given) >= policy.min_common_errors else ()
 
@@ -170,7 +173,8 @@ def fit_common_errors(
 ) -> CommonErrorsFit | None:
     """Fit a model together with the selected common errors, and accept the fit if the data support it.
 
-    The fit starts at the one-step estimates, then at 30 % of them, then at zero, until it succeeds.
+    The fit starts at the one-step estimates, then at 30 % of them, then at zero, until it succeeds. ``current`` is not
+    changed.
 
     Parameters
     ----------
@@ -221,7 +225,8 @@ def fit_common_errors(
 def prior_information(effect: Effect, names: Sequence[str]) -> list[float]:
     """Return the information of the prior of each named parameter of an effect: 1 / variance, or 0 without a prior.
 
-    A name may end in the index of a record (``NAME@i``), which is ignored.
+    The result has the order of ``names``, in 1 / squared unit of the parameter. A name may end in the index of a record
+    (``NAME@i``), which is ignored. A name that is no parameter of the effect raises KeyError.
     """
     priors = {p.name: p.prior for p in effect.parameters}
     found = [priors[name.partition("@")[0]] for name in names]

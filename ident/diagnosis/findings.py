@@ -222,7 +222,11 @@ class Round:
 
     @property
     def explanation(self) -> str:
-        """Clause for reports: why the effect of the round was added, or why none was added."""
+        """Clause for reports, without a full stop: why the effect of the round was added, or why none was added.
+
+        For an added effect, the clause has the gain on the validation data and its t statistic. Otherwise it states the
+        ``outcome`` of the round, if possible with the best refit of this outcome.
+        """
         if self.chosen is not None:
             gain, t = self.chosen.validation_gain, self.chosen.t
             return f"the log-likelihood of the validation data rises by {gain:.0f} (t = {t:.1f})"
@@ -442,7 +446,11 @@ class Diagnosis:
 
     @property
     def effects(self) -> tuple[Refit, ...]:
-        """Refits of the selected effects, the most important first."""
+        """Refits of the selected effects, the most important first.
+
+        They are the refits of the rounds that added the effects, so their estimates can differ from those of the last
+        model. The result is empty if no effect was selected.
+        """
         chosen = {r.chosen.effect.name: r.chosen for r in self.rounds if r.chosen is not None}
         return tuple(chosen[w.effect] for w in self.importances)
 

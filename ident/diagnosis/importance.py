@@ -142,7 +142,7 @@ def fit_without(
     chosen
         Refits of the chosen effects.
     effect
-        Effect to leave out.
+        Effect to leave out. It must be the object in ``chosen``; an equal copy is not recognised.
     records
         Estimation data.
     validation_data

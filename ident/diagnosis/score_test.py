@@ -96,7 +96,8 @@ class ColumnIndex:
     def names(self) -> list[str]:
         """Names of the columns: ``NAME`` of the parameter, or ``NAME@i`` for a per-record parameter in record i.
 
-        The columns of a nonparametric curve are called ``CANDIDATE[i]``.
+        The names of one record follow those of the record before. The columns of a nonparametric curve are called
+        ``CANDIDATE[i]``, with i from 0.
         """
         c, size = self.columns, self.columns.delta.shape[2]
         names = list(c.parameters) or [f"{c.name}[{i}]" for i in range(size)]
@@ -619,7 +620,8 @@ def whole_blocks(t: Array, block: float) -> list[slice]:
     Returns
     -------
     list of slice
-        One part for a record of up to 8192 rows. Otherwise each part has at least 2048 rows.
+        The parts from the first row to the last. A record of up to 8192 rows is one part. Otherwise each part has at
+        least 2048 rows, and each later part begins with the first row of a block.
     """
     if t.size <= WHOLE:
         return [slice(0, t.size)]

@@ -121,7 +121,7 @@ class DiagnosisEvaluation:
         Change of the prediction errors over the horizon from ``before`` to ``after``, by role of the data
         (``estimation``, ``validation``).
     forces_before, forces_after
-        Smoothed disturbance forces of both models, one for each record and force, in the same order.
+        Smoothed disturbance forces of both models, one for each estimation record and force, in the same order.
     in_blocks
         Selected effects with per-record parameters. If there are any, the validation runs are predicted in blocks of
         time, with the estimates of the other blocks of each run. Empty without validation runs.
@@ -139,7 +139,8 @@ def evaluate_diagnosis(diagnosis: Diagnosis, horizon: float | None = None) -> Di
     """Evaluate the predictions of the models of a diagnosis: simulations, prediction errors and smoothed forces.
 
     If a selected effect has per-record parameters and there are validation runs, both models are first evaluated on
-    blocks in time of the validation runs.
+    blocks in time of the validation runs. A cross-validated diagnosis has no validation runs, so it is not changed. The
+    smoothed forces are those of the estimation records in each case.
 
     Parameters
     ----------
@@ -147,6 +148,11 @@ def evaluate_diagnosis(diagnosis: Diagnosis, horizon: float | None = None) -> Di
         The diagnosis.
     horizon
         Prediction horizon [s], by default that of the model (10 s, on the bench 1 s).
+
+    Returns
+    -------
+    DiagnosisEvaluation
+        ``after`` is the same object as ``before`` if no effect and no common error was added.
     """
     before_stage, after_stage = diagnosis.before, diagnosis.after
     per_record = tuple(r.effect for r in diagnosis.effects if any(p.per_record for p in r.effect.parameters))
@@ -208,9 +214,9 @@ def diagnose(
     Raises
     ------
     ValueError
-        If an estimation run lacks a signal that the model needs, if the score tests cannot be computed, or if the model
-        has no residual forces to test: it is neither a vehicle with a hull, nor a Nomoto model, nor a thruster on the
-        bench.
+        If an estimation run lacks a signal that the model needs, if the model cannot be fitted without the effects, if
+        the score tests cannot be computed, or if the model has no residual forces to test: it is neither a vehicle with
+        a hull, nor a Nomoto model, nor a thruster on the bench.
     """
     start = _prepared_search(model, estimation, validation, effects, rate, reporter, policy)
     before, records, validation_data = start.before, start.records, start.validation_data
@@ -272,7 +278,8 @@ class ModelAssessment:
     Attributes
     ----------
     common_errors
-        Fit with the common errors (timing and mounting of sensors, hull form), None if the data do not need them.
+        Fit with the common errors (timing and mounting of sensors, hull form). None if they were not added: the data do
+        not need them, or the model has them already.
     uncertainty
         Shifts of the estimates by the candidates that still pass, None if none passes.
     """
@@ -293,7 +300,8 @@ def assess_model(
     """Fit a model, add the common errors that it needs, and compute how missing effects may shift its estimates.
 
     The score tests of the catalogue are used, without a search for effects. Common errors are those of every craft:
-    timing and mounting of sensors, and hull form.
+    timing and mounting of sensors, and hull form. They are added together, if at least ``policy.min_common_errors`` of
+    them explain more than any other single parametric candidate and the data support the fit with them.
 
     Parameters
     ----------
@@ -341,7 +349,8 @@ class _SearchStart:
     records, validation_data
         Estimation records, and validation data, with the inputs of all candidates.
     candidates
-        Candidates by name, with priors that follow the size of the craft.
+        Candidates of the score tests by name: the effects of which each run has all inputs, and the differences between
+        runs. The priors of catalogue effects follow the size of the craft. User-defined effects keep their priors.
     common
         Common errors (timing and mounting of sensors, hull form) by name.
     failed
@@ -383,8 +392,8 @@ def _prepared_search(
     """
     if not residuals_of(model):
         raise ValueError(
-            f"model {model.name} cannot be diagnosed: it lacks a hull with the forces X, Y and N; fit "
-            "the horizontal model instead"
+            f"model {model.name} cannot be diagnosed: it lacks a hull with the forces X, Y and N; fit the model "
+            "horizontal:shaft instead"
         )
     full = nominal_model(model)
     requested = catalogue() if effects is None else effects
@@ -424,8 +433,8 @@ def _prepared_search(
 def _lack_common_origin(runs: Sequence[LogSegment]) -> bool:
     """Return whether the logs of the runs are too far apart for one common origin of the positions x and y.
 
-    Logs that were moved to one origin have the same one in their records (`far_apart`). Runs with an unknown origin are
-    ignored.
+    Logs near each other were moved to one origin when they were loaded. So the logs are too far apart if their runs
+    have two or more different origins (`far_apart`). Runs with an unknown origin are ignored.
     """
     return far_apart([run.meta.get(ORIGIN) for run in runs])
 
@@ -437,7 +446,8 @@ def _untestable_candidates(
 
     User-defined candidates are listed if the model does not accept them or if a run lacks an input. Candidates of the
     catalogue, many of which do not concern a model, are listed only if they act at a fixed point and the runs are too
-    far apart for one origin.
+    far apart for one origin. Each candidate is listed once; the fixed point takes precedence over other reasons, and
+    only the first run that lacks an input is named. The result is empty if each candidate can be tested.
 
     Parameters
     ----------
@@ -450,7 +460,10 @@ def _untestable_candidates(
     """
     in_catalogue, found = catalogue(), []
     if _lack_common_origin(runs):
-        apart = "it acts at a fixed point over ground, and the logs are too far apart for one origin of x and y"
+        apart = (
+            "it acts at a fixed point over ground, and the logs are too far apart for one origin of x and y; diagnose "
+            "the logs of each place separately"
+        )
         found = [UntestedCandidate(e, apart) for e in requested.values() if e.fixed_point and model.accepts(e)]
     user_defined = [e for name, e in requested.items() if in_catalogue.get(name) is not e]
     for effect in user_defined:
@@ -458,7 +471,14 @@ def _untestable_candidates(
             continue
         reason = model.refusal(effect)
         lacking = ((run, missing_inputs(model, effect, run)) for run in runs if reason is None)
-        reason = next((f"{run.name} lacks its input {min(names)}" for run, names in lacking if names), reason)
+        reason = next(
+            (
+                f"{run.name} lacks its input {min(names)}; leave that log out, or give one with this input"
+                for run, names in lacking
+                if names
+            ),
+            reason,
+        )
         if reason is not None:
             found.append(UntestedCandidate(effect, reason))
     return tuple(found)
@@ -486,7 +506,8 @@ def _first_fit(
     """Fit the nominal model (without effects) to the records; return the fit, and the data that validate it.
 
     These data are the validation runs. If no validation run can be evaluated, they are blocks in time of the estimation
-    runs, and each block is predicted with the fit to the other blocks.
+    runs, and each block is predicted with the fit to the other blocks. ``settings`` are those of the fit; None for the
+    default settings.
     """
     fitted = fit_with_rescaling(full, records, runs, settings=settings)
     if fitted.validation:
@@ -499,7 +520,9 @@ def _reservations(before: FittedModel, after: FittedModel, policy: SearchPolicy)
     """Return the reasons, as clauses for reports, why no effect can be identified on these data.
 
     The reasons are: a fit without (``before``) or with (``after``) the effects did not converge, the data do not
-    determine a mass, the estimation data are short, the validation data are short. The list is empty if none applies.
+    determine a mass in the fit of ``before``, the estimation data have fewer blocks than
+    ``policy.min_estimation_blocks``, the validation data have fewer than ``policy.min_validation_blocks``. Each reason
+    that applies is returned, in this order. The list is empty if none applies.
     """
     reasons = [
         f"the fit {which} the effects did not converge"
@@ -523,14 +546,16 @@ def score_equations(fitted: FittedModel, records: Sequence[Record], effects: Map
     Parameters
     ----------
     fitted
-        The fitted model. Parameters at a bound are taken as constant, and so are positive ones whose order of magnitude
-        the data do not determine (flag VAGUE: the standard error of the logarithm is above 5).
+        The fitted model. Parameters of the noise and parameters at a bound are taken as constant, and so are positive
+        ones whose order of magnitude the data do not determine (flag VAGUE: the standard error of the logarithm is
+        above 5).
     records
         Estimation data: the records of the fit, in their order, with the inputs of all candidates.
     effects
-        Parametric candidates by name. The nonparametric ones follow from the model and are added: residual forces as
-        smooth functions of one variable or products of two, sensor errors and thrust losses as smooth functions of one,
-        and surge force and yaw moment as lagged or resonant responses to the thrusters.
+        Parametric candidates by name. Those that the model does not accept are skipped. The nonparametric ones follow
+        from the model and are added: residual forces as smooth functions of one variable or products of two, sensor
+        errors and thrust losses as smooth functions of one, and surge force and yaw moment as lagged or resonant
+        responses to the thrusters.
     """
     # A parameter at its bound cannot change to explain a part of a candidate, so it is not projected out.
     stuck = {n for n, flag in fitted.fit.flags if flag in (AT_BOUND, VAGUE)}
@@ -568,7 +593,9 @@ def score_all(
     -------
     scores
         One score for each candidate, the largest criterion first, with its threshold. For an effect with scanned
-        parameters it is the best score of the scan; all values of the scan count as tests in the threshold.
+        parameters it is the best score of the scan; all values of the scan count as tests in the threshold. A candidate
+        that cannot be tested has no score (`score_tests`). ``waves`` has one only if the innovations have a significant
+        spectral peak.
     passing
         The scores that pass, in the same order.
     """
@@ -672,14 +699,15 @@ class _Search:
             names = ", ".join(r.name for r in self.records)
             message = f"the residuals of model {fitted.model.name} cannot be tested"
             raise ValueError(
-                f"{names}: {message}: {problem}; check the estimates, and free fewer parameters (the fit "
-                f"{fitted.fit.message})"
+                f"{names}: {message}: {problem} (the fit {fitted.fit.message}); fit the model with fewer free "
+                "parameters (--fix NAME=VALUE), or to longer logs"
             ) from problem
 
     def uncertainty(self, passing: Sequence[Score]) -> ModelUncertainty | None:
         """Compute how the candidates that pass would shift the estimates of the model that was scored last.
 
-        The result is None if no candidate passes, or before the first call of `scored`.
+        ``passing`` are the scores that pass on that model. The result is None if no candidate passes, or before the
+        first call of `scored`.
         """
         if self.equations is None:
             return None
@@ -701,6 +729,13 @@ class _Search:
             Fitted model without added effects.
         max_effects
             Largest number of rounds.
+
+        Returns
+        -------
+        model
+            The last model; ``before`` itself if nothing was added.
+        passing
+            The scores that pass on it, also those that were not tried; the largest criterion first.
         """
         self.nominal, current, unknown = before, before, False
         while True:
@@ -756,7 +791,8 @@ class _Search:
         tuple of two Round, or None
             The round with the effect of the trial as its choice, and the next round. None if there is no such effect,
             if fewer than two rounds are left, or if the trial fails; ``candidates``, ``scores`` and ``equations`` are
-            then as before.
+            then as before. After a success they are those of the model with the effect of the trial. ``rounds`` is as
+            before in each case.
         """
         trial = max(
             (
@@ -828,8 +864,9 @@ class _Search:
     def keep_common_errors(self, found: CommonErrorsFit) -> None:
         """Continue the search with a model that has the common errors.
 
-        They and waves are no candidates any more. An added effect has to change the prediction by more than before
-        (``policy.min_error_ratio_beside``).
+        The fit ``found`` is stored in ``common_errors``, and ``common`` becomes empty, so that no others are added. The
+        effects of ``found`` and waves are removed from ``candidates``. From now on an added effect has to change the
+        prediction by more than before (``policy.min_error_ratio_beside``). The function fits nothing.
         """
         self.common_errors, self.common = found, {}
         beside = self.policy.min_error_ratio_beside
@@ -840,7 +877,10 @@ class _Search:
 
     @property
     def exact(self) -> SearchSettings | None:
-        """Settings of the exact fits, which are kept: None for the default, or those of the fits with common errors."""
+        """Settings of the exact fits, whose results become the model of the search.
+
+        None (the default settings) without the common errors, otherwise the settings of the fits with common errors.
+        """
         return None if self.common_errors is None else COMMON_SEARCH
 
     def unaffected_by(self, current: FittedModel, remaining: Sequence[Score]) -> tuple[frozenset[str], frozenset[str]]:
@@ -889,7 +929,10 @@ class _Search:
 
     @property
     def rough(self) -> SearchSettings:
-        """Settings of the rough fits with candidates, which are faster; less exact still beside the common errors."""
+        """Settings of the rough fits with candidates, which are faster and less exact than the exact fits.
+
+        Beside the common errors, the fits are rougher than without them.
+        """
         return ROUGH_SEARCH if self.common_errors is None else ROUGH_COMMON_SEARCH
 
     def reference(self, before: FittedModel, current: FittedModel) -> FittedModel:
@@ -991,9 +1034,11 @@ class _Search:
     def _run_round(self, current: FittedModel, scores: list[Score], passed: list[Score]) -> Round:
         """Refit the best candidates that passed, and choose the refit to add.
 
-        Parametric candidates are refitted in at most ``policy.n_batches`` batches, until a batch has an accepted refit.
-        Then follow the nonparametric candidates whose score is high enough compared with the best accepted refit
-        (``policy.nonparametric_score_share`` and ``policy.nonparametric_score_distance``).
+        Parametric candidates are refitted in at most ``policy.n_batches`` batches of ``policy.n_refits``, until a batch
+        has an accepted refit. Those with a criterion of at most ``policy.min_score_ratio`` of the best are left out if
+        the best is positive. Then follow up to ``policy.n_nonparametric`` nonparametric candidates whose score is high
+        enough compared with the best accepted refit (``policy.nonparametric_score_share`` and
+        ``policy.nonparametric_score_distance``). The attributes of the search are not changed.
 
         Parameters
         ----------
@@ -1037,6 +1082,7 @@ class _Search:
 
         The refits are returned with the largest criterion first. The refit to add is the best accepted refit, fitted
         exactly; None if none is accepted. A refit whose exact fit fails is appended to ``untested`` instead.
+        ``current`` is the model before the round.
 
         A difference between runs (a parameter with its own value in each run) has as many parameters as there are runs,
         and explains a part of any effect. So it comes after the other effects, unless it explains the validation data
@@ -1094,7 +1140,10 @@ class _Search:
         return gain > 0 and t > self.policy.min_t and compared.prediction.verdict != "rose"
 
     def _fit_exactly(self, current: FittedModel, rough: Refit) -> Refit:
-        """Fit the model of a rough refit exactly; return the refit with the new fit, gain, prediction and outcome.
+        """Fit the model of a rough refit exactly; return the refit with the new fit, prediction and outcome.
+
+        The gain on the validation data and its t statistics are those of the new fit. The gain on the estimation data
+        and the criterion stay those of the rough search.
 
         Three sets of initial values are tried in turn: the rough estimates, the effect's own initial values, and half
         of these. A fit that did not converge is used only if the fit of ``current`` did not converge either.
@@ -1143,7 +1192,10 @@ class _Search:
         """
 
         def refit(pair: tuple[Effect, Score]) -> Refit | UntestedCandidate:
-            """Refit the current model with one pair of candidate and score."""
+            """Return the refit of the current model with one candidate; an ``UntestedCandidate`` if no fit succeeds.
+
+            ``pair`` is the candidate and its score.
+            """
             return self._refit(current, *pair)
 
         with ThreadPoolExecutor(2) as pool, quick_compilation(self.n):
@@ -1306,8 +1358,10 @@ def _reported_curves(
     """Return the nonparametric curves for the report, and why the illustrating curve could not be fitted.
 
     The curves are those of the selected nonparametric effects, and an illustrating curve: that of the residual, fitted
-    in place of the first ambiguous effect. A failed fit of the latter is no error; its reason is returned, otherwise
-    None. For each pair of force and variable only the first curve is returned.
+    in place of the first ambiguous effect. There is no illustrating curve if no effect is ambiguous, or if no curve of
+    one variable passed the score test in the round of that effect. A failed fit of it is no error: the title of the
+    effect and the reason are returned as one text, otherwise None. For each pair of force and variable only the first
+    curve is returned. Effects that are no function of one variable have no curve.
 
     Parameters
     ----------

@@ -79,7 +79,8 @@ class Table:
     columns
         Title and CSS class of each column (``num`` for numbers).
     rows
-        Cells of each row, from left to right. A row of one cell is the heading of the rows below it.
+        Cells of each row, from left to right; a plain text is a cell without a class. A row of one ``Cell`` is the
+        heading of the rows below it.
     caption
         Text below the table; may be empty.
     kind
@@ -157,7 +158,7 @@ class Key:
 
 @dataclass(frozen=True)
 class Tabs:
-    """Tabs of a report page, of which one is visible at a time; a printed page contains all.
+    """Tabs of a report page, of which one is visible at a time, at first the first; a printed page contains all.
 
     Attributes
     ----------

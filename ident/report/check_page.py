@@ -51,6 +51,8 @@ def write_check_page(report: CheckReport, logs: Sequence[CheckEvidence], command
     ------
     OSError
         If ``path`` cannot be written.
+    SeatrialError
+        If ``path`` is a symbolic link, a folder or a special file.
     """
     canvas = Canvas(Budget.for_traces(sum(_trace_count(log) for log in logs), MAX_POINTS))
     problems = [f for f in report.findings if f.level != "ok"]
@@ -138,8 +140,8 @@ def _findings_block(found: Sequence[Finding]) -> Verdicts:
 def _labelled_facts(report: CheckReport, logs: Sequence[CheckEvidence]) -> list[tuple[str, str]]:
     """Return (label, value) of the facts at the top of the check page.
 
-    They are the rig, if the report has one, the duration of each log, and the number of faults, warnings and findings
-    without a problem.
+    They are the rig, if the report has one, the duration of each log, and the numbers of faults, of warnings and of
+    findings without a problem, also if a number is 0.
     """
     levels = [f.level for f in report.findings]
     facts = [] if report.rig is None else [("rig", report.rig)]

@@ -34,6 +34,8 @@ def write_design_page(result: DesignResult, path: Path) -> None:
     ------
     OSError
         If ``path`` cannot be written.
+    SeatrialError
+        If ``path`` is a symbolic link, a folder or a special file.
     """
     canvas = Canvas(Budget.for_traces(12))
     opening = Section("top", "", [Prose(_introduction(result), "lead"), Facts(_labelled_facts(result))])
@@ -135,7 +137,10 @@ def _errors_section(result: DesignResult) -> Section:
 
 
 def _commands_section(canvas: Canvas, result: DesignResult) -> Section:
-    """Return the section with the commands of the mission over time, one panel for each input; empty without inputs."""
+    """Return the section with the commands of the mission over time, one panel for each input; empty without inputs.
+
+    The figure is added to ``canvas``.
+    """
     panels = [
         Panel(
             f"command {row.name}, -1..1",
@@ -153,7 +158,8 @@ def _commands_section(canvas: Canvas, result: DesignResult) -> Section:
 def _track_section(canvas: Canvas, track: DesignTrack | None) -> Section:
     """Return the section with the figure of the boat's predicted track; empty if ``track`` is None.
 
-    The figure also has the tracks of boats with sampled parameters, and the area of operation if one was given.
+    The figure also has the tracks of boats with sampled parameters, and the area of operation if one was given. It is
+    added to ``canvas``.
     """
     if track is None:
         return Section("track", "", [])
@@ -224,7 +230,7 @@ def _baselines_section(canvas: Canvas, result: DesignResult) -> Section:
     """Return the section that compares the design with the baseline signals (PRBS, RGS) for uncertain parameters.
 
     It has one histogram for the design and one for each baseline signal: the values of the criterion at samples of the
-    parameters. The section is empty if there are no samples.
+    parameters. The figure is added to ``canvas``. The section is empty if there are no samples.
     """
     samples = result.samples
     if not samples:

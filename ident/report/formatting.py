@@ -58,9 +58,9 @@ SYMBOLS = {"psi": "ψ", "phi": "φ", "theta": "θ"}
 def degrees_for(unit: str) -> tuple[float, str]:
     """Return the factor from the unit of a result file to the unit that a report shows, and the shown unit.
 
-    If the unit begins with rad or a power of it (rad, rad/s, rad2/Hz), the shown unit has degrees and the factor is
-    180/pi, or its square for rad2. The factor of any other unit is 1, and the unit is only typeset:
-    ``kg m2`` -> ``kg m²``.
+    If the unit begins with rad or a power of it (rad, rad/s, rad2/Hz, (rad)^2/Hz), the shown unit has degrees and the
+    factor is 180/pi, or its square for a square of rad. The factor of any other unit is 1, and the unit is only
+    typeset: ``kg m2`` -> ``kg m²``.
     """
     found = _RADIANS.match(unit)
     if found is None:

@@ -48,6 +48,8 @@ def write_report(result: Result, path: Path) -> None:
     ------
     OSError
         If ``path`` cannot be written.
+    SeatrialError
+        If ``path`` is a symbolic link, a folder or a special file.
     TypeError
         If there is no page for this type of result (designs and studies have their own pages).
     """
@@ -110,9 +112,9 @@ def compose(
     kind : str
         Kind of the result in words, shown above the headline and in the title.
     answer : str
-        Headline of the page: the answer of the result.
+        Headline of the page: the answer of the result. Text between backquotes is shown as code.
     opening : Section
-        Section that follows the headline; it is not in the contents.
+        Section whose blocks follow the headline. Its title and lead are not shown, and it is not in the contents.
     body : sequence of Section
         Sections of the page; each has an entry in the contents.
     figures : mapping
@@ -190,5 +192,8 @@ def _content_security_policy(scripts: list[str]) -> str:
 
 
 def _template_file(name: str) -> str:
-    """Return the text of the file ``name`` in the folder of page templates, without white space at its ends."""
+    """Return the text of the file ``name`` in the folder of page templates, without white space at its ends.
+
+    The text is returned as it is; no template is rendered.
+    """
     return (Path(__file__).parent / "templates" / name).read_text(encoding="utf-8").strip()

@@ -64,6 +64,8 @@ def write_study_page(result: StudyResult, aims: Aims, path: Path) -> None:
     ------
     OSError
         If ``path`` cannot be written.
+    SeatrialError
+        If ``path`` is a symbolic link, a folder or a special file.
     """
     canvas = Canvas(Budget())
     body = [_study_section(canvas, study, aims) for study in result.studies]
@@ -99,12 +101,17 @@ def _introduction(aims: Aims) -> str:
 def _study_section(canvas: Canvas, study: ModelStudy, aims: Aims) -> Section:
     """Return the section of the study of one model: facts, plots of bias, variance and coverage, and their table.
 
-    If the study has no parameters, the section states that no replicate can be evaluated. The plots are added to
-    ``canvas``; ``aims`` are those of ``write_study_page``.
+    If the study has no parameters, because fewer than three replicates are usable, the section states that with
+    advice. The plots are added to ``canvas``; ``aims`` are those of ``write_study_page``.
     """
     found, name = study.parameters, study.model
     if not found:
-        return Section(f"study-{name}", name, [Prose("No replicate can be evaluated.")])
+        left = f" ({study.left_out})" if study.left_out else ""
+        words = (
+            f"No parameter can be evaluated: fewer than three of {study.replicates} replicates are usable{left}. Give "
+            "more --replicates, or longer missions (--seconds)."
+        )
+        return Section(f"study-{name}", name, [Prose(words)])
     kinds: tuple[tuple[Number, str, float], ...] = (
         ("bias", "bias [standard deviations]", 1.0),
         ("ratio", "variance / least possible variance", 1.0),
@@ -399,7 +406,10 @@ def by_chance(key: Number, n: int) -> tuple[float, float]:
 
 
 def _median_count(found: Sequence[ParameterStudy]) -> int:
-    """Return the median over the parameters of their numbers of estimates, the ``n`` of ``by_chance``."""
+    """Return the median over the parameters of their numbers of estimates, the ``n`` of ``by_chance``.
+
+    A median of half an integer is rounded down. ``found`` must not be empty.
+    """
     return int(np.median([row.n for row in found]))
 
 
@@ -453,6 +463,8 @@ def write_study_docs(result: StudyResult, path: Path) -> None:
     ------
     OSError
         If a file cannot be written.
+    SeatrialError
+        If the path of a file is a symbolic link, a folder or a special file.
     """
     (path.parent / PICTURES).mkdir(parents=True, exist_ok=True)
     for study in result.studies:
@@ -490,7 +502,11 @@ def _text_cells(r: ParameterStudy) -> tuple[str, ...]:
 
 
 def study_as_text(result: StudyResult) -> str:
-    """Return the tables of all models of a study, and its answer, as text for a terminal."""
+    """Return the tables of all models of a study, and its answer, as text for a terminal.
+
+    Before the table of a model stand its mission, its estimator and the number of replicates that are left out, if any.
+    The columns are padded with spaces.
+    """
     lines = []
     for study in result.studies:
         rows = table(study)

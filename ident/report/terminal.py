@@ -39,7 +39,10 @@ MIN_GROWTH = 1.05  # a standard error that grows by a smaller factor does not de
 
 
 def titled_table(title: str) -> Table:
-    """Return an empty table for the terminal, with a title and the style of all tables of this module."""
+    """Return a new table for the terminal without columns and rows, with a title and the style of this module's tables.
+
+    The title is shown as written: marks of rich in it, such as ``[bold]``, have no effect.
+    """
     style = {"title_justify": "left", "title_style": "bold cyan", "header_style": "dim", "border_style": "dim"}
     return Table(title=Text(title), box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, **style)  # type: ignore[arg-type]
 
@@ -47,7 +50,8 @@ def titled_table(title: str) -> Table:
 def tables_of(result: Result) -> list[Table]:
     """Return the tables for the terminal of a result that is not a fit: of sensor noise, navigation or information.
 
-    The list is empty for other results and for a navigation without GNSS outages.
+    A result of information has two tables: parameters and segments of the logs. The list is empty for other results
+    and for a navigation without GNSS outages.
     """
     if isinstance(result, NoiseResult):
         return [noise_table(result)]
@@ -106,7 +110,8 @@ def parameter_table(result: InformationResult) -> Table:
     """Return the table of the standard errors of the parameters from all logs, with their most important segment.
 
     It is the segment of a log that a standard error depends on most; the last column is the factor by which the error
-    would grow without it. A parameter without information has neither.
+    would grow without it. A parameter without information has the words ``no information`` in place of its value and
+    standard error, no segment, and a dash as the factor.
     """
     table = titled_table("Information of these logs")
     table.add_column("", no_wrap=True)
@@ -127,13 +132,16 @@ def parameter_table(result: InformationResult) -> Table:
 def segment_table(result: InformationResult) -> Table:
     """Return the table of factors by which the standard errors would grow without each segment of the logs.
 
-    The rows are the first 24 segments and the columns the first nine parameters; the title states if there are more.
+    The rows are the first 24 segments and the columns the first nine parameters. If there are more segments or more
+    parameters, the title has the shown and the total number of them.
     """
     names, found = result.information.names, result.information.segments
     shown = names[:MAX_PARAMETERS]
     title = "Without a segment, standard errors grow by ×"
-    if len(found) > MAX_SEGMENTS or len(names) > len(shown):
-        title += f" (first {min(len(found), MAX_SEGMENTS)} of {len(found)}; all in the report)"
+    left = [f"{MAX_SEGMENTS} of {len(found)} segments"] if len(found) > MAX_SEGMENTS else []
+    left += [f"{len(shown)} of {len(names)} parameters"] if len(names) > len(shown) else []
+    if left:
+        title += f" ({', '.join(left)}; all in the report)"
     table = titled_table(title)
     table.padding = (0, 1, 0, 0)
     table.add_column("", style="dim", no_wrap=True, overflow="ellipsis", max_width=26)

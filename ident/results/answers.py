@@ -117,7 +117,7 @@ def _first_names(channels: Sequence[str], most: int = MOST_NAMES) -> str:
 
 
 def _percent(share: float) -> str:
-    """Return a share (1: all) as text in whole per cent: 0.34 -> ``34 %``."""
+    """Return a share (1: all) as text in whole per cent: 0.34 -> ``34 %``. It may be negative: ``-5 %``."""
     return f"{100 * share:.0f} %"
 
 
@@ -187,8 +187,9 @@ def _whiteness_sentence(
 
     Each of both is tested at 1 % over all channels: the significance level is divided by the number of tests
     (Bonferroni). If only measured inputs such as the heading are correlated, the sentence names sensor noise as a
-    possible cause. Without ``residuals`` it states that there are too few samples. ``searchable`` adds the advice to
-    run `seatrial ident diagnose`.
+    possible cause. Without ``residuals`` it states that there are too few samples. In these two cases ``searchable``
+    has no effect. Otherwise it adds the advice to run `seatrial ident diagnose`: for hidden effects if both tests pass,
+    for missing effects if one fails. Channels with too few samples for the tests are named only if both tests pass.
     """
     tests = [p for r in residuals for p in (r.ljung_box_p, r.periodogram_p)]
     pairs = [c for c in cross if c.p is not None]
@@ -235,8 +236,8 @@ def _largest_correlation(significant: Sequence[CrossCorrelationRow]) -> str:
 def _untested_channels(errors: Errors, residuals: Sequence[ResidualTests]) -> str:
     """Return the channels of the estimation data without residual tests, in brackets, as the end of a sentence.
 
-    They have too few samples in every record. The channels are those that have one-step errors. The text is empty if
-    all of them were tested.
+    They have too few samples, or constant innovations, in every record. The channels are those that have one-step
+    errors. The text is empty if all of them were tested.
     """
     tested = {r.channel for r in residuals}
     left = [n for n in errors.estimation.one_step if n not in tested]
@@ -248,6 +249,7 @@ def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
 
     There is at most one sentence on narrow and one on wide intervals for each kind of prediction: one step ahead, over
     the horizon, simulated. The factor of each channel is its RMS error over the predicted one, or the word diverged.
+    If a channel diverged, the sentence is followed by another one that advises against such predictions.
     The sentences are about the validation data, or about the estimation data if there are no validation data. The list
     is empty if no channel is overconfident or underconfident.
 
@@ -275,9 +277,11 @@ def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
                 if c.verdict == verdict
             ]
             if wrong:
+                diverged = any(c.scale is None for c in channels.values() if c.verdict == verdict)
                 notes.append(
                     f"On {role} data, the {words} are {size} than the model predicts, by these factors: "
                     f"{', '.join(wrong)}. Multiply the predicted standard deviations of these channels by them."
+                    f"{' Do not use such predictions of a channel that diverged.' * diverged}"
                 )
     return notes
 
@@ -445,7 +449,7 @@ def check_warnings(made: Provenance) -> list[ResultWarning]:
     """Return one warning for each different finding of the checks of the logs before a fit.
 
     Findings are different if their device, text, code or advice differs. A warning names up to four of the logs that
-    have the finding, and the number of the others.
+    have the finding, and the number of the others. The warnings have the order in which the findings first occur.
 
     Parameters
     ----------
@@ -547,7 +551,7 @@ def not_converged(fit: Fit) -> str | None:
 
 
 def failed_run_warnings(failed: Sequence[FailedRun]) -> list[ResultWarning]:
-    """Return one warning for each validation run that could not be evaluated, with the reason."""
+    """Return one warning for each validation run that could not be evaluated, with the reason; empty without any."""
     text = (
         "{0.record} is left out of the validation, because the model cannot be evaluated on it: {0.reason}. Check this "
         "log with `seatrial check`."
@@ -556,13 +560,16 @@ def failed_run_warnings(failed: Sequence[FailedRun]) -> list[ResultWarning]:
 
 
 def cut_records(records: Sequence[Record]) -> list[ResultWarning]:
-    """Return one warning for each record whose end was cut off because one of its signals ends early."""
+    """Return one warning for each record whose end was cut off because one of its signals ends early.
+
+    It has the name of that signal and the length of the lost data [s]. The list is empty if no record was cut.
+    """
     cuts = ((r, *r.meta["cut"]) for r in records if "cut" in r.meta)
     return [
         ResultWarning(
             code="record-cut",
             text=f"{r.name}: the signal {name} ends {lost:.0f} s before the others, and the data after its end are not "
-            "used. Check its sensor, or leave this signal out.",
+            "used. Check its sensor, or leave this signal out of the rig file or import map.",
         )
         for r, name, lost in cuts
     ]
@@ -582,7 +589,7 @@ def _stuck_channel_warnings(record: Record) -> list[ResultWarning]:
         if y.size >= FEWEST_SAMPLES and np.ptp(y) == 0.0:
             text = (
                 f"{record.name}: {name} reads {y[0]:.6g} in all of its {y.size} samples: the sensor may be stuck. "
-                "Check it, or leave this signal out."
+                "Check it, or leave this signal out of the rig file or import map."
             )
             lines.append(ResultWarning(code="stuck-sensor", text=text))
     return lines

@@ -369,7 +369,8 @@ def what_is_lacking(diagnosis: Diagnosis, *, fell: bool) -> str:
 def in_words(effect: Effect, fitted: FittedModel) -> str:
     """Return the estimates of an effect as a clause for reports, by the effect's own function ``Effect.in_words``.
 
-    The text is empty if the effect has no such function.
+    The text is empty if the effect has no such function. Estimates are in the units of the parameters. Of a per-record
+    parameter, the estimate of the first record is used.
 
     Parameters
     ----------
@@ -589,13 +590,16 @@ def _untested_warnings(diagnosis: Diagnosis) -> list[parts.ResultWarning]:
     texts += [f"This effect was not tested: {u.effect.title} ({u.reason})." for u in diagnosis.untestable]
     texts += [
         f"The importance of {r.effect.title} is unknown, because the model without it could not be fitted: "
-        f"{w.untested}."
+        f"{w.untested}. Its place in the order of the effects has no meaning."
         for r, w in zip(diagnosis.effects, diagnosis.importances, strict=True)
         if w.untested is not None
     ]
     found = [parts.ResultWarning(code="effect-untested", text=text) for text in texts]
     if diagnosis.curve_failure is not None:
-        text = f"No nonparametric curve could be fitted in place of {diagnosis.curve_failure}."
+        text = (
+            f"No nonparametric curve could be fitted in place of {diagnosis.curve_failure}. The figure of this curve "
+            "is missing; the other results do not depend on it."
+        )
         found.append(parts.ResultWarning(code="curve-not-drawn", text=text))
     return found
 
@@ -628,7 +632,10 @@ def _removal_reason(removed: RemovedEffect, policy: SearchPolicy) -> str:
 
 
 def _remaining_names(diagnosis: Diagnosis) -> str:
-    """Return the names of the best four candidates that still pass the score test, separated by commas."""
+    """Return the names of the best four candidates that still pass the score test, separated by commas.
+
+    They are fewer if fewer pass; the text is empty if none passes.
+    """
     return ", ".join(s.name for s in diagnosis.remaining[:4])
 
 

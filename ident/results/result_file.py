@@ -42,8 +42,8 @@ AnyResult = (
 def to_json(result: Part) -> bytes:
     """Return a result, or a table of a result, as JSON in UTF-8.
 
-    Keys are in the order of the fields. NaN and infinity become null. Numbers keep seven significant digits; an origin
-    of the NED frame (latitude and longitude) keeps all.
+    Keys are in the order of the fields; that of the type, ``kind``, is the first. NaN and infinity become null. Numbers
+    keep seven significant digits; an origin of the NED frame (latitude and longitude) keeps all.
     """
     return msgspec.json.encode(_as_json_types(result))
 
@@ -106,7 +106,8 @@ def _decode_array(kind: Any, value: Any) -> Any:
     """Convert a list of numbers from result.json to a float64 array, in which null becomes NaN.
 
     msgspec calls this function for the type of arrays, the only type that it does not decode itself; ``kind`` is this
-    type and is not used. Raise ValueError if the value is not a list.
+    type and is not used. Raise ValueError if the value is not a list of numbers and null, or of such lists of one
+    length.
     """
     if not isinstance(value, list):
         raise ValueError(f"expected a list of numbers, got {type(value).__name__}")

@@ -403,7 +403,10 @@ def record_inputs(model: Model, record: Record) -> tuple[InputTrace, ...]:
 
 
 def all_inputs(evaluation: PredictionEvaluation) -> tuple[InputTrace, ...]:
-    """Return the inputs of all records of an evaluation over time as rows of a result, estimation records first."""
+    """Return the inputs of all records of an evaluation over time as rows of a result, estimation records first.
+
+    They are the inputs that reports show (`record_inputs`). Times count from the start of each record.
+    """
     return tuple(
         row
         for data in evaluation.sets.values()
@@ -420,8 +423,8 @@ def residual_rows(before: PredictionEvaluation, after: PredictionEvaluation | No
     before
         Evaluation of the model; in a diagnosis, of the model without effects.
     after
-        Evaluation of the model with effects, whose tests are added to the rows of the same record and channel. None: no
-        second model.
+        Evaluation of the model with effects, whose tests are added to the rows of the same record and channel. A
+        channel that was tested with this model only has no row. None: no second model.
     """
     later = {} if after is None else {(r.record, r.channel): r for r in after.residuals}
     return tuple(residual_row(r, later.get((r.record, r.channel))) for r in before.residuals)
@@ -480,7 +483,7 @@ def cross_correlations(
         Evaluation of the model; in a diagnosis, of the model without effects.
     after
         Evaluation of the model with effects, whose correlations are added to the rows of the same record, channel and
-        input. None: no second model.
+        input. A correlation that only this model has gets no row. None: no second model.
     """
     later = {} if after is None else {(r.record, r.channel): r for r in after.residuals}
     return tuple(row for r in before.residuals for row in cross_rows(r, later.get((r.record, r.channel))))
@@ -640,6 +643,11 @@ def common_errors_row(found: CommonErrorsFit | None, fitted: FittedModel, role: 
         Last fitted model, with the estimates of the common errors.
     role : Role
         Role of the data on which the change of the prediction errors was computed.
+
+    Returns
+    -------
+    CommonErrorsRow or None
+        The keys of the gains are None if the common errors were in the model that was given.
     """
     if found is None:
         return None

@@ -131,6 +131,7 @@ def one_step_calibration(model: Model, run: FilterResult) -> dict[str, Array]:
     """Return the standardised innovations (n_rows,) of a filter run of a model, by channel.
 
     They are one-step prediction errors over their standard deviations; NaN in rows without a sample, and for outliers.
+    Each output of the model has an entry, also one without samples.
     """
     return {o.name: run.standardised[:, j] for j, o in enumerate(model.outputs)}
 
@@ -181,8 +182,8 @@ def horizon_forecasts(
     Returns
     -------
     dict of str to Forecast
-        Forecasts by channel. Channels without a predicted sample are left out. The result is empty if the record is
-        shorter than the horizon.
+        Forecasts by channel, in the order of the starts. Channels without a predicted sample are left out. The result
+        is empty if the record is shorter than the horizon.
     """
     likelihood = likelihood or Likelihood(model)
     t, n_rows = record.t, record.n_rows
@@ -217,7 +218,10 @@ def horizon_forecasts(
 
 
 def horizon_calibration(forecasts: Mapping[str, Forecast]) -> dict[str, Array]:
-    """Return the errors (n,) of forecasts over their standard deviations, by channel; infinite if diverged."""
+    """Return the errors (n,) of forecasts over their standard deviations, by channel.
+
+    An error is infinite if its prediction diverged: the error is not finite, or its standard deviation is NaN.
+    """
     return {name: _standardised_errors(f.e, f.sd, np.ones(f.e.size, dtype=bool)) for name, f in forecasts.items()}
 
 

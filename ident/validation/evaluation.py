@@ -110,9 +110,9 @@ class ChannelResiduals:
     record, channel, unit
         Names of record and channel, and the unit of the channel.
     t : Array (n,)
-        Times [s].
+        Times [s] of the rows with a sample.
     e : Array (n,)
-        Standardised innovations.
+        Standardised innovations in these rows, without NaN.
     tests
         Tests for whiteness.
     inputs
@@ -277,7 +277,8 @@ def _horizon_prediction(
     """Return the predictions of the channel ``name`` at the times of their errors: measured value minus error.
 
     A diverged prediction, whose error is infinite, is NaN. The standard deviation is interpolated linearly between the
-    forecasts, which are fewer. It is NaN without forecasts (None).
+    forecasts, which are fewer; before the first and after the last it is that of the nearest forecast. It is NaN
+    without forecasts (None).
     """
     y = record.y[np.searchsorted(record.t, errors.t), record.outputs.index(name)] - errors.e
     sd = np.full(y.size, np.nan) if forecast is None else np.interp(errors.t, forecast.t, forecast.sd)
@@ -294,7 +295,7 @@ def residual_tests(model: Model, record: Record, eps: Array) -> list[ChannelResi
     record
         The record.
     eps : Array (n_rows, n_outputs)
-        Standardised innovations, NaN for rows without a sample.
+        Standardised innovations, NaN for rows without a sample and for outliers; these are left out.
 
     Returns
     -------

@@ -89,7 +89,7 @@ class SimulationRun:
 def one_step_errors(model: Model, record: Record, run: FilterResult) -> dict[str, PredictionErrors]:
     """Return the one-step prediction errors (innovations) of a filter run, by channel, in the unit of the channel.
 
-    Channels without samples are left out.
+    Outliers are included. Channels without samples are left out.
     """
     found = {
         o.name: _channel_errors(record.t, record.y[:, j], run.e[:, j], o.angle) for j, o in enumerate(model.outputs)
@@ -202,20 +202,20 @@ def pooled_errors(
 ) -> dict[str, PredictionErrors]:
     """Concatenate the errors of several records. The times are shifted so that the records follow each other.
 
-    There are 1000 s between two records.
+    There are 1000 s between two records. A channel need not be in each record.
 
     Parameters
     ----------
     by_record
         Errors of each record, by channel.
     ends
-        Last times of the records [s], by default those of their errors. Give them if two models are compared, so that
-        the times of both agree.
+        Last times of the records [s], by default those of their errors over all channels; a record without errors then
+        takes no time. Give them if two models are compared, so that the times of both agree.
 
     Returns
     -------
     dict of str to PredictionErrors
-        Errors by channel.
+        Errors by channel, in the order of their first appearance; empty without errors.
     """
     if ends is None:
         lengths = [_last_time(p) + RECORD_GAP_S if p else 0.0 for p in by_record]
@@ -415,7 +415,8 @@ def largest_errors(by_record: Mapping[str, Mapping[str, PredictionErrors]], hori
     Returns
     -------
     LargestErrors or None
-        The interval; its end is at most the last time of the record. None if there are no errors other than zero.
+        The interval; its end is at most the last time of the errors of the record. The first of equal intervals is
+        returned. None if there are no errors other than zero.
 
     Notes
     -----

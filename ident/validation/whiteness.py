@@ -141,7 +141,8 @@ def whiteness_test(channel: str, t: Array, e: Array, n_lags: int = N_LAGS) -> Wh
 def autocorrelation(e: Array, n_lags: int) -> Array:
     """Return the sample autocorrelation (n_lags,) of an evenly sampled series e (n,), from lag 1 on.
 
-    The mean is subtracted. The result is NaN if all samples are equal.
+    The mean is subtracted. Each lag is divided by the sum of squares of all samples, not by the number of its products
+    (biased estimate). The result is NaN if all samples are equal.
     """
     x = e - e.mean()
     return np.asarray([x[k:] @ x[: x.size - k] for k in range(1, n_lags + 1)] / (x @ x))
@@ -219,7 +220,8 @@ def cross_correlation(
     Returns
     -------
     CrossCorrelation
-        z at lags of 0 to 3 s, and the p value of the largest. A constant input, or constant innovations, give z = 0.
+        z at lags of 0 to 3 s, 0.1 s apart, and the p value of the largest. A constant input, or constant innovations,
+        give z = 0.
 
     Notes
     -----
@@ -583,7 +585,7 @@ def _regression(e: Array, most_lags: int) -> _Regression:
 def highest_line(e: Array) -> SpectralLine:
     """Find the highest spectral line in the periodogram of innovations e (n,), with Fisher's test (1929).
 
-    The mean and the frequency of half the sampling rate are left out.
+    The mean and the frequency of half the sampling rate are left out. The first of equally high lines is returned.
 
     The p value is the leading term of Fisher's series, which is accurate if it is small.
     """

@@ -20,7 +20,8 @@ from seatrial.ident.results import (
 def opening(result: Result) -> Section:
     """Return the section of the report page that follows its headline: the main numbers of the result.
 
-    It is empty for a result that is neither a fit nor a diagnosis.
+    It is empty for a result that is neither a fit nor a diagnosis. For a fit that did not converge, it has at most the
+    caveat of a diagnosis.
     """
     return answer.section(result)
 
@@ -53,7 +54,10 @@ def body(canvas: Canvas, result: Result) -> list[Section]:
         found = [parameters.information_section(result), parameters.segments_section(canvas, result)]
         found.append(runs.run_section(canvas, result.logs, result.inputs))
     else:
-        raise TypeError(f"there is no report page for a {type(result).__name__}; designs and studies have their own")
+        raise TypeError(
+            f"write_report has no page for a {type(result).__name__}: use write_design_page for a design, and "
+            "write_study_page for a study"
+        )
     unused = result.unused_signals if isinstance(result, FitResult) else ()
     found += [predictions.notes_section(result.notes, unused), predictions.made_section(result)]
     return [section for section in found if section.blocks]

@@ -132,7 +132,8 @@ def _state_panel(canvas: Canvas, t: Array, state: StateTrace, outages: Sequence[
     """Return the panel of one state over the times ``t`` (n,) [s] with its 95 % band; None without finite values.
 
     Measurements of the same quantity are added if there are any; those of an angle are shifted by whole turns to the
-    estimate, which is not wrapped. The times of GNSS ``outages`` are shaded.
+    estimate, which is not wrapped. The times of GNSS ``outages`` are shaded. ``canvas`` has the largest number of
+    points of a trace; no figure is added to it.
     """
     if not np.isfinite(state.value).any():
         return None
@@ -160,8 +161,8 @@ def _state_panel(canvas: Canvas, t: Array, state: StateTrace, outages: Sequence[
 def _track_plot(canvas: Canvas, row: NavigatedRecord, outages: Sequence[GnssOutage], origin: str) -> Plot | None:
     """Return the plot of the track of a record with GNSS fixes and a 95 % ellipse at the end of each outage.
 
-    An outage before the first fix has no ellipse. ``origin`` is the end of the titles of the axes. The result is None
-    if the states of the model do not include a position.
+    An outage before the first fix has no ellipse. ``origin`` is the end of the titles of the axes. The plot is added to
+    ``canvas``. The result is None if the states of the model do not include a position.
     """
     values = {s.name: s.value for s in row.states}
     if not {"x", "y"} <= set(values):

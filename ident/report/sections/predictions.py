@@ -207,7 +207,7 @@ def notes_section(lines: Sequence[str], unused: Sequence[UnusedSignal] = ()) -> 
 def made_section(made: Provenance) -> Section:
     """Return the section of the provenance of a result: command line, version of seatrial and time.
 
-    Entries that are empty are left out.
+    Entries that are empty are left out. The section is empty if all are. The logs of ``made`` are not shown.
     """
     facts = (("Command", made.command), ("seatrial", made.seatrial), ("Time", formatting.moment(made.created)))
     found = [(label, value) for label, value in facts if value]
@@ -300,7 +300,8 @@ def _reliability_plot(canvas: Canvas, title: str, found: Mapping[str, Calibratio
     """Return the reliability plot of one kind of prediction, with one curve for each channel; None without channels.
 
     A curve is the share of the errors inside the central 20, 40, ... 100 % prediction intervals over this nominal
-    share. It is summed from the shares of the errors in each tenth of the predicted distribution (``pit``).
+    share. It is summed from the shares of the errors in each tenth of the predicted distribution (``pit``). ``found``
+    is the calibration by channel. The plot is added to ``canvas``, with ``title`` above it.
     """
     nominal: Any = 0.2 * np.arange(6)
     traces = [drawing.line_trace(nominal, nominal, "nominal", 10, color=drawing.FAINT, dash="dot")]

@@ -107,7 +107,8 @@ def _channel_plots(canvas: Canvas, rows: Sequence[ResidualTests], tab: RecordTab
     """Return a heading and up to three plots for each channel of a record.
 
     The plots are innovations over time, autocorrelation and cumulative periodogram, as far as they have finite values.
-    They are added to ``canvas``. A channel without plots has no heading.
+    They are added to ``canvas``. A channel without plots has no heading. ``rows`` has the channels, and ``tab`` the
+    title of the record.
     """
     blocks: list[Any] = []
     for row in rows:
@@ -121,8 +122,9 @@ def _channel_plots(canvas: Canvas, rows: Sequence[ResidualTests], tab: RecordTab
 def _innovations_plot(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plot | None:
     """Return the plot of the standardised innovations of a channel over time; None without finite values.
 
-    95 % of the innovations of a complete model are between the lines at ±1.96. ``tab`` has the title of the record for
-    the description of the plot, which is added to ``canvas``.
+    95 % of the innovations of a complete model are between the lines at ±1.96. Of many innovations only a part is
+    drawn, with the largest. ``tab`` has the title of the record for the description of the plot, which is added to
+    ``canvas``.
     """
     traces = []
     for name, values, color in _before_and_after(row, row.after):

@@ -203,8 +203,9 @@ def _simulation_blocks(canvas: Canvas, result: FitResult, rows: Sequence[Trace],
     """Return the figure of one record with its channels measured and simulated, as a list of blocks.
 
     Each panel has in its title the fit of the channel in per cent, over all records of the same role. A diverged
-    simulation ends at the time of its divergence, which is in the title instead. The figure is added to ``canvas``. The
-    list is empty without finite values. ``rows`` has the channels of the record, and ``tab`` its title.
+    simulation is drawn up to the time of its divergence, which is in the title instead. The simulation before effects
+    were added is drawn as a whole. The figure is added to ``canvas``. The list is empty without finite values. ``rows``
+    has the channels of the record, and ``tab`` its title.
     """
     panels = []
     for row in rows:

@@ -103,7 +103,10 @@ def ranking(row: RoundRow, chosen: str | None) -> list[Any]:
     high = max(*sizes, *limits) * 1.25
 
     def at(value: float) -> float:
-        """Return the position of a score statistic on the logarithmic axis, 0.4 to 100 % of its length."""
+        """Return the position of a score statistic on the logarithmic axis, 0.4 to 100 % of its length.
+
+        A statistic beyond the ends of the axis has the position 0.4 or 100.
+        """
         return 100.0 * min(max(math.log(value / low) / math.log(high / low), 0.004), 1.0)
 
     bars = [_candidate_bar(c, at(size), at(limit), chosen) for c, size, limit in zip(best, sizes, limits, strict=True)]

@@ -449,8 +449,8 @@ def test_curve_of_an_ambiguous_effect_is_omitted_if_it_cannot_be_fitted(monkeypa
         curve_failure=undrawn,
     )
     assert [(w.code, w.text.rpartition(": ")[2]) for w in _untested_warnings(found)] == [
-        ("effect-untested", "y0."),
-        ("curve-not-drawn", "x0."),
+        ("effect-untested", "y0. Its place in the order of the effects has no meaning."),
+        ("curve-not-drawn", "x0. The figure of this curve is missing; the other results do not depend on it."),
     ]
 
 
@@ -466,7 +466,7 @@ def test_user_candidate_that_cannot_be_tested_is_listed() -> None:
     candidates = {**catalogue(), **{e.name: e for e in (tide, sail, twice, fine)}}
     refused = search._untestable_candidates(model, candidates, runs)
     assert [(u.effect.name, u.reason) for u in refused] == [
-        ("tide", "tue/run lacks its input tide"),
+        ("tide", "tue/run lacks its input tide; leave that log out, or give one with this input"),
         ("sail", f"it needs the signal 'sail_area', which model {model.name} does not have"),
         ("twice", f"model {model.name} has m_u already"),
     ]
@@ -474,7 +474,8 @@ def test_user_candidate_that_cannot_be_tested_is_listed() -> None:
     (first, *_) = _untested_warnings(found)
     assert (first.code, first.text) == (
         "effect-untested",
-        "This effect was not tested: a tide (tue/run lacks its input tide).",
+        "This effect was not tested: a tide (tue/run lacks its input tide; leave that log out, or give one with this "
+        "input).",
     )
 
 

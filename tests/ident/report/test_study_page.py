@@ -25,7 +25,7 @@ def test_misses_are_highlighted(tmp_path: Path) -> None:
     assert {style for style in styles if "bad" in style} == {"bad wide"}
     words = " ".join(page.words.split())
     assert "in 93 % to 97 % of the fits" in words
-    assert "No replicate can be evaluated." in words
+    assert "No parameter can be evaluated: fewer than three of 500 replicates are usable" in words
     assert "−0.170 ± 0.040" in words
     assert "89.0 (87.0 to 91.0) %" in words
     figures = list(page.figures().values())

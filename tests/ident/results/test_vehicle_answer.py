@@ -310,7 +310,7 @@ def test_stuck_sensor_is_reported() -> None:
     n = int(np.isfinite(record.y[:, 0]).sum())
     assert line.code == "stuck-sensor"
     text = f"run: {record.outputs[0]} reads 0.5 in all of its {n} samples: the sensor may be stuck. "
-    assert line.text == f"{text}Check it, or leave this signal out."
+    assert line.text == f"{text}Check it, or leave this signal out of the rig file or import map."
     assert stuck_sensors([turning_record(n_rows=200)]) == []
 
 
