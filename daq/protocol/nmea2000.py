@@ -156,8 +156,10 @@ class Decoder(FrameDecoder):
     def _complete_packet(self, source: int, data: bytes) -> bytes | None:
         """Return the message that this CAN frame of a fast packet completes, or None.
 
-        `source` is the sender's address. A frame that does not continue the packet of its sender is discarded with this
-        packet. A complete message is discarded if it is shorter than a fix. Discarded frames count as unparsed bytes.
+        `source` is the sender's address. The frame with number 0 begins a packet and discards an incomplete one. A
+        frame that does not continue the packet of its sender is discarded with this packet. A complete message is
+        discarded if it is shorter than a fix. Discarded frames count as unparsed bytes. Bytes beyond the length of the
+        message are cut off.
         """
         if len(data) < 2:
             self._drop_packet(source, 1)
@@ -227,7 +229,9 @@ class Decoder(FrameDecoder):
 
         The list is empty for an invalid heading, for another sender, before all senders are found, and for a magnetic
         heading with an unknown variation. Pitch and roll are NaN if they are older than 2 s (STALE_S). `source` is the
-        sender's address, and `data` are the bytes of the message.
+        sender's address, and `data` are the bytes of the message. A magnetic heading is corrected by deviation and
+        variation. If its variation is unknown and no usable heading has been received, `remark` advises, after 1.2 s,
+        to add the declination.
         """
         raw, deviation, variation, reference = _HEADING.unpack_from(data)
         yaw, magnetic = _unsigned16(raw, _ANGLE), reference & 3 == MAGNETIC
@@ -368,12 +372,18 @@ class Decoder(FrameDecoder):
 
 
 def _unsigned16(raw: int, scale: float) -> float:
-    """Return an unsigned 16-bit field of NMEA 2000 times its resolution `scale`; NaN if it is marked as unavailable."""
+    """Return an unsigned 16-bit field of NMEA 2000 times its resolution `scale`; NaN if it is marked as unavailable.
+
+    The three largest numbers mean "unavailable".
+    """
     return raw * scale if raw < 0xFFFD else NAN  # the last three values mean "not available"
 
 
 def _signed16(raw: int, scale: float) -> float:
-    """Return a signed 16-bit field of NMEA 2000 times its resolution `scale`; NaN if it is marked as unavailable."""
+    """Return a signed 16-bit field of NMEA 2000 times its resolution `scale`; NaN if it is marked as unavailable.
+
+    The three largest positive numbers mean "unavailable".
+    """
     return raw * scale if raw < 0x7FFD else NAN
 
 
@@ -441,7 +451,7 @@ def fast_packet(pgn: int, body: bytes, sequence: int, source: int = 35) -> list[
     pgn
         Number of the message.
     body
-        Bytes of the message. The last frame is filled with 0xFF.
+        Bytes of the message; their number is not checked. The last frame is filled with 0xFF.
     sequence
         Number of the packet, 0 to 7.
     source

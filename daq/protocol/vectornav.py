@@ -188,7 +188,7 @@ def _split_numbers(words: list[bytes], fields: tuple[tuple[str, int], ...]) -> V
     """Return the numbers of a VectorNav ASCII sentence by quantity. Return None if a word is missing or not a number.
 
     `words` are the fields of the sentence after its name. `fields` are the quantities in order, each with its number of
-    words. Further words are ignored.
+    words. Further words are ignored. Empty words and exponents are no numbers.
     """
     values: Values = {}
     at = 0
