@@ -145,14 +145,20 @@ def _samples_without_rig(frames: list[BusFrame], protocol: str) -> list[tuple[st
 
 
 def _decoder_without_rig(protocol: str) -> Decoder:
-    """Return a new decoder for all nodes of a CAN bus: VESC, DroneCAN, or NMEA 2000 for any other `protocol`."""
+    """Return a new decoder for all nodes of a CAN bus: VESC, DroneCAN, or NMEA 2000 for any other `protocol`.
+
+    No node is reversed. Magnetic headings on NMEA 2000 are not corrected (declination 0).
+    """
     if protocol == "vesc":
         return vesc.Decoder(dict.fromkeys(range(256), 1))  # one pole pair for every possible node
     return dronecan.Decoder(frozenset()) if protocol == "dronecan" else nmea2000.Decoder(0.0)
 
 
 def _can_frame_bytes(frame: BusFrame) -> bytes:
-    """Return a CAN frame as the 16 bytes of Linux's `struct can_frame`, the form that the protocol decoders read."""
+    """Return a CAN frame as the 16 bytes of Linux's `struct can_frame`, the form that the protocol decoders read.
+
+    `frame` has at most 8 bytes of data.
+    """
     return CAN_FRAME.pack(frame.word, len(frame.data), frame.data)
 
 
@@ -203,7 +209,7 @@ def _dbc_tables(path: Path, frames: list[BusFrame], database: Path) -> list[Tabl
 
 
 def _samples_of_rig(frames: list[BusFrame], rig: Rig) -> Iterator[tuple[Device, BusFrame, Frame | None]]:
-    """Decode CAN frames as the CAN devices of a rig would have received them.
+    """Decode CAN frames, in the given order, as the CAN devices of a rig would have received them.
 
     Yield (device, CAN frame, None) for each frame that a device receives, then (device, CAN frame, sample) for each
     sample that this frame completes. If the log has the bus name of the device's port, the device receives the frames
@@ -259,7 +265,7 @@ def import_can(path: Path, rig_path: Path, *, out: Path | None = None, force: bo
     path
         The CAN log.
     rig_path
-        The rig file, whose CAN devices decode the frames.
+        The rig file, whose CAN devices decode the frames in the order of their times.
     out
         The log to write; by default it is named after `path`, in the current folder.
     force

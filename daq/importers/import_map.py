@@ -269,7 +269,8 @@ def load_import_map(path: Path) -> ImportMap:
 def _keeping_repeats(source: Source) -> Source:
     """Return a source of an import map with the default `repeats` = "keep", as in the older format of maps.
 
-    That format is "seatrial-import-csv 1", whose maps did not look for held values. A key `repeats` in the map stays.
+    That format is "seatrial-import-csv 1", whose maps did not look for held values. A key `repeats` in the table [csv]
+    of the map stays.
     """
     style = source.options.style
     return replace(source, options=replace(source.options, style=replace(style, repeats=style.repeats or "keep")))
@@ -308,8 +309,9 @@ def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, fl
 def _source_of_table(table: TomlTable, match: str, near: Path) -> Source:
     """Parse how source files are read, from a table [[file]] of an import map or from the whole map.
 
-    `match` is the pattern of the file name. Paths in the table are relative to the folder `near`. Raise SeatrialError
-    if the table has no signal or a wrong key.
+    `match` is the pattern of the file name. Paths in the table are relative to the folder `near`. The topics of the
+    signals become `topics` of the options. Raise SeatrialError if the table has no signal or a wrong key; unknown keys
+    of the whole map are checked later.
     """
     options = _reading_options(table, near)
     time_table = table.table("time")
@@ -347,7 +349,8 @@ def _reading_options(parent: TomlTable, near: Path) -> SourceOptions:
 def _text_style(table: TomlTable | None) -> TextStyle:
     """Parse the table [csv] of an import map: delimiter, decimal mark, encoding, header, handling of missing numbers.
 
-    None gives the default style. Raise SeatrialError for a wrong key.
+    None gives the default style. The delimiter is one character or "blank"; it may equal the decimal mark only if the
+    map gives both as a comma. Raise SeatrialError for a wrong key.
     """
     if table is None:
         return TextStyle()
@@ -444,9 +447,9 @@ def _time_origin(table: TomlTable) -> float:
 def _signal_of_table(table: TomlTable, frame: str) -> Signal:
     """Parse one signal from its table [[signal]] of an import map.
 
-    `frame` ("NED", "FRD", "ENU" or "FLU") is the default frame of the source; a position or velocity from latitude,
-    longitude, speed or course is always in NED by default. Raise SeatrialError for a wrong key, or keys that do not fit
-    together.
+    By default an input has the hold "zero" and an output "linear". `frame` ("NED", "FRD", "ENU" or "FLU") is the
+    default frame of the source; a position or velocity from latitude, longitude, speed or course is always in NED by
+    default. Raise SeatrialError for a wrong key, or keys that do not fit together.
     """
     name = table.text("name")
     if not NAME.fullmatch(name):
@@ -504,8 +507,9 @@ def _signal_units(table: TomlTable, make: str, columns: Sequence[str], key: str)
     """Return the unit of a signal of an import map and, for a signal made of several columns, the units of the columns.
 
     `make` is the computed quantity, for example "north", or "" for a single column, for which the second result is
-    empty. `key` is the name of the columns' key in the map, for messages. Raise SeatrialError for an unknown unit, a
-    wrong number of columns, or a unit of another quantity.
+    empty. `key` is the name of the columns' key in the map, for messages. Without the key `units` the columns have the
+    usual units of the quantity. Raise SeatrialError for an unknown unit, a wrong number of columns, or a unit of
+    another quantity.
     """
     known = f"known: {', '.join(UNITS)}"
     if not make:

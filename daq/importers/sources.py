@@ -33,7 +33,7 @@ class SourceKind(NamedTuple):
 
 
 def source_kind(path: Path) -> SourceKind:
-    """Return the kind of a source, recognised by the first bytes of the file.
+    """Return the kind of a source, recognised by the first bytes of the file, not by its name.
 
     Any folder is "ros", and any text of no known format is "csv"; whether it is a table shows only when it is read.
 

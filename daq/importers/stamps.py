@@ -86,8 +86,8 @@ def message_times(topics: Mapping[str, MessageTimes]) -> dict[str, EstimatedTime
     Returns
     -------
     dict
-        Times by topic, all of one clock. They are the receipts if no topic has at least two stamps. A message without a
-        reliable time has NaN.
+        Times by topic, all of one clock. If no topic has at least two stamps, each message has its stamp or, without
+        one, its receipt. A message without a reliable time has NaN.
     """
     clean = {name: _without_zeros(times) for name, times in topics.items()}
     stamped = {n: times for n, times in clean.items() if np.isfinite(times.stamp + times.receipt).sum() > 1}
@@ -267,7 +267,8 @@ class _ReferenceClock:
         """Return the level, receipt minus `rate` times stamp [s], as it was for messages received at the given times.
 
         `receipt` has these times (n,) [s since 1970]. The level (n,) is interpolated, but not over a step. If the
-        recorder's clock was set back, it is NaN for receipts that occurred twice, with different levels.
+        reference is the recorder's clock and its level varies by less than 0.25 s, the level is `shift` everywhere. If
+        the recorder's clock was set back, it is NaN for receipts that occurred twice, with different levels.
         """
         if self.set_back:
             pause = [1.5 * float(np.quantile(np.abs(np.diff(own)), 0.99)) for own, _ in self._branches if len(own) > 1]
@@ -301,8 +302,9 @@ class _ReferenceClock:
         Returns
         -------
         EstimatedTimes
-            The times, with a remark if they differ from the stamps. Messages with a wrong or empty stamp have NaN. If
-            fewer than 20 % of the stamps agree with the reference, they are taken as those of another clock.
+            The times, with a remark if they differ from the stamps. Messages with a wrong or empty stamp have NaN.
+            Right stamps are unchanged if the reference is the recorder's clock; otherwise `shift` is added. If fewer
+            than 20 % of the stamps agree with the reference, they are taken as those of another clock.
         """
         if not is_stamped:
             return self._times_of_receipts(topic_times)

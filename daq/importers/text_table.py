@@ -114,7 +114,7 @@ class TextTable(Table):
         return True
 
     def _read_cells(self) -> None:
-        """Read and store header and cells of the text file one by one, as text.
+        """Read and store header and cells of the text file one by one, as text, behind the lines to skip.
 
         Raise SeatrialError if the file cannot be read or is no table of this style.
         """
@@ -140,9 +140,10 @@ class TextTable(Table):
     def _read(self, file: Iterable[str]) -> None:
         """Read and store header and rows of the text table from the lines of its file (behind the skipped lines).
 
-        Comments, repeated headers, units and subheadings are skipped. The units are stored. Lines with a wrong number
-        of cells are left out with a remark, or raise SeatrialError (`_note_ragged_lines`). SeatrialError is also raised
-        without a header or without rows.
+        Comments and repeated headers are skipped, and below the header rows of units and, if the import map has the key
+        `nan`, of words without digits. Surplus empty cells at the end of a line are cut off. The units are stored. A
+        remark names columns that the header has twice. Lines with a wrong number of cells are left out with a remark,
+        or raise SeatrialError (`_note_ragged_lines`). SeatrialError is also raised without a header or without rows.
         """
         watched = _WatchedLines(file)
         rows = _cells_of_lines(watched, self._style)
@@ -336,7 +337,7 @@ class _WatchedLines:
     Attributes
     ----------
     is_cut : bool
-        Whether the last line so far has no line end.
+        Whether the last line so far has no line end; False before the first line.
     """
 
     def __init__(self, lines: Iterable[str]) -> None:
@@ -519,7 +520,8 @@ def sniff_style(path: Path, head: bytes) -> TextStyle | None:
     Returns
     -------
     TextStyle or None
-        The style with the most numbers; None if the text is not a table.
+        The style with the most numbers; None if the text is not a table. The encoding is UTF-8, UTF-16, or else
+        Latin-1. The last of several lines is not used, because it may be cut off.
     """
     encoding = wide_encoding(head) or "utf-8-sig"
     try:
@@ -540,7 +542,7 @@ def sniff_style(path: Path, head: bytes) -> TextStyle | None:
 def _joined_quoted_lines(lines: Sequence[str]) -> tuple[list[str], list[int]]:
     """Join the lines of a text to rows of a table. Return the rows, and the index of the line at which each begins.
 
-    A row is a line, or up to 4 lines if a cell in quotes contains line ends.
+    A row is a line, or up to 4 lines if a cell in quotes contains line ends, which stay in the row.
     """
     found: list[str] = []
     places: list[int] = []

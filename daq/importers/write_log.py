@@ -126,7 +126,8 @@ def _write_in_order(
     """Write imported signals and events to an MCAP log in the order of time.
 
     `t_ns` has the times (n,) of each signal [ns since 1970], and `first` is the earliest of them. The first event is
-    the import, with the text `note`. `events` have their times [s since 1970]; an event before `first` gets this time.
+    the import, with the text `note`. At equal times the signals come in their order, then the events. `events` have
+    their times [s since 1970]; an event before `first` gets this time.
     """
     event, about = writer.channel("/event", schema.EVENT), cdr_layout(schema.EVENT, b"")
     writer.add(event, first, first, 0, about.pack(first, tail=(b"import", note.encode())))
@@ -221,7 +222,7 @@ def early_dates(first: float, last: float, written: Sequence[float]) -> str:
     first, last
         First and last time of a log [s since 1970].
     written
-        Dates of its source files, and the present time [s since 1970].
+        Dates of its source files, and the present time [s since 1970]. Without any, the result is "".
 
     Notes
     -----
@@ -307,7 +308,8 @@ def clock_steps(samples: Iterable[tuple[str, Frame, float]]) -> list[str]:
 def _write_frames(writer: LogWriter, rows: Sequence[SignalRow], units: Mapping[str, str]) -> None:
     """Write decoded samples to an MCAP log in the given order, each to the topics of its kind.
 
-    `units` has the unit of each signal; a signal that it lacks gets the unit "".
+    A signal is an output with linear hold. `units` has the unit of each signal; a signal that it lacks gets the unit
+    "".
     """
     channels: dict[str, int] = {}
     for sequence, (t, device, frame) in enumerate(rows, start=1):
@@ -357,7 +359,8 @@ def replacing(out: Path, force: bool, reads: Sequence[Path]) -> Iterator[Path]:
 def sha256_of(path: Path) -> str:
     """Return the SHA-256 of a source file of an import, or of the files of a folder in the order of their names.
 
-    Of a folder, with its subfolders, the contents of the files enter the digest, not their names.
+    Entries that are no regular files are left out. Of a folder, with its subfolders, the contents of the files enter
+    the digest, not their names.
 
     Parameters
     ----------
