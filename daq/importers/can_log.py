@@ -122,6 +122,16 @@ def read_can(path: Path, options: SourceOptions) -> list[Table]:
             _samples_without_rig(frames, name) for name in ([options.protocol] if options.protocol else CAN_PROTOCOLS)
         ]
         rows = max(tried, key=len)
+    if not rows and options.rig is not None:
+        raise SeatrialError(
+            f"{path}: none of its {counted(len(frames), 'frame')} belongs to a device of {options.rig}; correct "
+            "the ports, protocols and node numbers of its CAN devices"
+        )
+    if not rows and options.protocol:
+        raise SeatrialError(
+            f"{path}: none of its {counted(len(frames), 'frame')} is {options.protocol}; correct protocol in [can] of "
+            "the import map, or give the DBC of the bus there"
+        )
     if not rows:
         raise SeatrialError(
             f"{path}: none of its {counted(len(frames), 'frame')} is VESC, DroneCAN or NMEA 2000; give the DBC of the "
@@ -202,7 +212,8 @@ def _dbc_tables(path: Path, frames: list[BusFrame], database: Path) -> list[Tabl
         topic = f"{bus}_{name}" if len(buses) > 1 else name
         topic += f"_{sender}" if sum(found_key[:2] == key[:2] for found_key in found) > 1 else ""
         columns = {k: np.array([row.get(k, np.nan) for row in rows]) for k in dict.fromkeys(k for r in rows for k in r)}
-        remark = f"{counted(refused[key], 'frame')} left out: the DBC cannot decode them" if refused[key] else ""
+        fault = "left out: the DBC cannot decode them; give the DBC of this firmware"
+        remark = f"{counted(refused[key], 'frame')} {fault}" if refused[key] else ""
         units = {s.name: s.unit for s in messages_by_name[name].signals if s.unit}
         tables.append(Table(path, topic, columns, np.array(t), "dbc", remark=remark, units=units))
     return tables

@@ -87,7 +87,7 @@ def read_matlab(path: Path, options: SourceOptions) -> list[Table]:
         )
     tables = _merged_by_times(path, tables)
     if left_out:
-        tables[0].remark = f"left out, of a class that cannot be read: {', '.join(left_out)}"
+        tables[0].remark = f"left out, of a class that cannot be read: {', '.join(left_out)}; save them as numbers"
     return tables
 
 
@@ -213,7 +213,8 @@ def read_parquet(path: Path, options: SourceOptions) -> list[Table]:
         raise SeatrialError(
             f"{path}: cannot be read as Parquet: {' '.join(str(error).split())}; write the file again"
         ) from error
-    remark = f"left out, of a type that cannot be read: {', '.join(left_out)}" if left_out else ""
+    advice = "write them as columns of numbers"
+    remark = f"left out, of a type that cannot be read: {', '.join(left_out)}; {advice}" if left_out else ""
     return [Table(path, "", columns, remark=remark, texts=texts, seconds=frozenset(seconds))]
 
 

@@ -284,7 +284,8 @@ def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[
             ) from error
     if not rows:
         raise SeatrialError(
-            f"{path}: this DataFlash log contains no attitude, GPS or outputs; set LOG_BITMASK and record again"
+            f"{path}: this DataFlash log contains no attitude, GPS or outputs; set LOG_BITMASK so that it includes "
+            "them, and record again"
         )
     remarks = [
         f"{counted(n, 'message')} {kind} of unknown form (another firmware) left out" for kind, n in strange.items()

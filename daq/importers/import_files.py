@@ -181,7 +181,8 @@ def _read_source(path: Path, source: Source) -> _SourceFile:
     remarks += [f"{path}: {line}" for line in gap_lines(gaps)]
     empty = [data.signal.name for data in signals.signals if not len(data.t)]
     if empty:
-        remarks.append(f"{path}: not in the log, because they have no samples: {', '.join(empty)}")
+        advice = "check their column, nan and missing in the import map"
+        remarks.append(f"{path}: not in the log, because they have no samples: {', '.join(empty)}; {advice}")
     origin = source.time.origin if source.time else 0.0
     events = tuple(event for table in tables for event in table.events)
     for table in tables:

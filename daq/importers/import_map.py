@@ -423,7 +423,8 @@ def _time_format(table: TomlTable, key: str, usual: str) -> str:
             raise table.error(key, f"'{pattern}' contains a field twice; use each field once") from error
         except ValueError as error:
             if "does not match" not in str(error):  # the empty text never matches, so this error is expected
-                raise table.error(key, f"'{pattern}' is not a strptime pattern: {error}") from error
+                text = f"'{pattern}' is not a strptime pattern: {error}; correct it, as %Y-%m-%d %H:%M:%S"
+                raise table.error(key, text) from error
     return pattern
 
 
@@ -538,6 +539,6 @@ def _piece_of_table(table: TomlTable) -> Piece:
         raise table.error("name", f"'{name}' becomes part of a file name; use letters, digits, _, - or .")
     found = Piece(name, table.number("t_from", -1e18), table.number("t_to", 1e18))
     if found.t_to <= found.t_from:
-        raise table.error("t_to", "must be later than t_from")
+        raise table.error("t_to", "must be later than t_from; correct one of them")
     table.done()
     return found

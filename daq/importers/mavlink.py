@@ -265,7 +265,7 @@ def _other_systems_text(decoder: MavlinkDecoder) -> str:
     """
     others = ", ".join(str(number) for number in sorted(decoder.foreign))
     return (
-        f"it contains systems {others}: choose one with --system"
+        f"it contains systems {others}: choose one with --system, or with `system` in the import map"
         if others
         else "check the message rates of the autopilot, and record again"
     )
@@ -361,11 +361,10 @@ def _write_log_file(
     rows = sorted(rows, key=lambda row: row.frame.t_rx)
     if not all(0.0 <= t < 2**31 for row in rows for t in (row.frame.t_rx, row.t)):
         raise SeatrialError(
-            f"{out}: the times of the file are not between 1970 and 2038; record again with a GNSS fix, which sets the "
-            "clock"
+            f"{source}: its times are not between 1970 and 2038; record again with a GNSS fix, which sets the clock"
         )
     samples = ((device, row.frame, row.frame.t_rx) for row in in_file_order if not isinstance(row.frame.sample, Event))
-    steps = clock_steps(samples)
+    steps = clock_steps(out, samples)
     if early := warn_of_early_dates(out, rows[0].frame.t_rx, rows[-1].frame.t_rx, [source]):
         steps.append(early)
     first = round(rows[0].frame.t_rx * NANO)

@@ -68,15 +68,16 @@ def import_raw(
     frames, sha256 = _decoded_frames(decoder, path)
     wrong = f"{counted(decoder.checksum_errors, 'checksum error')}, {counted(decoder.unparsed_bytes, 'byte')} unparsed"
     if not frames:
-        raise SeatrialError(
-            f"{path}: no {protocol} samples in {decoder.frames} complete frames ({wrong}); check the protocol"
-        )
+        advice = "check the protocol"
+        if isinstance(decoder, nmea.Decoder) and decoder.remark:  # the decoder has left out magnetic headings
+            advice = "its headings are magnetic, and a capture has no declination; set the compass to true headings"
+        raise SeatrialError(f"{path}: no {protocol} samples in {decoder.frames} complete frames ({wrong}); {advice}")
     if isinstance(decoder, vectornav.Decoder):
         frames, n_left_out = _without_duplicate_quantities(frames)
         wrong += f"; {counted(n_left_out, 'ASCII sample')} left out, contained in binary samples" * bool(n_left_out)
     if isinstance(decoder, nmea.Decoder) and decoder.two_receivers:
-        advice = "record each receiver by itself, since only one position per time is kept"
-        warnings.warn(f"{path}: {decoder.two_receivers}; {advice}", SeatrialWarning, stacklevel=2)
+        why = "since only one position per time is kept"
+        warnings.warn(f"{path}: {decoder.two_receivers}, {why}", SeatrialWarning, stacklevel=2)
     if not rate and isinstance(decoder, (nmea.Decoder, ubx.Decoder)):
         frames = _with_corrected_dates(path, frames)
     names = [_signal_name(frame) for frame in frames]

@@ -156,7 +156,7 @@ def _readable_files(path: Path) -> Iterator[tuple[list[Path], str]]:
                         f"{path}: cannot be read as a ROS bag: it is cut off and contains no readable message; use "
                         "another copy of it"
                     ) from error
-                remarks.append(f"{part.name} contains no readable message")
+                remarks.append(f"{part.name} contains no readable message and is left out")
                 continue
             readable.append(whole)
             remarks.append(f"{part.name} is cut off: {counted(recovered.messages, 'message')} recovered")

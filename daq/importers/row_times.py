@@ -62,7 +62,11 @@ def row_times(table: Table, time: TimeColumn | None, *, lenient: bool = False) -
         t = _seconds_of_numbers(raw, table.numbers(time.date) if time.date else np.zeros(len(raw)), time.format)
         untimed = np.flatnonzero(np.isnan(t))
         if len(untimed) and not _may_leave_out_untimed_rows(untimed, t, lenient):
-            raise table.error(int(untimed[0]), time.column, "there is no time; remove this line of the table")
+            problem = "there is no time; remove this line of the table"
+            if lenient:  # such lines are left out, but these are too many
+                n = counted(len(untimed), "row")
+                problem = f"there is no time in {n} from here on; name another column in [time] of the import map"
+            raise table.error(int(untimed[0]), time.column, problem)
     else:
         t = _seconds_of_text(table, time, lenient)
         untimed = np.flatnonzero(np.isnan(t))
@@ -217,7 +221,7 @@ def _take_out_clock_changes(table: Table, t: Column, time: TimeColumn) -> None:
             _add_remark(
                 table,
                 f"times step by {sign:+.0f} h at row {row + 1}, which is not a change of daylight saving time: the "
-                "times are kept",
+                "times are kept; check the clock of the logger",
             )
             continue
         t[row:] -= sign * HOUR

@@ -296,8 +296,12 @@ class TextTable(Table):
         row = min(wrong)
         n_numbers = int(np.isfinite(found).sum())
         problem = f"'{cells[row][:40]}' is not a {'finite ' if math.isinf(found[row]) else ''}number"
-        if self._style.nan not in ("drop", "keep") or len(wrong) > MOST_TEXT * (len(wrong) + n_numbers):
-            raise self.error(row, column, problem)
+        if len(wrong) > MOST_TEXT * (len(wrong) + n_numbers):
+            raise self.error(row, column, f"{problem}, nor are most cells; name another column in the import map")
+        if self._style.nan not in ("drop", "keep"):
+            raise self.error(
+                row, column, f'{problem}; correct it, or leave it out by csv.nan = "drop" in the import map'
+            )
         found[np.isinf(found)] = math.nan
         self._add_remark(
             f"line {self.lines[row]}, column '{column}': {problem}; {counted(len(wrong), 'such value')} left out"

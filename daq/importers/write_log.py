@@ -197,7 +197,7 @@ def write_frames(
         raise SeatrialError(
             f"{out}: the times of its source are not between 1970 and 2038; correct the clock, and record it again"
         )
-    steps = clock_steps((row.device, row.frame, row.t) for row in rows)
+    steps = clock_steps(out, ((row.device, row.frame, row.t) for row in rows))
     if early := warn_of_early_dates(out, ordered[0].t, ordered[-1].t, reads):
         steps.append(early)
     first = round(ordered[0].t * NANO)
@@ -270,11 +270,13 @@ def warn_of_early_dates(out: Path, first: float, last: float, reads: Sequence[Pa
     return line
 
 
-def clock_steps(samples: Iterable[tuple[str, Frame, float]]) -> list[str]:
+def clock_steps(out: Path, samples: Iterable[tuple[str, Frame, float]]) -> list[str]:
     """Warn about each device whose times run back in the order of its file, and return the warnings.
 
     Parameters
     ----------
+    out
+        The log, for the warnings; the returned lines do not contain it.
     samples
         Device, sample with its times (frame), and time [s] of each sample, in the order of the file.
 
@@ -301,7 +303,7 @@ def clock_steps(samples: Iterable[tuple[str, Frame, float]]) -> list[str]:
         for device, back in steps.items()
     ]
     for line in lines:
-        warnings.warn(f"{line}; import the data of each clock separately", SeatrialWarning, stacklevel=2)
+        warnings.warn(f"{out}: {line}; import the data of each clock separately", SeatrialWarning, stacklevel=2)
     return lines
 
 

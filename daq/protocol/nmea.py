@@ -315,7 +315,10 @@ class Epochs:
         """
         if self.n_conflicts < FEWEST_CONFLICTS:
             return ""
-        return f"two receivers send in one stream: {self.n_conflicts} positions have the time of another position"
+        return (
+            f"two receivers send in one stream: {self.n_conflicts} positions have the time of another position; "
+            "connect and record each receiver by itself"
+        )
 
     def take(self, kind: str, body: bytes, t_rx: float) -> list[Frame] | None:
         """Decode one NMEA sentence and add it to its epoch. Return the `Gnss` samples that it completes.
