@@ -73,7 +73,8 @@ def read_frames(path: Path) -> list[BusFrame]:
 def _library_frames(path: Path, name: str) -> Iterator[BusFrame]:
     """Yield the data frames of a CAN log that python-can reads by its class `name`, "BLFReader" or "LogReader".
 
-    Error, remote and CAN FD frames are skipped. Raise SeatrialError if python-can cannot read the file.
+    The frames are in the order of the file. Error, remote and CAN FD frames are skipped. Raise SeatrialError if
+    python-can cannot read the file.
     """
     import can
 

@@ -439,8 +439,10 @@ def _format_of_numbers(values: Column, name: Name) -> tuple[str, str]:
     """Return the format of times that are numbers (n,), by their size and their median step, and the caveat about it.
 
     The numbers must be finite, and at least two. The format is a unit ("s", "ms", "us", "ns", "day"), "labview",
-    "datenum" or "excel". The default is "s". The caveat is "" if size and step are clear. `name` has the unit and the
-    words in the name of the column.
+    "datenum" or "excel". Seconds, ms, us or ns since 1970 are tried first, then LabVIEW, MATLAB and Excel, then
+    fractions of a day, and then the size of the steps: from 2e6 on they are ns, from 2000 on us, from 2 on ms. The
+    default is "s". The caveat is "" if size and step are clear. `name` has the unit and the words in the name of the
+    column.
     """
     top, steps = float(np.max(np.abs(values))), np.diff(values)
     step = float(np.median(steps))

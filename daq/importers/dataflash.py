@@ -59,7 +59,8 @@ class _MessageConverter:
     def __init__(self, rig: Rig | None, device: Device | None) -> None:
         """Prepare the conversion for the autopilot `device` of `rig`; both may be None.
 
-        The thrusters of the device select and scale the outputs. Without a rig, outputs are pulse widths only.
+        The thrusters of the device select and scale the outputs. The command of a reversed thruster changes its sign.
+        Without a rig, or if no thruster of the device has an output, outputs are pulse widths only.
         """
         self.vehicle = NO_TYPE  # MAV_TYPE
         thrusters = [t for t in rig.thrusters if device is not None and t.device == device.name] if rig else []
@@ -407,7 +408,8 @@ def _vehicle_of_log(log: Any) -> int:
 def _opened_log(path: Path) -> Iterator[Any]:
     """Yield pymavlink's reader of a DataFlash log, and close its file at the end of the `with` block.
 
-    What the reader prints is discarded. It may raise any error for a damaged file.
+    What the reader prints is discarded until the end of the block; output of C code is discarded only while the log is
+    opened. It may raise any error for a damaged file.
     """
     from pymavlink import DFReader
 

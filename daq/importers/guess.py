@@ -746,8 +746,10 @@ def _unrecognised_lines(tables: Sequence[Table], candidates: Sequence[Candidate]
 def _missing_for_fit(taken: Sequence[MapSignal], tables: Sequence[Table]) -> str:
     """Return the reason why no model can be fitted to the chosen signals; "" if a fit should be possible.
 
-    Of several reasons the first is returned. The table of a thrust stand (force and command) needs no motion. Reasons
-    are another vehicle than a boat, no motion, no thrusters, one side alone, or a recording shorter than 1 s.
+    Of several reasons the first is returned. The table of a thrust stand (force and command) needs no motion. The
+    thrusters are n, X or N, or a left and a right one. The length of the recording is known only for tables with their
+    own times. Reasons are another vehicle than a boat, no motion, no thrusters, one side alone, or a recording shorter
+    than 1 s.
     """
     if any(table.vehicle not in (None, *BOATS) for table in tables):
         vehicle = next(table.vehicle for table in tables if table.vehicle not in (None, *BOATS))

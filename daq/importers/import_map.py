@@ -241,7 +241,8 @@ def load_import_map(path: Path) -> ImportMap:
     Raises
     ------
     SeatrialError
-        If the file cannot be read or a key is wrong. The message names the file and the key.
+        If the file cannot be read or a key is wrong, if two signals have the same name after conversion to NED, or two
+        [[log]] tables the same name. The message names the file and the key.
     """
     text = read_text(path)
     root = parse_toml(text, path)
@@ -385,7 +386,9 @@ def _text_style(table: TomlTable | None) -> TextStyle:
 def _time_column(table: TomlTable) -> TimeColumn:
     """Parse the table [time] of an import map: the time column and its format, or the rate of the rows.
 
-    Raise SeatrialError if it has neither or both of them, or if its keys do not fit together.
+    The default format is "s". Raise SeatrialError if the table has neither or both of them, or if its keys do not fit
+    together: `fraction` needs the format s, iso or a pattern; `date` needs iso, gps, gps_ms or a pattern; gps and
+    gps_ms need `date`.
     """
     if table.has("column") == table.has("rate_hz"):
         raise table.error("column", f"give one of column and rate_hz{table.misspelling_hint('column')}")
@@ -450,7 +453,8 @@ def _signal_of_table(table: TomlTable, frame: str) -> Signal:
 
     By default an input has the hold "zero" and an output "linear". `frame` ("NED", "FRD", "ENU" or "FLU") is the
     default frame of the source; a position or velocity from latitude, longitude, speed or course is always in NED by
-    default. Raise SeatrialError for a wrong key, or keys that do not fit together.
+    default. Raise SeatrialError for a wrong key, or keys that do not fit together: `angle` needs a unit of angle,
+    `timeout` the hold "zero", `time_format` the key `time`, and `missing_is` the key `missing`.
     """
     name = table.text("name")
     if not NAME.fullmatch(name):

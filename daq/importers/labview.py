@@ -219,7 +219,7 @@ class _SegmentRows:
         return np.asarray(start + x if is_continued or not begin else begin + x - x0)
 
     def table(self) -> Table:
-        """Return the rows of all segments of the LabVIEW file that have a time as one table.
+        """Return the rows of all segments of the LabVIEW file that have a time as one table, in the order of the file.
 
         A remark counts the rows that were left out. Raise SeatrialError if there are no rows.
         """

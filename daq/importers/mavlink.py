@@ -382,7 +382,8 @@ def _add_events_and_samples(
 ) -> None:
     """Write events (kind and text) at the time `first` [ns since 1970], then the samples of a device, to a log.
 
-    Samples are written at their time of receipt, in the given order, each to the topics of its kind.
+    Samples are written at their time of receipt, in the given order, each to the topics of its kind, with the estimated
+    time as their stamp. Events among the samples are written to /event, as the first ones are.
     """
     event = writer.channel("/event", schema.EVENT)
     about = cdr_layout(schema.EVENT, b"")

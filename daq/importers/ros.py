@@ -119,8 +119,9 @@ def _readable_files(path: Path) -> Iterator[tuple[list[Path], str]]:
     """Yield the readable files of a ROS bag, and a remark about repairs. Temporary copies are deleted at the end.
 
     A folder without metadata.yaml is read file by file. A .mcap that was cut off is recovered to a temporary file. A
-    .db3 with a SQLite log beside it, which an interrupted recorder leaves, is completed in a temporary copy. Raise
-    SeatrialError if nothing is readable.
+    .db3 with a SQLite log beside it, which an interrupted recorder leaves, is completed in a temporary copy. Files of a
+    split bag are in the order of their numbers. A file without a readable message is left out with a remark. Raise
+    SeatrialError if nothing is readable, or for a bag of ROS 1 that was not closed (.bag.active).
     """
     if path.name.endswith(".bag.active"):
         raise SeatrialError(

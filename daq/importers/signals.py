@@ -154,6 +154,13 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
     SeatrialError
         If a column is missing, a cell has no number, or times are out of order, and the map does not allow this. The
         message names the place and the key of the map that allows it.
+
+    Notes
+    -----
+    The steps for each signal are, in this order: rows in the order of time, cells without a number (`nan`), scale,
+    offset and sign, `missing`, repeats that the map drops, SI unit, NED axes, `angle` and `timeout`. Repeats of held
+    values are removed last, together for the signals with the same rows. If cells without a number are dropped, the
+    order of times is judged by the rows with a value of the signal.
     """
     signals: list[SignalData] = []
     n_dropped = 0
@@ -420,8 +427,9 @@ def _with_timeouts(t: Column, values: Column, timeout: float) -> tuple[Column, C
 def _rows_in_order(table: Table, t: Column, source: Source) -> NDArray[np.bool_]:
     """Return the flags (n,) of the largest set of rows of a table whose times `t` (n,) [s] rise strictly.
 
-    Rows without a time (NaN) are not in it. If rows are out of order, raise SeatrialError unless the import map
-    (`source`) drops them, or the table is no text and the map has no key for this.
+    Rows without a time (NaN) are not in it. A time that repeats the one before is out of order too. If rows are out of
+    order, raise SeatrialError unless the import map (`source`) drops them, or the table is no text and the map has no
+    key for this.
     """
     has_time = np.isfinite(t)
     behind = np.flatnonzero(np.diff(t[has_time]) <= 0.0)

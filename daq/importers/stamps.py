@@ -169,6 +169,12 @@ class _ReferenceClock:
         """Choose the clock that most stamps share, and measure its offset from the recorder without wrong stamps.
 
         `stamped` has receipts and stamps of each topic with at least two stamps.
+
+        Topics of which at least 20 % of the stamps are within 1 s of their receipts share the recorder's clock. Without
+        such a topic, the topic with the most messages gives the clock and its rate, and topics with about the same
+        level share it. Only these topics are used. Their level is smoothed by a running median in the order of receipt.
+        If the recorder's clock was set back in all of them, the order is that of the stamps, and each interval between
+        two steps back has its own level.
         """
         rates = {name: _receipt_rate(times) for name, times in stamped.items()}
         sharing = [n for n, times in stamped.items() if rates[n] == 1.0 and self._agrees_with_recorder(times)]

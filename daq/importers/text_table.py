@@ -78,7 +78,8 @@ class TextTable(Table):
         """Read the text file by numpy, which is fast, and return whether this was possible.
 
         It is possible only if the file contains one header with unique names, and rows of plain finite numbers with
-        decimal points, without blank lines. Otherwise nothing is stored.
+        decimal points, without blank lines. The import map must not give the names of the columns, a decimal comma or
+        the delimiter "blank". Otherwise nothing is stored. An error of reading gives False too.
         """
         style = self._style
         if style.columns or style.decimal != "." or len(style.delimiter) != 1:
@@ -116,7 +117,8 @@ class TextTable(Table):
     def _read_cells(self) -> None:
         """Read and store header and cells of the text file one by one, as text, behind the lines to skip.
 
-        Raise SeatrialError if the file cannot be read or is no table of this style.
+        Cells and lines that were read before are replaced. Raise SeatrialError if the file cannot be read or is no
+        table of this style.
         """
         path, style = self.path, self._style
         self.lines, self._rows = [], []
@@ -563,8 +565,9 @@ def _score_of_style(lines: list[str], style: TextStyle) -> tuple[float, TextStyl
     """Return a score of how well the lines of a text are a table in this style, and the style with the header.
 
     The style has the number of lines before the header or, without a header, names column_1, column_2, ... None means
-    that the lines are not a table in this style. The score is the sum over the rows of the squared share of numbers
-    times the number of cells.
+    that the lines are not a table in this style: no row has the usual number of cells and enough numbers, or fewer than
+    80 % of the rows below the first such row have the usual number of cells. The score is the sum over the rows of the
+    squared share of numbers times the number of cells.
     """
     rows = [next((cells for _, cells in _cells_of_lines(line.splitlines(keepends=True), style)), []) for line in lines]
     widths = Counter(len(cells) for cells in rows if cells).most_common(1)

@@ -125,9 +125,10 @@ def _write_in_order(
 ) -> None:
     """Write imported signals and events to an MCAP log in the order of time.
 
-    `t_ns` has the times (n,) of each signal [ns since 1970], and `first` is the earliest of them. The first event is
-    the import, with the text `note`. At equal times the signals come in their order, then the events. `events` have
-    their times [s since 1970]; an event before `first` gets this time.
+    `t_ns` has the times (n,) of each signal [ns since 1970], and `first` is the earliest of them. The time of a sample
+    is both its log time and its stamp; its device time is NaN. The first event is the import, with the text `note`. At
+    equal times the signals come in their order, then the events. `events` have their times [s since 1970]; an event
+    before `first` gets this time.
     """
     event, about = writer.channel("/event", schema.EVENT), cdr_layout(schema.EVENT, b"")
     writer.add(event, first, first, 0, about.pack(first, tail=(b"import", note.encode())))

@@ -166,7 +166,8 @@ class Decoder(FrameDecoder):
     def __init__(self, database: Any, signals: Sequence[DbcSignal]) -> None:
         """Find the messages of the signals to read in the cantools database.
 
-        Raise SeatrialError if the database lacks a message or a signal.
+        Messages of J1939 and NMEA 2000 are stored by their PGN, others by their identifier. A node that is given by
+        name has to be a signal of the message. Raise SeatrialError if the database lacks a message or a signal.
         """
         super().__init__()
         self._exact: dict[tuple[int, bool], _MessageSignals] = {}

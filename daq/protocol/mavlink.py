@@ -300,7 +300,10 @@ class SampleConverter:
         self.forget()
 
     def forget(self) -> None:
-        """Discard all values from earlier MAVLink messages, because the autopilot may have restarted."""
+        """Discard all values from earlier MAVLink messages, because the autopilot may have restarted.
+
+        The first call creates these values.
+        """
         self._boot = math.nan  # s since boot, of the newest attitude
         self._utc_of_boot = math.nan  # s since 1970
         # An attitude that waits for its IMU message, and its time [s since boot].

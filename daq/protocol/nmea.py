@@ -289,7 +289,10 @@ class Epochs:
     """
 
     def __init__(self) -> None:
-        """Start the collector of position sentences without received sentences."""
+        """Start the collector of position sentences without received sentences.
+
+        Until sentences show another order, VTG counts as the last sentence of an epoch.
+        """
         self._out: list[Frame] = []
         self._epoch: _Epoch | None = None
         self._emitted = False  # whether the sample of the present epoch has been returned

@@ -212,7 +212,9 @@ def message(kind: tuple[int, int], payload: bytes) -> bytes:
 def encode(gnss: Gnss) -> bytes:
     """Encode a fix as the UBX message NAV-PVT, with the rounding of the receiver.
 
-    NaN and a negative `n_sat` are sent as zero. The UTC of the fix has to be a number.
+    Date, time and UTC are flagged as valid. The accuracy of the height is that of the horizontal position; other
+    accuracies are zero. Speed and course follow from the velocity. NaN and a negative `n_sat` are sent as zero. The UTC
+    of the fix has to be a number.
     """
     whole = math.floor(gnss.utc)
     nano = round((gnss.utc - whole) * 1e9)
