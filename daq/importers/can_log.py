@@ -145,7 +145,9 @@ def _samples_without_rig(frames: list[BusFrame], protocol: str) -> list[tuple[st
     """Decode CAN frames by one protocol ("vesc", "dronecan", "nmea2000") without a rig file.
 
     Return (name of the bus, decoded sample with its times) for each sample; the list is empty if no frame belongs to
-    the protocol. The speed of a VESC is electrical: the number of pole pairs is unknown, so it is taken as one.
+    the protocol. The samples are in the order of the frames, and each bus has a decoder of its own. The decoder of NMEA
+    2000 gives no samples in the first 1.2 s of a kind of message. The speed of a VESC is electrical: the number of pole
+    pairs is unknown, so it is taken as one.
     """
     decoders = {bus: _decoder_without_rig(protocol) for bus in {bus_frame.bus for bus_frame in frames}}
     return [

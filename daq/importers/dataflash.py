@@ -157,7 +157,8 @@ class _MessageConverter:
         """Convert a DataFlash RCOU message to one Servo sample for each output, with its pulse width [us].
 
         With a rig these are the outputs of its thrusters. Each also has the command (-1 to 1) by the scale of the rig;
-        without a pulse it is 0. Without a rig these are the outputs of 1 to 14 that have had a pulse.
+        the command is 0 without a pulse, and that of a reversed thruster changes its sign. Without a rig these are the
+        outputs of 1 to 14 that have had a pulse.
         """
         found: Found = []
         for node in range(1, 15):

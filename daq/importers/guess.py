@@ -359,7 +359,8 @@ def _with_frame_key(candidate: Candidate) -> Candidate:
     The guessed map of a bag has frame = "ENU" for all signals without this key. A topic is in NED if its name, type or
     frame_id contains "ned" or "frd" as a word or is a message of PX4 or seatrial. So is a heading that is a single
     number, if the topic is named compass or heading. For other topics with a single number, a heading or yaw rate gets
-    a caveat about its axes. Candidates for thrusters never get the key.
+    a caveat about its axes. Candidates for thrusters never get the key, nor do signals made of latitude, longitude,
+    speed or course, which are always in NED.
     """
     table, caveat = candidate.table, candidate.caveat
     is_ned = bool(_NED.search(f"{table.topic} {table.kind} {table.frame_id}"))
@@ -645,9 +646,10 @@ def _chosen_signals(candidates: Sequence[Candidate], clocks: Clocks, main: Clock
     The lines are one for each chosen signal, then the other candidates as comments. Candidates are tried in the order
     of their rank, then of the number of their rows, the largest first. A thruster of one side alone ranks 2 lower. A
     candidate is chosen if its rank is below `UNCHOSEN_RANK` (5), none of its signals has been chosen before, it has
-    times (or no table has), and its thrusters have the same quantity as those chosen before. Commands and shaft speeds
-    are not chosen if the source has forces of a left or right thruster, or if the vehicle is no boat. `main` is the
-    time column in [time] of the map, and `clocks` has that of each table, by the id of the table.
+    times (or no table has), and its thrusters have the same quantity as those chosen before. A speed without direction
+    is not chosen beside u. Commands and shaft speeds are not chosen if the source has forces of a left or right
+    thruster, or if the vehicle is no boat. `main` is the time column in [time] of the map, and `clocks` has that of
+    each table, by the id of the table.
     """
 
     sides: dict[frozenset[str], set[str]] = {}
@@ -698,7 +700,7 @@ def _signal_line(table: Table, signal: MapSignal, clock: Clock, main: Clock) -> 
     """Return one signal of an import map as an inline table of TOML: name, topic, columns, unit and further keys.
 
     The line names the time column of the signal's own table (`clock`) if it differs from `main`, the time column in
-    [time] of the map.
+    [time] of the map. A signal made of several columns has no unit in the line.
     """
     keys = [f"name = {_toml_text(signal.name)}"]
     if table.topic:

@@ -395,8 +395,9 @@ class Hdf5Variables:
     def _referenced_objects(self, reference: NDArray[Any], depth: int) -> Any:
         """Return the MATLAB object of a reference, or a list of at most 16 objects; None if the reference is invalid.
 
-        The 32-bit words of a reference are: `OBJECT`, number of dimensions, the dimensions, the indices of the objects,
-        and the class. `depth` is the number of structs and objects around it.
+        An object whose number is out of range is None. The 32-bit words of a reference are: `OBJECT`, number of
+        dimensions, the dimensions, the indices of the objects, and the class. `depth` is the number of structs and
+        objects around it.
         """
         words = [int(word) for word in np.ravel(reference)]
         if len(words) < 2 or words[0] != OBJECT or words[1] != len(words[2 : 2 + words[1]]):

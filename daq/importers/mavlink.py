@@ -261,7 +261,8 @@ def mismatches(p: Mapping[str, float], rig: Rig | None) -> list[ParameterMismatc
 def _other_systems_text(decoder: MavlinkDecoder) -> str:
     """Return the part of an error message that lists the other MAVLink systems which the decoder found in a tlog.
 
-    It advises to choose one of them, or states that there is no other system.
+    The text advises to choose one of them. Without another system it only advises to check the message rates of the
+    autopilot.
     """
     others = ", ".join(str(number) for number in sorted(decoder.foreign))
     return (

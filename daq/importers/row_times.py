@@ -200,8 +200,9 @@ def _take_out_clock_changes(table: Table, t: Column, time: TimeColumn) -> None:
 
     The change is a step of one hour, forward or back, added to the usual step. It is at a full hour of a Sunday night
     in spring or autumn. The rows after it are moved, with a remark of the table. A step of an hour at any other time is
-    a pause of the logger, or a clock that was set. It is kept, with a remark. Nothing is done for fewer than 11 rows
-    with a time, or rows 60 s or more apart. `time` has the origin of the times.
+    a pause of the logger, or a clock that was set. It is kept, with a remark. If several steps are of this kind, the
+    times are unchanged, without a remark. Nothing is done for fewer than 11 rows with a time, or rows 60 s or more
+    apart. `time` has the origin of the times.
     """
     known = np.flatnonzero(np.isfinite(t))
     steps = np.diff(t[known])

@@ -212,8 +212,9 @@ class _ReferenceClock:
 
         The level is the receipt minus `rate` times the stamp [s]. After a step back the same receipt may occur again
         with another level, so each interval (a branch) is interpolated on its own. `receipt` and `level` (n,) are in
-        the order of the stamps; a fall of the level by more than 0.25 s is a step. `shift` is that of the first branch
-        with a level below 1 s (near the recorder's clock), or else of the first branch.
+        the order of the stamps; a fall of the level by more than 0.25 s is a step. `shift` is set from the first branch
+        with a level below 1 s (near the recorder's clock), or else from the first branch: it is the median of its
+        levels if the reference is the recorder's clock, and otherwise the first of them.
         """
         steps = np.flatnonzero(np.diff(level) < -STEP_S) + 1
         edges = [0, *steps.tolist(), len(level)]
@@ -393,8 +394,9 @@ def _stamps_jump(receipt: Column, stamp: Column, topic: Column, k: int, jump: fl
     """Return whether the stamps stepped, not the receipts, at message k, where receipt minus stamp jumps by `jump` [s].
 
     Each topic near message k votes for the clock whose interval at the step is more unusual, with a weight of its
-    number of messages. `receipt`, `stamp` and `topic` (number of the topic) are of all messages (n,). `rate` is the
-    rate of the receipts by the stamps [s/s].
+    number of messages. A topic with fewer than 3 messages there has no vote, and an equal vote means the receipts.
+    `receipt`, `stamp` and `topic` (number of the topic) are of all messages (n,). `rate` is the rate of the receipts by
+    the stamps [s/s].
     """
     votes = 0.0
     for index in np.unique(topic[max(k - SMOOTH, 0) : k + SMOOTH]):

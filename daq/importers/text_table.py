@@ -409,8 +409,8 @@ def to_number(text: str, decimal: str, has_thousands: bool = False) -> float:
 def _cells_of_lines(file: Iterable[str], style: TextStyle) -> Iterator[tuple[int, list[str]]]:
     """Split the lines of a text table into cells. Yield the number, counted from 1, and the cells of each line.
 
-    Blank lines are skipped. The delimiter is that of `style`. For cells in quotes with line ends, the number is that of
-    the last line.
+    Blank lines are skipped. Cells keep the blanks around them unless the delimiter is "blank". The delimiter is that of
+    `style`. For cells in quotes with line ends, the number is that of the last line.
     """
     if style.delimiter == BLANK:
         for number, line in enumerate(file, start=1):

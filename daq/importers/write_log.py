@@ -83,7 +83,8 @@ def write_signals(
     note
         Text of the first event.
     events
-        Further events, with their times [s since 1970].
+        Further events, with their times [s since 1970]. An event before the first sample is written at the time of that
+        sample.
     force
         Whether an existing log is replaced.
     reads

@@ -544,9 +544,10 @@ class SampleConverter:
     def _esc_telemetry(self, m: Any) -> TimedSamples:
         """Return an `Esc` sample for each speed controller with new values in an ESC_TELEMETRY message.
 
-        A controller has new values if its counter in the message has changed. The rpm in the message has no sign; it
-        gets the sign of the output's newest command (positive is forward, also for a reversed thruster), and stays
-        positive if this is zero or unknown. The command becomes the duty. The samples have no time.
+        A controller has new values if its counter in the message has changed; a counter that is still 0 gives no
+        sample. The rpm in the message has no sign; it gets the sign of the output's newest command (positive is
+        forward, also for a reversed thruster), and stays positive if this is zero or unknown. The command becomes the
+        duty. The samples have no time.
         """
         first = int(m.get_type().split("_")[2])
         samples: TimedSamples = []

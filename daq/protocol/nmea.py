@@ -109,8 +109,9 @@ class Decoder(StreamDecoder[Frame]):
     def _decode_frame(self, buffer: bytearray, start: int, t_rx: float) -> int:
         """Decode the NMEA sentence that begins at index `start` of the buffer, and append its samples to `self._out`.
 
-        Return its length in bytes, 0 if more bytes are needed, or -1 if no valid sentence begins there. `t_rx` is the
-        run time of receipt [s].
+        A wrong checksum counts as a checksum error. Fields that cannot be read also give -1. Return the length of the
+        sentence in bytes, 0 if more bytes are needed, or -1 if no valid sentence begins there. `t_rx` is the run time
+        of receipt [s].
         """
         length, body, bad = take_sentence(buffer, start)
         self.checksum_errors += bad
@@ -594,8 +595,8 @@ def _time_of_day(words: list[bytes], index: int) -> float:
 def _read_gga(epoch: _Epoch, message: Message) -> None:
     """Store fix and satellites of an NMEA sentence GGA in the epoch; position, height and HDOP only with a fix.
 
-    The quality indicator is converted to a kind of fix as in `Gnss.fix`; estimated, manual and simulated become 1.
-    `message` has the fields by name. Empty fields are not stored.
+    The quality indicator is converted to a kind of fix as in `Gnss.fix`; estimated, manual and simulated become 1, and
+    an unknown indicator 0. `message` has the fields by name. Empty fields are not stored.
     """
     fix = _QUALITY.get(_to_integer(message.get("quality"), 0), 0)
     epoch.values["quality"] = fix

@@ -135,7 +135,8 @@ class Decoder(FrameDecoder):
     def _decode_can_frame(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
         """Decode one CAN frame if its NMEA 2000 message is used; return no sample otherwise.
 
-        Return the samples that it completes. A frame that is too short counts as unparsed bytes.
+        Return the samples that it completes. A frame with an 11-bit identifier is ignored. A frame that is too short
+        counts as unparsed bytes.
         """
         pgn, source = split_identifier(identifier)
         if not extended or pgn not in self._take_message:
@@ -305,8 +306,8 @@ class Decoder(FrameDecoder):
         """Store course and speed over ground of a sender for its next fix. Return no sample.
 
         Those of the best sender are also stored for fixes of other senders. A magnetic course is corrected by the
-        variation; it is NaN if that is unknown. Nothing is stored if the speed is invalid. `source` is the sender's
-        address, and `data` are the bytes of the message.
+        variation; the course is NaN if the variation is unknown. At speed 0 an unknown course becomes 0. Nothing is
+        stored if the speed is invalid. `source` is the sender's address, and `data` are the bytes of the message.
         """
         reference, raw_course, raw_speed = _COURSE.unpack_from(data)
         course, speed = _unsigned16(raw_course, _ANGLE), _unsigned16(raw_speed, _SPEED)
@@ -334,8 +335,10 @@ class Decoder(FrameDecoder):
         """Return the sample of a fix from the best sender, with its newest course and speed.
 
         If this sender sends none, the newest course and speed of the best other sender are used; those older than 2 s
-        (STALE_S) become NaN. The list is empty for another sender, and before all senders are found. Without a valid
-        position, `fix` is 0. `source` is the sender's address, and `data` are the bytes of the message.
+        (STALE_S) become NaN. The list is empty for another sender, and before all senders are found. The dimensions are
+        those that the sender reports (DOPs), or else 3 with a height and 2 without; a fix of kind 3 with 2 dimensions
+        becomes kind 2. Without a valid position, `fix` is 0. The device time is the UTC, NaN before the first fix of
+        the sender. `source` is the sender's address, and `data` are the bytes of the message.
         """
         day, ticks, lat, lon, alt, method, _, n_sat, hdop, _, _ = _FIX.unpack_from(data)
         counts = 0 < n_sat < 0xFD  # a device that relays fixes of another device often omits the number of satellites

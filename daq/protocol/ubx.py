@@ -304,7 +304,8 @@ class Epochs:
         Returns
         -------
         list of Frame
-            An `Ahrs` for an attitude message, or the `Gnss` samples of completed epochs. It may be empty.
+            An `Ahrs` for an attitude message, with its UTC as device time, or the `Gnss` samples of completed epochs.
+            The list may be empty.
         """
         number = kind[1]
         if kind == HNR_PVT:
