@@ -55,10 +55,11 @@ def bench_candidates(table: Table, t: Column | None) -> list[Candidate]:
     -------
     list of Candidate
         One candidate for each signal, with a caveat about what is assumed: ``force`` (the thrust; its sign is changed
-        if it is never positive), ``n_cmd_thruster`` (the command, scaled to -1 to 1) and, if the table has a shaft
-        speed, ``n_thruster`` (the speed divided by its largest magnitude). The map will not contain the shaft speed
-        (its candidate has rank 5, which is never chosen) if only the thrust changes its sign, or if the rows are more
-        than 0.2 s apart; without times (`t` None) this distance is not checked. The list is empty for any other table.
+        if it is never above 5 % of its largest magnitude; without a unit it is in newtons), ``n_cmd_thruster`` (the
+        command, scaled to -1 to 1) and, if the table has a shaft speed, ``n_thruster`` (the speed divided by its
+        largest magnitude). The map will not contain the shaft speed (its candidate has rank 5, which is never chosen)
+        if only the thrust changes its sign, or if the rows are more than 0.2 s apart; without times (`t` None) this
+        distance is not checked. The list is empty for any other table.
     """
     numbers = dict(_number_columns(table))
     found = _stand_columns(table, numbers)
@@ -109,9 +110,10 @@ def _stand_columns(table: Table, numbers: Mapping[str, Column]) -> _StandColumns
     """Find the columns of thrust, command and shaft speed of a thrust stand by their names; None without them.
 
     `numbers` has the values (n,) of the columns of numbers, by name. The result is None if a name has a side (left,
-    right) or a signal of motion, because the table is then from a boat. It is also None if there is no command that
-    changes, or not exactly one thrust. Of several commands the first is taken, and of several speeds the one with the
-    most values other than zero.
+    right) or a signal of motion other than an acceleration, because the table is then from a boat. It is also None if
+    there is no command that changes, or not exactly one thrust. Of several commands the first is taken, and of several
+    speeds the one with the most values other than zero. Columns such as power, current, torque or efficiency are not
+    used. The speed is "" if no column of speeds has a value other than zero.
     """
     # A name of a side or of a signal of motion means that the table is from a boat. A stand may have an accelerometer.
     words = {name: read_name(name).words for name in numbers}
@@ -152,10 +154,10 @@ def _command_scale(command: Column, response: Column, is_reversed: bool) -> tupl
 
     The keys are "scale", "offset" and "role": signal = scale * command + offset. The caveat has rest and full command.
 
-    Rest becomes 0, and the command farthest from rest becomes 1 or -1. Rest is the most frequent command at which the
-    `response` (n,), a speed or a thrust, is at most 3 % of its largest magnitude. Without such a row, rest of a pulse
-    width is 1000 us, or 1500 us if `is_reversed` (both directions); rest of another command is 0. A command is a pulse
-    width if its maximum is above 700.
+    Rest becomes 0, and the command farthest from rest becomes 1 or -1. Rest is the most frequent command (the smallest
+    of several) at which the `response` (n,), a speed or a thrust, is at most 3 % of its largest magnitude. Without such
+    a row, rest of a pulse width is 1000 us, or 1500 us if `is_reversed` (both directions); rest of another command is
+    0. A command is a pulse width if its maximum is above 700.
     """
     known = np.isfinite(command) & np.isfinite(response)
     at_rest = known & (np.abs(response) <= REST_SHARE * np.nanmax(np.abs(response)))

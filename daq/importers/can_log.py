@@ -73,7 +73,8 @@ def read_frames(path: Path) -> list[BusFrame]:
 def _library_frames(path: Path, name: str) -> Iterator[BusFrame]:
     """Yield the data frames of a CAN log that python-can reads by its class `name`, "BLFReader" or "LogReader".
 
-    Error, remote and CAN FD frames are skipped. Raise SeatrialError if python-can cannot read the file.
+    The frames are in the order of the file. Error, remote and CAN FD frames are skipped. Raise SeatrialError if
+    python-can cannot read the file.
     """
     import can
 
@@ -122,6 +123,16 @@ def read_can(path: Path, options: SourceOptions) -> list[Table]:
             _samples_without_rig(frames, name) for name in ([options.protocol] if options.protocol else CAN_PROTOCOLS)
         ]
         rows = max(tried, key=len)
+    if not rows and options.rig is not None:
+        raise SeatrialError(
+            f"{path}: none of its {counted(len(frames), 'frame')} belongs to a device of {options.rig}; correct "
+            "the ports, protocols and node numbers of its CAN devices"
+        )
+    if not rows and options.protocol:
+        raise SeatrialError(
+            f"{path}: none of its {counted(len(frames), 'frame')} is {options.protocol}; correct protocol in [can] of "
+            "the import map, or give the DBC of the bus there"
+        )
     if not rows:
         raise SeatrialError(
             f"{path}: none of its {counted(len(frames), 'frame')} is VESC, DroneCAN or NMEA 2000; give the DBC of the "
@@ -134,7 +145,9 @@ def _samples_without_rig(frames: list[BusFrame], protocol: str) -> list[tuple[st
     """Decode CAN frames by one protocol ("vesc", "dronecan", "nmea2000") without a rig file.
 
     Return (name of the bus, decoded sample with its times) for each sample; the list is empty if no frame belongs to
-    the protocol. The speed of a VESC is electrical: the number of pole pairs is unknown, so it is taken as one.
+    the protocol. The samples are in the order of the frames, and each bus has a decoder of its own. The decoder of NMEA
+    2000 gives no samples in the first 1.2 s of a kind of message. The speed of a VESC is electrical: the number of pole
+    pairs is unknown, so it is taken as one.
     """
     decoders = {bus: _decoder_without_rig(protocol) for bus in {bus_frame.bus for bus_frame in frames}}
     return [
@@ -145,14 +158,20 @@ def _samples_without_rig(frames: list[BusFrame], protocol: str) -> list[tuple[st
 
 
 def _decoder_without_rig(protocol: str) -> Decoder:
-    """Return a new decoder for all nodes of a CAN bus: VESC, DroneCAN, or NMEA 2000 for any other `protocol`."""
+    """Return a new decoder for all nodes of a CAN bus: VESC, DroneCAN, or NMEA 2000 for any other `protocol`.
+
+    No node is reversed. Magnetic headings on NMEA 2000 are not corrected (declination 0).
+    """
     if protocol == "vesc":
         return vesc.Decoder(dict.fromkeys(range(256), 1))  # one pole pair for every possible node
     return dronecan.Decoder(frozenset()) if protocol == "dronecan" else nmea2000.Decoder(0.0)
 
 
 def _can_frame_bytes(frame: BusFrame) -> bytes:
-    """Return a CAN frame as the 16 bytes of Linux's `struct can_frame`, the form that the protocol decoders read."""
+    """Return a CAN frame as the 16 bytes of Linux's `struct can_frame`, the form that the protocol decoders read.
+
+    `frame` has at most 8 bytes of data.
+    """
     return CAN_FRAME.pack(frame.word, len(frame.data), frame.data)
 
 
@@ -196,14 +215,15 @@ def _dbc_tables(path: Path, frames: list[BusFrame], database: Path) -> list[Tabl
         topic = f"{bus}_{name}" if len(buses) > 1 else name
         topic += f"_{sender}" if sum(found_key[:2] == key[:2] for found_key in found) > 1 else ""
         columns = {k: np.array([row.get(k, np.nan) for row in rows]) for k in dict.fromkeys(k for r in rows for k in r)}
-        remark = f"{counted(refused[key], 'frame')} left out: the DBC cannot decode them" if refused[key] else ""
+        fault = "left out: the DBC cannot decode them; give the DBC of this firmware"
+        remark = f"{counted(refused[key], 'frame')} {fault}" if refused[key] else ""
         units = {s.name: s.unit for s in messages_by_name[name].signals if s.unit}
         tables.append(Table(path, topic, columns, np.array(t), "dbc", remark=remark, units=units))
     return tables
 
 
 def _samples_of_rig(frames: list[BusFrame], rig: Rig) -> Iterator[tuple[Device, BusFrame, Frame | None]]:
-    """Decode CAN frames as the CAN devices of a rig would have received them.
+    """Decode CAN frames, in the given order, as the CAN devices of a rig would have received them.
 
     Yield (device, CAN frame, None) for each frame that a device receives, then (device, CAN frame, sample) for each
     sample that this frame completes. If the log has the bus name of the device's port, the device receives the frames
@@ -259,7 +279,7 @@ def import_can(path: Path, rig_path: Path, *, out: Path | None = None, force: bo
     path
         The CAN log.
     rig_path
-        The rig file, whose CAN devices decode the frames.
+        The rig file, whose CAN devices decode the frames in the order of their times.
     out
         The log to write; by default it is named after `path`, in the current folder.
     force

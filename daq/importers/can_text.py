@@ -213,9 +213,10 @@ def read_text_frames(path: Path, dialect: str) -> list[BusFrame]:
 def _with_continuous_times(log: _LogState, dialect: str, frames: list[BusFrame]) -> list[BusFrame]:
     """Return CAN frames with continuous times: the start of the log (`log.start`) plus the time since then [s].
 
-    Times that count from the previous frame are summed; for candump these are times below one day that ever fall. In
-    formats with times of day ("BusMaster", "Yacht Devices", "N2K"), 24 h are added from each frame on whose time is
-    more than 12 h before the previous one (midnight). The start is in s since 1970, or 0 if the log has no date.
+    Times that count from the previous frame are summed; for candump they do so if all are below one day and any is less
+    than the one before. In formats with times of day ("BusMaster", "Yacht Devices", "N2K"), 24 h are added from each
+    frame on whose time is more than 12 h before the previous one (midnight). The start is in s since 1970, or 0 if the
+    log has no date.
     """
     t, total = [frame.t for frame in frames], 0.0
     is_delta = log.is_delta
@@ -238,7 +239,8 @@ def _is_heading(log: _LogState, dialect: str, line: str) -> bool:
     """Return whether a line of a CAN log without a data frame is a known one: a heading, a comment or an event.
 
     The date, the number base and the mode of the times (absolute, or counted from the previous frame) in a heading are
-    stored in `log`.
+    stored in `log`. Known lines are: in BusMaster those that begin with ***, in ASC see `_is_asc_heading`, otherwise
+    comments (#, //, ;), error frames, and in canboat lines without a comma.
     """
     if dialect == "ASC":
         return _is_asc_heading(log, line)
@@ -259,8 +261,9 @@ def _is_heading(log: _LogState, dialect: str, line: str) -> bool:
 def _is_asc_heading(log: _LogState, line: str) -> bool:
     """Return whether a line of an ASC file without a frame is a known one: a heading, an event, or a text.
 
-    An event begins with a time. A text is any line that begins without a digit. The date, the number base and the mode
-    of the times (absolute, or counted from the previous frame) in a heading are stored in `log`.
+    An event begins with a time. A text is any line that begins without a digit. Of several dates the first counts. The
+    date, the number base and the mode of the times (absolute, or counted from the previous frame) in a heading are
+    stored in `log`.
     """
     low = line.lower()
     if (date := _ASC_DATE.match(line)) is not None:
@@ -294,8 +297,9 @@ def _asc_date(parts: Fields) -> float:
 def _candump_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
     """Yield the CAN frame of a candump line; `parts` are its texts: time "t", "bus", "id" and hexadecimal "data".
 
-    CAN FD frames, remote requests, error messages and data above 8 bytes yield no frame. A line without a time sets
-    `log.has_no_times`. Raise ValueError if the number of data bytes differs from the number in the line.
+    An identifier of more than 3 digits has 29 bits. CAN FD frames, remote requests, error messages and data above 8
+    bytes yield no frame. A line without a time sets `log.has_no_times`. Raise ValueError if the number of data bytes
+    differs from the number in the line.
     """
     text = parts["data"]
     if not parts["t"]:
@@ -327,7 +331,7 @@ def _asc_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
     """Yield the CAN frame of a line of a Vector ASC file; no frame for a remote request.
 
     `parts` are the texts of the line by name, for example "id" and "data". `log.base` is their number base, 10 or 16.
-    Data beyond 8 bytes are cut off. Raise ValueError for an invalid number.
+    An identifier with an x has 29 bits. Data beyond 8 bytes are cut off. Raise ValueError for an invalid number.
     """
     data = bytes(int(part, log.base) for part in parts["data"].split())
     if parts["kind"] in "dD":
@@ -338,9 +342,9 @@ def _asc_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
 def _busmaster_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
     """Yield the CAN frame of a BusMaster line with its time [s], which is usually the time of day.
 
-    Remote requests and data above 8 bytes yield no frame. `parts` are the texts of the line by name, for example "id"
-    and "data". `log.base` is their number base, 10 or 16; an identifier with 0x is always hexadecimal. Raise ValueError
-    for an invalid number.
+    Remote requests and data above 8 bytes yield no frame. The kind "x" has 29 bits of identifier, the kind "s" 11.
+    `parts` are the texts of the line by name, for example "id" and "data". `log.base` is their number base, 10 or 16;
+    an identifier with 0x is always hexadecimal. Raise ValueError for an invalid number.
     """
     data = bytes(int(part, log.base) for part in parts["data"].split())
     word = int(parts["id"], 16 if parts["id"].startswith("0x") else log.base)
@@ -353,8 +357,8 @@ def _busmaster_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
 def _yacht_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
     """Yield the CAN frame of a line in Yacht Devices' RAW format, with the time since midnight [s].
 
-    `parts` are the texts of the line by name: time "t", "id" and "data". Data beyond 8 bytes are cut off. `log` is not
-    used.
+    `parts` are the texts of the line by name: time "t", "id" and "data". The identifier has 29 bits, and the bus is
+    "1". Data beyond 8 bytes are cut off. `log` is not used.
     """
     hours, minutes, seconds = parts["t"].split(":")
     t = 3600.0 * int(hours) + 60.0 * int(minutes) + float(seconds)
@@ -392,9 +396,10 @@ def _canboat_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
 def _message_frames(log: _LogState, t: float, numbers: Sequence[int], data: bytes) -> Iterator[BusFrame]:
     """Yield the CAN frames of a complete NMEA 2000 message at the time `t` [s].
 
-    Decoders then read the message as from a bus. `numbers` are priority, PGN (number of the message), source and
-    destination address. Data above 8 bytes become several frames (a fast packet), which increases the sequence number
-    in `log`; up to 8 bytes are always a single frame. A PGN above 0x3FFFF or an address above 255 yields no frame.
+    Decoders then read the message as from a bus, which has the name "1". `numbers` are priority, PGN (number of the
+    message), source and destination address. Data above 8 bytes become several frames (a fast packet), which increases
+    the sequence number in `log`; up to 8 bytes are always a single frame. A PGN above 0x3FFFF or an address above 255
+    yields no frame.
     """
     priority, pgn, source, to = numbers
     if pgn > LARGEST_PGN or source > 255 or to > 255:

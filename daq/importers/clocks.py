@@ -153,7 +153,9 @@ def _named_clock(table: Table, name: str, dates: Sequence[str], weeks: Sequence[
     """Return the clock of a table whose time column is `name`: its format, and its column of dates or GPS weeks.
 
     `dates` and `weeks` are names of columns of dates and GPS weeks; the first of each is used. A GPS week completes
-    times in s or ms, with a caveat if it counts modulo 1024. A date completes times of day.
+    times in s or ms, with a caveat if it counts modulo 1024. A date completes times of day, if both together are
+    readable. Times and dates of digits only (hhmmss, ddmmyy) are recognised too. If several rows share each stamp, the
+    clock gets the rate of the rows (`_with_row_rate`).
     """
     form, caveat = _time_format(table, name)
     clock = Clock(name, form, caveat)
@@ -174,8 +176,9 @@ def _named_clock(table: Table, name: str, dates: Sequence[str], weeks: Sequence[
 def _digits_only_clock(table: Table, name: str) -> Clock | None:
     """Return the clock of a table whose times and dates are digits only, as 130000.5 (hhmmss) and 120524 (ddmmyy).
 
-    `name` is the column of the times. The column of the dates is found by its name; a date of 8 digits is yyyymmdd.
-    Return None if the times are not of this form, or no column of dates fits.
+    `name` is the column of the times. The column of the dates is found by its name; a date of 8 digits is yyyymmdd, one
+    of 6 digits ddmmyy. The first column that fits is taken. Return None if the times are not of this form, or no column
+    of dates fits.
     """
     times = _typical_texts(table.text(name))
     if not times or not all(re.fullmatch(r"([01]\d|2[0-3])([0-5]\d){2}(\.\d+)?", text) for text in times):
@@ -228,9 +231,10 @@ def _rises_evenly(values: Column) -> bool:
 def _with_row_rate(table: Table, clock: Clock) -> Clock:
     """Add the rate of the rows [Hz] to a clock whose time stamps are coarser than the rows, as whole seconds at 10 Hz.
 
-    The rate is set, with a caveat, if the stamps are even and all except the first and the last have about the same
-    number of rows. Otherwise the clock only gets a caveat. It is returned unchanged if times fall or are missing, if
-    most stamps have a single row, or if there are fewer than 7 stamps.
+    The rate, and the time of the first row in `start`, are set, with a caveat that replaces that of the clock, if the
+    stamps are even and all except the first and the last have about the same number of rows. Otherwise the clock only
+    gets a caveat, which also replaces its own. It is returned unchanged if times fall or are missing, if most stamps
+    have a single row, or if there are fewer than 7 stamps.
     """
     t = row_seconds(table, clock)
     if t is None or not np.all(np.diff(t) >= 0.0):  # also for NaN
@@ -270,8 +274,9 @@ def _time_format(table: Table, column: str) -> tuple[str, str]:
     """Return the format of a column of times, for example "ms", "iso" or "%H:%M:%S", and the caveat about it.
 
     The caveat is "" if the format is certain. A column that the file declares as seconds has the format "s". A unit in
-    the name counts, unless only steps in seconds fit a logger. Without a unit the size of the numbers decides. Texts
-    that are not recognised have the format "%d.%m.%Y %H:%M:%S" with a caveat.
+    the name counts, unless only steps in seconds fit a logger. Numbers of 14 digits or more that begin with a year, as
+    20240512130000, are dates. Without a unit the size of the numbers decides. Texts that are not recognised have the
+    format "%d.%m.%Y %H:%M:%S" with a caveat.
     """
     if column in table.seconds:
         return "s", ""
@@ -350,10 +355,10 @@ def format_of_text(texts: Sequence[str]) -> tuple[str, str]:
 
 
 def _fitting_patterns(texts: Sequence[str], patterns: Sequence[str]) -> list[str]:
-    """Return the strptime patterns, out of `patterns`, that read all texts.
+    """Return the strptime patterns, out of `patterns` and in their order, that read all texts.
 
-    If the texts end with a time zone, the returned patterns include it. The list is empty if no pattern reads all
-    texts.
+    If the first text ends with a time zone, patterns with this zone are tried too and come last. The list is empty if
+    no pattern reads all texts.
     """
     fitting = []
     zone = _ZONE.search(texts[0])
@@ -377,7 +382,8 @@ def _text_shape(text: str) -> str:
 def _pattern_shapes(pattern: str) -> frozenset[str]:
     """Return the shapes of the texts that a strptime pattern reads, with and without the fraction of a second.
 
-    In a shape each number is 0 and each word is a: "%d %b %Y" has the shape "0 a 0".
+    In a shape each number is 0 and each word is a: "%d %b %Y" has the shape "0 a 0". The result is stored for the next
+    call.
     """
     shapes = [
         re.sub("%[bBpa]", "a", re.sub("%[dmYyHIMSfj]", "0", p)) for p in (pattern, re.sub("[.,:]%f", "", pattern))
@@ -386,7 +392,7 @@ def _pattern_shapes(pattern: str) -> frozenset[str]:
 
 
 def _is_unpadded(pattern: str, texts: Sequence[str]) -> bool:
-    """Return whether a pattern has milliseconds behind a colon that some texts write with fewer than 3 digits.
+    """Return whether a pattern has milliseconds behind a colon that some texts do not write with exactly 3 digits.
 
     Such a logger leaves out leading zeros, so that 12:00:00:5 means 5 ms. The pattern would read half a second.
     """
@@ -408,13 +414,19 @@ def _typical_texts(texts: Sequence[str]) -> list[str]:
 
 
 def _day_format(texts: Sequence[str]) -> str:
-    """Return the first strptime pattern that reads texts as dates without a time of day; "" if none does."""
+    """Return the first strptime pattern that reads texts as dates without a time of day; "" if none does.
+
+    Only the typical texts of the column are tried; rare other texts do not count.
+    """
     tried = _typical_texts(texts)
     return next(iter(_fitting_patterns(tried, _DAYS)), "") if tried else ""
 
 
 def _reads_all(read: Callable[[str], object], texts: Sequence[str]) -> bool:
-    """Return whether a parser of times, the function `read`, reads all texts without a ValueError."""
+    """Return whether a parser of times, the function `read`, reads all texts without a ValueError.
+
+    The result is True without texts. Other errors than ValueError are not caught.
+    """
     try:
         for text in texts:
             read(text)
@@ -427,8 +439,10 @@ def _format_of_numbers(values: Column, name: Name) -> tuple[str, str]:
     """Return the format of times that are numbers (n,), by their size and their median step, and the caveat about it.
 
     The numbers must be finite, and at least two. The format is a unit ("s", "ms", "us", "ns", "day"), "labview",
-    "datenum" or "excel". The default is "s". The caveat is "" if size and step are clear. `name` has the unit and the
-    words in the name of the column.
+    "datenum" or "excel". Seconds, ms, us or ns since 1970 are tried first, then LabVIEW, MATLAB and Excel, then
+    fractions of a day, and then the size of the steps: from 2e6 on they are ns, from 2000 on us, from 2 on ms. The
+    default is "s". The caveat is "" if size and step are clear. `name` has the unit and the words in the name of the
+    column.
     """
     top, steps = float(np.max(np.abs(values))), np.diff(values)
     step = float(np.median(steps))

@@ -87,15 +87,16 @@ def read_matlab(path: Path, options: SourceOptions) -> list[Table]:
         )
     tables = _merged_by_times(path, tables)
     if left_out:
-        tables[0].remark = f"left out, of a class that cannot be read: {', '.join(left_out)}"
+        tables[0].remark = f"left out, of a class that cannot be read: {', '.join(left_out)}; save them as numbers"
     return tables
 
 
 def _merged_by_times(path: Path, tables: Sequence[Table]) -> list[Table]:
     """Merge tables that have a time and a single signal into one table if their times are equal, and return all tables.
 
-    The merged table has the topic "" and comes after the other tables. Simulink's To Workspace blocks write one
-    variable for each signal. Only signals of one table, as x and y, are recognised as a position.
+    The signal must have the name of the topic, and the time the name "time". The merged table has the topic "" and
+    comes after the other tables. Simulink's To Workspace blocks write one variable for each signal. Only signals of one
+    table, as x and y, are recognised as a position.
     """
     by_times: dict[bytes, list[Table]] = {}
     for table in tables:
@@ -115,8 +116,8 @@ def _merged_by_times(path: Path, tables: Sequence[Table]) -> list[Table]:
 def _vector_columns(vector: Vector) -> Iterator[tuple[str, Column]]:
     """Yield name and values (n,) of a MATLAB vector, or of each column of a matrix M: M[0], M[1], ...
 
-    Time runs along the longer side of a matrix. A matrix of more than 16 columns, or an array of more dimensions,
-    yields nothing.
+    Time runs along the longer side of a matrix, and along the first axis of a square one. Axes of length 1 are removed.
+    A matrix of more than 16 columns, or an array of more dimensions, yields nothing.
     """
     array = np.atleast_1d(np.squeeze(vector.values)).astype(np.float64)
     if array.ndim == 1:
@@ -131,6 +132,8 @@ def _workspace_variables(path: Path) -> Iterator[tuple[str, Any]]:
     """Yield the name and the value of each variable of a MATLAB file, as Python values.
 
     Raise SeatrialError if the package for this version of file is not installed, or if the file refers to other files.
+    Names that begin with two underscores are skipped in files before version 7.3. An object in such a file is yielded
+    without its properties, because scipy cannot read it.
     """
     with path.open("rb") as file:
         head = file.read(520)
@@ -171,8 +174,9 @@ def read_parquet(path: Path, options: SourceOptions) -> list[Table]:
     Returns
     -------
     list of Table
-        One table, in a list. Dates are in s since 1970, times of day in s since midnight, durations in s. An empty cell
-        is NaN, in a column of text "". A remark lists the columns of other types, which are left out.
+        One table, in a list. Dates are in s since 1970, times of day in s since midnight, durations in s. A truth value
+        is 0 or 1. An empty cell is NaN, in a column of text "". A remark lists the columns of other types, which are
+        left out.
 
     Raises
     ------
@@ -209,7 +213,8 @@ def read_parquet(path: Path, options: SourceOptions) -> list[Table]:
         raise SeatrialError(
             f"{path}: cannot be read as Parquet: {' '.join(str(error).split())}; write the file again"
         ) from error
-    remark = f"left out, of a type that cannot be read: {', '.join(left_out)}" if left_out else ""
+    advice = "write them as columns of numbers"
+    remark = f"left out, of a type that cannot be read: {', '.join(left_out)}; {advice}" if left_out else ""
     return [Table(path, "", columns, remark=remark, texts=texts, seconds=frozenset(seconds))]
 
 

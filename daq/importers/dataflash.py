@@ -44,7 +44,7 @@ class _MessageConverter:
     """Converter of the messages of an ArduPilot DataFlash log to samples, with one method for each type of message.
 
     `joined` completes the samples after the whole log has been read. If no shaft speed of the log is negative, the
-    speeds are magnitudes, and each gets the sign of its output.
+    speeds are magnitudes, and each gets the sign of the command of its output.
 
     Attributes
     ----------
@@ -59,7 +59,8 @@ class _MessageConverter:
     def __init__(self, rig: Rig | None, device: Device | None) -> None:
         """Prepare the conversion for the autopilot `device` of `rig`; both may be None.
 
-        The thrusters of the device select and scale the outputs. Without a rig, outputs are pulse widths only.
+        The thrusters of the device select and scale the outputs. The command of a reversed thruster changes its sign.
+        Without a rig, or if no thruster of the device has an output, outputs are pulse widths only.
         """
         self.vehicle = NO_TYPE  # MAV_TYPE
         thrusters = [t for t in rig.thrusters if device is not None and t.device == device.name] if rig else []
@@ -90,8 +91,9 @@ class _MessageConverter:
     def _on_gpa(self, m: Any) -> Found:
         """Store the age [s] of a fix from a DataFlash GPA message of the first receiver: time of message minus arrival.
 
-        An age that is negative or above 1 s is ignored. Return no sample. After the whole log has been read, `joined`
-        sets the fix back by its age.
+        Half a millisecond is subtracted, because the arrival is truncated to whole milliseconds. An age that is
+        negative, or 1 s or more, is ignored. Return no sample. After the whole log has been read, `joined` sets the fix
+        back by its age.
         """
         age = getattr(m, "TimeUS", NAN) * 1e-6 - getattr(m, "SMS", NAN) * 1e-3
         if getattr(m, "I", 0) == 0 and 0.0 <= age < OLDEST_FIX_S:
@@ -102,8 +104,9 @@ class _MessageConverter:
         """Complete the samples of a DataFlash log after the whole log has been read, and yield them in order.
 
         An attitude gets rates and specific forces of the IMU message nearest in time, if the log has IMU messages. If
-        no shaft speed of the log is negative, each gets the sign of its output. A fix gets the time of its arrival.
-        Other samples are unchanged.
+        no shaft speed of the log is negative, each gets the sign of the command of its output; it stays as it is if the
+        command is zero or unknown. The age of a fix is subtracted from its estimated time and from its device time, so
+        that they are those of its arrival. Other samples are unchanged.
         """
         times = np.array([row[0] for row in self._imu])
         middle = (times[1:] + times[:-1]) / 2
@@ -154,7 +157,8 @@ class _MessageConverter:
         """Convert a DataFlash RCOU message to one Servo sample for each output, with its pulse width [us].
 
         With a rig these are the outputs of its thrusters. Each also has the command (-1 to 1) by the scale of the rig;
-        without a pulse it is 0. Without a rig these are the outputs of 1 to 14 that have had a pulse.
+        the command is 0 without a pulse, and that of a reversed thruster changes its sign. Without a rig these are the
+        outputs of 1 to 14 that have had a pulse.
         """
         found: Found = []
         for node in range(1, 15):
@@ -171,8 +175,8 @@ class _MessageConverter:
     def _on_esc(self, m: Any) -> Found:
         """Convert a DataFlash ESC message to a sample of a motor controller: speed, current, voltage, temperature.
 
-        The sample also has the last command of the output with the same number, NaN without one. Store whether a speed
-        was negative.
+        The sample also has the last command of the output with the same number, NaN without one. The number of the
+        controller is the instance in the message plus 1. Store whether a speed was negative.
         """
         node = m.Instance + 1
         self._is_signed = self._is_signed or m.RPM < 0.0
@@ -181,23 +185,30 @@ class _MessageConverter:
     def _on_bat(self, m: Any) -> Found:
         """Convert a DataFlash BAT message to voltage, current and charge (0 to 1, NaN if unknown) of the first battery.
 
-        Messages of other batteries give no sample.
+        The percentage in the message is divided by 100. Messages of other batteries give no sample.
         """
         if getattr(m, "Inst", getattr(m, "I", 0)) != 0:
             return []
         return [Battery(m.Volt, m.Curr, getattr(m, "RemPct", NAN) * 0.01)]
 
     def _on_msg(self, m: Any) -> Found:
-        """Convert a DataFlash MSG message, a text of the autopilot, to an event."""
+        """Convert a DataFlash MSG message, a text of the autopilot, to an event of the kind "statustext"."""
         return [Event("statustext", str(m.Message))]
 
     def _on_mode(self, m: Any) -> Found:
-        """Convert a DataFlash MODE message to the autopilot's state with the new mode, and an event with its name."""
+        """Convert a DataFlash MODE message to the autopilot's state with the new mode, and an event with its name.
+
+        The mode is the field ModeNum, or Mode in older logs. Whether the autopilot is armed stays as before.
+        """
         self._pilot = replace(self._pilot, mode=m.ModeNum if hasattr(m, "ModeNum") else int(m.Mode))
         return [self._pilot, Event("autopilot", mode_name(self._pilot.mode, self.vehicle))]
 
     def _on_arm(self, m: Any) -> Found:
-        """Convert a DataFlash ARM message to the state of the autopilot after arming or disarming, and an event."""
+        """Convert a DataFlash ARM message to the state of the autopilot after arming or disarming, and an event.
+
+        The state (MAV_STATE) is 4, active, if armed, and 3, standby, if not. The mode stays that of the last MODE
+        message.
+        """
         self._pilot = replace(self._pilot, armed=int(bool(m.ArmState)), state=3 + bool(m.ArmState))
         return [self._pilot, Event("autopilot", "armed" if self._pilot.armed else "disarmed")]
 
@@ -206,11 +217,17 @@ class _MessageConverter:
         return [Event("autopilot", f"event {m.Id} (LogEvent)")]
 
     def _on_err(self, m: Any) -> Found:
-        """Convert a DataFlash ERR message to an event with error code and number of the autopilot's subsystem."""
+        """Convert a DataFlash ERR message to an event with error code and number of the autopilot's subsystem.
+
+        The code and the subsystem are written as numbers.
+        """
         return [Event("autopilot", f"error {m.ECode} of subsystem {m.Subsys} (LogErrorSubsystem)")]
 
     def _on_parm(self, m: Any) -> Found:
-        """Store a parameter of the autopilot from a DataFlash PARM message, by its name. Return no sample."""
+        """Store a parameter of the autopilot from a DataFlash PARM message, by its name. Return no sample.
+
+        A later value of the same parameter replaces the earlier one.
+        """
         self.parameters[str(m.Name)] = float(m.Value)
         return []
 
@@ -269,7 +286,8 @@ def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[
             ) from error
     if not rows:
         raise SeatrialError(
-            f"{path}: this DataFlash log contains no attitude, GPS or outputs; set LOG_BITMASK and record again"
+            f"{path}: this DataFlash log contains no attitude, GPS or outputs; set LOG_BITMASK so that it includes "
+            "them, and record again"
         )
     remarks = [
         f"{counted(n, 'message')} {kind} of unknown form (another firmware) left out" for kind, n in strange.items()
@@ -288,8 +306,10 @@ def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[
 def whole_messages(raw: bytes) -> tuple[bytes | None, int, int]:
     """Remove damaged messages from the bytes of a DataFlash log.
 
-    A message is complete if another message or the end of the file follows it. Its time must lie within 1 s of the
-    median of the five times around it. For times that rise, this median is the time itself.
+    A message is complete if the first bytes of another message, or the end of the file, follow it. Bytes after a
+    damaged place are skipped up to the next three complete messages in a row, or up to complete messages that end the
+    log. Its time must lie within 1 s of the median of the five times around it. For times that rise, this median is the
+    time itself.
 
     Parameters
     ----------
@@ -306,7 +326,10 @@ def whole_messages(raw: bytes) -> tuple[bytes | None, int, int]:
     timed: set[int] = set()  # types whose first field is TimeUS
 
     def end_of(place: int) -> int:
-        """Return the end [bytes] of the DataFlash message at offset `place`; -1 if no known type begins there."""
+        """Return the end [bytes] of the DataFlash message at offset `place`; -1 if no known type begins there.
+
+        The result is also -1 if the message would end behind the end of the log.
+        """
         if raw[place : place + 2] != HEAD or place + 3 > len(raw):
             return -1
         size = sizes.get(raw[place + 2], -1)
@@ -365,7 +388,8 @@ def _file_of_whole_messages(path: Path, whole: bytes | None) -> Iterator[Path]:
 def firmware_type(texts: Iterable[str]) -> int | None:
     """Return the MAV_TYPE (type of vehicle) of ArduPilot's firmware, by the messages of an autopilot; None if unknown.
 
-    The first text that begins with the name of a firmware counts. For example "ArduRover V4.7.0" gives 10.
+    The first text that begins with the name of a firmware, in the same case, counts. For example "ArduRover V4.7.0"
+    gives 10.
     """
     return next((number for text in texts for name, number in FIRMWARE.items() if text.startswith(name)), None)
 
@@ -385,7 +409,8 @@ def _vehicle_of_log(log: Any) -> int:
 def _opened_log(path: Path) -> Iterator[Any]:
     """Yield pymavlink's reader of a DataFlash log, and close its file at the end of the `with` block.
 
-    What the reader prints is discarded. It may raise any error for a damaged file.
+    What the reader prints is discarded until the end of the block; output of C code is discarded only while the log is
+    opened. It may raise any error for a damaged file.
     """
     from pymavlink import DFReader
 

@@ -42,7 +42,8 @@ def read_flysight(path: Path, options: SourceOptions) -> list[Table]:
     -------
     list of Table
         One table for each sensor that has times. They are in s since 1970, or in s since power-on if the file has no
-        UTC. Rows with GPS time (TIME) make a table only if there is no other. A remark counts incomplete rows.
+        UTC. Rows with GPS time (TIME) make a table only if there is no other. Rows of a sensor without a line $COL
+        before them are ignored. A remark counts incomplete rows.
 
     Raises
     ------
@@ -119,8 +120,8 @@ def _sensor_rows(
     """Convert the text cells of one FlySight sensor to a table, with the line number of each row.
 
     `columns` are the names of the columns, "time" among them. Each of `rows` has its line number in front of its cells.
-    Rows whose time cannot be read are left out. The remark of the table counts these and the `n_lost` incomplete rows.
-    A cell that is not a number becomes NaN.
+    `units` are the units by column; empty ones are left out. Rows whose time cannot be read are left out. The remark of
+    the table counts these and the `n_lost` incomplete rows. A cell that is not a number becomes NaN.
     """
     at = columns.index(_TIME)
     t = np.array([_cell_seconds(row[at + 1]) for row in rows])
@@ -136,7 +137,10 @@ def _sensor_rows(
 
 
 def _cell_seconds(cell: str) -> float:
-    """Return the time in a FlySight cell: UTC [s since 1970] or time since power-on [s]; NaN for another text."""
+    """Return the time in a FlySight cell: UTC [s since 1970] or time since power-on [s]; NaN for another text.
+
+    A date and time without a zone is UTC.
+    """
     try:
         return float(cell)
     except ValueError:
@@ -159,9 +163,9 @@ def _cell_number(cell: str) -> float:
 def _move_to_utc(sensors: list[_SensorRows]) -> None:
     """Convert the times since power-on of FlySight sensors to UTC, in place.
 
-    The TIME rows have both times and give the conversion; those far from their median (1 s plus drift) are not used.
-    Without them the position fixes, which have UTC, and the rows of the sensor before them give an offset, with a
-    remark. Without fixes the times are not changed.
+    The TIME rows have both times and give the conversion; those whose difference is far from the median (1 s plus 1 ms
+    per s of recording) are not used. Without them the position fixes, which have UTC, and the rows of the sensor before
+    them give an offset, with a remark. Without fixes the times are not changed.
     """
     clock = next(
         (sensor for sensor in sensors if sensor.table.topic == _CLOCK and {"tow", "week"} <= set(sensor.table.names)),

@@ -103,8 +103,8 @@ def guess_map(path: Path, dbc: Path | None = None, folder: Path | None = None) -
     Raises
     ------
     SeatrialError
-        If the source cannot be read, is already a seatrial log, or is a text without a table of numbers; also if `dbc`
-        is given for a source that is no CAN log.
+        If the source cannot be read, is already a seatrial log, or is a text without a table of numbers, or with the
+        comma as delimiter and as decimal mark; also if `dbc` is given for a source that is no CAN log.
     """
     kind = source_kind(path)
     if kind.name == "ros" and _is_log(path):
@@ -154,7 +154,10 @@ def guess_map(path: Path, dbc: Path | None = None, folder: Path | None = None) -
 
 
 def _is_log(path: Path) -> bool:
-    """Return whether a file is a log of seatrial; False also if it cannot be opened as a log."""
+    """Return whether a file is a log of seatrial in the present format.
+
+    The result is False if the file cannot be opened as a log, and for a log of another program.
+    """
     try:
         with open_log(path) as log:
             return log.metadata.get("format") == LOG_FORMAT
@@ -163,7 +166,10 @@ def _is_log(path: Path) -> bool:
 
 
 def _toml_text(text: str) -> str:
-    """Return a text in quotes, with the escapes of TOML, for a guessed import map."""
+    """Return a text in quotes, with the escapes of TOML, for a guessed import map.
+
+    Letters that are not ASCII stay as they are.
+    """
     return json.dumps(text, ensure_ascii=False)
 
 
@@ -192,8 +198,8 @@ def _style_line(options: SourceOptions, kind: str) -> list[str]:
 def _main_clock(candidates: Sequence[Candidate], clocks: Clocks) -> Clock:
     """Return the time column, with its format, for the table [time] of a guessed import map.
 
-    It is that of the first candidate whose table has one. Without such a candidate it is the time column of any table,
-    else an empty `Clock`. `clocks` has the time column of each table, by the id of the table.
+    It is that of the first candidate whose table has one. Without such a candidate it is the first time column of any
+    table, else a `Clock` with the column "". `clocks` has the time column of each table, by the id of the table.
     """
     found = [clocks[id(candidate.table)] for candidate in candidates]
     return next((clock for clock in (*found, *clocks.values()) if clock.column), Clock())
@@ -202,9 +208,9 @@ def _main_clock(candidates: Sequence[Candidate], clocks: Clocks) -> Clock:
 def _time_lines(tables: Sequence[Table], candidates: Sequence[Candidate], clocks: Clocks, main: Clock) -> list[str]:
     """Return the line `time = ...` of a guessed import map, after comments with the caveats about all time columns.
 
-    The line names the time column in `main`. It has the rate of the rows (`rate_hz`) instead if the time stamps are
-    coarser than the rows, and a guessed rate of 10 Hz without a time column. The list is empty if all tables have their
-    own times. `clocks` has the time column of each table, by the id of the table.
+    The line names the time column in `main`. The line has the rate of the rows (`rate_hz`) instead if the time stamps
+    are coarser than the rows, and a guessed rate of 10 Hz without a time column. The list is empty if all tables have
+    their own times. `clocks` has the time column of each table, by the id of the table.
     """
     if not tables or all(table.t is not None for table in tables):
         return []
@@ -283,9 +289,10 @@ def _column_candidates(table: Table, clocks: Clocks, together: Mapping[frozenset
     """Yield the signals that the names of a table's columns suggest, as candidates for a guessed import map.
 
     These are commands, shaft speeds and forces of thrusters, and the signals of the boat's motion. Tables with messages
-    of a known type yield nothing here. `together` has the numbers of the left and right columns of each quantity of
-    thrusters, so that both sides get the same scale. `clocks` has the time column of each table, by the id of the
-    table.
+    of a known type yield nothing here. Of several columns with one meaning of motion, such as two headings, only the
+    first counts. A column without a finite value is no thruster. `together` has the numbers of the left and right
+    columns of each quantity of thrusters, so that both sides get the same scale. `clocks` has the time column of each
+    table, by the id of the table.
     """
     message = table.kind.rpartition("/")[2]
     names: dict[str, tuple[str, Name]] = {}
@@ -323,9 +330,10 @@ def _column_candidates(table: Table, clocks: Clocks, together: Mapping[frozenset
 def _with_hold(taken: MapSignal, t: Column | None, values: Column, words: frozenset[str]) -> tuple[MapSignal, str]:
     """Add to an input of a guessed map its hold between rows ("linear" or "sampled"), judged by its values (n,).
 
-    Return the input, and a caveat about the hold. The input is unchanged, without a caveat, if its times `t` (n,) [s]
-    are None or it has a hold already. `words` are the words of its name: it may be a shaft speed only if "n" is among
-    them and no word of a set-point.
+    Return the input, and a caveat about the hold ("" if the hold is certain). An input whose values do not show the
+    hold gets no key. The input is unchanged, without a caveat, if its times `t` (n,) [s] are None or it has a hold
+    already. `words` are the words of its name: it may be a shaft speed only if "n" is among them and no word of a
+    set-point.
     """
     if t is None or "hold = " in taken.extra:
         return taken, ""
@@ -335,7 +343,7 @@ def _with_hold(taken: MapSignal, t: Column | None, values: Column, words: frozen
 
 
 def _position_axis(letter: str, letters: Collection[str], stated: str) -> str:
-    """Return "x" (north) or "y" (east) if a column named X, N or E (`letter`) is a position, "" if it is not.
+    """Return "x" (north) or "y" (east) if a column named X, N or E (`letter`) is a position, "" if the column is none.
 
     Its unit `stated` in the file must be a length. Without a unit, another column must fit: Y to X (and no N), or N to
     E. `letters` are the names of all columns of the table.
@@ -351,7 +359,8 @@ def _with_frame_key(candidate: Candidate) -> Candidate:
     The guessed map of a bag has frame = "ENU" for all signals without this key. A topic is in NED if its name, type or
     frame_id contains "ned" or "frd" as a word or is a message of PX4 or seatrial. So is a heading that is a single
     number, if the topic is named compass or heading. For other topics with a single number, a heading or yaw rate gets
-    a caveat about its axes. Candidates for thrusters never get the key.
+    a caveat about its axes. Candidates for thrusters never get the key, nor do signals made of latitude, longitude,
+    speed or course, which are always in NED.
     """
     table, caveat = candidate.table, candidate.caveat
     is_ned = bool(_NED.search(f"{table.topic} {table.kind} {table.frame_id}"))
@@ -372,14 +381,18 @@ def _with_frame_key(candidate: Candidate) -> Candidate:
 
 
 def _with_key(signal: MapSignal, key: str) -> MapSignal:
-    """Return a signal of a guessed import map with a further key, as TOML text, for example 'frame = "NED"'."""
+    """Return a signal of a guessed import map with a further key, as TOML text, for example 'frame = "NED"'.
+
+    The key is appended to the further keys of the signal.
+    """
     return signal._replace(extra=", ".join(part for part in (signal.extra, key) if part))
 
 
 def _with_unit_caveats(candidate: Candidate) -> Candidate:
     """Add a caveat for each column whose name contains a unit that its signal cannot have, and return the candidate.
 
-    The unit is ignored. For example a heading cannot have the unit of a column "heading [m]".
+    The unit is ignored. The caveats are appended to the one that the candidate has. For example a heading cannot have
+    the unit of a column "heading [m]".
     """
     columns = {column: read_name(column).no_unit for signal in candidate.signals for column in signal.columns}
     units = {signal.unit for signal in candidate.signals}
@@ -586,8 +599,8 @@ def outputs(tables: Sequence[Table]) -> Iterator[Candidate]:
 def _servo_functions(tables: Sequence[Table]) -> dict[int, float]:
     """Return the function of each servo output of an autopilot, the parameter SERVOn_FUNCTION, by its number n.
 
-    Outputs are those with a table of kind "Servo". An output whose parameter is not in the log is left out. The first
-    table has the parameters.
+    Outputs are those with a table of kind "Servo". An output whose parameter is not in the log is left out. The result
+    is in the order of the numbers. The first table has the parameters.
     """
     p = tables[0].parameters if tables else {}
     nodes = sorted(int(table.topic.rpartition("_")[2]) for table in tables if table.kind == "Servo")
@@ -608,8 +621,9 @@ def _pulse_scale(p: Mapping[str, float], node: int) -> tuple[str, str]:
     The keys are TOML text: scale, offset, role and hold, and that a pulse of 0 (no pulse) means the command 0.
 
     The parameters `p` of the autopilot give the scale: SERVOn_MIN, SERVOn_TRIM, SERVOn_MAX and SERVOn_REVERSED of the
-    output `node`. The default scale (1100, 1500, 1900 us) is used, with a caveat, if MIN is not below MAX. Another
-    caveat is returned if TRIM is not in the middle. Otherwise the caveat is "".
+    output `node`. A parameter that is missing has its default (1100, 1500, 1900 us, not reversed). SERVOn_REVERSED
+    other than 0 changes the sign. The default scale is used, with a caveat, if MIN is not below MAX. Another caveat is
+    returned if TRIM is not in the middle. Otherwise the caveat is "".
     """
     low, rest, high = (p.get(f"SERVO{node}_{word}", usual) for word, usual in PULSE_US)
     if not low < high:
@@ -632,9 +646,10 @@ def _chosen_signals(candidates: Sequence[Candidate], clocks: Clocks, main: Clock
     The lines are one for each chosen signal, then the other candidates as comments. Candidates are tried in the order
     of their rank, then of the number of their rows, the largest first. A thruster of one side alone ranks 2 lower. A
     candidate is chosen if its rank is below `UNCHOSEN_RANK` (5), none of its signals has been chosen before, it has
-    times (or no table has), and its thrusters have the same quantity as those chosen before. Commands and shaft speeds
-    are not chosen if the source has forces of a left or right thruster, or if the vehicle is no boat. `main` is the
-    time column in [time] of the map, and `clocks` has that of each table, by the id of the table.
+    times (or no table has), and its thrusters have the same quantity as those chosen before. A speed without direction
+    is not chosen beside u. Commands and shaft speeds are not chosen if the source has forces of a left or right
+    thruster, or if the vehicle is no boat. `main` is the time column in [time] of the map, and `clocks` has that of
+    each table, by the id of the table.
     """
 
     sides: dict[frozenset[str], set[str]] = {}
@@ -644,7 +659,7 @@ def _chosen_signals(candidates: Sequence[Candidate], clocks: Clocks, main: Clock
     def order(c: Candidate) -> tuple[int, int]:
         """Return the sort key of a candidate: its rank, then its number of rows, the largest first.
 
-        A thruster of one side alone comes after a pair of thrusters.
+        The rank is raised by 2 if the source has thrusters of this quantity on one side only.
         """
         single = c.quantity and len({"n_left", "n_right", "f_left", "f_right"} & sides[c.quantity]) == 1
         return c.rank + 2 * bool(single), -len(c.table)
@@ -685,7 +700,7 @@ def _signal_line(table: Table, signal: MapSignal, clock: Clock, main: Clock) -> 
     """Return one signal of an import map as an inline table of TOML: name, topic, columns, unit and further keys.
 
     The line names the time column of the signal's own table (`clock`) if it differs from `main`, the time column in
-    [time] of the map.
+    [time] of the map. A signal made of several columns has no unit in the line.
     """
     keys = [f"name = {_toml_text(signal.name)}"]
     if table.topic:
@@ -704,8 +719,10 @@ def _signal_line(table: Table, signal: MapSignal, clock: Clock, main: Clock) -> 
 def _unrecognised_lines(tables: Sequence[Table], candidates: Sequence[Candidate], clocks: Clocks) -> list[str]:
     """Return comment lines of a guessed map for the columns that were not recognised, with the range of their values.
 
-    At most 12 columns are listed, and a last line has the number of the others. Columns of text are left out. The list
-    is empty if all columns were recognised. `clocks` has the time column of each table, by the id of the table.
+    At most 12 columns are listed, and a last line has the number of the others. Columns of text, of times, and without
+    a finite value are left out. So are tables with a type of messages, except single numbers (Float64, Float32) and
+    messages of a DBC. The list is empty if all columns were recognised. `clocks` has the time column of each table, by
+    the id of the table.
     """
     used = {(id(c.table), column) for c in candidates for signal in c.signals for column in signal.columns}
     lines = []
@@ -731,7 +748,10 @@ def _unrecognised_lines(tables: Sequence[Table], candidates: Sequence[Candidate]
 def _missing_for_fit(taken: Sequence[MapSignal], tables: Sequence[Table]) -> str:
     """Return the reason why no model can be fitted to the chosen signals; "" if a fit should be possible.
 
-    Reasons are another vehicle than a boat, no motion, no thrusters, one side alone, or a recording shorter than 1 s.
+    Of several reasons the first is returned. The table of a thrust stand (force and command) needs no motion. The
+    thrusters are n, X or N, or a left and a right one. The length of the recording is known only for tables with their
+    own times. Reasons are another vehicle than a boat, no motion, no thrusters, one side alone, or a recording shorter
+    than 1 s.
     """
     if any(table.vehicle not in (None, *BOATS) for table in tables):
         vehicle = next(table.vehicle for table in tables if table.vehicle not in (None, *BOATS))

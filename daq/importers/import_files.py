@@ -30,6 +30,8 @@ def import_files(
 ) -> list[Path]:
     """Import source files by an import map, which assigns their columns to signals, and write the logs.
 
+    Remarks about the files, for example about rows left out, become warnings.
+
     Parameters
     ----------
     map_path
@@ -145,7 +147,7 @@ class _SourceFile(NamedTuple):
     remarks : tuple of str
         Remarks for the user, which become warnings.
     events : tuple
-        Events of the source, each with its time [s since 1970].
+        Events of the source, each with its time [s of the file's clock, before `origin` is added].
     """
 
     path: Path
@@ -160,8 +162,10 @@ class _SourceFile(NamedTuple):
 def _read_source(path: Path, source: Source) -> _SourceFile:
     """Read one source file by its part of the import map (`source`), and collect the remarks about it.
 
-    Remarks are about tables with signals of the map, rows left out, held values, times at which inputs are unknown, and
-    signals without samples. Raise SeatrialError if the file cannot be read by the map.
+    Remarks are about tables with signals of the map, rows left out (unless so many that the import fails afterwards, or
+    because of wrong stamps, of which the table has a remark), held values, times at which inputs are unknown, and
+    signals without samples. Raise SeatrialError if the file cannot be read by the map. A remark about the times of a
+    table also becomes an event at its first time.
     """
     kind = source_kind(path)
     tables = kind.read(path, source.options)
@@ -177,7 +181,8 @@ def _read_source(path: Path, source: Source) -> _SourceFile:
     remarks += [f"{path}: {line}" for line in gap_lines(gaps)]
     empty = [data.signal.name for data in signals.signals if not len(data.t)]
     if empty:
-        remarks.append(f"{path}: not in the log, because they have no samples: {', '.join(empty)}")
+        advice = "check their column, nan and missing in the import map"
+        remarks.append(f"{path}: not in the log, because they have no samples: {', '.join(empty)}; {advice}")
     origin = source.time.origin if source.time else 0.0
     events = tuple(event for table in tables for event in table.events)
     for table in tables:
@@ -189,7 +194,7 @@ def _read_source(path: Path, source: Source) -> _SourceFile:
 def _remarks_by_topic(tables: Sequence[Table]) -> list[str]:
     """Return the remarks of tables as lines for the user. A remark that several tables share is one line.
 
-    Each line begins with the topics of its tables, if they have topics.
+    Each line begins with the topics of its tables, if they have topics. The lines are in the order of the tables.
     """
     topics: dict[str, list[str]] = {}
     for table in tables:
@@ -242,9 +247,10 @@ def _write_piece(
 ) -> None:
     """Write one log, `target`: the signals and events of the source files within one interval of time (`piece`).
 
-    The signals and events are shifted by the origin of their file to s since 1970. The metadata contain the digests of
-    the import map and the files, and the numbers of rows left out. The map is attached. An existing log is replaced
-    only with `force`; the files `reads` (map and sources) are never replaced.
+    An event exactly at an end of the interval is included. The signals and events are shifted by the origin of their
+    file to s since 1970. The metadata contain the digests of the import map and the files, and the numbers of rows left
+    out. The map is attached. An existing log is replaced only with `force`; the files `reads` (map and sources) are
+    never replaced.
     """
     signals: list[SignalData] = []
     events = [
@@ -278,8 +284,9 @@ def _write_piece(
 def _within_piece(signal: SignalData, piece: Piece) -> SignalData:
     """Return the samples of a signal within an interval of time (t_from <= t <= t_to, in s of the file's clock).
 
-    A held signal (hold = "zero") also gets its last value before the interval as a sample at t_from. If it has samples
-    after the interval, or a timeout, its last value within the interval becomes a sample at t_to.
+    A held signal (hold = "zero") also gets its last value before the interval as a sample at t_from, unless it has a
+    sample exactly there. If it has samples after the interval, or a timeout, its last value within the interval also
+    becomes a sample at t_to. No sample is added at an end without a limit.
     """
     inside = (signal.t >= piece.t_from) & (signal.t <= piece.t_to)
     t, values = signal.t[inside], signal.values[inside]

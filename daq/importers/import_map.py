@@ -241,7 +241,8 @@ def load_import_map(path: Path) -> ImportMap:
     Raises
     ------
     SeatrialError
-        If the file cannot be read or a key is wrong. The message names the file and the key.
+        If the file cannot be read or a key is wrong, if two signals have the same name after conversion to NED, or two
+        [[log]] tables the same name. The message names the file and the key.
     """
     text = read_text(path)
     root = parse_toml(text, path)
@@ -269,7 +270,8 @@ def load_import_map(path: Path) -> ImportMap:
 def _keeping_repeats(source: Source) -> Source:
     """Return a source of an import map with the default `repeats` = "keep", as in the older format of maps.
 
-    That format is "seatrial-import-csv 1", whose maps did not look for held values. A key `repeats` in the map stays.
+    That format is "seatrial-import-csv 1", whose maps did not look for held values. A key `repeats` in the table [csv]
+    of the map stays.
     """
     style = source.options.style
     return replace(source, options=replace(source.options, style=replace(style, repeats=style.repeats or "keep")))
@@ -308,8 +310,9 @@ def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, fl
 def _source_of_table(table: TomlTable, match: str, near: Path) -> Source:
     """Parse how source files are read, from a table [[file]] of an import map or from the whole map.
 
-    `match` is the pattern of the file name. Paths in the table are relative to the folder `near`. Raise SeatrialError
-    if the table has no signal or a wrong key.
+    `match` is the pattern of the file name. Paths in the table are relative to the folder `near`. The topics of the
+    signals become `topics` of the options. Raise SeatrialError if the table has no signal or a wrong key; unknown keys
+    of the whole map are checked later.
     """
     options = _reading_options(table, near)
     time_table = table.table("time")
@@ -347,7 +350,8 @@ def _reading_options(parent: TomlTable, near: Path) -> SourceOptions:
 def _text_style(table: TomlTable | None) -> TextStyle:
     """Parse the table [csv] of an import map: delimiter, decimal mark, encoding, header, handling of missing numbers.
 
-    None gives the default style. Raise SeatrialError for a wrong key.
+    None gives the default style. The delimiter is one character or "blank"; it may equal the decimal mark only if the
+    map gives both as a comma. Raise SeatrialError for a wrong key.
     """
     if table is None:
         return TextStyle()
@@ -382,7 +386,9 @@ def _text_style(table: TomlTable | None) -> TextStyle:
 def _time_column(table: TomlTable) -> TimeColumn:
     """Parse the table [time] of an import map: the time column and its format, or the rate of the rows.
 
-    Raise SeatrialError if it has neither or both of them, or if its keys do not fit together.
+    The default format is "s". Raise SeatrialError if the table has neither or both of them, or if its keys do not fit
+    together: `fraction` needs the format s, iso or a pattern; `date` needs iso, gps, gps_ms or a pattern; gps and
+    gps_ms need `date`.
     """
     if table.has("column") == table.has("rate_hz"):
         raise table.error("column", f"give one of column and rate_hz{table.misspelling_hint('column')}")
@@ -420,7 +426,8 @@ def _time_format(table: TomlTable, key: str, usual: str) -> str:
             raise table.error(key, f"'{pattern}' contains a field twice; use each field once") from error
         except ValueError as error:
             if "does not match" not in str(error):  # the empty text never matches, so this error is expected
-                raise table.error(key, f"'{pattern}' is not a strptime pattern: {error}") from error
+                text = f"'{pattern}' is not a strptime pattern: {error}; correct it, as %Y-%m-%d %H:%M:%S"
+                raise table.error(key, text) from error
     return pattern
 
 
@@ -444,9 +451,10 @@ def _time_origin(table: TomlTable) -> float:
 def _signal_of_table(table: TomlTable, frame: str) -> Signal:
     """Parse one signal from its table [[signal]] of an import map.
 
-    `frame` ("NED", "FRD", "ENU" or "FLU") is the default frame of the source; a position or velocity from latitude,
-    longitude, speed or course is always in NED by default. Raise SeatrialError for a wrong key, or keys that do not fit
-    together.
+    By default an input has the hold "zero" and an output "linear". `frame` ("NED", "FRD", "ENU" or "FLU") is the
+    default frame of the source; a position or velocity from latitude, longitude, speed or course is always in NED by
+    default. Raise SeatrialError for a wrong key, or keys that do not fit together: `angle` needs a unit of angle,
+    `timeout` the hold "zero", `time_format` the key `time`, and `missing_is` the key `missing`.
     """
     name = table.text("name")
     if not NAME.fullmatch(name):
@@ -504,8 +512,9 @@ def _signal_units(table: TomlTable, make: str, columns: Sequence[str], key: str)
     """Return the unit of a signal of an import map and, for a signal made of several columns, the units of the columns.
 
     `make` is the computed quantity, for example "north", or "" for a single column, for which the second result is
-    empty. `key` is the name of the columns' key in the map, for messages. Raise SeatrialError for an unknown unit, a
-    wrong number of columns, or a unit of another quantity.
+    empty. `key` is the name of the columns' key in the map, for messages. Without the key `units` the columns have the
+    usual units of the quantity. Raise SeatrialError for an unknown unit, a wrong number of columns, or a unit of
+    another quantity.
     """
     known = f"known: {', '.join(UNITS)}"
     if not make:
@@ -534,6 +543,6 @@ def _piece_of_table(table: TomlTable) -> Piece:
         raise table.error("name", f"'{name}' becomes part of a file name; use letters, digits, _, - or .")
     found = Piece(name, table.number("t_from", -1e18), table.number("t_to", 1e18))
     if found.t_to <= found.t_from:
-        raise table.error("t_to", "must be later than t_from")
+        raise table.error("t_to", "must be later than t_from; correct one of them")
     table.done()
     return found

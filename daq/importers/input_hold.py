@@ -58,7 +58,7 @@ def input_hold(t: Column, values: Column, *, may_be_shaft: bool) -> InputHold:
     -------
     InputHold
         The hold and a caveat about it. The hold is "" if the values do not show it; the caveat then remarks on changes
-        only at every k-th row, if they are at most 2 s apart.
+        only at every k-th row, if they are at most 2 s apart, and is "" otherwise.
     """
     held = held_signals(t, {"input": values}).get("input")
     if held is not None:
@@ -80,8 +80,8 @@ def input_hold(t: Column, values: Column, *, may_be_shaft: bool) -> InputHold:
 def _lags_like_shaft(values: Column) -> bool:
     """Return whether the values of an input (n,) lag like the speed of a shaft: a change continues in the next row.
 
-    At least 3 changes after a constant value are needed. In 70 % of them the next row must add 5 % to 95 % of the
-    change.
+    At least 3 changes, above 5 % of the largest magnitude, after a nearly constant value are needed. In 70 % of them
+    the next row must add 5 % to 95 % of the change. With fewer than 5 values the result is False.
     """
     if len(values) < 5:
         return False

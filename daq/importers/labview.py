@@ -98,7 +98,8 @@ def _first_filled_cell(head: Mapping[str, Sequence[str]], key: str, usual: str) 
 def _header_seconds(head: Mapping[str, Sequence[str]], decimal: str) -> float:
     """Return the entries Date and Time of a LabVIEW header, taken as UTC [s since 1970]; NaN if there is no date.
 
-    `head` has the cells of each header line by name, and `decimal` is the decimal mark of the file.
+    `head` has the cells of each header line by name, and `decimal` is the decimal mark of the file. The date is
+    yyyy/mm/dd or yyyy-mm-dd; NaN is also returned for another form.
     """
     text = f"{_first_filled_cell(head, 'Date', '')} {_first_filled_cell(head, 'Time', '').replace(decimal, '.')}"
     for pattern in ("%Y/%m/%d %H:%M:%S.%f", "%Y-%m-%d %H:%M:%S.%f"):
@@ -139,14 +140,18 @@ class _SegmentRows:
         self._segment: Mapping[str, Sequence[str]] = {}
 
     def begin(self, segment: Mapping[str, Sequence[str]]) -> None:
-        """Begin a segment of a LabVIEW file: store the cells of its header by line name, for the rows that follow."""
+        """Begin a segment of a LabVIEW file: store the cells of its header by line name, for the rows that follow.
+
+        The header of the segment before is replaced.
+        """
         self._segment = segment
 
     def add(self, rows: Sequence[Sequence[str]]) -> None:
         """Add the rows of a segment of a LabVIEW file, each a list of cells. The first has the names of the columns.
 
-        Without rows nothing is added. A row with too few cells is left out and counted. A cell that is not a number
-        becomes NaN. If the name of a column repeats, a number is added: "Force (2)".
+        Without rows nothing is added. Columns without a name, X_Value and Comment are no channels. The units are those
+        of the first segment. A row with too few cells is left out and counted. A cell that is not a number becomes NaN.
+        If the name of a column repeats, a number is added: "Force (2)".
 
         Raises
         ------
@@ -192,7 +197,8 @@ class _SegmentRows:
 
         `place` is the index of the column X, which has the times; None if the rows have no X and are Delta_X apart. X
         counts from the start in the header of the segment, at which it is X0; from the start of the file if its first
-        value is not X0; or from 1904 if it is so large. Raise SeatrialError if the rows have neither X nor Delta_X.
+        value is not X0; or from 1904 if it is so large. Raise SeatrialError if the rows have neither X nor Delta_X. A
+        cell of X that is not a number gives NaN.
         """
         x0 = self._cell_number(_first_filled_cell(self._segment, "X0", "0"))
         dx = self._cell_number(_first_filled_cell(self._segment, "Delta_X", "nan"))
@@ -213,7 +219,7 @@ class _SegmentRows:
         return np.asarray(start + x if is_continued or not begin else begin + x - x0)
 
     def table(self) -> Table:
-        """Return the rows of all segments of the LabVIEW file that have a time as one table.
+        """Return the rows of all segments of the LabVIEW file that have a time as one table, in the order of the file.
 
         A remark counts the rows that were left out. Raise SeatrialError if there are no rows.
         """

@@ -118,7 +118,8 @@ def _object_vectors(name: str, value: MatlabObject, left_out: list[str], topic: 
 
     `name` is the name of the variable or field, `topic` the variable to which the field belongs ("" for the variable
     itself), and `depth` the number of structs around the object. The name and class of an object without readable
-    numbers are added to `left_out`. A single time yields nothing.
+    numbers are added to `left_out`. A single time yields nothing. The property "Data" of another class (a timeseries)
+    has the name of the object.
     """
     place = f"{topic}.{name}" if topic else name
     if (seconds := _object_seconds(value)) is not None:
@@ -158,8 +159,9 @@ def _object_seconds(value: Any) -> NDArray[np.float64] | None:
 def _table_columns(place: str, value: MatlabObject) -> Iterator[Vector]:
     """Yield the columns of numbers of a MATLAB table or timetable. The times of a timetable come first.
 
-    `place` is the name of the variable, which becomes the topic. Columns of text and of other classes are left out.
-    Nothing is yielded if the object has another layout.
+    `place` is the name of the variable, which becomes the topic. Columns of text and of other classes, and columns of a
+    single number, are left out. Times are left out if their number differs from that of the rows. Nothing is yielded if
+    the object has another layout.
     """
     inner = value.properties.get("any", value.properties)
     if not isinstance(inner, Mapping):
@@ -189,8 +191,8 @@ def _table_columns(place: str, value: MatlabObject) -> Iterator[Vector]:
 def _row_times(value: Any, n_rows: int) -> NDArray[np.float64] | None:
     """Return the times of the rows of a MATLAB timetable, (n_rows,) [s]; None if their kind is unknown.
 
-    Dates count from 1970. `value` has the times as a datetime or duration, or as a struct of a first time with a step
-    or a rate.
+    Dates count from 1970. Times that are stored one by one are returned as they are, so their number may differ from
+    `n_rows`. `value` has the times as a datetime or duration, or as a struct of a first time with a step or a rate.
     """
     if (seconds := _object_seconds(value)) is not None:
         return seconds.ravel()
@@ -233,7 +235,8 @@ def _simulink_vectors(place: str, name: str, time: Any, signals: list[Mapping[st
 
     `time` has the times (n,) [s]. Each signal is a dict with "values". It is named after its label. A single signal
     without a label has the name of the variable (`name`). Of several, one without a label has the name of its block, or
-    else signals[k]. Signals that are no arrays of numbers are left out.
+    else signals[k]. Values with time along the third axis become one row for each time. Signals that are no arrays of
+    numbers are left out.
     """
     t = np.ravel(time)
     yield Vector(place, "time", t)
@@ -256,9 +259,9 @@ def _struct_array_vectors(
     """Yield the arrays of numbers in a MATLAB struct array, which is a list of dicts (`value`).
 
     A field with one number in each struct becomes a column, with one row for each struct. If the array has no such
-    field, each of the first 16 structs becomes a topic, VARIABLE[0]. `name` is the variable or field, `topic` the
-    variable to which the field belongs, `depth` the number of structs around it, and `left_out` collects unreadable
-    objects.
+    field, each of the first 16 structs becomes a topic, VARIABLE[0]. An array of one struct with such a field yields
+    nothing. `name` is the variable or field, `topic` the variable to which the field belongs, `depth` the number of
+    structs around it, and `left_out` collects unreadable objects.
     """
     place = f"{topic}.{name}" if topic else name
     numbers = {field: [_single_number(struct.get(field)) for struct in value] for field in value[0]}
@@ -352,8 +355,9 @@ class Hdf5Variables:
         """Convert a group or dataset (`node`) of a MATLAB 7.3 file to a Python value.
 
         A struct becomes a dict or a list of dicts, a cell a list, text a str, an object a MatlabObject, and any other
-        value an array. `depth` is the number of structs, cells and objects around the value. Raise SeatrialError if it
-        is above 30.
+        value an array, transposed to the order of MATLAB. An empty value becomes "" or an empty array. A value with an
+        invalid reference to an object becomes None. `depth` is the number of structs, cells and objects around the
+        value. Raise SeatrialError if it is above 30.
         """
         if depth > DEEPEST:
             raise SeatrialError(
@@ -378,8 +382,8 @@ class Hdf5Variables:
     def _struct_value(self, group: Any, depth: int) -> Any:
         """Convert an HDF5 group of a MATLAB file: a struct to a dict by field, and a struct array to a list of dicts.
 
-        A group is a struct array if all its fields are arrays of references. `depth` is the number of structs around
-        it.
+        A group is a struct array if all its fields are arrays of references. The array has as many structs as its
+        shortest field. `depth` is the number of structs around it.
         """
         is_array = [part.dtype.kind == "O" and "MATLAB_class" not in part.attrs for part in _datasets_of_group(group)]
         if not is_array or not all(is_array) or len(is_array) < len(group):
@@ -391,8 +395,9 @@ class Hdf5Variables:
     def _referenced_objects(self, reference: NDArray[Any], depth: int) -> Any:
         """Return the MATLAB object of a reference, or a list of at most 16 objects; None if the reference is invalid.
 
-        The 32-bit words of a reference are: `OBJECT`, number of dimensions, the dimensions, the indices of the objects,
-        and the class. `depth` is the number of structs and objects around it.
+        An object whose number is out of range is None. The 32-bit words of a reference are: `OBJECT`, number of
+        dimensions, the dimensions, the indices of the objects, and the class. `depth` is the number of structs and
+        objects around it.
         """
         words = [int(word) for word in np.ravel(reference)]
         if len(words) < 2 or words[0] != OBJECT or words[1] != len(words[2 : 2 + words[1]]):

@@ -185,7 +185,10 @@ def read_tlog(
     parameters: dict[str, float] = {}
 
     def listen(message: Any) -> None:
-        """Store the value of a MAVLink message PARAM_VALUE by the parameter's name. Ignore all other messages."""
+        """Store the value of a MAVLink message PARAM_VALUE by the parameter's name. Ignore all other messages.
+
+        A later value of the same parameter replaces the earlier one.
+        """
         if message.get_type() == "PARAM_VALUE":
             parameters[message.param_id] = float(message.param_value)
 
@@ -211,7 +214,7 @@ def read_tlog(
 
 
 def _refuse_two_autopilots(path: Path, rows: Sequence[Timed], system: int) -> None:
-    """Raise SeatrialError if two autopilots send with the same MAVLink system number.
+    """Raise SeatrialError if two autopilots send with the same MAVLink system number; otherwise return nothing.
 
     Then the times since boot of attitudes or fixes (`rows`, in the order of the file) run back by more than 0.05 s in
     more than 20 % of the samples, at least ten times.
@@ -258,11 +261,12 @@ def mismatches(p: Mapping[str, float], rig: Rig | None) -> list[ParameterMismatc
 def _other_systems_text(decoder: MavlinkDecoder) -> str:
     """Return the part of an error message that lists the other MAVLink systems which the decoder found in a tlog.
 
-    It advises to choose one of them, or states that there is no other system.
+    The text advises to choose one of them. Without another system it only advises to check the message rates of the
+    autopilot.
     """
     others = ", ".join(str(number) for number in sorted(decoder.foreign))
     return (
-        f"it contains systems {others}: choose one with --system"
+        f"it contains systems {others}: choose one with --system, or with `system` in the import map"
         if others
         else "check the message rates of the autopilot, and record again"
     )
@@ -271,7 +275,8 @@ def _other_systems_text(decoder: MavlinkDecoder) -> str:
 def _tlog_frames(data: bytes) -> Iterator[tuple[float, int, FrameHeader]]:
     """Yield (time [s since 1970], offset of the frame [bytes], header) of each complete MAVLink frame of a tlog.
 
-    `data` are the bytes of the tlog. Bytes between the frames, and frames with a wrong checksum, are skipped.
+    `data` are the bytes of the tlog. Bytes between the frames, and frames with a wrong checksum, are skipped. An
+    incomplete frame at the end yields nothing.
     """
     at = 0
     while at + STAMP < len(data):
@@ -322,7 +327,7 @@ def vehicle_type(path: Path, rows: Sequence[Timed], system: int | None) -> int |
     rows
         Its samples.
     system
-        MAVLink system number in a tlog; None for the first autopilot.
+        MAVLink system number in a tlog; None for the first autopilot. Not used for a DataFlash log.
 
     Returns
     -------
@@ -349,18 +354,18 @@ def _write_log_file(
     """Write the samples of an autopilot in the order of receipt to `part`, the temporary file of the log `out`.
 
     `device` is the name of the autopilot in the topics, `about` has metadata of the log, `note` becomes an event, and
-    the text of `rig` is attached. Warn of clocks that run back and of dates that are 1024 weeks too early by the date
-    of the file `source`, and add these lines as events. Raise SeatrialError if a time is not between 1970 and 2038.
+    the text of `rig` is attached, unless it is None. Warn of clocks that run back and of dates that are 1024 weeks too
+    early by the date of the file `source`, and add these lines as events. Raise SeatrialError if a time is not between
+    1970 and 2038.
     """
     in_file_order = rows
     rows = sorted(rows, key=lambda row: row.frame.t_rx)
     if not all(0.0 <= t < 2**31 for row in rows for t in (row.frame.t_rx, row.t)):
         raise SeatrialError(
-            f"{out}: the times of the file are not between 1970 and 2038; record again with a GNSS fix, which sets the "
-            "clock"
+            f"{source}: its times are not between 1970 and 2038; record again with a GNSS fix, which sets the clock"
         )
     samples = ((device, row.frame, row.frame.t_rx) for row in in_file_order if not isinstance(row.frame.sample, Event))
-    steps = clock_steps(samples)
+    steps = clock_steps(out, samples)
     if early := warn_of_early_dates(out, rows[0].frame.t_rx, rows[-1].frame.t_rx, [source]):
         steps.append(early)
     first = round(rows[0].frame.t_rx * NANO)
@@ -378,7 +383,8 @@ def _add_events_and_samples(
 ) -> None:
     """Write events (kind and text) at the time `first` [ns since 1970], then the samples of a device, to a log.
 
-    Samples are written at their time of receipt, in the given order, each to the topics of its kind.
+    Samples are written at their time of receipt, in the given order, each to the topics of its kind, with the estimated
+    time as their stamp. Events among the samples are written to /event, as the first ones are.
     """
     event = writer.channel("/event", schema.EVENT)
     about = cdr_layout(schema.EVENT, b"")

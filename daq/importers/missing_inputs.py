@@ -37,7 +37,7 @@ def stopped_motors(kind: str, columns: dict[str, Column]) -> str:
     Returns
     -------
     str
-        A remark with the number of messages with a stopped motor; "" without such messages.
+        A remark with the number of messages in which at least one motor is stopped; "" without such messages.
     """
     if kind not in _MOTORS:
         return ""

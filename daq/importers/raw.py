@@ -68,15 +68,16 @@ def import_raw(
     frames, sha256 = _decoded_frames(decoder, path)
     wrong = f"{counted(decoder.checksum_errors, 'checksum error')}, {counted(decoder.unparsed_bytes, 'byte')} unparsed"
     if not frames:
-        raise SeatrialError(
-            f"{path}: no {protocol} samples in {decoder.frames} complete frames ({wrong}); check the protocol"
-        )
+        advice = "check the protocol"
+        if isinstance(decoder, nmea.Decoder) and decoder.remark:  # the decoder has left out magnetic headings
+            advice = "its headings are magnetic, and a capture has no declination; set the compass to true headings"
+        raise SeatrialError(f"{path}: no {protocol} samples in {decoder.frames} complete frames ({wrong}); {advice}")
     if isinstance(decoder, vectornav.Decoder):
         frames, n_left_out = _without_duplicate_quantities(frames)
         wrong += f"; {counted(n_left_out, 'ASCII sample')} left out, contained in binary samples" * bool(n_left_out)
     if isinstance(decoder, nmea.Decoder) and decoder.two_receivers:
-        advice = "record each receiver by itself, since only one position per time is kept"
-        warnings.warn(f"{path}: {decoder.two_receivers}; {advice}", SeatrialWarning, stacklevel=2)
+        why = "since only one position per time is kept"
+        warnings.warn(f"{path}: {decoder.two_receivers}, {why}", SeatrialWarning, stacklevel=2)
     if not rate and isinstance(decoder, (nmea.Decoder, ubx.Decoder)):
         frames = _with_corrected_dates(path, frames)
     names = [_signal_name(frame) for frame in frames]
@@ -142,9 +143,10 @@ def _without_duplicate_quantities(frames: Sequence[Frame]) -> tuple[list[Frame],
     Returns
     -------
     tuple
-        The samples, and the number of samples left out. A sample without a time keeps only the quantities that no
-        sample with a time has; it is left out if none remains. The magnetic field, which no model uses, is never
-        removed, and does not keep a sample by itself.
+        The samples, and the number of samples left out. A sample with a time is kept unchanged. A sample without a time
+        keeps only the quantities that no sample with a time has; the sample is left out if none remains. Nothing is
+        removed if no sample has a time. The magnetic field, which no model uses, is never removed, and does not keep a
+        sample by itself.
     """
     timed = [frame.sample for frame in frames if math.isfinite(frame.t_device)]
     names = [
@@ -175,7 +177,8 @@ def _with_utc_as_device_time(frame: Frame) -> Frame:
 def _with_first_dates(frames: list[Frame]) -> list[Frame]:
     """Move the samples before the first date of a capture to the day of the samples that follow; return all samples.
 
-    Without any date in the capture they are on 1970-01-01.
+    Without any date in the capture they are on 1970-01-01. Only device times below 2 days after 1970 are moved; the UTC
+    of a fix changes with them.
     """
     times = [frame.t_device for frame in frames]
     near = nmea.DAY / 2 if any(t < 0.0 for t in times) else math.nan  # without any date: on 1970-01-01
@@ -192,7 +195,8 @@ def _with_corrected_dates(path: Path, frames: list[Frame]) -> list[Frame]:
     A receiver counts from a date of its firmware until it has received the week, and its week number starts again every
     1024 weeks. Both make its date too early by years, so the latest date is assumed to be right. Samples of other dates
     are moved next to it by whole days. They are left out if they would then overlap it or be more than 10 minutes away.
-    The samples are unchanged, without a warning, if no date jumps by more than 300 days. `path` is for the warning.
+    Samples without a device time stay. The samples are unchanged, without a warning, if no date jumps by more than 300
+    days. `path` is for the warning.
     """
     t = np.array([frame.t_device for frame in frames])
     known = np.flatnonzero(np.isfinite(t))
@@ -231,7 +235,7 @@ def _times_by_rate(frames: Sequence[Frame], kinds: Sequence[str], rate: float) -
 
     `kinds` has the kind of each sample. Samples of the most frequent kind are 1/rate apart; so are those of a kind with
     at most two samples fewer. A sample of a rarer kind has the time of the most frequent sample before it. Transducers
-    (XDR) never count as the most frequent kind.
+    (XDR) never count as the most frequent kind. Samples before the first one of the most frequent kind have time 0.
     """
     numbers = Counter(kinds)
     most, n_most = max(

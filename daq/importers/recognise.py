@@ -281,7 +281,11 @@ class Name(NamedTuple):
 
 
 def unit_of(text: str) -> str:
-    """Return a unit as import maps write it, for example "deg/s" for "dps"; "" if the unit is unknown."""
+    """Return a unit as import maps write it, for example "deg/s" for "dps"; "" if the unit is unknown.
+
+    A unit in the spelling of import maps is returned unchanged. Other spellings are recognised in small and capital
+    letters.
+    """
     return text if text in UNITS else _UNITS.get(text.lower(), "")
 
 
@@ -301,7 +305,9 @@ def read_name(column: str) -> Name:
     Returns
     -------
     Name
-        The parts of the name.
+        The parts of the name. The unit is the text in brackets at the end, or else an ending such as _dps, which is
+        removed from `plain`. Words are also separated where a capital letter follows a small one. The unit "ms" of a
+        velocity is m/s. A speed with the unit of a shaft speed has no meaning.
     """
     spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", column)
     bracket = _BRACKET.search(column)
@@ -332,8 +338,9 @@ def message_candidates(table: Table) -> list[Candidate]:
     Returns
     -------
     list of Candidate
-        Candidates whose columns are all in the table and have values; empty for an unknown type. Candidates of a topic
-        of set-points or of a simulator's ground truth get a rank with which they are not chosen.
+        Candidates whose columns are all in the table and have values; empty for an unknown type. All candidates of a
+        type have its caveat. Candidates of a topic of set-points or of a simulator's ground truth get a rank with which
+        they are not chosen.
     """
     kind = table.kind.rpartition("/")[2]
     if table.kind.startswith("px4_msgs/"):
@@ -385,12 +392,12 @@ def wrapped_negative(values: Column) -> np.typing.NDArray[np.bool_]:
     Parameters
     ----------
     values
-        Numbers (n,), raw or scaled.
+        Numbers (n,), raw or scaled, without NaN.
 
     Returns
     -------
     Array (n,)
-        True for wrapped numbers. All False if the case is not clear.
+        True for wrapped numbers. All False if the case is not clear, or if any number is negative.
 
     Notes
     -----
@@ -444,7 +451,7 @@ def drive(words: frozenset[str], values: Column, unit: str) -> tuple[str, MapSig
         Group ("force" or "drive"), signal without its columns, and caveat. The signal of a force is f_left, f_right or
         X. That of a command or shaft speed is n, n_left or n_right, with a scale to -1 .. 1: per cent, pulses with rest
         at 1500 us and full forward at 1900 us, or else the largest magnitude as 1. The result is None if the column
-        does not belong to a thruster.
+        does not belong to a thruster, has a unit of another quantity (such as W), or has no finite value.
     """
     drive_words = words & DRIVES
     if not drive_words or words & _NOT_DRIVES:

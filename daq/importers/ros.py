@@ -119,8 +119,9 @@ def _readable_files(path: Path) -> Iterator[tuple[list[Path], str]]:
     """Yield the readable files of a ROS bag, and a remark about repairs. Temporary copies are deleted at the end.
 
     A folder without metadata.yaml is read file by file. A .mcap that was cut off is recovered to a temporary file. A
-    .db3 with a SQLite log beside it, which an interrupted recorder leaves, is completed in a temporary copy. Raise
-    SeatrialError if nothing is readable.
+    .db3 with a SQLite log beside it, which an interrupted recorder leaves, is completed in a temporary copy. Files of a
+    split bag are in the order of their numbers. A file without a readable message is left out with a remark. Raise
+    SeatrialError if nothing is readable, or for a bag of ROS 1 that was not closed (.bag.active).
     """
     if path.name.endswith(".bag.active"):
         raise SeatrialError(
@@ -156,7 +157,7 @@ def _readable_files(path: Path) -> Iterator[tuple[list[Path], str]]:
                         f"{path}: cannot be read as a ROS bag: it is cut off and contains no readable message; use "
                         "another copy of it"
                     ) from error
-                remarks.append(f"{part.name} contains no readable message")
+                remarks.append(f"{part.name} contains no readable message and is left out")
                 continue
             readable.append(whole)
             remarks.append(f"{part.name} is cut off: {counted(recovered.messages, 'message')} recovered")
@@ -170,7 +171,7 @@ def _readable_files(path: Path) -> Iterator[tuple[list[Path], str]]:
 def _sqlite_logs(path: Path) -> list[Path]:
     """Return the log files (-wal, -journal) that SQLite left beside a database, with changes to be completed.
 
-    An empty log is not returned. A symbolic link counts as a log.
+    An empty log is not returned. A symbolic link counts as a log, wherever it points.
     """
     beside = (path.with_name(path.name + ending) for ending in SQLITE_LOGS)
     return [log for log in beside if os.path.lexists(log) and not (log.is_file() and log.stat().st_size == 0)]
@@ -227,7 +228,7 @@ def _split_number(path: Path) -> tuple[int, str]:
 
 
 def _has_end(path: Path) -> bool:
-    """Return whether a .mcap file ends with the MCAP magic bytes. A file that was cut off does not."""
+    """Return whether a .mcap file ends with the MCAP magic bytes. A file that was cut off, or is empty, does not."""
     with path.open("rb") as file:
         file.seek(-min(len(MCAP_MAGIC), path.stat().st_size), 2)
         return file.read() == MCAP_MAGIC
@@ -262,7 +263,8 @@ class _TopicMessages:
     def add(self, t_log: float, message: Any) -> None:
         """Add a ROS message received at `t_log` [s since 1970]: its times, its frame and its numbers.
 
-        Lists and arrays of more than 16 elements, such as images, are left out.
+        If a message has a number twice under one name, the first counts. Lists and arrays of more than 16 elements,
+        such as images, are left out.
         """
         header = getattr(message, "header", None)
         stamp = message.clock if self.kind == CLOCK else getattr(header, "stamp", None)
@@ -310,7 +312,8 @@ class _TopicMessages:
     def _two_sensors_remark(self) -> str:
         """Return a remark if messages of several frame_ids (sensors) alternate in the topic, else "".
 
-        Messages of one frame after another, without overlap in time, do not alternate.
+        Messages of one frame after another, without overlap in time, do not alternate; two such frames are enough for
+        "". The remark has the number of messages of each frame.
         """
         frames = sorted(self._frames.items())
         if len(frames) < 2 or max(first for _, (_, first, _) in frames) > min(last for _, (_, _, last) in frames):
@@ -344,11 +347,11 @@ def _leave_out_unmeasured(columns: dict[str, Column]) -> None:
 
 
 def _message_numbers(message: Any, prefix: str = "") -> Iterator[tuple[str, float]]:
-    """Yield name and value of each number in a ROS message, in order. Skip header and text.
+    """Yield name and value of each number in a ROS message, in order. Skip header, text and constants.
 
     The name is that of the field. An array with the same length as the list `name` of the message, as in a JointState,
-    has the names of the joints: velocity.left. Messages in a list have their index: esc[0].rpm. Lists and arrays of
-    more than 16 elements are skipped.
+    has the names of the joints: velocity.left. Messages in a list have their index: esc[0].rpm. A truth value is 0 or
+    1. Arrays of several dimensions, and lists and arrays of more than 16 elements, are skipped.
     """
     joints = getattr(message, "name", None)
     for field in fields(message):

@@ -62,7 +62,11 @@ def row_times(table: Table, time: TimeColumn | None, *, lenient: bool = False) -
         t = _seconds_of_numbers(raw, table.numbers(time.date) if time.date else np.zeros(len(raw)), time.format)
         untimed = np.flatnonzero(np.isnan(t))
         if len(untimed) and not _may_leave_out_untimed_rows(untimed, t, lenient):
-            raise table.error(int(untimed[0]), time.column, "there is no time; remove this line of the table")
+            problem = "there is no time; remove this line of the table"
+            if lenient:  # such lines are left out, but these are too many
+                n = counted(len(untimed), "row")
+                problem = f"there is no time in {n} from here on; name another column in [time] of the import map"
+            raise table.error(int(untimed[0]), time.column, problem)
     else:
         t = _seconds_of_text(table, time, lenient)
         untimed = np.flatnonzero(np.isnan(t))
@@ -106,7 +110,7 @@ def gps_seconds(weeks: Column, seconds: Column) -> Column:
     Returns
     -------
     Column
-        UTC [s since 1970], (n,).
+        UTC [s since 1970], (n,), by the leap seconds up to 2017. NaN stays NaN.
     """
     gps = ubx.GPS_EPOCH + weeks * ubx.WEEK + seconds
     return np.array([ubx.gps_to_utc(t) for t in gps.tolist()])
@@ -115,8 +119,9 @@ def gps_seconds(weeks: Column, seconds: Column) -> Column:
 def _seconds_of_text(table: Table, time: TimeColumn, lenient: bool) -> Column:
     """Convert the text cells of a time column to s (n,). With `lenient`, a cell of another format becomes NaN.
 
-    Raise SeatrialError for such a cell without `lenient`, or if too many cells are of another format: all cells, or 5
-    and more than 5 %.
+    Blanks around a cell are ignored. If the map names a column of dates, the date stands before the time of day. Raise
+    SeatrialError for such a cell without `lenient`, or if too many cells are of another format: all cells, or 5 and
+    more than 5 %.
     """
     parse = _cell_parser(time)
     text = dated(table, time.date, time.column) if time.date else [cell.strip() for cell in table.text(time.column)]
@@ -148,7 +153,7 @@ def dated(table: Table, date: str, time: str) -> list[str]:
     table
         The table.
     date, time
-        Names of the columns. An empty date stands for the date of the row above.
+        Names of the columns. An empty date stands for the date of the row above, and is "" in the first row.
 
     Returns
     -------
@@ -174,8 +179,9 @@ def _may_leave_out_untimed_rows(untimed: NDArray[np.intp], t: Column, lenient: b
 def _continued_after_midnight(t: Column, form: str) -> Column:
     """Return times of day `t` (n,) [s] that go on beyond 24 h after midnight, instead of starting again at 0.
 
-    `form` is their strptime pattern. For a pattern without hours they go on after the full hour. `t` is changed in
-    place. Times that are not all within one day (or hour) are not changed.
+    A fall by more than half a day starts the next day. `form` is their strptime pattern. For a pattern without hours
+    the period is one hour instead of a day. `t` is changed in place. Times that are not all within one day (or hour)
+    are not changed.
     """
     period = DAY if any(part in form for part in ("%H", "%I", "%c", "%X", "%T", "%s")) else HOUR
     if len(t) and np.all(t < period):
@@ -194,8 +200,9 @@ def _take_out_clock_changes(table: Table, t: Column, time: TimeColumn) -> None:
 
     The change is a step of one hour, forward or back, added to the usual step. It is at a full hour of a Sunday night
     in spring or autumn. The rows after it are moved, with a remark of the table. A step of an hour at any other time is
-    a pause of the logger, or a clock that was set. It is kept, with a remark. Nothing is done for fewer than 11 rows
-    with a time, or rows 60 s or more apart. `time` has the origin of the times.
+    a pause of the logger, or a clock that was set. It is kept, with a remark. If several steps are of this kind, the
+    times are unchanged, without a remark. Nothing is done for fewer than 11 rows with a time, or rows 60 s or more
+    apart. `time` has the origin of the times.
     """
     known = np.flatnonzero(np.isfinite(t))
     steps = np.diff(t[known])
@@ -215,7 +222,7 @@ def _take_out_clock_changes(table: Table, t: Column, time: TimeColumn) -> None:
             _add_remark(
                 table,
                 f"times step by {sign:+.0f} h at row {row + 1}, which is not a change of daylight saving time: the "
-                "times are kept",
+                "times are kept; check the clock of the logger",
             )
             continue
         t[row:] -= sign * HOUR
@@ -276,7 +283,7 @@ def _cell_parser(time: TimeColumn) -> Callable[[str], float]:
     def whole(text: str) -> float:
         """Convert a cell of a time column to s by its format alone: a number, an ISO date, or a strptime pattern.
 
-        A date without a year is in 1970. Raise ValueError for another format.
+        A date without a year is in 1970. A date without a zone is UTC. Raise ValueError for another format.
         """
         if time.format == "s":
             return float(text)
@@ -289,8 +296,9 @@ def _cell_parser(time: TimeColumn) -> Callable[[str], float]:
     def split(text: str) -> float:
         """Convert the text before the last point of a time cell to s, and add the digits behind the point.
 
-        They are a decimal fraction, or a number of ns if `fraction` of the time column is "unpadded-ns". Raise
-        ValueError if they are not one to nine digits.
+        They are a decimal fraction, or a number of ns if `fraction` of the time column is "unpadded-ns". After a minus
+        sign they are subtracted. A text without a point is converted by its format alone. Raise ValueError if the
+        digits are not one to nine.
         """
         head, point, tail = text.rpartition(".")
         if not point:

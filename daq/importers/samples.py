@@ -73,7 +73,7 @@ def read_autopilot_log(path: Path, options: SourceOptions) -> list[Table]:
     -------
     list of Table
         One table for each kind of sample and node, with the parameters and the type of the vehicle. The first has the
-        events of the log. Differences of the parameters from the rig are remarks.
+        events of the log. Differences of the parameters from the rig are remarks of the table of their output.
 
     Raises
     ------

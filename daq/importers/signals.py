@@ -146,13 +146,21 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
     Returns
     -------
     Signals
-        The signals, and what was left out.
+        The signals, in the order of the map, and what was left out. An input that becomes unknown has a NaN sample
+        there.
 
     Raises
     ------
     SeatrialError
         If a column is missing, a cell has no number, or times are out of order, and the map does not allow this. The
         message names the place and the key of the map that allows it.
+
+    Notes
+    -----
+    The steps for each signal are, in this order: rows in the order of time, cells without a number (`nan`), scale,
+    offset and sign, `missing`, repeats that the map drops, SI unit, NED axes, `angle` and `timeout`. Repeats of held
+    values are removed last, together for the signals with the same rows. If cells without a number are dropped, the
+    order of times is judged by the rows with a value of the signal.
     """
     signals: list[SignalData] = []
     n_dropped = 0
@@ -257,8 +265,8 @@ class _RowCounter:
     def left_out(self) -> Iterator[RowsLeftOut]:
         """Yield the number of rows of the table that the log lacks, for wrong stamps and for times out of order.
 
-        A row that is kept for any signal, has no value, or is a copy of the row before, does not count. Nothing is
-        yielded for a reason without missing rows.
+        A row that is kept for any signal, has no value, or is a copy of the row before, does not count. Rows without a
+        time do not count either. Nothing is yielded for a reason without missing rows.
         """
         table, t = self._table, self._t[self._has_time]
         if table.n_left_out:
@@ -286,9 +294,10 @@ def _without_held(table: Sequence[SignalData], places: Sequence[int]) -> Iterato
     """Remove the repeats of signals whose source repeats each measurement in all rows until the next one.
 
     Yield for each of these signals its index, the signal without repeats, and the number of repeats. Signals are found
-    by changes at regular intervals of at most 5 s (`held_signals`), those of one sensor, as x and y, together. Other
-    signals are not yielded, nor inputs whose values look like commands instead of measurements. `table` has signals
-    with the same times, and `places` the index of each in the list of all signals.
+    by changes at regular intervals of at most 5 s (`held_signals`), those of one sensor, as x and y, together. The
+    interval is that of the rows (median) times the rows per measurement. Other signals are not yielded, nor inputs
+    whose values look like commands instead of measurements. `table` has signals with the same times, and `places` the
+    index of each in the list of all signals.
     """
     t = table[0].t
     found = held_signals(t, {data.signal.name: data.values for data in table})
@@ -339,7 +348,7 @@ def _raw_values(table: Table, signal: Signal) -> Column:
 
     A signal with `make` is computed from its columns, in SI units. A position is in metres north or east of the first
     fix of the table; a fix at 0, 0 is NaN. A velocity is 0 at speed 0, also without a course. The angles of a
-    quaternion of zeros are NaN.
+    quaternion of zeros are NaN. Without `make`, the numbers of the column are returned. NaN in a column gives NaN.
     """
     if not signal.make:
         return table.numbers(signal.columns[0])
@@ -405,8 +414,9 @@ def _changed_rows(values: Sequence[Column]) -> NDArray[np.bool_]:
 def _with_timeouts(t: Column, values: Column, timeout: float) -> tuple[Column, Column]:
     """Insert a zero where an imported input times out, and return its times [s] and values, then longer than (n,).
 
-    An input times out `timeout` [s] after each sample that no other sample follows within this time, also after the
-    last one. With a timeout of 0, or without samples, nothing is inserted.
+    The zero is a new sample at the time of the timeout. An input times out `timeout` [s] after each sample that no
+    other sample follows within this time, also after the last one. With a timeout of 0, or without samples, nothing is
+    inserted.
     """
     if not timeout or not len(t):
         return t, values
@@ -417,8 +427,9 @@ def _with_timeouts(t: Column, values: Column, timeout: float) -> tuple[Column, C
 def _rows_in_order(table: Table, t: Column, source: Source) -> NDArray[np.bool_]:
     """Return the flags (n,) of the largest set of rows of a table whose times `t` (n,) [s] rise strictly.
 
-    Rows without a time (NaN) are not in it. If rows are out of order, raise SeatrialError unless the import map
-    (`source`) drops them, or the table is no text and the map has no key for this.
+    Rows without a time (NaN) are not in it. A time that repeats the one before is out of order too. If rows are out of
+    order, raise SeatrialError unless the import map (`source`) drops them, or the table is no text and the map has no
+    key for this.
     """
     has_time = np.isfinite(t)
     behind = np.flatnonzero(np.diff(t[has_time]) <= 0.0)
@@ -457,7 +468,7 @@ def _longest_rising(t: Column) -> NDArray[np.bool_]:
     """Select the most rows of an imported table whose times `t` (n,) rise strictly; return their flags (n,).
 
     A single time that is too large then costs only its own row (Fredman, Discrete Mathematics 11, 1975). Of equal
-    times, only the first is selected.
+    times, at most the first is selected. The times must not be NaN.
     """
     ends: list[float] = []  # lowest last time of a rising subsequence of 1, 2, ... rows
     rows: list[int] = []  # the row of this time

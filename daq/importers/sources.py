@@ -33,9 +33,11 @@ class SourceKind(NamedTuple):
 
 
 def source_kind(path: Path) -> SourceKind:
-    """Return the kind of a source, recognised by the first bytes of the file.
+    """Return the kind of a source, recognised by the first bytes of the file, not by its name.
 
-    Any folder is "ros", and any text of no known format is "csv"; whether it is a table shows only when it is read.
+    Any folder is "ros", and any text of no known format is "csv"; whether it is a table shows only when it is read. A
+    file with zero bytes that is no text of two bytes per character is of an unknown kind, except for blocks of zeros in
+    less than half of it. A DataFlash log that was converted to text is refused.
 
     Parameters
     ----------

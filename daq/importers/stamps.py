@@ -86,8 +86,8 @@ def message_times(topics: Mapping[str, MessageTimes]) -> dict[str, EstimatedTime
     Returns
     -------
     dict
-        Times by topic, all of one clock. They are the receipts if no topic has at least two stamps. A message without a
-        reliable time has NaN.
+        Times by topic, all of one clock. If no topic has at least two stamps, each message has its stamp or, without
+        one, its receipt. A message without a reliable time has NaN.
     """
     clean = {name: _without_zeros(times) for name, times in topics.items()}
     stamped = {n: times for n, times in clean.items() if np.isfinite(times.stamp + times.receipt).sum() > 1}
@@ -169,6 +169,12 @@ class _ReferenceClock:
         """Choose the clock that most stamps share, and measure its offset from the recorder without wrong stamps.
 
         `stamped` has receipts and stamps of each topic with at least two stamps.
+
+        Topics of which at least 20 % of the stamps are within 1 s of their receipts share the recorder's clock. Without
+        such a topic, the topic with the most messages gives the clock and its rate, and topics with about the same
+        level share it. Only these topics are used. Their level is smoothed by a running median in the order of receipt.
+        If the recorder's clock was set back in all of them, the order is that of the stamps, and each interval between
+        two steps back has its own level.
         """
         rates = {name: _receipt_rate(times) for name, times in stamped.items()}
         sharing = [n for n, times in stamped.items() if rates[n] == 1.0 and self._agrees_with_recorder(times)]
@@ -206,8 +212,9 @@ class _ReferenceClock:
 
         The level is the receipt minus `rate` times the stamp [s]. After a step back the same receipt may occur again
         with another level, so each interval (a branch) is interpolated on its own. `receipt` and `level` (n,) are in
-        the order of the stamps; a fall of the level by more than 0.25 s is a step. `shift` is that of the first branch
-        with a level below 1 s (near the recorder's clock), or else of the first branch.
+        the order of the stamps; a fall of the level by more than 0.25 s is a step. `shift` is set from the first branch
+        with a level below 1 s (near the recorder's clock), or else from the first branch: it is the median of its
+        levels if the reference is the recorder's clock, and otherwise the first of them.
         """
         steps = np.flatnonzero(np.diff(level) < -STEP_S) + 1
         edges = [0, *steps.tolist(), len(level)]
@@ -267,7 +274,8 @@ class _ReferenceClock:
         """Return the level, receipt minus `rate` times stamp [s], as it was for messages received at the given times.
 
         `receipt` has these times (n,) [s since 1970]. The level (n,) is interpolated, but not over a step. If the
-        recorder's clock was set back, it is NaN for receipts that occurred twice, with different levels.
+        reference is the recorder's clock and its level varies by less than 0.25 s, the level is `shift` everywhere. If
+        the recorder's clock was set back, it is NaN for receipts that occurred twice, with different levels.
         """
         if self.set_back:
             pause = [1.5 * float(np.quantile(np.abs(np.diff(own)), 0.99)) for own, _ in self._branches if len(own) > 1]
@@ -301,8 +309,9 @@ class _ReferenceClock:
         Returns
         -------
         EstimatedTimes
-            The times, with a remark if they differ from the stamps. Messages with a wrong or empty stamp have NaN. If
-            fewer than 20 % of the stamps agree with the reference, they are taken as those of another clock.
+            The times, with a remark if they differ from the stamps. Messages with a wrong or empty stamp have NaN.
+            Right stamps are unchanged if the reference is the recorder's clock; otherwise `shift` is added. If fewer
+            than 20 % of the stamps agree with the reference, they are taken as those of another clock.
         """
         if not is_stamped:
             return self._times_of_receipts(topic_times)
@@ -385,8 +394,9 @@ def _stamps_jump(receipt: Column, stamp: Column, topic: Column, k: int, jump: fl
     """Return whether the stamps stepped, not the receipts, at message k, where receipt minus stamp jumps by `jump` [s].
 
     Each topic near message k votes for the clock whose interval at the step is more unusual, with a weight of its
-    number of messages. `receipt`, `stamp` and `topic` (number of the topic) are of all messages (n,). `rate` is the
-    rate of the receipts by the stamps [s/s].
+    number of messages. A topic with fewer than 3 messages there has no vote, and an equal vote means the receipts.
+    `receipt`, `stamp` and `topic` (number of the topic) are of all messages (n,). `rate` is the rate of the receipts by
+    the stamps [s/s].
     """
     votes = 0.0
     for index in np.unique(topic[max(k - SMOOTH, 0) : k + SMOOTH]):

@@ -85,7 +85,10 @@ class Table:
         return f"{self.topic}: {remarks}" if self.topic and remarks else remarks
 
     def __len__(self) -> int:
-        """Return the number of rows of the table, n."""
+        """Return the number of rows of the table, n.
+
+        A table without columns has 0 rows.
+        """
         return len(next(iter((*self.columns.values(), *self.texts.values())), ()))
 
     def numbers(self, column: str) -> Column:
@@ -121,14 +124,14 @@ class Table:
         """Return the cells of a column of the table as texts (n,), for times that are not numbers.
 
         A column of numbers gives the shortest texts with the same values, "nan" for a cell without a value. Raise
-        SeatrialError if the table lacks the column.
+        SeatrialError if the table lacks the column. The list is a copy.
         """
         return list(self.texts.get(column, ())) or [repr(value) for value in self.numbers(column).tolist()]
 
     def error(self, row: int, column: str, problem: str) -> SeatrialError:
         """Return an error that names the file, topic, column and row of a cell. The caller raises the error.
 
-        `row` is counted from 0, and `problem` is the text of the error.
+        `row` is counted from 0, but the message counts from 1. `problem` is the text of the error.
         """
         place = f"{self.topic}, '{column}'" if self.topic else f"'{column}'"
         return SeatrialError(f"{self.path}: {place}, row {row + 1}: {problem}")

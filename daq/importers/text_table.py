@@ -78,7 +78,8 @@ class TextTable(Table):
         """Read the text file by numpy, which is fast, and return whether this was possible.
 
         It is possible only if the file contains one header with unique names, and rows of plain finite numbers with
-        decimal points, without blank lines. Otherwise nothing is stored.
+        decimal points, without blank lines. The import map must not give the names of the columns, a decimal comma or
+        the delimiter "blank". Otherwise nothing is stored. An error of reading gives False too.
         """
         style = self._style
         if style.columns or style.decimal != "." or len(style.delimiter) != 1:
@@ -114,9 +115,10 @@ class TextTable(Table):
         return True
 
     def _read_cells(self) -> None:
-        """Read and store header and cells of the text file one by one, as text.
+        """Read and store header and cells of the text file one by one, as text, behind the lines to skip.
 
-        Raise SeatrialError if the file cannot be read or is no table of this style.
+        Cells and lines that were read before are replaced. Raise SeatrialError if the file cannot be read or is no
+        table of this style.
         """
         path, style = self.path, self._style
         self.lines, self._rows = [], []
@@ -140,9 +142,10 @@ class TextTable(Table):
     def _read(self, file: Iterable[str]) -> None:
         """Read and store header and rows of the text table from the lines of its file (behind the skipped lines).
 
-        Comments, repeated headers, units and subheadings are skipped. The units are stored. Lines with a wrong number
-        of cells are left out with a remark, or raise SeatrialError (`_note_ragged_lines`). SeatrialError is also raised
-        without a header or without rows.
+        Comments and repeated headers are skipped, and below the header rows of units and, if the import map has the key
+        `nan`, of words without digits. Surplus empty cells at the end of a line are cut off. The units are stored. A
+        remark names columns that the header has twice. Lines with a wrong number of cells are left out with a remark,
+        or raise SeatrialError (`_note_ragged_lines`). SeatrialError is also raised without a header or without rows.
         """
         watched = _WatchedLines(file)
         rows = _cells_of_lines(watched, self._style)
@@ -295,8 +298,12 @@ class TextTable(Table):
         row = min(wrong)
         n_numbers = int(np.isfinite(found).sum())
         problem = f"'{cells[row][:40]}' is not a {'finite ' if math.isinf(found[row]) else ''}number"
-        if self._style.nan not in ("drop", "keep") or len(wrong) > MOST_TEXT * (len(wrong) + n_numbers):
-            raise self.error(row, column, problem)
+        if len(wrong) > MOST_TEXT * (len(wrong) + n_numbers):
+            raise self.error(row, column, f"{problem}, nor are most cells; name another column in the import map")
+        if self._style.nan not in ("drop", "keep"):
+            raise self.error(
+                row, column, f'{problem}; correct it, or leave it out by csv.nan = "drop" in the import map'
+            )
         found[np.isinf(found)] = math.nan
         self._add_remark(
             f"line {self.lines[row]}, column '{column}': {problem}; {counted(len(wrong), 'such value')} left out"
@@ -336,7 +343,7 @@ class _WatchedLines:
     Attributes
     ----------
     is_cut : bool
-        Whether the last line so far has no line end.
+        Whether the last line so far has no line end; False before the first line.
     """
 
     def __init__(self, lines: Iterable[str]) -> None:
@@ -402,8 +409,8 @@ def to_number(text: str, decimal: str, has_thousands: bool = False) -> float:
 def _cells_of_lines(file: Iterable[str], style: TextStyle) -> Iterator[tuple[int, list[str]]]:
     """Split the lines of a text table into cells. Yield the number, counted from 1, and the cells of each line.
 
-    Blank lines are skipped. The delimiter is that of `style`. For cells in quotes with line ends, the number is that of
-    the last line.
+    Blank lines are skipped. Cells keep the blanks around them unless the delimiter is "blank". The delimiter is that of
+    `style`. For cells in quotes with line ends, the number is that of the last line.
     """
     if style.delimiter == BLANK:
         for number, line in enumerate(file, start=1):
@@ -519,7 +526,8 @@ def sniff_style(path: Path, head: bytes) -> TextStyle | None:
     Returns
     -------
     TextStyle or None
-        The style with the most numbers; None if the text is not a table.
+        The style with the most numbers; None if the text is not a table. The encoding is UTF-8, UTF-16, or else
+        Latin-1. The last of several lines is not used, because it may be cut off.
     """
     encoding = wide_encoding(head) or "utf-8-sig"
     try:
@@ -540,7 +548,7 @@ def sniff_style(path: Path, head: bytes) -> TextStyle | None:
 def _joined_quoted_lines(lines: Sequence[str]) -> tuple[list[str], list[int]]:
     """Join the lines of a text to rows of a table. Return the rows, and the index of the line at which each begins.
 
-    A row is a line, or up to 4 lines if a cell in quotes contains line ends.
+    A row is a line, or up to 4 lines if a cell in quotes contains line ends, which stay in the row.
     """
     found: list[str] = []
     places: list[int] = []
@@ -557,8 +565,9 @@ def _score_of_style(lines: list[str], style: TextStyle) -> tuple[float, TextStyl
     """Return a score of how well the lines of a text are a table in this style, and the style with the header.
 
     The style has the number of lines before the header or, without a header, names column_1, column_2, ... None means
-    that the lines are not a table in this style. The score is the sum over the rows of the squared share of numbers
-    times the number of cells.
+    that the lines are not a table in this style: no row has the usual number of cells and enough numbers, or fewer than
+    80 % of the rows below the first such row have the usual number of cells. The score is the sum over the rows of the
+    squared share of numbers times the number of cells.
     """
     rows = [next((cells for _, cells in _cells_of_lines(line.splitlines(keepends=True), style)), []) for line in lines]
     widths = Counter(len(cells) for cells in rows if cells).most_common(1)

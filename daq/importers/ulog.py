@@ -40,7 +40,8 @@ def read_ulog(path: Path, options: SourceOptions) -> list[Table]:
     list of Table
         One table for each topic; the second instance of a topic is TOPIC_1. Topics with gps in their name are always
         read. Times are in UTC [s since 1970] by the first fix. In a log without a fix they are the time since the start
-        of the autopilot [s]. Positions of fixes below 2D are NaN.
+        of the autopilot [s]. Positions of fixes below 2D are NaN. Rows are in the order of their times; a remark counts
+        damaged places, whose records are left out.
 
     Raises
     ------
@@ -223,7 +224,8 @@ class _LimitedFile(io.BufferedReader):
 def _utc_offset(tables: list[Table]) -> float:
     """Return UTC minus the time since the start of the autopilot [s], by the first fix with a UTC in a PX4 log.
 
-    `tables` are the topics of the log. The result is 0 if no topic with gps in its name has a UTC.
+    `tables` are the topics of the log. The result is 0 if no topic with gps in its name has a UTC. The first topic with
+    a UTC is used.
     """
     for table in tables:
         utc: Column | None = table.columns.get("time_utc_usec") if "gps" in table.topic else None

@@ -83,7 +83,8 @@ def write_signals(
     note
         Text of the first event.
     events
-        Further events, with their times [s since 1970].
+        Further events, with their times [s since 1970]. An event before the first sample is written at the time of that
+        sample.
     force
         Whether an existing log is replaced.
     reads
@@ -125,8 +126,10 @@ def _write_in_order(
 ) -> None:
     """Write imported signals and events to an MCAP log in the order of time.
 
-    `t_ns` has the times (n,) of each signal [ns since 1970], and `first` is the earliest of them. The first event is
-    the import, with the text `note`. `events` have their times [s since 1970]; an event before `first` gets this time.
+    `t_ns` has the times (n,) of each signal [ns since 1970], and `first` is the earliest of them. The time of a sample
+    is both its log time and its stamp; its device time is NaN. The first event is the import, with the text `note`. At
+    equal times the signals come in their order, then the events. `events` have their times [s since 1970]; an event
+    before `first` gets this time.
     """
     event, about = writer.channel("/event", schema.EVENT), cdr_layout(schema.EVENT, b"")
     writer.add(event, first, first, 0, about.pack(first, tail=(b"import", note.encode())))
@@ -196,7 +199,7 @@ def write_frames(
         raise SeatrialError(
             f"{out}: the times of its source are not between 1970 and 2038; correct the clock, and record it again"
         )
-    steps = clock_steps((row.device, row.frame, row.t) for row in rows)
+    steps = clock_steps(out, ((row.device, row.frame, row.t) for row in rows))
     if early := warn_of_early_dates(out, ordered[0].t, ordered[-1].t, reads):
         steps.append(early)
     first = round(ordered[0].t * NANO)
@@ -221,7 +224,7 @@ def early_dates(first: float, last: float, written: Sequence[float]) -> str:
     first, last
         First and last time of a log [s since 1970].
     written
-        Dates of its source files, and the present time [s since 1970].
+        Dates of its source files, and the present time [s since 1970]. Without any, the result is "".
 
     Notes
     -----
@@ -269,11 +272,13 @@ def warn_of_early_dates(out: Path, first: float, last: float, reads: Sequence[Pa
     return line
 
 
-def clock_steps(samples: Iterable[tuple[str, Frame, float]]) -> list[str]:
+def clock_steps(out: Path, samples: Iterable[tuple[str, Frame, float]]) -> list[str]:
     """Warn about each device whose times run back in the order of its file, and return the warnings.
 
     Parameters
     ----------
+    out
+        The log, for the warnings; the returned lines do not contain it.
     samples
         Device, sample with its times (frame), and time [s] of each sample, in the order of the file.
 
@@ -300,14 +305,15 @@ def clock_steps(samples: Iterable[tuple[str, Frame, float]]) -> list[str]:
         for device, back in steps.items()
     ]
     for line in lines:
-        warnings.warn(f"{line}; import the data of each clock separately", SeatrialWarning, stacklevel=2)
+        warnings.warn(f"{out}: {line}; import the data of each clock separately", SeatrialWarning, stacklevel=2)
     return lines
 
 
 def _write_frames(writer: LogWriter, rows: Sequence[SignalRow], units: Mapping[str, str]) -> None:
     """Write decoded samples to an MCAP log in the given order, each to the topics of its kind.
 
-    `units` has the unit of each signal; a signal that it lacks gets the unit "".
+    A signal is an output with linear hold. `units` has the unit of each signal; a signal that it lacks gets the unit
+    "".
     """
     channels: dict[str, int] = {}
     for sequence, (t, device, frame) in enumerate(rows, start=1):
@@ -357,7 +363,8 @@ def replacing(out: Path, force: bool, reads: Sequence[Path]) -> Iterator[Path]:
 def sha256_of(path: Path) -> str:
     """Return the SHA-256 of a source file of an import, or of the files of a folder in the order of their names.
 
-    Of a folder, with its subfolders, the contents of the files enter the digest, not their names.
+    Entries that are no regular files are left out. Of a folder, with its subfolders, the contents of the files enter
+    the digest, not their names.
 
     Parameters
     ----------

@@ -25,7 +25,8 @@ def pack_can(arbitration_id: int, data: bytes) -> bytes:
     arbitration_id
         CAN identifier, below 2^29. This is not checked.
     data
-        At most 8 bytes. This is not checked. Fewer bytes are filled up with zeros behind them.
+        At most 8 bytes. This is not checked. Fewer bytes are filled up with zeros behind them. Bytes after the eighth
+        are cut off, but the length in the frame counts them.
     """
     return CAN_FRAME.pack(arbitration_id | EXTENDED, len(data), data)
 
@@ -33,8 +34,8 @@ def pack_can(arbitration_id: int, data: bytes) -> bytes:
 def unpack_can(frame: bytes) -> tuple[int, bytes] | None:
     """Return identifier and data of a CAN frame, given as the 16 bytes of the `struct can_frame` of Linux.
 
-    Return None for a remote frame, for an error frame, and for a frame with an 11-bit identifier. A length above 8 in
-    the frame counts as 8.
+    Return None for a remote frame, for an error frame, and for a frame with an 11-bit identifier. The data have the
+    length that the frame states; a length above 8 counts as 8.
 
     Raises
     ------
@@ -65,7 +66,7 @@ class FrameDecoder(ABC):
     """
 
     def __init__(self) -> None:
-        """Set all counters to 0, without received bytes."""
+        """Start without received bytes: all counters are 0, and the remark is empty."""
         self.frames = 0
         # CAN controllers check each frame in hardware; only messages of several frames have a checksum of their own.
         self.checksum_errors = 0

@@ -53,7 +53,7 @@ class DeviceType(NamedTuple):
 
     @property
     def installed(self) -> bool:
-        """Whether the Python module that the protocol needs is installed; True if it needs none."""
+        """Whether the Python module that the protocol needs is installed; True if the protocol needs none."""
         return not self.module or importlib.util.find_spec(self.module) is not None
 
 
@@ -78,7 +78,8 @@ def _make_mip(device: Device, rig: Rig) -> Decoder:
 def _make_nmea(device: Device, rig: Rig) -> Decoder:
     """Return a new decoder of NMEA 0183, with the magnetic declination of the device in the rig.
 
-    If several devices of the rig send NMEA, the names of its transducers end with the name of the device.
+    If several devices of the rig send NMEA, the names of its transducers end with the name of the device. Otherwise
+    these names have no ending.
     """
     from seatrial.daq.protocol import nmea
 
@@ -88,7 +89,8 @@ def _make_nmea(device: Device, rig: Rig) -> Decoder:
 def _make_ubx(device: Device, rig: Rig) -> Decoder:
     """Return a new decoder of a u-blox receiver, with the magnetic declination of the device in the rig.
 
-    If several devices of the rig send NMEA, the names of its transducers end with the name of the device.
+    If several devices of the rig send NMEA, the names of its transducers end with the name of the device. Otherwise
+    these names have no ending.
     """
     from seatrial.daq.protocol import ubx
 
@@ -107,8 +109,8 @@ def _signal_ending(device: Device, rig: Rig) -> str:
 def _make_loadcell(device: Device, rig: Rig) -> Decoder:
     """Return a new decoder of a load cell, with the pattern, saturation and calibration of the device.
 
-    Without a calibration its forces are NaN. It discards the first line after each opening of the port, which may be
-    incomplete. Raise ValueError if the pattern is invalid.
+    Without a calibration the forces are NaN. The decoder discards the first line after each opening of the port, which
+    may be incomplete. Raise ValueError if the pattern is invalid.
     """
     from seatrial.daq.protocol import loadcell
 
@@ -119,8 +121,8 @@ def _make_loadcell(device: Device, rig: Rig) -> Decoder:
 def _make_openscale(device: Device, rig: Rig) -> Decoder:
     """Return a new decoder of an OpenScale board, with the saturation and calibration of the device.
 
-    Without a calibration its forces are those that the board computes. It discards the first line after each opening of
-    the port, which may be incomplete.
+    Without a calibration the forces are those that the board computes. The decoder discards the first line after each
+    opening of the port, which may be incomplete.
     """
     from seatrial.daq.protocol import openscale
 
@@ -131,7 +133,7 @@ def _make_openscale(device: Device, rig: Rig) -> Decoder:
 def _make_mantracourt(device: Device, rig: Rig) -> Decoder:
     """Return a new decoder of a Mantracourt converter, with the query, saturation and calibration of the device.
 
-    Without a calibration its forces are NaN.
+    Without a calibration the forces are NaN. No answer is discarded after an opening of the port.
     """
     from seatrial.daq.protocol import mantracourt
 
@@ -142,7 +144,8 @@ def _make_mantracourt(device: Device, rig: Rig) -> Decoder:
 def _make_vesc(device: Device, rig: Rig) -> Decoder:
     """Return a new decoder of VESC controllers, with the pole pairs of the thrusters that the device drives.
 
-    The sign of rpm and duty of reversed thrusters is changed.
+    The sign of rpm and duty of reversed thrusters is changed. Frames of controllers that drive no thruster of the
+    device are counted and give no sample.
     """
     from seatrial.daq.protocol import vesc
 
@@ -154,7 +157,11 @@ def _make_vesc(device: Device, rig: Rig) -> Decoder:
 
 
 def _make_mavlink(device: Device, rig: Rig) -> Decoder:
-    """Return a new decoder of an autopilot, with the servo outputs of the thrusters that the device drives."""
+    """Return a new decoder of an autopilot, with the servo outputs of the thrusters that the device drives.
+
+    If the device drives no thruster, each servo output that had a pulse gives samples. The device needs MAVLink
+    settings.
+    """
     from seatrial.daq.protocol import mavlink
 
     return mavlink.make_decoder(device, rig)
@@ -163,7 +170,8 @@ def _make_mavlink(device: Device, rig: Rig) -> Decoder:
 def _make_dbc(device: Device, rig: Rig) -> Decoder:
     """Return a new decoder of the signals of the device in its DBC file.
 
-    Raise SeatrialError if the file cannot be read, or if it lacks a message or a signal.
+    Raise SeatrialError if the file cannot be read, or if the file lacks a message or a signal. The error names the rig
+    file and the device in the second case.
     """
     from seatrial.daq.protocol import dbc
 
@@ -178,7 +186,8 @@ def _make_dronecan(device: Device, rig: Rig) -> Decoder:
     """Return a new decoder of the DroneCAN controllers of the thrusters that a device drives.
 
     The sign of the rpm of reversed thrusters is changed. The key `index_offset` of the device is the index of a
-    controller in its telemetry minus its index in the commands. Samples of other controllers are not left out.
+    controller in its telemetry minus its index in the commands. Controllers that drive no thruster also give samples,
+    with the sign that they report.
     """
     from seatrial.daq.protocol import dronecan
 
@@ -236,6 +245,8 @@ class DeviceTypes(Mapping[str, DeviceType]):
     def __getitem__(self, name: str) -> DeviceType:
         """Return the description of the protocol `name`.
 
+        If a protocol with this name is built in and added by a package, the built-in one is returned.
+
         Raises
         ------
         KeyError
@@ -265,11 +276,14 @@ class DeviceTypes(Mapping[str, DeviceType]):
                 yield name
 
     def __len__(self) -> int:
-        """Return the number of protocols, built-in and added ones."""
+        """Return the number of protocols, built-in and added ones.
+
+        A name that is built in and added counts once.
+        """
         return len(set(BUILT_IN) | set(plugins(GROUP)))
 
     def usable(self) -> dict[str, DeviceType]:
-        """Return the descriptions of the protocols whose libraries are installed, by name.
+        """Return the descriptions of the protocols whose libraries are installed, by name, the built-in ones first.
 
         If the package that adds a protocol cannot be imported, the protocol is left out with a warning. A protocol
         whose library is missing is left out without a warning.
@@ -284,7 +298,8 @@ DEVICES = DeviceTypes()
 def serial_protocols() -> tuple[str, ...]:
     """Return the names of the protocols of serial devices whose libraries are installed.
 
-    Protocols that also work on a socket (bus NET), such as mavlink, are not included.
+    Protocols of CAN buses, and protocols that also work on a socket (bus NET), such as mavlink, are not included. The
+    built-in protocols come first.
     """
     return tuple(name for name, row in DEVICES.usable().items() if row.bus == SERIAL)
 

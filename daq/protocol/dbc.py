@@ -85,7 +85,8 @@ def is_j1939(message: Any) -> bool:
 def pgn_bits(identifier: int) -> int:
     """Return the bits of a 29-bit CAN identifier that contain the message number of J1939 (PGN), without shifting them.
 
-    The bits of priority, sender and destination are zero in the result.
+    The bits of priority, sender and destination are zero in the result. The low byte of a PGN below 0xF000 is a
+    destination.
     """
     return identifier & (_PDU_1 if identifier >> 16 & 0xFF < 0xF0 else _PDU_2)
 
@@ -102,8 +103,8 @@ def number(message: Any, name: str, raw: float, field: str = "") -> float:
     raw
         Raw number of the signal, without factor and offset.
     field
-        Field of `Esc` that the signal is mapped to; empty if there is none. A signal of the field "rpm" is a shaft
-        speed.
+        Field of `Esc` that the signal is mapped to; empty if there is none. A signal of the field "rpm", or with a unit
+        such as "rpm" or "1/min", is a shaft speed.
 
     Returns
     -------
@@ -127,8 +128,9 @@ def _first_code(message: Any, signal: Any, is_speed: bool) -> int:
     """Return the lowest raw number of a signal in a DBC file that means "error" or "not available".
 
     In J1939, and for a shaft speed (`is_speed`), an unsigned signal of 8 bits or more has such numbers from 0xFB in its
-    highest byte on. Of other signals they are the highest 3 numbers, or 2 with 4 to 7 bits, or 1 with fewer bits.
-    `message` and `signal` are objects of cantools.
+    highest byte on. Of other signals, these numbers are the highest 3 of the signal, or 2 with 4 to 7 bits, or 1 with
+    fewer bits. The highest number of a signed signal is its largest positive one. `message` and `signal` are objects of
+    cantools.
     """
     # PGNs of page 1 belong to NMEA 2000. Other PGNs, and those of manufacturers, occur in both standards.
     is_nmea2000 = bool(message.frame_id & _PAGE_1)
@@ -164,7 +166,8 @@ class Decoder(FrameDecoder):
     def __init__(self, database: Any, signals: Sequence[DbcSignal]) -> None:
         """Find the messages of the signals to read in the cantools database.
 
-        Raise SeatrialError if the database lacks a message or a signal.
+        Messages of J1939 and NMEA 2000 are stored by their PGN, others by their identifier. A node that is given by
+        name has to be a signal of the message. Raise SeatrialError if the database lacks a message or a signal.
         """
         super().__init__()
         self._exact: dict[tuple[int, bool], _MessageSignals] = {}
@@ -186,9 +189,10 @@ class Decoder(FrameDecoder):
     def _decode_can_frame(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
         """Decode one CAN frame if the rig reads signals from its message; return no sample otherwise.
 
-        The values are stored. Return one sample for each node (speed controller) whose rpm the frame contains, or, if
-        the rig reads no rpm, for each node with any value in it. A frame that cannot be decoded counts as unparsed
-        bytes.
+        The values are stored by node: the node is a fixed number, the source address (low 8 bits of the identifier), or
+        the value of a signal of the frame. A signal that the frame lacks is skipped. Return one sample for each node
+        (speed controller) whose rpm the frame contains, or, if the rig reads no rpm, for each node with any value in
+        it. A frame that cannot be decoded counts as unparsed bytes.
         """
         configured = self._exact.get((identifier, extended))
         if configured is None and extended:
@@ -226,7 +230,8 @@ class Decoder(FrameDecoder):
     def _newest_sample(self, node: int, t_rx: float) -> Esc:
         """Return a sample of the newest values of a speed controller, given by its number `node`.
 
-        Values that are older than 2 s (STALE) at the run time `t_rx` [s], or were never received, are NaN.
+        Values that are older than 2 s (STALE) at the run time `t_rx` [s], or were never received, are NaN. The node
+        must have a value already.
         """
         newest = self._newest[node].items()
         return Esc(node, **{name: value for name, (value, t) in newest if t_rx - t <= STALE})
@@ -237,7 +242,7 @@ class Decoder(FrameDecoder):
 
 
 def _find_by_name(name: str | int, rows: Sequence[Any], label: str) -> Any:
-    """Return the message or signal of cantools in `rows` whose name is `name`.
+    """Return the first message or signal of cantools in `rows` whose name is exactly `name`.
 
     If there is none, raise SeatrialError with all names in `rows`. `label` is the word for the missing thing in this
     message, such as "message".

@@ -50,7 +50,10 @@ class Decoder(Protocol):
         ...
 
     def reset(self) -> None:
-        """Discard an incomplete frame, because the port was reopened. The counters of the stream are kept."""
+        """Discard an incomplete frame, because the port was reopened. The counters of the stream are kept.
+
+        The bytes of the frame count as unparsed.
+        """
         ...
 
 

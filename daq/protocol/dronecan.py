@@ -88,8 +88,8 @@ class Decoder(FrameDecoder):
     def _decode_can_frame(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
         """Decode one CAN frame. Return the sample of the esc.Status that it completes, or an empty list.
 
-        A frame with an 11-bit identifier is ignored. The sample has the time of receipt of the first frame of its
-        message.
+        A frame with an 11-bit identifier is ignored. A complete message with another length than 14 bytes counts as a
+        checksum error and gives no sample. The sample has the time of receipt of the first frame of its message.
         """
         if not extended:
             return []
@@ -135,7 +135,7 @@ def unpack(payload: bytes, reversed_nodes: frozenset[int] = frozenset(), index_o
     -------
     Esc
         The node is the index minus `index_offset`, modulo 32. An index below the offset thus becomes a node that no
-        command contains. The duty is NaN, because the message lacks it.
+        command contains. The duty is NaN, because the message lacks it. The temperature is converted from K to deg C.
     """
     _, voltage, current, kelvin, low = _HEAD.unpack_from(payload)
     node = (payload[13] >> 2) - index_offset & 0x1F
@@ -151,7 +151,8 @@ def encode(esc: Esc, source: int, number: int) -> list[tuple[int, bytes]]:
     ----------
     esc
         State. Its node, modulo 32, is the index in the message. The rpm is rounded and clipped to 18 bits with sign.
-        NaN as rpm is sent as zero, other NaN as NaN. The duty is not sent.
+        NaN as rpm is sent as zero, other NaN as NaN. The duty is not sent. Error count and power rating are sent as
+        zero.
     source
         Node of the sender, 1..127.
     number
@@ -175,7 +176,7 @@ def encode_command(commands: Mapping[int, float], source: int, number: int) -> l
     ----------
     commands
         Command, -1..1, by index of the controller, 0..19; 1 is sent as 8191. Missing indices below the largest get
-        zero.
+        zero. An empty mapping gives a message without commands.
     source
         Our node, 1..127.
     number
@@ -189,7 +190,7 @@ def encode_command(commands: Mapping[int, float], source: int, number: int) -> l
     Raises
     ------
     ValueError
-        If a command or an index is outside its range.
+        If a command or an index is outside its range, or a command is NaN.
     """
     for index, n in commands.items():
         if not (-1.0 <= n <= 1.0 and 0 <= index < MOST):
@@ -215,7 +216,8 @@ def _command_bits(value: int) -> str:
 def decode_command(payload: bytes) -> list[float]:
     """Return the commands, -1..1, that an esc.RawCommand contains, in the order of the controllers' indices from 0.
 
-    `payload` are the bytes of the message. Each command has 14 bits; fewer bits at the end are ignored.
+    `payload` are the bytes of the message. Each command has 14 bits; fewer bits at the end are ignored. The number 8191
+    becomes 1, and -8192 becomes -1.
     """
     bits = "".join(f"{byte:08b}" for byte in payload)
     words = [bits[at : at + _BITS] for at in range(0, len(bits) - _BITS + 1, _BITS)]
@@ -229,7 +231,7 @@ def encode_node_status(uptime_s: float, source: int, number: int) -> list[tuple[
     Parameters
     ----------
     uptime_s
-        Time since the start of the node [s].
+        Time since the start of the node [s]. Fractions are cut off. The status is always "healthy, operational".
     source
         Our node, 1..127.
     number
@@ -254,7 +256,8 @@ def frames_of(
     kind
         Type of the message.
     payload
-        Bytes of the message. A message of more than 7 bytes is sent in several frames, with a checksum before it.
+        Bytes of the message. A message of more than 7 bytes is sent in several frames, with a checksum before it. An
+        empty message is sent in one frame.
     source
         Node of the sender, 1..127.
     number
@@ -335,8 +338,9 @@ class Assembler:
         """Add a CAN frame with a 29-bit identifier to the transfer of its sender.
 
         A frame of another message type, of a service, or without data is ignored. A frame that does not continue the
-        transfer of its sender is discarded, together with this transfer, and counts as unparsed bytes. A first frame
-        begins a new transfer and discards an incomplete one, which has no time limit.
+        transfer of its sender, or comes after too many bytes, is discarded together with this transfer; all their
+        frames count as unparsed bytes. So does a frame without a begun transfer. A first frame begins a new transfer
+        and discards an incomplete one, which has no time limit.
 
         Parameters
         ----------

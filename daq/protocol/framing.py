@@ -42,7 +42,7 @@ class StreamDecoder(ABC, Generic[T]):
     between: bytes = b"\r\n"  # bytes that are allowed between frames and do not count as unparsed
 
     def __init__(self) -> None:
-        """Set all counters to 0, without received bytes."""
+        """Start without received bytes: all counters are 0, and the remark is empty."""
         self.frames = 0
         self.checksum_errors = 0
         self.unparsed_bytes = 0
@@ -89,7 +89,7 @@ class StreamDecoder(ABC, Generic[T]):
         self._buffer.clear()
 
     def _count_skipped(self, buffer: bytearray, start: int, end: int) -> None:
-        """Count the bytes of the buffer from `start` to `end` as unparsed, because no frame contains them.
+        """Count the bytes of the buffer from `start` up to, not including, `end` as unparsed: no frame contains them.
 
         Bytes that are allowed between frames (`between`, such as line ends) do not count.
         """
@@ -141,9 +141,9 @@ def take_sentence(buffer: bytearray, start: int) -> Sentence:
     Returns
     -------
     Sentence
-        Length and text of the sentence. The length is 0 if the end of the line has not been received, and -1 if the
-        line is not a valid sentence: it has a wrong checksum or none, 256 bytes (SENTENCE_MAX) without an end, or a
-        byte that is not allowed.
+        Length and text of the sentence. The length includes `$` and the first byte of the line end. The length is 0 if
+        the end of the line has not been received, and -1 if the line is not a valid sentence: it has a wrong checksum
+        or none, 256 bytes (SENTENCE_MAX) without an end, or a byte that is not allowed.
     """
     stop = _STOP.search(buffer, start + 1, start + SENTENCE_MAX)
     if stop is None:
@@ -163,7 +163,7 @@ def take_sentence(buffer: bytearray, start: int) -> Sentence:
 
 
 def xor(body: bytes) -> int:
-    """Return the checksum of NMEA 0183: the exclusive or of all bytes between `$` and `*`."""
+    """Return the checksum of NMEA 0183: the exclusive or of all bytes between `$` and `*` (`body`); 0 without bytes."""
     return functools.reduce(operator.xor, body, 0)
 
 

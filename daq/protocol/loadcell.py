@@ -87,8 +87,9 @@ class Decoder(LineDecoder):
     def _decode_line(self, line: bytes, t_rx: float) -> Frame | None:
         """Convert one text line of a load cell to a sample with counts, force [N] and flags (saturated, spike).
 
-        Return None if the line does not match the pattern, or if its group `counts` is not a number. Without a
-        calibration the force is NaN. `t_rx` is the run time of receipt [s].
+        Return None if the pattern matches no part of the line, or if its group `counts` is not a number. A CR at the
+        end of the line is removed before. Without a calibration the force is NaN. `t_rx` is the run time of receipt
+        [s].
         """
         match = self._pattern.search(line.rstrip(b"\r").decode("latin-1"))
         if match is None:

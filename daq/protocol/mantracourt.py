@@ -21,7 +21,7 @@ class Decoder(LineDecoder):
 
     `counts` is the answer in the unit of the converter. The driver of the device sends `request` for each reading at
     the rate of the rig file. An answer that is not a number, such as a refusal or an echo of the request, counts as
-    unparsed. A refusal also sets `remark`.
+    unparsed. A refusal also sets `remark`, which the next number clears.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class Decoder(LineDecoder):
         """Convert one answer of the converter to a sample with counts, force [N] and flags (saturated, spike).
 
         Return None if the answer is not a number: an echo of the request, or the refusal `?`, which also sets `remark`.
-        Without a calibration the force is NaN. `t_rx` is the run time of receipt [s].
+        The next number clears `remark`. Without a calibration the force is NaN. `t_rx` is the run time of receipt [s].
         """
         line = line.lstrip(b"\n")
         if line == b"?":

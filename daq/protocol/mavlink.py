@@ -60,8 +60,9 @@ def make_decoder(device: Device, rig: Rig) -> MavlinkDecoder:
 def make_sample_converter(device: Device, rig: Rig) -> SampleConverter:
     """Return a new converter of MAVLink messages to samples, for an autopilot of the rig and the thrusters behind it.
 
-    If the autopilot drives no thruster of the rig, each servo output that had a pulse gives samples. The settings of
-    the device decide between fixes of the receiver ("raw") and the position estimate of the autopilot ("fused").
+    If the autopilot drives no thruster of the rig, each servo output that had a pulse gives samples. The MAVLink
+    settings of the device decide between fixes of the receiver ("raw") and the position estimate of the autopilot
+    ("fused"); without settings the fixes of the receiver are used. A thruster without an output is left out.
     """
     thrusters = [thruster for thruster in rig.thrusters if thruster.device == device.name]
     outputs = {thruster.node: thruster.output for thruster in thrusters if thruster.output is not None}
@@ -128,7 +129,7 @@ class MavlinkDecoder(StreamDecoder[Frame]):
         self._ids: dict[int, bool] = {}  # message id -> whether the message is used
 
     def secure(self, codec: Codec) -> None:
-        """From now on, decode frames and check their signatures with `codec`, which contains the signing key."""
+        """Decode frames and check their signatures with `codec`, which contains the signing key, from now on."""
         self._codec = codec
 
     def begin_datagram(self) -> None:
@@ -150,9 +151,9 @@ class MavlinkDecoder(StreamDecoder[Frame]):
     def _decode_frame(self, buffer: bytearray, start: int, t_rx: float) -> int:
         """Decode the MAVLink frame that begins at index `start` of the buffer, and append its samples to `self._out`.
 
-        Frames of other systems are counted, and frames of other components are ignored. `t_rx` is the run time of
-        receipt [s]. Return the length of the frame in bytes, 0 if more bytes are needed, or -1 if no valid frame begins
-        there.
+        Frames of other systems are counted, and frames of other components are ignored. A wrong checksum counts as a
+        checksum error if the dialect has the message, and the result is then -1. `t_rx` is the run time of receipt [s].
+        Return the length of the frame in bytes, 0 if more bytes are needed, or -1 if no valid frame begins there.
         """
         header = parse_header(buffer, start)
         if isinstance(header, int):
@@ -299,7 +300,10 @@ class SampleConverter:
         self.forget()
 
     def forget(self) -> None:
-        """Discard all values from earlier MAVLink messages, because the autopilot may have restarted."""
+        """Discard all values from earlier MAVLink messages, because the autopilot may have restarted.
+
+        The first call creates these values.
+        """
         self._boot = math.nan  # s since boot, of the newest attitude
         self._utc_of_boot = math.nan  # s since 1970
         # An attitude that waits for its IMU message, and its time [s since boot].
@@ -342,7 +346,8 @@ class SampleConverter:
     def _check_restart(self, t: float) -> float:
         """Return a time since boot [s] unchanged. If the autopilot has restarted, discard all values from before.
 
-        It has restarted if the time is more than 1 s (RESTART_S) before that of the newest attitude.
+        The autopilot has restarted if the time is more than 1 s (RESTART_S) before that of the newest attitude. Whether
+        the autopilot is ArduPilot is kept.
         """
         if self._boot - t > RESTART_S:
             ardupilot = self._ardupilot
@@ -353,8 +358,8 @@ class SampleConverter:
     def _heartbeat(self, m: Any) -> TimedSamples:
         """Return the state of the autopilot from a HEARTBEAT, and an event if its mode or arming has changed.
 
-        The first HEARTBEAT also gives an event. The list is empty if a component that is not an autopilot sent the
-        message.
+        The first HEARTBEAT also gives an event. The text of the event is "armed, MANUAL" or the like. The samples have
+        no time. The list is empty if a component that is not an autopilot sent the message.
         """
         if m.autopilot == INVALID:
             return []
@@ -440,9 +445,10 @@ class SampleConverter:
     def _take_imu(self, t: float, accel: tuple[float, ...], field: tuple[float, ...]) -> TimedSamples:
         """Return the samples that specific force and magnetic field of an IMU message complete; each is an `Ahrs`.
 
-        They are joined with the attitude of the same moment (within 5 ms), or wait for it. `t` is the time [s since
-        boot], `accel` the specific force [m/s2], and `field` the magnetic field [T]. A field of zero means that it is
-        unknown, and becomes NaN. An earlier attitude or IMU message that has waited in vain is returned too.
+        They are joined with the attitude of the same moment (within 5 ms), and get its time; or they wait for it. `t`
+        is the time [s since boot], `accel` the specific force [m/s2], and `field` the magnetic field [T]. A field of
+        zero means that it is unknown, and becomes NaN. An earlier attitude or IMU message that has waited in vain is
+        returned too.
         """
         self._imu_at = self._check_restart(t)
         imu = (t, accel, field if any(field) else (NAN, NAN, NAN))
@@ -460,7 +466,8 @@ class SampleConverter:
         """Return the fix of the autopilot's GNSS receiver (GPS_RAW_INT) as a `Gnss` sample.
 
         The list is empty for a message with the time and type of the newest fix. Without a fix, the time, the position
-        and the velocity of the sample are NaN.
+        and the velocity of the sample are NaN. The height is NaN unless the fix is three-dimensional or better. Without
+        a course only the speed is known.
         """
         if (m.time_usec, m.fix_type) == self._fix:
             return []
@@ -496,8 +503,9 @@ class SampleConverter:
     def _global_position(self, m: Any) -> TimedSamples:
         """Return the autopilot's position estimate (GLOBAL_POSITION_INT) as a `Gnss` sample.
 
-        The list is empty for a message with the time of the last one. If latitude and longitude are 0, the position is
-        NaN. The fix is 3, or 0 if the flags of the estimator (EKF_STATUS_REPORT) report no absolute position.
+        The list is empty for a message with the time of the last one. If latitude and longitude are 0, the sample has
+        only the UTC, without a fix. The fix is 3, or 0 if the flags of the estimator (EKF_STATUS_REPORT) report no
+        absolute position.
         """
         t = self._check_restart(_since_boot(m.time_boot_ms))
         if m.time_boot_ms == self._fix[0]:
@@ -515,8 +523,9 @@ class SampleConverter:
     def _servo_outputs(self, m: Any) -> TimedSamples:
         """Return a `Servo` sample (pulse width and command) for each servo output that drives a thruster of the rig.
 
-        The command is 0 without a pulse. If no thruster outputs are known (`outputs` is None), each output that had a
-        pulse gives a sample with NaN as command. `m` is a message SERVO_OUTPUT_RAW.
+        The pulse width is in us. The command, -1..1, is 0 without a pulse, and that of a reversed thruster changes its
+        sign. If no thruster outputs are known (`outputs` is None), each output that had a pulse gives a sample with NaN
+        as command. `m` is a message SERVO_OUTPUT_RAW.
         """
         t = self._to_boot_time(m.time_usec, wraps=True)
         samples: TimedSamples = []
@@ -535,9 +544,10 @@ class SampleConverter:
     def _esc_telemetry(self, m: Any) -> TimedSamples:
         """Return an `Esc` sample for each speed controller with new values in an ESC_TELEMETRY message.
 
-        A controller has new values if its counter in the message has changed. The rpm in the message has no sign; it
-        gets the sign of the output's newest command (positive is forward, also for a reversed thruster), and stays
-        positive if this is zero or unknown. The command becomes the duty. The samples have no time.
+        A controller has new values if its counter in the message has changed; a counter that is still 0 gives no
+        sample. The rpm in the message has no sign; it gets the sign of the output's newest command (positive is
+        forward, also for a reversed thruster), and stays positive if this is zero or unknown. The command becomes the
+        duty. The samples have no time.
         """
         first = int(m.get_type().split("_")[2])
         samples: TimedSamples = []
@@ -556,7 +566,7 @@ class SampleConverter:
         """Return an `Esc` sample for each speed controller in an ESC_STATUS message that exists.
 
         A controller exists if it has a voltage or belongs to a thruster of the rig. The rpm of a reversed thruster
-        changes its sign. The newest command of the output becomes the duty.
+        changes its sign. The newest command of the output becomes the duty, NaN without one. The temperature is NaN.
         """
         samples: TimedSamples = []
         for k in range(4):
@@ -571,8 +581,8 @@ class SampleConverter:
     def _battery(self, m: Any) -> TimedSamples:
         """Return a `Battery` sample, without a time, from a BATTERY_STATUS message.
 
-        The voltage is the sum of the cell voltages. The list is empty for any battery but the first (id 0), and for a
-        message without a cell voltage.
+        The voltage is the sum of the known cell voltages. The list is empty for any battery but the first (id 0), and
+        for a message without a cell voltage.
         """
         cells = [v for v in (*m.voltages, *m.voltages_ext) if v not in (0, 0xFFFF)]
         if m.id != 0 or not cells:

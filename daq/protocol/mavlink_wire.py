@@ -26,7 +26,10 @@ ESC_STATUS_SEED = 10  # CRC_EXTRA of the message
 
 
 def crc16(data: bytes, crc: int = 0xFFFF) -> int:
-    """Return CRC-16/MCRF4XX, the checksum of MAVLink. `crc` is the checksum of the bytes before `data`, if any."""
+    """Return CRC-16/MCRF4XX, the checksum of MAVLink. `crc` is the checksum of the bytes before `data`, if any.
+
+    Without them it is 0xFFFF.
+    """
     return int(fastcrc.crc16.mcrf4xx(data, crc))
 
 
@@ -116,8 +119,9 @@ def parse_header(buffer: bytes | bytearray, start: int) -> FrameHeader | int:
     """Return the header of the MAVLink frame that begins at index `start` of the buffer.
 
     The byte at `start` has to be the first byte of a frame of MAVLink 1 (0xFE) or 2 (0xFD). Return 0 if more bytes are
-    needed. Return -1 if no frame can begin there: MAVLink 2 with a flag other than "signed", or MAVLink 1 with a
-    message that the dialect lacks or a payload that is too long.
+    needed. A frame of MAVLink 2 with a message that the dialect lacks is accepted. The checksum is not checked. Return
+    -1 if no frame can begin there: MAVLink 2 with a flag other than "signed", or MAVLink 1 with a message that the
+    dialect lacks or a payload that is too long.
     """
     is_version_2 = buffer[start] == MARKER_2
     size = HEADER_2 if is_version_2 else HEADER_1
@@ -202,8 +206,8 @@ class Codec:
         key
             Signing key, 32 bytes; None for unsigned frames.
         now_unix
-            Present time [s since 1970], from which the time stamps of signatures start. Receivers reject a frame
-            with an older stamp than the last one of the link.
+            Present time [s since 1970], from which the time stamps of signatures start. A time before 2015 counts as
+            2015. Receivers reject a frame with an older stamp than the last one of the link.
         link
             Link id of the signatures. Time stamps of one link must never decrease.
         """
@@ -225,7 +229,8 @@ class Codec:
         """Return the message (object of pymavlink, or `EscStatus`) of a complete MAVLink frame.
 
         Return None if pymavlink cannot decode the frame, or if there is a signing key and the signature is missing or
-        wrong. With a signing key, ESC_STATUS is always rejected, because pymavlink cannot check its signature.
+        wrong. Without a key, signatures are not checked. With a signing key, ESC_STATUS is always rejected, because
+        pymavlink cannot check its signature.
         """
         if frame[0] == MARKER_2 and frame[7:10] == b"\x23\x01\x00":
             # pymavlink lacks ESC_STATUS and cannot check its signature. It is rejected if a signature is required.
@@ -257,7 +262,7 @@ def encode_esc_status(system: int, component: int, sequence: int, status: EscSta
     sequence
         Sequence number of the sender's frames, 0 to 255.
     status
-        State of the controllers.
+        State of the controllers. Trailing zero bytes are not sent, as MAVLink 2 requires.
     """
     payload = _ESC_STATUS.pack(status.time_usec, *status.rpm, *status.voltage, *status.current, status.first)
     payload = payload.rstrip(b"\0") or b"\0"
@@ -271,7 +276,8 @@ def read_key(path: Path) -> bytes:
     Returns
     -------
     bytes
-        The key, 32 bytes.
+        The key, 32 bytes. White space around the digits is ignored. A file of exactly 32 bytes is always the key
+        itself.
 
     Raises
     ------

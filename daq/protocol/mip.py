@@ -36,7 +36,7 @@ def checksum(packet: bytes) -> bytes:
 
 
 def packet(data_set: int, fields: Fields) -> bytes:
-    """Encode a MIP packet with sync bytes and checksum.
+    """Encode a MIP packet with sync bytes and checksum, the fields in the order of the mapping.
 
     Parameters
     ----------
@@ -79,8 +79,9 @@ class Decoder(StreamDecoder[Frame]):
     def _decode_frame(self, buffer: bytearray, start: int, t_rx: float) -> int:
         """Decode the MIP packet that begins at index `start` of the buffer, and append its samples to `self._out`.
 
-        Return its length in bytes, 0 if more bytes are needed, or -1 if no valid packet begins there. `t_rx` is the run
-        time of receipt [s].
+        A valid packet of another data set counts as a frame and gives no sample. A packet with a wrong checksum counts
+        as a checksum error. Return the length of the packet in bytes, 0 if more bytes are needed, or -1 if no valid
+        packet begins there. `t_rx` is the run time of receipt [s].
         """
         if len(buffer) < start + 4:
             return 0 if SYNC.startswith(buffer[start : start + 2]) else -1
@@ -110,7 +111,8 @@ class Decoder(StreamDecoder[Frame]):
         """Store rates, accelerations and magnetic field of a MIP sensor packet, received at run time `t_rx` [s].
 
         If the filter has sent no attitude for 1 s (FILTER_S), an `Ahrs` sample is appended, with the attitude of this
-        packet or, if it has none, NaN. `fields` are the bytes of the packet's fields by descriptor.
+        packet or, if it has none, NaN. `fields` are the bytes of the packet's fields by descriptor. A vector that the
+        sensor flags as invalid is stored as NaN.
         """
         for name, kind in (("accel", 0x04), ("rate", 0x05), ("mag", 0x06)):
             if kind in fields:  # the vectors may arrive in separate packets with different rates
@@ -155,7 +157,7 @@ class Decoder(StreamDecoder[Frame]):
 def _split_fields(payload: bytes) -> Fields | None:
     """Split the payload of a MIP packet into its fields: the bytes of each field by descriptor.
 
-    Return None if the length of a field is invalid.
+    If a descriptor occurs twice, the last field counts. Return None if the length of a field is invalid.
     """
     fields: Fields = {}
     at = 0
@@ -171,7 +173,8 @@ def _split_fields(payload: bytes) -> Fields | None:
 def _unpack_valid(form: struct.Struct, data: bytes | None) -> tuple[float, ...] | None:
     """Return the numbers at the beginning of a field of a MIP packet, in the format `form`.
 
-    Return None if the field is missing (None), too short, or flagged as invalid by the two bytes after the numbers.
+    Return None if the field is missing (None), too short, or flagged as invalid by the two bytes after the numbers. A
+    field with no, or with more than two, bytes after the numbers counts as valid.
     """
     if data is None or len(data) < form.size:
         return None
@@ -184,7 +187,8 @@ def _attitude_angles(fields: Fields, quaternion: int, euler: int) -> tuple[float
     """Return roll, pitch and yaw [rad] from a packet's fields, by Euler angles or else by the quaternion.
 
     `fields` are the bytes of each field by descriptor. `quaternion` and `euler` are the descriptors of the two fields.
-    The angles are NaN if neither field is present and valid.
+    All angles are NaN if neither field is present and valid, or if one of the Euler angles is NaN; the quaternion is
+    then not used.
     """
     if (angles := _unpack_valid(_V3, fields.get(euler))) is not None:
         return _NAN3 if math.isnan(sum(angles)) else angles  # a filter without a heading flags NaN as valid
@@ -200,7 +204,8 @@ def _gnss_sample(fields: Fields) -> Gnss:
     """Return the fix of a MIP GNSS packet, whose fields must include 0x03 (position). Invalid values are NaN.
 
     `fields` are the bytes of each field by descriptor. Without a valid position, the sample has only the UTC and the
-    number of satellites, with `fix` 0.
+    number of satellites, with `fix` 0. If the packet lacks the field 0x0B (fix information), `fix` is 3. An unknown
+    number of satellites is -1.
     """
     lat, lon, _, height, h_acc, _, valid = _LLH.unpack(fields[0x03])
     kind, n_sat, _, info_valid = (

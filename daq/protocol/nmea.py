@@ -109,8 +109,9 @@ class Decoder(StreamDecoder[Frame]):
     def _decode_frame(self, buffer: bytearray, start: int, t_rx: float) -> int:
         """Decode the NMEA sentence that begins at index `start` of the buffer, and append its samples to `self._out`.
 
-        Return its length in bytes, 0 if more bytes are needed, or -1 if no valid sentence begins there. `t_rx` is the
-        run time of receipt [s].
+        A wrong checksum counts as a checksum error. Fields that cannot be read also give -1. Return the length of the
+        sentence in bytes, 0 if more bytes are needed, or -1 if no valid sentence begins there. `t_rx` is the run time
+        of receipt [s].
         """
         length, body, bad = take_sentence(buffer, start)
         self.checksum_errors += bad
@@ -237,7 +238,7 @@ def _to_text(value: float, digits: int) -> str:
 
 @dataclass
 class _Epoch:
-    """Values of the received NMEA sentences of one epoch, which have the same time.
+    """Values of the received NMEA sentences of one epoch (one time of the receiver).
 
     Attributes
     ----------
@@ -289,7 +290,10 @@ class Epochs:
     """
 
     def __init__(self) -> None:
-        """Start the collector of position sentences without received sentences."""
+        """Start the collector of position sentences without received sentences.
+
+        Until sentences show another order, VTG counts as the last sentence of an epoch.
+        """
         self._out: list[Frame] = []
         self._epoch: _Epoch | None = None
         self._emitted = False  # whether the sample of the present epoch has been returned
@@ -315,7 +319,10 @@ class Epochs:
         """
         if self.n_conflicts < FEWEST_CONFLICTS:
             return ""
-        return f"two receivers send in one stream: {self.n_conflicts} positions have the time of another position"
+        return (
+            f"two receivers send in one stream: {self.n_conflicts} positions have the time of another position; "
+            "connect and record each receiver by itself"
+        )
 
     def take(self, kind: str, body: bytes, t_rx: float) -> list[Frame] | None:
         """Decode one NMEA sentence and add it to its epoch. Return the `Gnss` samples that it completes.
@@ -371,7 +378,8 @@ class Epochs:
         """Add one NMEA sentence to its epoch, which begins with the first sentence that has another time.
 
         Of GSA, only the dimension of the fix is stored. VTG is added to the present epoch, or kept for the next one if
-        VTG is the first sentence of an epoch. A sentence without a time is added by `_add_timeless_sentence`.
+        VTG is the first sentence of an epoch. A sentence without a time is added by `_add_timeless_sentence`, which
+        ignores it in most cases.
 
         Parameters
         ----------
@@ -412,9 +420,9 @@ class Epochs:
     def _add_timeless_sentence(self, kind: str, message: Message, t_rx: float) -> None:
         """Add a position sentence without a time. A receiver that has never had a fix sends these sentences.
 
-        A new epoch begins when a kind of sentence arrives that the present epoch already has. A sentence (for example
-        an old GLL) is ignored if it is not a position, or if the present epoch has a time and began at most 1.5 s
-        (TIMELESS_S) ago. `message` has the fields by name, and `t_rx` is the run time of receipt [s].
+        A new epoch begins if the present epoch has a time, or already has this kind of sentence. A sentence (for
+        example an old GLL) is ignored if it is not a position, or if the present epoch has a time and began at most 1.5
+        s (TIMELESS_S) ago. `message` has the fields by name, and `t_rx` is the run time of receipt [s].
         """
         epoch = self._epoch
         if kind not in _POSITION or not (epoch is None or epoch.timeless or t_rx - epoch.t_rx > TIMELESS_S):
@@ -428,8 +436,8 @@ class Epochs:
 
         `before` is the time [s] from the previous sentence to the VTG, `after` the time [s] from the VTG to the next
         sentence. VTG seems to be the first if `before` is more than twice `after`, and the last if `after` is longer.
-        The order changes after three epochs in a row (ORDER_BY) that speak against it; the very first decision needs
-        one.
+        Any other VTG decides nothing. The stored order changes after three epochs in a row (ORDER_BY) with the other
+        order; the very first decision after the start needs only one epoch.
         """
         if math.isfinite(before) and before > 2.0 * after:
             leads = True
@@ -456,8 +464,9 @@ class Epochs:
     def _add_values(self, kind: str, message: Message) -> None:
         """Add the values of an NMEA sentence to the present epoch. Complete the epoch if it has all expected sentences.
 
-        Without an epoch nothing happens. If the epoch already had another position by the same kind of sentence, a
-        conflict is counted. `message` has the fields by name.
+        Without an epoch nothing happens. Values of the sentence replace those that the epoch has. If the epoch already
+        had a position by the same kind of sentence that differs by more than 1e-6 deg, a conflict is counted. `message`
+        has the fields by name.
         """
         epoch = self._epoch
         if epoch is None:
@@ -474,7 +483,8 @@ class Epochs:
     def _emit_epoch(self) -> None:
         """Append the GNSS sample of the present epoch to the completed ones.
 
-        Nothing is appended if this has been done, or if the epoch has no position sentence.
+        Nothing is appended if the sample has been appended before, or if the epoch has no position sentence. The device
+        time is NaN until a sample had a fix of kind 2 or more.
         """
         epoch = self._epoch
         if epoch is None or self._emitted:
@@ -512,7 +522,10 @@ class Epochs:
 
 
 def nearest_day(t: float, near: float) -> float:
-    """Return the time `t` [s] shifted by whole days so that it is nearest to `near` [s]; NaN if one of both is NaN."""
+    """Return the time `t` [s] shifted by whole days so that it is nearest to `near` [s].
+
+    The result is NaN if `t` or `near` is NaN or infinite.
+    """
     if not math.isfinite(t + near):
         return NAN
     return t + round((near - t) / DAY) * DAY
@@ -521,9 +534,11 @@ def nearest_day(t: float, near: float) -> float:
 def _gnss_sample(epoch: _Epoch, utc: float, mode_gsa: int) -> Gnss:
     """Return the `Gnss` sample of an epoch of NMEA sentences.
 
-    `utc` is its UTC [s since 1970], and `mode_gsa` the dimension of the fix by GSA: 2 or 3, 1 without a fix, 0 without
-    GSA. It gives `dimensions`, and makes a fix of kind 3 one of kind 2. The kind of fix is that of GGA, or else of RMC,
-    GNS or GLL. Missing values are NaN. Without a position, `fix` is 0. The position is from GGA, or else GNS, RMC, GLL.
+    `utc` is the UTC [s since 1970], and `mode_gsa` the dimension of the fix by GSA: 2 or 3, 1 without a fix, 0 without
+    GSA. A mode 2 or 3 becomes `dimensions`; otherwise `dimensions` is 3 with a height and 2 without. With mode 2, a fix
+    of kind 3 becomes kind 2. The kind of fix is that of GGA, or else of RMC, GNS or GLL. The position is from GGA, or
+    else GNS, RMC, GLL. Without a position, `fix` and `dimensions` are 0. Missing values are NaN. The velocity is 0 at
+    speed 0 without a course.
     """
     value = epoch.values
     fix = int(value.get("quality", value.get("mode", 0)))
@@ -580,8 +595,8 @@ def _time_of_day(words: list[bytes], index: int) -> float:
 def _read_gga(epoch: _Epoch, message: Message) -> None:
     """Store fix and satellites of an NMEA sentence GGA in the epoch; position, height and HDOP only with a fix.
 
-    The quality indicator is converted to a kind of fix as in `Gnss.fix`; estimated, manual and simulated become 1.
-    `message` has the fields by name. Empty fields are not stored.
+    The quality indicator is converted to a kind of fix as in `Gnss.fix`; estimated, manual and simulated become 1, and
+    an unknown indicator 0. `message` has the fields by name. Empty fields are not stored.
     """
     fix = _QUALITY.get(_to_integer(message.get("quality"), 0), 0)
     epoch.values["quality"] = fix
@@ -595,8 +610,8 @@ def _read_gga(epoch: _Epoch, message: Message) -> None:
 def _read_gns(epoch: _Epoch, message: Message) -> None:
     """Store the position of an NMEA sentence GNS, and the best fix of its satellite systems, in the epoch.
 
-    A fix that the epoch already has from RMC or GLL is kept. Without a fix the position is not stored. `message` has
-    the fields by name.
+    A fix that the epoch already has from RMC or GLL is kept. An unknown mode letter counts as no fix. Without a fix the
+    position is not stored. `message` has the fields by name.
     """
     fix = max((_MODE.get(letter, 0) for letter in str(message.get("posMode", ""))), default=0)
     epoch.values.setdefault("mode", fix)
@@ -607,8 +622,9 @@ def _read_gns(epoch: _Epoch, message: Message) -> None:
 def _read_rmc(epoch: _Epoch, message: Message) -> None:
     """Store date, fix, position, speed and course of an NMEA sentence RMC in the epoch.
 
-    The kind of fix, as in `Gnss.fix`, follows from the mode letter; a sentence without it has 3. If the sentence is
-    flagged as invalid, only the date and the kind of fix (0) are stored. `message` has the fields by name.
+    The kind of fix, as in `Gnss.fix`, follows from the mode letter; a sentence without it has 3. The year of the date
+    is 1980 to 2079, because the sentence has two digits of it. If the sentence is flagged as invalid, only the date and
+    the kind of fix (0) are stored. `message` has the fields by name.
     """
     if isinstance(date := message.get("date"), datetime.date):
         # RMC has two digits of the year. Before its first fix a receiver may send a year from 1980 on.
@@ -656,7 +672,7 @@ def _read_gst(epoch: _Epoch, message: Message) -> None:
 def _read_zda(epoch: _Epoch, message: Message) -> None:
     """Store the date of an NMEA sentence ZDA in the epoch. An invalid date is ignored.
 
-    `message` has the fields by name.
+    The date replaces that of an RMC of the epoch. `message` has the fields by name.
     """
     try:
         epoch.date = datetime.date(
@@ -669,7 +685,7 @@ def _read_zda(epoch: _Epoch, message: Message) -> None:
 def _store_position(epoch: _Epoch, kind: str, message: Message) -> None:
     """Store latitude and longitude [deg] of an NMEA sentence in the epoch, under its kind, if both are in range.
 
-    `message` has the fields by name.
+    Otherwise an earlier position of this kind stays. `message` has the fields by name.
     """
     lat, lon = _to_number(message.get("lat")), _to_number(message.get("lon"))
     if abs(lat) <= 90.0 and abs(lon) <= 180.0:
@@ -693,12 +709,12 @@ def _store_motion(epoch: _Epoch, speed: float, course_deg: float) -> None:
 
 
 def _to_number(word: Any) -> float:
-    """Return a field of an NMEA sentence, as pynmeagps gives it, as a number; NaN if it is empty or a text."""
+    """Return a field of an NMEA sentence, as pynmeagps gives it, as a number; NaN for an empty field or a text."""
     return float(word) if isinstance(word, (int, float)) else NAN
 
 
 def _to_integer(word: Any, default: int) -> int:
-    """Return a field of an NMEA sentence as a whole number; `default` if it is empty or not a number."""
+    """Return a field of an NMEA sentence as a whole number; `default` if the field is empty or not a number."""
     try:
         return int(word)
     except (TypeError, ValueError):
@@ -716,7 +732,7 @@ class Headings:
 
     The best kind of sentence received so far gives the yaw: PASHR or PSTI, then HDT, THS, HDG, HDM. Other kinds give no
     sample, even if the best kind is no longer sent. Pitch and roll are from the same sentence or from XDR before it.
-    The yaw rate is from ROT before it. Missing values are NaN.
+    The yaw rate is from ROT before it. Pitch, roll and yaw rate are used for one sample only. Missing values are NaN.
 
     Parameters
     ----------
@@ -754,8 +770,8 @@ class Headings:
         """Decode one NMEA sentence with heading, rate of turn or transducers. Return its samples.
 
         Return None if its fields are invalid. Return an empty list for other kinds of sentences, for a heading of a
-        worse kind than an earlier one, for a heading that is flagged as invalid or above 360 deg, and for a magnetic
-        heading that cannot be corrected.
+        worse kind than an earlier one, for a heading that is empty, flagged as invalid or above 360 deg, and for a
+        magnetic heading that cannot be corrected.
 
         Parameters
         ----------
@@ -798,8 +814,8 @@ class Headings:
     def _store_rate_of_turn(self, words: list[bytes]) -> list[Frame] | None:
         """Store the rate of turn of an NMEA sentence ROT, given as its fields, for the next heading sample.
 
-        Return an empty list, or None if the rate is not a number. An empty rate, or one flagged as invalid, is not
-        stored.
+        The rate is converted from deg/min to rad/s and is positive to starboard. Return an empty list, or None if the
+        rate is not a number. An empty rate, or one flagged as invalid, is not stored.
         """
         if len(words) < 3 or words[2] != b"A" or not words[1]:
             return []
@@ -851,7 +867,8 @@ def _is_void(kind: str, words: list[bytes]) -> bool:
     """Return whether a heading sentence of NMEA 0183 reports by its flags that its heading is invalid.
 
     `kind` is THS, PSTI or PASHR; sentences of other kinds have no such flag, and the result is False. `words` are the
-    fields of the sentence as text.
+    fields of the sentence as text. THS is void without the mode A or E, PSTI with an empty mode or N, and PASHR if its
+    words 10 and 11 are 0.
     """
     if kind == "THS":
         return words[-1] not in _THS_VALID

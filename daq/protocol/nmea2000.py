@@ -135,7 +135,8 @@ class Decoder(FrameDecoder):
     def _decode_can_frame(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
         """Decode one CAN frame if its NMEA 2000 message is used; return no sample otherwise.
 
-        Return the samples that it completes. A frame that is too short counts as unparsed bytes.
+        Return the samples that it completes. A frame with an 11-bit identifier is ignored. A frame that is too short
+        counts as unparsed bytes.
         """
         pgn, source = split_identifier(identifier)
         if not extended or pgn not in self._take_message:
@@ -156,8 +157,10 @@ class Decoder(FrameDecoder):
     def _complete_packet(self, source: int, data: bytes) -> bytes | None:
         """Return the message that this CAN frame of a fast packet completes, or None.
 
-        `source` is the sender's address. A frame that does not continue the packet of its sender is discarded with this
-        packet. A complete message is discarded if it is shorter than a fix. Discarded frames count as unparsed bytes.
+        `source` is the sender's address. The frame with number 0 begins a packet and discards an incomplete one. A
+        frame that does not continue the packet of its sender is discarded with this packet. A complete message is
+        discarded if it is shorter than a fix. Discarded frames count as unparsed bytes. Bytes beyond the length of the
+        message are cut off.
         """
         if len(data) < 2:
             self._drop_packet(source, 1)
@@ -227,7 +230,9 @@ class Decoder(FrameDecoder):
 
         The list is empty for an invalid heading, for another sender, before all senders are found, and for a magnetic
         heading with an unknown variation. Pitch and roll are NaN if they are older than 2 s (STALE_S). `source` is the
-        sender's address, and `data` are the bytes of the message.
+        sender's address, and `data` are the bytes of the message. A magnetic heading is corrected by deviation and
+        variation. If its variation is unknown and no usable heading has been received, `remark` advises, after 1.2 s,
+        to add the declination.
         """
         raw, deviation, variation, reference = _HEADING.unpack_from(data)
         yaw, magnetic = _unsigned16(raw, _ANGLE), reference & 3 == MAGNETIC
@@ -301,8 +306,8 @@ class Decoder(FrameDecoder):
         """Store course and speed over ground of a sender for its next fix. Return no sample.
 
         Those of the best sender are also stored for fixes of other senders. A magnetic course is corrected by the
-        variation; it is NaN if that is unknown. Nothing is stored if the speed is invalid. `source` is the sender's
-        address, and `data` are the bytes of the message.
+        variation; the course is NaN if the variation is unknown. At speed 0 an unknown course becomes 0. Nothing is
+        stored if the speed is invalid. `source` is the sender's address, and `data` are the bytes of the message.
         """
         reference, raw_course, raw_speed = _COURSE.unpack_from(data)
         course, speed = _unsigned16(raw_course, _ANGLE), _unsigned16(raw_speed, _SPEED)
@@ -330,8 +335,10 @@ class Decoder(FrameDecoder):
         """Return the sample of a fix from the best sender, with its newest course and speed.
 
         If this sender sends none, the newest course and speed of the best other sender are used; those older than 2 s
-        (STALE_S) become NaN. The list is empty for another sender, and before all senders are found. Without a valid
-        position, `fix` is 0. `source` is the sender's address, and `data` are the bytes of the message.
+        (STALE_S) become NaN. The list is empty for another sender, and before all senders are found. The dimensions are
+        those that the sender reports (DOPs), or else 3 with a height and 2 without; a fix of kind 3 with 2 dimensions
+        becomes kind 2. Without a valid position, `fix` is 0. The device time is the UTC, NaN before the first fix of
+        the sender. `source` is the sender's address, and `data` are the bytes of the message.
         """
         day, ticks, lat, lon, alt, method, _, n_sat, hdop, _, _ = _FIX.unpack_from(data)
         counts = 0 < n_sat < 0xFD  # a device that relays fixes of another device often omits the number of satellites
@@ -368,12 +375,18 @@ class Decoder(FrameDecoder):
 
 
 def _unsigned16(raw: int, scale: float) -> float:
-    """Return an unsigned 16-bit field of NMEA 2000 times its resolution `scale`; NaN if it is marked as unavailable."""
+    """Return an unsigned 16-bit field of NMEA 2000 times its resolution `scale`; NaN if it is marked as unavailable.
+
+    The three largest numbers mean "unavailable".
+    """
     return raw * scale if raw < 0xFFFD else NAN  # the last three values mean "not available"
 
 
 def _signed16(raw: int, scale: float) -> float:
-    """Return a signed 16-bit field of NMEA 2000 times its resolution `scale`; NaN if it is marked as unavailable."""
+    """Return a signed 16-bit field of NMEA 2000 times its resolution `scale`; NaN if it is marked as unavailable.
+
+    The three largest positive numbers mean "unavailable".
+    """
     return raw * scale if raw < 0x7FFD else NAN
 
 
@@ -441,7 +454,7 @@ def fast_packet(pgn: int, body: bytes, sequence: int, source: int = 35) -> list[
     pgn
         Number of the message.
     body
-        Bytes of the message. The last frame is filled with 0xFF.
+        Bytes of the message; their number is not checked. The last frame is filled with 0xFF.
     sequence
         Number of the packet, 0 to 7.
     source

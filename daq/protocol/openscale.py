@@ -97,7 +97,7 @@ def encode(reading: float, unit: str = "kg", milliseconds: int | None = None, ra
     unit
         "kg" or "lbs".
     milliseconds
-        Time since the start of the board [ms]; None to leave it out.
+        Time since the start of the board [ms], sent modulo 2^32; None to leave it out.
     raw
         Raw reading of the converter [counts]; None to leave it out.
     """

@@ -34,7 +34,8 @@ class Decoder(StreamDecoder[bytes]):
         """Decode the slcan line that begins at index `start` of the buffer, and append its CAN frame to `self._out`.
 
         The frame is appended as the 16 bytes of the `struct can_frame` of Linux. Return the length of the line in
-        bytes, 0 if more bytes are needed, or -1 if no valid line begins there. `t_rx` is not used.
+        bytes, 0 if more bytes are needed, or -1 if no valid line begins there. A line is invalid if its length
+        disagrees with its length digit, or if its identifier is too large. `t_rx` is not used.
         """
         digits = 8 if buffer[start] == ord("T") else 3
         stop = _NOT_HEX.search(buffer, start + 1, start + _LINE_MAX + 1)

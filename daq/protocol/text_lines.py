@@ -50,7 +50,8 @@ class LineDecoder(ABC):
     def feed(self, data: bytes, t_rx: float) -> list[Frame]:
         """Decode the bytes of one read that returned at run time `t_rx` [s]. Return the samples that they complete.
 
-        A line without its end is kept for the next call. A line of 256 bytes (LINE_MAX) or more is discarded.
+        A line that is no reading counts as unparsed bytes. A line without its end is kept for the next call. A line of
+        256 bytes (LINE_MAX) or more is discarded.
         """
         self._buffer += data
         *lines, rest = self._buffer.split(self.end)
@@ -109,7 +110,8 @@ class FlagDetector:
         """Return the flag of the next reading [counts] of a load cell: SATURATED (1), SPIKE (2) or 0.
 
         A reading is saturated if it is at least the largest reading `s` of the converter, or at most -s - 1. Spikes are
-        detected by `is_spike`, from the reading and the last reading without a flag.
+        detected by `is_spike`, from the reading and the last reading without a flag. A reading with a flag is not
+        stored as the last one.
         """
         if self._saturation is not None and (counts >= self._saturation or counts <= -self._saturation - 1.0):
             return SATURATED
@@ -131,7 +133,7 @@ def is_spike(counts: float, last: float) -> bool:
     counts
         Raw reading [counts].
     last
-        Previous reading without a flag [counts]; NaN if there is none.
+        Previous reading without a flag [counts]; NaN if there is none. A number 2^n - 1 is then a spike.
     """
     size = abs(counts)
     if not size.is_integer() or size < 2**_SPIKE_BITS - 1 or size > 2**32:

@@ -127,8 +127,10 @@ class Decoder(nmea.Decoder):
     def _take_ubx(self, buffer: bytearray, start: int, t_rx: float) -> int:
         """Decode the UBX message that begins at index `start` of the buffer, and append its samples to `self._out`.
 
-        A valid message of an unknown kind only counts as a frame. Return the length in bytes, 0 if more bytes are
-        needed, or -1 if no valid message begins there. `t_rx` is the run time of receipt [s].
+        A valid message of an unknown kind only counts as a frame. A message of a known kind with another length than
+        usual is not valid, nor one of an unknown kind that would contain a known message. A wrong checksum counts as a
+        checksum error. Return the length in bytes, 0 if more bytes are needed, or -1 if no valid message begins there.
+        `t_rx` is the run time of receipt [s].
         """
         if len(buffer) < start + HEAD:
             return 0 if SYNC.startswith(buffer[start : start + 2]) else -1
@@ -157,7 +159,8 @@ class Decoder(nmea.Decoder):
         """Return whether a complete UBX message that this module decodes lies between two indices of the buffer.
 
         It serves to check a header that announces a message between these indices: a payload never contains such a
-        message, so the header is then wrong.
+        message, so the header is then wrong. A message that ends exactly at `end` counts. The messages found are
+        stored, so that no part of the stream is searched twice.
         """
         offset = self._before
         while self._ahead and self._ahead[0][0] < offset + start:
@@ -179,7 +182,8 @@ class Decoder(nmea.Decoder):
 def _find_messages(buffer: bytearray, start: int, end: int) -> Iterator[tuple[int, int]]:
     """Yield start and end of each complete UBX message that this module decodes, in a part of the buffer.
 
-    Only messages that begin from index `start` to `end`, inclusive, are found.
+    A message counts if its length is usual for its kind and its checksum is correct. Only messages that begin from
+    index `start` to `end`, inclusive, are found.
     """
     while (start := buffer.find(SYNC, start, end + 1)) >= 0:
         n_payload = int.from_bytes(buffer[start + 4 : start + HEAD], "little")
@@ -208,7 +212,9 @@ def message(kind: tuple[int, int], payload: bytes) -> bytes:
 def encode(gnss: Gnss) -> bytes:
     """Encode a fix as the UBX message NAV-PVT, with the rounding of the receiver.
 
-    NaN and a negative `n_sat` are sent as zero. The UTC of the fix has to be a number.
+    Date, time and UTC are flagged as valid. The accuracy of the height is that of the horizontal position; other
+    accuracies are zero. Speed and course follow from the velocity. NaN and a negative `n_sat` are sent as zero. The UTC
+    of the fix has to be a number.
     """
     whole = math.floor(gnss.utc)
     nano = round((gnss.utc - whole) * 1e9)
@@ -298,7 +304,8 @@ class Epochs:
         Returns
         -------
         list of Frame
-            An `Ahrs` for an attitude message, or the `Gnss` samples of completed epochs. It may be empty.
+            An `Ahrs` for an attitude message, with its UTC as device time, or the `Gnss` samples of completed epochs.
+            The list may be empty.
         """
         number = kind[1]
         if kind == HNR_PVT:
@@ -343,7 +350,8 @@ class Epochs:
     def _take_high_rate(self, payload: bytes, t_rx: float) -> list[Frame]:
         """Return the sample of the UBX message HNR-PVT, a solution at the rate of the inertial sensors.
 
-        These samples replace the samples of the navigation epochs. `t_rx` is the run time of receipt [s].
+        These samples replace the samples of the navigation epochs. The device time is the UTC, NaN until the receiver
+        has resolved UTC. `t_rx` is the run time of receipt [s].
         """
         self.has_position, self._high_rate_at = True, t_rx
         sample, resolved = _hnr_pvt_sample(payload), payload[11] & 7 == 7
@@ -354,7 +362,7 @@ class Epochs:
     def _utc_of(self, i_tow: int) -> float:
         """Return the UTC [s since 1970] of a GPS time of week [ms]; NaN before the first epoch with a resolved UTC.
 
-        The week is the one in which the result is nearest to the UTC of that epoch.
+        The week is the one in which the result is nearest to the UTC of the newest such epoch.
         """
         return self._utc + math.remainder(1e-3 * (i_tow - self._utc_tow), WEEK)
 
@@ -411,7 +419,9 @@ def _read_pvt(v: dict[str, float], payload: bytes) -> None:
     """Store time, fix, satellites, position and velocity of the UBX message NAV-PVT in `v`.
 
     `v` are the values of its epoch by name. The fix, as in `Gnss.fix`, is 5 or 6 with a fixed or floating carrier phase
-    solution and 4 with differential corrections; it is 0 unless the receiver marks it as valid.
+    solution and 4 with differential corrections; it is 0 unless the receiver marks it as valid. The UTC is stored if
+    date and time are valid, with `unresolved` if it may still be wrong: not fully resolved, or without a fix and with
+    an error above 10 ms.
     """
     (
         _, year, month, day, hour, minute, second, valid, t_acc, nano, fix, flags, _, n_sat, lon, lat, _, h_msl, h_acc,
@@ -486,8 +496,9 @@ def _read_status(v: dict[str, float], payload: bytes) -> None:
 def _hnr_pvt_sample(payload: bytes) -> Gnss:
     """Return the `Gnss` sample of the UBX message HNR-PVT, a solution at the rate of the inertial sensors.
 
-    Position and velocity are NaN without a solution, the UTC without a valid date and time, and the vertical velocity
-    always.
+    Position, height, accuracy and velocity are NaN, and `fix` is 0, without a solution. `fix` is also 0 if the receiver
+    does not mark the solution as valid. The UTC is NaN without a valid date and time, and the vertical velocity always.
+    The velocity follows from ground speed and course.
     """
     (
         _, year, month, day, hour, minute, second, valid, nano, gps_fix, flags, lon, lat, _, h_msl, ground, _, course,
@@ -515,7 +526,10 @@ def _read_velned(v: dict[str, float], payload: bytes) -> None:
 
 
 def _read_timeutc(v: dict[str, float], payload: bytes) -> None:
-    """Store the UTC of the UBX message NAV-TIMEUTC in `v`, the values of its epoch, if the receiver has resolved it."""
+    """Store the UTC of the UBX message NAV-TIMEUTC in `v`, the values of its epoch, if the receiver has resolved it.
+
+    A UTC that the epoch has from another message is replaced.
+    """
     _, _, nano, year, month, day, hour, minute, second, valid = _TIMEUTC.unpack(payload)
     if valid & 4:  # UTC is valid, leap seconds included
         v["utc"] = _utc(year, month, day, hour, minute, second, nano)
@@ -539,8 +553,8 @@ def _read_dop(v: dict[str, float], payload: bytes) -> None:
 def _utc(year: int, month: int, day: int, hour: int, minute: int, second: int, nano: int) -> float:
     """Return the UTC in s since 1970 of a date and time of day.
 
-    NaN if the year is not 1980..2105, or if month or day is out of range. `nano` is the fraction of the second [ns],
-    which may be negative.
+    The result is NaN if the year is not 1980..2105, or if month or day is out of range (1..12, 1..31). The time of day
+    is not checked. `nano` is the fraction of the second [ns], which may be negative.
     """
     if not (1980 <= year < 2106 and 1 <= month <= 12 and 1 <= day <= 31):
         return NAN

@@ -134,9 +134,9 @@ class Decoder(StreamDecoder[Frame]):
     def _take_binary(self, buffer: bytearray, start: int, t_rx: float) -> int:
         """Decode the binary VectorNav message that begins at index `start` of the buffer.
 
-        Its sample is appended to `self._out`; a message without any of the read quantities gives none. Return its
-        length in bytes, 0 if more bytes are needed, or -1 if no valid message begins there. `t_rx` is the run time of
-        receipt [s].
+        Its sample is appended to `self._out`; a message without any of the read quantities gives none. A wrong checksum
+        counts as a checksum error. Return the length of the message in bytes, 0 if more bytes are needed, or -1 if no
+        valid message begins there. `t_rx` is the run time of receipt [s].
         """
         if len(buffer) < start + 2:
             return 0
@@ -166,8 +166,8 @@ class Decoder(StreamDecoder[Frame]):
         """Decode the ASCII sentence of a VectorNav sensor that begins at index `start` of the buffer.
 
         Its sample is appended to `self._out`. Return its length in bytes, 0 if more bytes are needed, or -1 if it is
-        invalid. A sentence of an unknown kind is counted as a frame and gives no sample. `t_rx` is the run time of
-        receipt [s].
+        invalid. A wrong checksum counts as a checksum error. A sentence of an unknown kind is counted as a frame and
+        gives no sample. `t_rx` is the run time of receipt [s].
         """
         length, body, bad = take_sentence(buffer, start)
         self.checksum_errors += bad
@@ -188,7 +188,7 @@ def _split_numbers(words: list[bytes], fields: tuple[tuple[str, int], ...]) -> V
     """Return the numbers of a VectorNav ASCII sentence by quantity. Return None if a word is missing or not a number.
 
     `words` are the fields of the sentence after its name. `fields` are the quantities in order, each with its number of
-    words. Further words are ignored.
+    words. Further words are ignored. Empty words and exponents are no numbers.
     """
     values: Values = {}
     at = 0

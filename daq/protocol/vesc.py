@@ -70,15 +70,17 @@ class Decoder(FrameDecoder):
     def _decode_can_frame(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
         """Decode one CAN frame. Return the sample of a STATUS 1 frame of a VESC controller.
 
-        The list is empty for other frames. A frame with an 11-bit identifier is ignored.
+        The list is empty for other frames. The values of STATUS 4 and 5 are stored for the next STATUS 1. A frame with
+        an 11-bit identifier is ignored.
         """
         return self.feed_frame(identifier, data, t_rx) if extended else []
 
     def feed_frame(self, arbitration_id: int, data: bytes, t_rx: float) -> list[Frame]:
         """Decode one CAN frame with a 29-bit identifier that was received at run time `t_rx` [s].
 
-        Return the sample of a STATUS 1 frame. Other frames give no sample; the values of STATUS 4 and 5 are stored.
-        Frames of controllers without known pole pairs are counted in `other_nodes` and ignored.
+        Return the sample of a STATUS 1 frame, in a list. Other frames give no sample; the values of STATUS 4 and 5 are
+        stored. Frames of controllers without known pole pairs are counted in `other_nodes` and ignored. A status frame
+        that is too short counts as unparsed bytes.
         """
         node, packet = arbitration_id & 0xFF, arbitration_id >> 8
         if packet not in (STATUS_1, STATUS_4, STATUS_5):

@@ -201,7 +201,9 @@ def test_a_single_wrong_time_costs_its_own_row_only(folder: Path) -> None:
 
 
 def test_a_signal_without_a_sample_is_named(folder: Path) -> None:
-    with pytest.warns(SeatrialWarning, match=r"run\.csv: not in the log, because they have no samples: psi$"):
+    with pytest.warns(
+        SeatrialWarning, match=r"run\.csv: not in the log, because they have no samples: psi; check their"
+    ):
         (out,) = import_files(*write(folder, "t,cmd,heading\n0,1,\n1,2,nan\n", csv='nan = "drop"'))
     assert open_log(out).sources(Scalar) == ["n_left"]
 

@@ -168,7 +168,8 @@ def test_other_objects_of_version_7_3_are_imported(tmp_path: Path) -> None:
     np.testing.assert_allclose(tables["log.T"].numbers("yaw"), YAW)
     np.testing.assert_allclose(tables["rpm"].numbers("rpm"), 900.0 * LEFT)
     np.testing.assert_allclose(tables["rpm"].numbers("Time"), T)
-    assert next(iter(tables.values())).remark == "left out, of a class that cannot be read: words (categorical)"
+    fault = "left out, of a class that cannot be read: words (categorical); save them as numbers"
+    assert next(iter(tables.values())).remark == fault
 
 
 def test_references_without_an_object_are_not_read_as_numbers(tmp_path: Path) -> None:
