@@ -519,6 +519,13 @@ class CalibrationRow(Part, frozen=True, kw_only=True):
     low: Annotated[float | None, Meta(description="95 % interval of `scale`")]
     high: Annotated[float | None, Meta(description="upper end of the interval")]
     pit: Annotated[Array, Meta(description="(10,) shares of the errors in each tenth of the predicted distribution")]
+    widening: Annotated[
+        float | None,
+        Meta(
+            description="factor by which 95 % intervals of further data have to be wider than predicted, at least 1; "
+            "the standard deviations of `traces` over the horizon are multiplied by that of the validation data"
+        ),
+    ] = None
     verdict: Annotated[
         Verdict,
         Meta(

@@ -278,6 +278,7 @@ def calibration_tables(evaluation: PredictionEvaluation) -> Calibrations:
                 low=finite(c.low),
                 high=finite(c.high),
                 pit=c.pit,
+                widening=finite(c.widening),
                 verdict=c.verdict,
             )
             for name, c in found.items()

@@ -23,7 +23,7 @@ from seatrial.ident.data import Record
 from seatrial.ident.engine import VectorisedModel
 from seatrial.ident.estimation import FilterResult, Likelihood
 from seatrial.ident.model import Model
-from seatrial.ident.numerics import Array, chi2_ppf, effective_sample_size, normal_cdf, wrap
+from seatrial.ident.numerics import Array, chi2_ppf, effective_sample_size, normal_cdf, student_ppf, wrap
 from seatrial.ident.validation.prediction_errors import WARM_UP, SimulationRun
 
 STRIDE = 0.2  # of the horizon, between the starts of predictions
@@ -78,6 +78,16 @@ class Calibration:
         if self.n_effective < FEW:
             return "insufficient_data"
         return "underconfident" if self.high < 1.0 / TOLERANCE else "right"
+
+    @property
+    def widening(self) -> float:
+        """Factor by which 95 % intervals of further data have to be wider than the predicted ones; at least 1.
+
+        An error of further data over the predicted standard deviation and the scale follows Student's t distribution,
+        because the scale is estimated from few independent errors. The factor is thus the scale times the ratio of the
+        97.5 % quantiles of this distribution and the normal one. It is infinite if a prediction diverged.
+        """
+        return max(1.0, self.scale * float(student_ppf(0.975, max(self.n_effective, 1.0))) / NEARLY_ALL)
 
 
 def calibration_test(series: Sequence[Array], effective: float | None = None) -> Calibration | None:

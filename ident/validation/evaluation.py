@@ -6,7 +6,7 @@ Everything is computed once; reports and plots read the results.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Generic, Literal, TypeVar
 
 import numpy as np
@@ -71,7 +71,8 @@ class HorizonPrediction:
     y : Array (n,)
         Predicted values in the unit of the channel, NaN if a prediction diverged.
     sd : Array (n,)
-        Predicted standard deviations in the unit of the channel, NaN if the channel has no forecasts.
+        Standard deviations of the errors in the unit of the channel: predicted ones times the `widening` of the
+        channel. NaN if the channel has no forecasts.
     """
 
     t: Array
@@ -194,6 +195,15 @@ class PredictionEvaluation:
         both = {"estimation": self.estimation, "validation": self.validation}
         return {role: evaluation for role, evaluation in both.items() if evaluation is not None}
 
+    @property
+    def widening(self) -> dict[str, float]:
+        """Factor by channel with which the predicted standard deviations over the horizon are multiplied, at least 1.
+
+        It is that of the validation data (`Calibration.widening`). It is empty without validation data, and lacks
+        channels that these data do not have; nothing is multiplied then.
+        """
+        return {} if self.validation is None else _widening(self.validation.calibration.horizon)
+
 
 def evaluate(fitted: FittedModel, horizon: float | None = None) -> PredictionEvaluation:
     """Evaluate the predictions of a fitted model on every record.
@@ -211,11 +221,15 @@ def evaluate(fitted: FittedModel, horizon: float | None = None) -> PredictionEva
         Errors and calibration of all records, and residual tests of the estimation data.
     """
     seconds, likelihood = horizon or fitted.model.horizon, Likelihood(fitted.model)
+    validated, factors = None, dict[str, float]()
+    if fitted.validation:
+        validated = _evaluate_set(fitted, fitted.validation, False, seconds, likelihood)
+        factors = _widening(validated.calibration.horizon)
     return PredictionEvaluation(
         fitted.model,
         seconds,
-        _evaluate_set(fitted, fitted.estimation, True, seconds, likelihood),
-        _evaluate_set(fitted, fitted.validation, False, seconds, likelihood) if fitted.validation else None,
+        _widened(_evaluate_set(fitted, fitted.estimation, True, seconds, likelihood), factors),
+        None if validated is None else _widened(validated, factors),
         tuple(r for v in fitted.estimation for r in residual_tests(fitted.model, v.record, v.run.standardised)),
     )
 
@@ -269,6 +283,23 @@ def _evaluate_set(
     )
     mean = {name: PredictionErrors(e.t, e.about) for name, e in errors.horizon.items()}
     return SetEvaluation(records, errors, prediction_change(mean, errors.horizon, seconds), calibrated)
+
+
+def _widening(calibration: Mapping[str, Calibration]) -> dict[str, float]:
+    """Return the factor of the predicted standard deviations by channel, from the calibration over the horizon."""
+    return {name: channel.widening for name, channel in calibration.items()}
+
+
+def _widened(evaluation: SetEvaluation, factors: Mapping[str, float]) -> SetEvaluation:
+    """Return the evaluation with the standard deviations over the horizon times the factors by channel.
+
+    Channels without a factor are not changed. The calibration stays that of the predicted standard deviations.
+    """
+    records = tuple(
+        replace(r, horizon={n: replace(h, sd=h.sd * factors.get(n, 1.0)) for n, h in r.horizon.items()})
+        for r in evaluation.records
+    )
+    return replace(evaluation, records=records)
 
 
 def _horizon_prediction(

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from seatrial.ident.diagnosis import Diagnosis
     from seatrial.ident.estimation import FittedModel, RecordEvaluation
     from seatrial.ident.results import DiagnosisResult, FitResult, VehicleResult
+    from seatrial.ident.validation import RecordPrediction
     from seatrial.ident.workflows.diagnose import DiagnosedModel
     from seatrial.ident.workflows.vehicle import VehicleFit
 
@@ -149,11 +150,16 @@ class Prediction(NamedTuple):
         Samples, in the unit of the channel.
     predicted : Array (n,)
         Predictions of these samples, in the same unit; infinite if the prediction diverged.
+    sd : Array (n,)
+        Standard deviations of measured minus predicted, in the same unit. Over a horizon they are widened by what the
+        validation data show, so that ``predicted`` ± 1.96 ``sd`` contains about 95 % of further samples. NaN if a
+        channel has no such forecast.
     """
 
     t: NDArray[np.float64]
     measured: NDArray[np.float64]
     predicted: NDArray[np.float64]
+    sd: NDArray[np.float64]
 
     @property
     def rms(self) -> float:
@@ -358,14 +364,11 @@ class FittedResult(FitReport):
         SeatrialError
             If ``on`` is ``validation`` and the fit has no validation data.
         """
-        from seatrial.ident.validation import horizon_errors
-
         seconds = self.result.horizon_seconds if horizon is None else horizon
         found = {}
-        for view in self._views(on):
-            record, model = view.record, view.model
-            errors = horizon_errors(model, record, view.values, view.run.x_filt, seconds)
-            found[record.name] = {name: _prediction(record, name, e.t, e.e) for name, e in errors.items()}
+        for predicted in self._evaluated(on, seconds):
+            record, sd = predicted.record, {name: far.sd for name, far in predicted.horizon.items()}
+            found[record.name] = {n: _prediction(record, n, e.t, e.e, sd[n]) for n, e in predicted.errors.items()}
         return found
 
     def simulate(self, on: Role | None = None) -> dict[str, dict[str, Prediction]]:
@@ -387,12 +390,13 @@ class FittedResult(FitReport):
         SeatrialError
             If ``on`` is ``validation`` and the fit has no validation data.
         """
-        from seatrial.ident.validation import simulation_run
-
         found = {}
-        for view in self._views(on):
-            run = simulation_run(view.model, view.record, view.values)
-            found[view.record.name] = {n: _prediction(view.record, n, e.t, e.e) for n, e in run.errors.items()}
+        for simulated in self._evaluated(on, self.result.horizon_seconds):
+            record, run = simulated.record, simulated.simulation
+            found[record.name] = {
+                n: _prediction(record, n, e.t, e.e, run.sd[np.searchsorted(record.t, e.t), record.outputs.index(n)])
+                for n, e in run.errors.items()
+            }
         return found
 
     def plot_residuals(self, *channels: str, on: Role = "estimation") -> Figure:
@@ -412,6 +416,14 @@ class FittedResult(FitReport):
             data.
         """
         return plots.residual_figure(self.residuals(on), channels)
+
+    def _evaluated(self, on: Role | None, horizon: float) -> tuple[RecordPrediction, ...]:
+        """Return the predictions of each record of the data ``on``, as `_views` selects them, over ``horizon`` [s]."""
+        from seatrial.ident.validation import evaluate
+
+        evaluation = evaluate(self.fitted, horizon)
+        role = "validation" if self._views(on) is self.fitted.validation else "estimation"
+        return evaluation.sets[role].records
 
     def _views(self, on: Role | None) -> tuple[RecordEvaluation, ...]:
         """Return the evaluated records (with model, filter run and parameter values) of estimation or validation data.
@@ -713,10 +725,13 @@ def python_call(function: str, logs: Sequence[Path], **more: str) -> str:
     return f"seatrial.{function}({[p.name for p in logs]}{rest})"
 
 
-def _prediction(record: Any, channel: str, t: NDArray[np.float64], error: NDArray[np.float64]) -> Prediction:
+def _prediction(
+    record: Any, channel: str, t: NDArray[np.float64], error: NDArray[np.float64], sd: NDArray[np.float64]
+) -> Prediction:
     """Return the samples and predictions of a channel of a record, from the prediction errors at its sample times.
 
-    `t` (n,) are the times of the samples [s], and `error` (n,) is measured minus predicted, in the unit of the channel.
+    `t` (n,) are the times of the samples [s]. `error` (n,) is measured minus predicted, and `sd` (n,) its predicted
+    standard deviation, both in the unit of the channel.
     """
     measured = record.y[np.searchsorted(record.t, t), record.outputs.index(channel)]
-    return Prediction(t, measured, measured - error)
+    return Prediction(t, measured, measured - error, sd)

@@ -166,6 +166,13 @@ def test_predictions_have_the_errors_of_the_result(fit: st.FittedVehicle) -> Non
     for name, row in errors.horizon.items():
         assert ahead[name].rms == pytest.approx(row.after, rel=1e-9)
     assert fit.predict(2.0)["run2"]["x"].rms < ahead["x"].rms
+    widening = fit.result.calibration.validation
+    assert widening is not None
+    for name, factor in widening.horizon.items():
+        z = (ahead[name].measured - ahead[name].predicted) / ahead[name].sd
+        assert factor.widening is not None
+        assert factor.widening >= 1.0
+        assert np.mean(np.abs(z) < 1.96) >= factor.inside_95 - 0.05
     for name, row in errors.simulation.items():
         assert fit.simulate()["run2"][name].rms == pytest.approx(row.after, rel=1e-9)
 

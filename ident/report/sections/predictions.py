@@ -221,6 +221,7 @@ COLUMNS = (
     ("error / predicted s.d.", "num"),
     ("95 %", "num"),
     ("independent samples", "num"),
+    ("widened by", "num"),
     ("", ""),
 )
 VERDICTS: dict[Verdict, Cell] = {
@@ -251,7 +252,9 @@ def calibration_section(canvas: Canvas, calibration: Calibrations, seconds: floa
     lead = (
         "The model predicts the standard deviation of its own errors. It is calibrated if 50 % and 95 % of the errors "
         "are inside the 50 % and 95 % intervals, and if the errors over their predicted standard deviation are about "
-        "1. Overconfident: the intervals are too narrow. Underconfident: they are too wide."
+        "1. Overconfident: the intervals are too narrow. Underconfident: they are too wide. The bands of the "
+        "predictions over the horizon, and those of `predict` in Python, are widened by the factor of the validation "
+        "data in the column widened by: further data then lie inside the 95 % intervals as often as they should."
     )
     return Section("calibration", "Calibration of the prediction intervals", tabbed(tabs), lead)
 
@@ -282,7 +285,8 @@ def _calibration_cells(channel: str, row: CalibrationRow) -> list[Cell | str]:
     """Return the table cells of the calibration of one channel.
 
     They are the name of the channel, the shares of its errors inside the 50 % and 95 % interval, the RMS of error over
-    predicted standard deviation with its 95 % interval, the number of independent errors, and the verdict.
+    predicted standard deviation with its 95 % interval, the number of independent errors, the factor by which the
+    intervals have to be wider, and the verdict.
     """
     low, high = row.low, row.high
     return [
@@ -292,6 +296,7 @@ def _calibration_cells(channel: str, row: CalibrationRow) -> list[Cell | str]:
         Cell(formatting.plain(row.scale), "num"),
         Cell("–" if low is None or high is None else f"{formatting.plain(low)} to {formatting.plain(high)}", "num"),
         Cell(formatting.plain(row.n_effective, 2), "num"),
+        Cell("–" if row.widening is None else formatting.plain(row.widening), "num"),
         VERDICTS[row.verdict],
     ]
 

@@ -180,3 +180,36 @@ def verdict_of(scale: float, n: int) -> str:
 def test_scale_within_ten_percent_is_accepted() -> None:
     found = [verdict_of(s, 5000) for s in (0.8, 0.95, 1.05, 1.3)]
     assert found == ["underconfident", "right", "right", "overconfident"]
+
+
+def test_widened_intervals_contain_further_errors() -> None:
+    """The factor is estimated from few errors of a first run, and 95 % of the errors of a second run are inside."""
+    rng, inside, plain = np.random.default_rng(4), [], []
+    for _ in range(4000):
+        first, second = 1.5 * rng.standard_normal((2, 10))
+        calibration = calibration_test([first], 10.0)
+        assert calibration is not None
+        inside.append(np.mean(np.abs(second) < 1.96 * calibration.widening))
+        plain.append(np.mean(np.abs(second) < 1.96))
+    assert np.mean(plain) < 0.82
+    assert 0.945 < np.mean(inside) < 0.965
+
+
+def test_intervals_are_never_narrowed() -> None:
+    calibration = calibration_test([0.5 * np.random.default_rng(1).standard_normal(400)], 400.0)
+    assert calibration is not None
+    assert calibration.widening == 1.0
+
+
+def test_standard_deviations_over_the_horizon_are_widened_by_the_validation_data() -> None:
+    narrow = evaluate(with_values(stage(), {"q_X": 0.2, "q_Y": 0.2, "q_N": 0.2}))
+    assert narrow.validation is not None
+    for name, factor in narrow.widening.items():
+        assert factor == narrow.validation.calibration.horizon[name].widening
+    assert max(narrow.widening.values()) > 1.2
+    far = narrow.validation.records[0]
+    z = {n: (far.record.y[np.searchsorted(far.record.t, p.t), far.record.outputs.index(n)] - p.y) / p.sd
+         for n, p in far.horizon.items()}  # fmt: skip
+    for name, factor in narrow.widening.items():
+        rms = float(np.sqrt(np.nanmean(z[name] ** 2)))
+        assert rms * factor == pytest.approx(narrow.validation.calibration.horizon[name].scale, rel=0.35)
