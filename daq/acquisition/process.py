@@ -452,8 +452,12 @@ def main() -> None:
         recorder = Recorder(
             path, rig=rig, clock=clock, attachments=begin.attachments, metadata=begin.metadata, patient=True
         )
-        heartbeat = _connect_watchdog(rig, path) if len(sys.argv) > 2 else None
-        process = Process(link, rig, recorder, clock, LinkRole(begin.role), heartbeat, begin.terminal)
+        try:
+            heartbeat = _connect_watchdog(rig, path) if len(sys.argv) > 2 else None
+            process = Process(link, rig, recorder, clock, LinkRole(begin.role), heartbeat, begin.terminal)
+        except BaseException:
+            recorder.discard()  # nothing was recorded, and the next start may have the same name
+            raise
     except SeatrialError as error:
         link.send(Failed(str(error)))
         return

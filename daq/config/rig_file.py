@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -86,7 +87,8 @@ def parse_rig(text: str, source: Path | str, *, recorded: bool = False) -> Rig:
     if not devices:
         raise root.error("device", "missing; a rig needs at least one [[device]]: add one")
     _check_unique(root, "device", [device.name for device in devices])
-    _check_ports_differ(root, devices)
+    if not recorded:  # nothing opens the ports of a log, and this computer may have other links to ports
+        _check_ports_differ(root, devices)
     thrusters = tuple(_read_thruster(table, devices) for table in root.tables("thruster"))
     _check_unique(root, "thruster", [thruster.name for thruster in thrusters])
     _check_unique(root, "thruster", [f"{t.device} node {t.node}" for t in thrusters])
@@ -205,19 +207,23 @@ def _check_ports_differ(root: TomlTable, devices: Sequence[Device]) -> None:
     """Raise SeatrialError if two devices of a rig file have the same port. `root` names the file in the message.
 
     Several devices may share a CAN interface of the kernel (socketcan:), and a connection to a remote address (udpout:,
-    tcp:). `udp:` and `udpin:` with the same address are the same port. Other ports are the same if their texts are
-    equal; a link to a port, or "slcan:" before it, makes another text.
+    tcp:). `udp:` and `udpin:` with the same address are the same port. Serial ports are the same if their paths, with
+    or without "slcan:", lead to one file. Links such as those of /dev/serial/by-id are followed if they exist.
     """
-    owner: dict[str, str] = {}
+    owner: dict[str, Device] = {}
     for device in devices:
         if device.port.startswith(("socketcan:", "udpout:", "tcp:")):
             continue
         port = device.port.removeprefix("udpin:").removeprefix("udp:")
+        if port == device.port:
+            path = port.removeprefix("slcan:")
+            # Links that a mock has left behind may lead to one port that is gone: they are compared as texts.
+            port = os.path.realpath(path) if os.path.exists(path) else os.path.abspath(path)
         if port in owner:
-            raise root.error(
-                "device", f"{owner[port]} and {device.name} have the same port, {device.port}; give each its own"
-            )
-        owner[port] = device.name
+            other = owner[port]
+            names = " or ".join(sorted({device.port, other.port}))
+            raise root.error("device", f"{other.name} and {device.name} have the same port, {names}; give each its own")
+        owner[port] = device
 
 
 def _check_unique(root: TomlTable, key: str, names: Sequence[str]) -> None:
@@ -264,8 +270,8 @@ def _read_device(table: TomlTable, folder: Path, recorded: bool) -> Device:
         raise table.error(
             "protocol", f"{protocol} needs the Python module {row.module}: pip install 'seatrial[{protocol}]'"
         )
-    # Without its protocol, port and options of a device of a log cannot be checked, and nothing opens them.
-    port = table.text("port") if row is None else _read_port(table, protocol, row.bus, folder)
+    # Nothing opens the port of a device of a log, and without its protocol its options cannot be checked.
+    port = table.text("port") if row is None or recorded else _read_port(table, protocol, row.bus, folder)
     baud = table.integer("baud", 115200, low=1)
     rate = table.number("rate_hz", positive=True)
     forward, starboard, down = table.numbers("lever_arm_m", (0.0, 0.0, 0.0), length=3)
@@ -285,9 +291,10 @@ def _read_port(table: TomlTable, protocol: str, bus: str, folder: Path) -> str:
     """Return the key `port` of a device, after a check that fits its protocol and its `bus` (`CAN` or serial).
 
     A CAN bus needs slcan:SERIAL or socketcan:NAME. An autopilot (mavlink) may have a network address, which is checked.
-    Any other text is taken for the path of a serial device. An empty text, and slcan: or socketcan: without a CAN bus,
-    raise SeatrialError. It is not checked whether the port exists. Relative paths of serial devices, also behind
-    "slcan:", are joined with `folder`. Names of CAN interfaces and network addresses are returned as written.
+    Any other text is taken for the path of a serial device. An empty text, slcan: or socketcan: without a CAN bus, and
+    a network address of another device raise SeatrialError. It is not checked whether the port exists. Relative paths
+    of serial devices, also behind "slcan:", are joined with `folder`. Names of CAN interfaces and network addresses are
+    returned as written.
     """
     port = table.text("port")
     kind, colon, rest = port.partition(":")
@@ -297,9 +304,10 @@ def _read_port(table: TomlTable, protocol: str, bus: str, folder: Path) -> str:
         return port if kind == "socketcan" else f"slcan:{folder / rest}"
     if protocol == "mavlink" and kind in NET_KINDS:
         return _read_network_address(table, port)
-    if not port or (colon and kind in ("slcan", "socketcan")):
+    if not port or (colon and kind in ("slcan", "socketcan", *NET_KINDS)):
+        only = "; only mavlink may have a network address" if kind in NET_KINDS else ""
         raise table.error(
-            "port", f"must be a serial device (such as /dev/ttyUSB0) for protocol {protocol}, not '{port}'"
+            "port", f"must be a serial device (such as /dev/ttyUSB0) for protocol {protocol}, not '{port}'{only}"
         )
     return str(folder / port)
 

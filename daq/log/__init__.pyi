@@ -18,6 +18,7 @@ from .tables import LogTable as LogTable
 from .tables import Resampled as Resampled
 from .tables import log_tables as log_tables
 from .tables import resample as resample
+from .tables import unused_name as unused_name
 from .watchdog_note import discard_note as discard_note
 from .watchdog_note import read_note as read_note
 from .watchdog_note import write_note as write_note

@@ -13,6 +13,7 @@ import contextlib
 import copy
 import hashlib
 import importlib
+import math
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from functools import cached_property
@@ -153,6 +154,11 @@ class Log:
         ----------
         begin, end
             Interval of the time of receipt [s since 1970], without `end` itself.
+
+        Raises
+        ------
+        SeatrialError
+            If `begin` or `end` is NaN.
         """
         view = copy.copy(self)
         view.__dict__.pop("_spacing", None)
@@ -313,7 +319,8 @@ class Log:
         Raises
         ------
         SeatrialError
-            If pandas is not installed, if the log has no samples, or if the grid has too many rows.
+            If pandas is not installed, if the rate is not positive, if the log has no samples, or if the grid has too
+            many rows.
         """
         pandas = import_library("pandas")
         table = resample(self, rate)
@@ -340,7 +347,8 @@ class Log:
         Raises
         ------
         SeatrialError
-            If xarray is not installed, if the log has no samples, or if the grid has too many rows.
+            If xarray is not installed, if the rate is not positive, if the log has no samples, or if the grid has too
+            many rows.
         """
         xarray = import_library("xarray")
         table = resample(self, rate)
@@ -412,7 +420,8 @@ class Log:
         ------
         SeatrialError
             If the log has no such samples, if they cannot be decoded, if `node` is None and the device has several
-            controllers, or if the memory is too small. If the whole log is read, also if no sample is readable.
+            controllers, if `begin` or `end` is NaN, or if the memory is too small. If the whole log is read, also if no
+            sample is readable.
         """
         if kind is Esc or kind is Command or kind is Servo:
             node = self._only_node(kind, source, node)
@@ -734,8 +743,10 @@ def _span_ns(begin: float, end: float, within: tuple[int, int]) -> tuple[int, in
     """Convert an interval from s to ns since 1970, and cut it to the interval `within` [ns].
 
     A negative limit becomes 0, and a limit beyond 64 bits (also infinity) becomes the largest time. If the intervals do
-    not overlap, the first result is not below the second.
+    not overlap, the first result is not below the second. NaN raises SeatrialError.
     """
+    if math.isnan(begin) or math.isnan(end):
+        raise SeatrialError(f"begin and end of an interval of time must be numbers, not {begin:g} and {end:g}")
     first, last = (LAST_NS if t >= LAST_NS / NANO else max(0, round(t * NANO)) for t in (begin, end))
     return max(first, within[0]), min(last, within[1])
 

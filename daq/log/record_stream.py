@@ -102,7 +102,11 @@ class WholeRecordStream:
         self.failure: OSError | None = None  # first failed write, even if the ballast made room for its records
         try:
             self.ballast = ReservedSpace(path.parent)
-            self.ballast.grow(BALLAST_BYTES)
+            try:
+                self.ballast.grow(BALLAST_BYTES)
+            except OSError:
+                self.ballast.release()  # otherwise each retry of a recorder would leave one open file
+                raise
         except OSError:
             os.close(self._fd)
             path.unlink()

@@ -297,6 +297,16 @@ class Recorder:
             )
         self._writer.close()
 
+    def discard(self) -> None:
+        """Close the log and delete its file, so that its name is free again.
+
+        This is for a start that has failed: only a log in its first segment may be discarded, before any sample.
+        """
+        with contextlib.suppress(SeatrialError):  # a full disk does not matter to a file that is deleted
+            self._writer.close()
+        with contextlib.suppress(OSError):
+            self.path.unlink()
+
     @contextlib.contextmanager
     def _pause_if_full(self) -> Iterator[None]:
         """Pause the recorder if the disk is full within the `with` block and the recorder is patient.

@@ -66,9 +66,8 @@ ADDED = {TYPES[Gnss]: ("speed", "dimensions")}  # last fields of a message that 
 
 _ZERO9 = doubles(*(0.0,) * 9)  # "covariance unknown" in sensor_msgs
 _NONE9 = doubles(-1.0, *(0.0,) * 8)  # "no estimate of this quantity"
-_UNKNOWN_VARIANCE = 1e6  # rad2, marks roll and pitch, which a compass does not measure and which are written as 0
-_LEVEL = (0.0, 0.0, 0.0, 1.0)  # quaternion that is written if the attitude is unknown
-_YAW9 = doubles(_UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, _UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, 0.0)
+_UNKNOWN_VARIANCE = 1e6  # rad2, marks an unknown angle beside a known one, such as the roll of a compass
+_VARIANCE_PLACE = {"roll": 0, "pitch": 4, "yaw": 8}  # index of the variance in the covariance of an orientation
 
 
 class Message(NamedTuple):
@@ -178,15 +177,15 @@ def _ahrs_messages(device: str, s: Ahrs, times: tuple[float, float]) -> list[Mes
     """Return the messages of a sample of an AHRS: device times, Imu and, if any part of it is known, magnetic field.
 
     `times` are t_rx and t_device [s]. The covariances of the Imu message mark unknown quantities: -1 in the first
-    element of the orientation without a yaw, and of rates or accelerations if one of the three is unknown; and a
-    variance of 1e6 rad2 for roll and pitch, both written as 0, if one of the two is unknown, as of a compass.
+    element of the orientation if no angle is known, and of rates or accelerations if one of the three is unknown; and
+    a variance of 1e6 rad2 for each unknown angle beside a known one, which is written as 0, such as roll and pitch of
+    a compass.
     """
     frame_id, time, imu, mag = _ahrs_topics(device)
-    has_yaw = s.yaw == s.yaw  # False for NaN; faster than math.isnan, for every sample
-    only_yaw = has_yaw and math.isnan(s.pitch + s.roll)
+    whole = not math.isnan(s.yaw + s.pitch + s.roll)
     values = (
-        *(quaternion(s.yaw, 0.0, 0.0) if only_yaw else quaternion(s.yaw, s.pitch, s.roll) if has_yaw else _LEVEL),
-        _YAW9 if only_yaw else _ZERO9 if has_yaw else _NONE9,
+        *(quaternion(s.yaw, s.pitch, s.roll) if whole else quaternion(*_zero_if_unknown(s.yaw, s.pitch, s.roll))),
+        _ZERO9 if whole else _partial_covariance(s.yaw == s.yaw, s.pitch == s.pitch, s.roll == s.roll),
         *(s.p, s.q, s.r),
         _NONE9 if math.isnan(s.p + s.q + s.r) else _ZERO9,
         *(s.ax, s.ay, s.az),
@@ -196,6 +195,25 @@ def _ahrs_messages(device: str, s: Ahrs, times: tuple[float, float]) -> list[Mes
     if s.mx == s.mx or s.my == s.my or s.mz == s.mz:
         found.append(Message(mag, MAG, frame_id, (s.mx, s.my, s.mz, _ZERO9)))
     return found
+
+
+def _zero_if_unknown(*angles: float) -> tuple[float, ...]:
+    """Return the angles with 0 in place of NaN."""
+    return tuple(0.0 if math.isnan(angle) else angle for angle in angles)
+
+
+@cache
+def _partial_covariance(yaw: bool, pitch: bool, roll: bool) -> bytes:
+    """Return the covariance of an orientation of which an angle is unknown, as bytes of 9 numbers.
+
+    The arguments are whether the angles are known. If none is, the first number is -1, otherwise the variance of each
+    unknown angle is 1e6 rad2.
+    """
+    known = {"yaw": yaw, "pitch": pitch, "roll": roll}
+    covariance = [0.0] * 9
+    for angle, place in _VARIANCE_PLACE.items():
+        covariance[place] = 0.0 if known[angle] else _UNKNOWN_VARIANCE
+    return doubles(*covariance) if any(known.values()) else _NONE9
 
 
 def _gnss_messages(device: str, s: Gnss) -> list[Message]:
@@ -231,9 +249,8 @@ def imu_columns(rows: NDArray[np.void]) -> Columns:
     columns: Columns = {"yaw": yaw, "pitch": pitch, "roll": roll}
     for column in columns.values():
         column[unknown] = np.nan
-    level = rows["orientation_covariance"][:, 0] >= _UNKNOWN_VARIANCE
-    for name in ("pitch", "roll"):
-        columns[name][level] = np.nan
+    for name, place in _VARIANCE_PLACE.items():
+        columns[name][rows["orientation_covariance"][:, place] >= _UNKNOWN_VARIANCE] = np.nan
     for names, vector in (("pqr", "angular_velocity"), (("ax", "ay", "az"), "linear_acceleration")):
         for name, axis in zip(names, "xyz", strict=True):
             columns[name] = rows[f"{vector}.{axis}"]

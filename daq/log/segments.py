@@ -19,6 +19,7 @@ from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log.mcap_chunk import Messages
 from seatrial.daq.log.mcap_reader import LAST_NS, MAX_WARNINGS, RawLog
 
+_NUMBER = r"[1-9]\d{0,5}"  # number of a later segment in its name
 SHARED_METADATA = ("origin", "rig", "host")  # metadata that are equal in all segments of one log
 
 
@@ -212,10 +213,10 @@ def segment_path(first: Path, number: int) -> Path:
 def segments(path: Path) -> dict[int, Path]:
     """Return the files whose names make them later segments of the log `path`: NAME.1.mcap, NAME.2.mcap, ...
 
-    A number has up to six digits. Their content is not checked. They are sorted by number. The result is empty if there
-    are none or the folder cannot be read.
+    A number has up to six digits, of which the first is not 0. The content of the files is not checked. They are sorted
+    by number. The result is empty if there are none or the folder cannot be read.
     """
-    name = re.compile(re.escape(path.stem) + r"\.(\d{1,6})" + re.escape(path.suffix))
+    name = re.compile(re.escape(path.stem) + rf"\.({_NUMBER})" + re.escape(path.suffix))
     try:
         found = [(int(match[1]), file) for file in path.parent.iterdir() if (match := name.fullmatch(file.name))]
     except OSError:
@@ -240,6 +241,6 @@ def first_segment_of(path: Path) -> Path | None:
     For NAME.2.mcap, the first segment is NAME.mcap. The result is None if `path` is not named like a later segment,
     or if the first segment does not exist.
     """
-    match = re.fullmatch(r"(.+)\.\d{1,6}", path.stem)
+    match = re.fullmatch(rf"(.+)\.{_NUMBER}", path.stem)
     first = path.with_name(f"{match[1]}{path.suffix}") if match else path
     return first if first != path and first.is_file() else None

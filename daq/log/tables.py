@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -137,13 +138,14 @@ def resample(log: Log, rate: float) -> Resampled:
     Returns
     -------
     Resampled
-        Columns have the name TABLE_COLUMN; the column of a signal has the name of the signal. Columns of times, and
-        columns without a finite number, are left out.
+        Columns have the name TABLE_COLUMN; the column of a signal has the name of the signal. An underscore is added to
+        a name that an earlier column has. Columns of times, and columns without a finite number, are left out.
 
     Raises
     ------
     SeatrialError
-        If the log has no samples, or if the grid has more than 50 million rows (MAX_ROWS).
+        If the rate is not positive or not finite, if the log has no samples, or if the grid has more than 50 million
+        rows (MAX_ROWS).
 
     Notes
     -----
@@ -155,6 +157,8 @@ def resample(log: Log, rate: float) -> Resampled:
     NaN or infinite are left out before. Angles [rad] and longitudes are averaged and interpolated over the shortest
     way.
     """
+    if not (math.isfinite(rate) and rate > 0.0):
+        raise SeatrialError(f"{log.path}: the rate of the table must be positive, not {rate:g} Hz; give another rate")
     tables = [table for table in log_tables(log) if len(table.rows)]
     if not tables:
         raise SeatrialError(f"{log.path}: the log has no samples to export; `seatrial info` shows its content")
@@ -168,7 +172,7 @@ def resample(log: Log, rate: float) -> Resampled:
         for column in table.rows.dtype.names or ():
             if column in TIME_COLUMNS:
                 continue
-            name = table.name if table.kind is Scalar else f"{table.name}_{column}"
+            name = unused_name(table.name if table.kind is Scalar else f"{table.name}_{column}", columns)
             values = table.rows[column].astype(np.float64)
             good = np.isfinite(values)
             if not good.any():
@@ -182,6 +186,13 @@ def resample(log: Log, rate: float) -> Resampled:
                 columns[name] = _average_and_interpolate(grid, t, values, 1.0 / rate, period)
             units[name] = unit
     return Resampled(grid, columns, units)
+
+
+def unused_name(name: str, used: Collection[str]) -> str:
+    """Return the name of a column, with as many underscores at its end as it needs to differ from the `used` names."""
+    while name in used:
+        name += "_"
+    return name
 
 
 def _hold_last_value(grid: Array, t: Array, values: Array) -> Array:

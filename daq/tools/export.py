@@ -11,7 +11,7 @@ import numpy as np
 
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.files import new_file, require_new
-from seatrial.daq.log import Log, LogTable, Resampled, log_tables, resample
+from seatrial.daq.log import Log, LogTable, Resampled, log_tables, resample, unused_name
 from seatrial.daq.samples import Scalar
 
 CSV_BATCH_ROWS = 65536  # rows of CSV that are written at a time
@@ -120,9 +120,9 @@ def export_resampled(log: Log, form: str, folder: Path, rate: float, force: bool
 def _as_log_table(table: Resampled, name: str) -> LogTable:
     """Convert a resampled log to one table with its times as the column ``t`` [s since 1970].
 
-    A signal with the name t becomes ``t_``.
+    A signal with the name t becomes ``t_``, with further underscores if there are signals of such names.
     """
-    names = {name: "t_" if name == "t" else name for name in table.columns}
+    names = {name: unused_name(name, ("t", *table.columns)) if name == "t" else name for name in table.columns}
     columns = {"t": table.t, **{names[name]: values for name, values in table.columns.items()}}
     rows = np.empty(len(table.t), [(name, np.float64) for name in columns])
     for column, values in columns.items():

@@ -197,7 +197,8 @@ def recorded(log: Log, devices: Sequence[str] = ()) -> list[str]:
     log
         The log.
     devices
-        Names of the devices to replay, which are returned in this order; empty for all devices with raw bytes.
+        Names of the devices to replay, which are returned in this order; empty for all devices with raw bytes. A name
+        that is given twice counts once.
 
     Raises
     ------
@@ -213,7 +214,7 @@ def recorded(log: Log, devices: Sequence[str] = ()) -> list[str]:
             raise SeatrialError(
                 f"{log.path}: no raw bytes of device '{name}'; give one of those with raw bytes: {', '.join(available)}"
             )
-    names = list(devices) or available
+    names = list(dict.fromkeys(devices)) or available
     for name in names:  # a name becomes a path in the folder of the ports
         if not NAME.fullmatch(name):
             raise SeatrialError(

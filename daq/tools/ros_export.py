@@ -158,8 +158,8 @@ def rep_103_imu(device: str, sample: Ahrs) -> schema.Message:
     Returns
     -------
     schema.Message
-        Message for the topic /ros/DEVICE/imu in the frame `base_link`. NaN becomes 0; a covariance of -1 marks the
-        quantities that the AHRS does not measure.
+        Message for the topic /ros/DEVICE/imu in the frame `base_link`. NaN becomes 0. A covariance of -1 marks the
+        quantities that the AHRS does not measure; a variance of 1e6 marks an unknown angle beside a known one.
     """
     turned = replace(
         sample, yaw=np.pi / 2 - sample.yaw, pitch=-sample.pitch,

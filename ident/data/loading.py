@@ -569,11 +569,13 @@ class LoadedLog:
 def _shift_positions(found: Mapping[str, Channel], north: float, east: float) -> Mapping[str, Channel]:
     """Return the signals ``found`` with ``north`` [m] added to x and ``east`` [m] added to y.
 
-    If both are zero, return the same object. Otherwise return a copy of the mapping; x and y must then exist.
+    If both are zero, return the same object. Otherwise return a copy of the mapping. Without x and y, as in a part of a
+    log with fewer than two fixes, its signals are unchanged.
     """
     if not (north or east):
         return found
-    return {**found, **{n: replace(found[n], value=found[n].value + by) for n, by in (("x", north), ("y", east))}}
+    by = {"x": north, "y": east}
+    return {n: replace(c, value=c.value + by[n]) if n in by else c for n, c in found.items()}
 
 
 def share_frame(logs: Sequence[LoadedLog], reference: FrameOrigin | None = None) -> list[LoadedLog]:

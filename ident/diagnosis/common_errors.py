@@ -173,8 +173,8 @@ def fit_common_errors(
 ) -> CommonErrorsFit | None:
     """Fit a model together with the selected common errors, and accept the fit if the data support it.
 
-    The fit starts at the one-step estimates, then at 30 % of them, then at zero, until it succeeds. ``current`` is not
-    changed.
+    The fit starts at the one-step estimates, then at 30 % of them, then at zero, until it succeeds. A fit has failed,
+    too, if the likelihood of the validation data is not finite with it. ``current`` is not changed.
 
     Parameters
     ----------
@@ -196,24 +196,20 @@ def fit_common_errors(
     CommonErrorsFit or None
         None if no fit succeeds, if the criterion of the estimation data or the gain on the validation data is not
         positive, or if the prediction is significantly worse.
-
-    Raises
-    ------
-    ValueError
-        If the likelihood of the validation data is not finite with the common errors.
     """
-    effects, fitted = tuple(common[name] for name in members.names), None
+    effects = tuple(common[name] for name in members.names)
     for share in (1.0, 0.3, 0.0):
         try:
             model = with_common_errors(current.fit.model, effects, members.step, share)
             fitted = fit_and_evaluate(model, records, validation_data, settings=COMMON_SEARCH)
+            compared = Comparison(current, fitted, policy)
+            validated, t = compared.gain
             break
         except FIT_ERRORS:
             continue
-    if fitted is None:
+    else:
         return None
-    compared = Comparison(current, fitted, policy)
-    gain, (validated, t) = 2 * (fitted.fit.log_posterior - current.fit.log_posterior), compared.gain
+    gain = 2 * (fitted.fit.log_posterior - current.fit.log_posterior)
     df = sum(p.free for e in effects for p in e.parameters)
     criterion = gain - df * float(np.log(sum(r.n_rows for r in records)))
     if criterion <= 0 or validated <= 0 or compared.prediction.verdict == "rose":

@@ -56,7 +56,7 @@ from seatrial.ident.diagnosis.findings import (
     ShortData,
     UntestedCandidate,
 )
-from seatrial.ident.diagnosis.importance import effect_importance, fit_without
+from seatrial.ident.diagnosis.importance import by_importance, effect_importance, fit_without
 from seatrial.ident.diagnosis.model_uncertainty import ModelUncertainty, model_uncertainty, with_model_uncertainty
 from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
 from seatrial.ident.diagnosis.score_test import (
@@ -225,8 +225,7 @@ def diagnose(
         search.keep_common_errors(CommonErrorsFit(given, before))
     current, passed = search.forward(before, max_effects)
     reporter.progress("computing the importance of the effects found")
-    base = search.reference(before, current)
-    current, weights, removed = search.backward_elimination(before, base, current)
+    base, current, weights, removed = search.weighed_effects(before, current)
     if removed:  # the last scores are those of a larger model
         passed = search.scored(current)[1]
     unaffected, beside = frozenset[str](), frozenset[str]()
@@ -963,6 +962,36 @@ class _Search:
         last = current.fit.model.values
         model = model.with_values({n: last[n] for n in model.values if n in last})
         return fit_and_evaluate(model, self.records, self.validation_data, settings=COMMON_SEARCH)
+
+    def weighed_effects(
+        self, before: FittedModel, current: FittedModel
+    ) -> tuple[FittedModel, FittedModel, tuple[EffectImportance, ...], list[RemovedEffect]]:
+        """Compute the importance of each effect found, and remove the unsupported ones (`backward_elimination`).
+
+        If the model without the effects cannot be fitted (`reference`), all effects are kept, and their importance is
+        unknown.
+
+        Parameters
+        ----------
+        before
+            Model without effects and without common errors.
+        current
+            Model with all of them.
+
+        Returns
+        -------
+        base
+            Model without effects, but with the common errors; ``before`` if it cannot be fitted.
+        model, importances, removed
+            As of `backward_elimination`.
+        """
+        try:
+            base = self.reference(before, current)
+        except FIT_ERRORS as problem:
+            unknown, chosen = float("nan"), [r.chosen for r in self.rounds if r.chosen is not None]
+            weights = [EffectImportance(c.effect.name, unknown, unknown, untested=str(problem)) for c in chosen]
+            return before, current, by_importance(weights, chosen), []
+        return base, *self.backward_elimination(before, base, current)
 
     def backward_elimination(
         self, before: FittedModel, base: FittedModel, current: FittedModel

@@ -81,8 +81,8 @@ def quick_compilation(n_rows: int) -> Iterator[None]:
     The setting applies to all threads, as long as one of them is in such a context.
 
     It is meant for models that are fitted only once. Above 10 000 rows (`QUICK_ROWS`), it has no effect, because the
-    slower code would cost more time than the compilation saves. A kernel of a filter that was
-    compiled in such a context and stored in the cache on disk is also loaded outside of it.
+    slower code would cost more time than the compilation saves. Another process loads a kernel that was compiled in
+    such a context only in such a context, too. In this process the kernel remains that of its model.
 
     Parameters
     ----------
@@ -100,13 +100,18 @@ def quick_compilation(n_rows: int) -> Iterator[None]:
         _quick_contexts.remove(token)
 
 
+def is_quick() -> bool:
+    """Return whether kernels are compiled quickly at this moment: whether a thread is inside `quick_compilation`."""
+    return bool(_quick_contexts)
+
+
 def _optimisation(has_loops: bool) -> tuple[str, int]:
     """Return the optimisation for a compilation at this moment: passes over the IR, and level of the code generation.
 
     The result is `LOOPS` if ``has_loops`` (loops and variables in memory, which the passes improve). Otherwise it is
     `QUICK` inside `quick_compilation`, else `KERNEL`.
     """
-    return LOOPS if has_loops else QUICK if _quick_contexts else KERNEL
+    return LOOPS if has_loops else QUICK if is_quick() else KERNEL
 
 
 def target() -> tuple[Any, ...]:
@@ -286,9 +291,9 @@ def write_cache(name: str, content: bytes) -> None:
 def _delete_least_recently_used(folder: Path) -> None:
     """Delete the least recently used files of the cache folder, if their total size exceeds 400 MB (`LARGEST_CACHE`).
 
-    Files are deleted until at most 70 % of this size remain. All files of the folder count, whoever wrote them. OSError
-    is raised if one cannot be deleted. Each nonparametric effect and each change of a
-    user-defined model adds files, which would fill the disk without a limit.
+    Files are deleted until at most 70 % of this size remain. All files of the folder count, whoever wrote them. One
+    that cannot be deleted is left. Each nonparametric effect and each change of a user-defined model adds files, which
+    would fill the disk without a limit.
     """
     with os.scandir(folder) as entries:
         files = [(about.st_mtime, about.st_size, f.path) for f in entries for about in (f.stat(),)]
@@ -296,7 +301,10 @@ def _delete_least_recently_used(folder: Path) -> None:
     if total <= LARGEST_CACHE:
         return
     for _, size, path in sorted(files):
-        Path(path).unlink(missing_ok=True)
+        try:
+            Path(path).unlink(missing_ok=True)
+        except OSError:  # a file of another user, or a folder
+            continue
         total -= size
         if total <= KEPT_SHARE * LARGEST_CACHE:
             return

@@ -160,6 +160,8 @@ def _statistic_plot(
 ) -> Plot:
     """Return the plot of one statistic of every parameter with its 95 % interval; a shaded band marks the aim.
 
+    A parameter whose statistic or interval is not finite has no mark.
+
     Parameters
     ----------
     canvas
@@ -175,9 +177,12 @@ def _statistic_plot(
     aim
         Lower and upper limit of the aim, in the unit of the statistic.
     """
-    value, low, high = factor * np.array([interval(row, key) for row in found]).T
+    intervals = factor * np.array([interval(row, key) for row in found])
+    finite = np.all(np.isfinite(intervals), axis=1)
+    value, low, high = intervals[finite].T
     place = np.arange(len(found))[::-1]
-    verdicts = [verdict_of(row, key) for row in found]
+    marked = [row for row, shown in zip(found, finite, strict=True) if shown]
+    verdicts = [verdict_of(row, key) for row in marked]
     color = [MODEL if verdict == "fine" else BEFORE for verdict in verdicts]
     symbol = [{"fine": "circle", "chance": "diamond-open", "miss": "diamond"}[verdict] for verdict in verdicts]
     bars = {
@@ -193,9 +198,9 @@ def _statistic_plot(
         "type": "scatter",
         "mode": "markers",
         "x": value.tolist(),
-        "y": place.tolist(),
+        "y": place[finite].tolist(),
         "error_x": bars,
-        "text": [row.name for row in found],
+        "text": [row.name for row in marked],
         "hovertemplate": "%{text}: %{x:.3g}<extra></extra>",
         "marker": {"color": color, "symbol": symbol, "size": 9, "line": {"width": 1.5}},
     }
@@ -219,7 +224,7 @@ def _statistic_plot(
         "automargin": True,
         "nticks": len(found),
     }
-    least, most = float(np.nanmin([*low, edges[0]])), float(np.nanmax([*high, edges[1]]))
+    least, most = float(min(*low, *edges)), float(max(*high, *edges))
     room = 0.06 * (most - least)
     along = {"range": [least - room, most + room], "nticks": 6}
     figure = single([trace], title, xaxis=along, yaxis=names, shapes=[band], hovermode="closest")
@@ -292,9 +297,11 @@ def _value_and_interval(row: ParameterStudy, key: Number, factor: float, digits:
     """Return a statistic of a parameter with its 95 % interval as text, ``value (low to high)``.
 
     ``key`` is the name of the statistic, and ``factor`` converts it to the shown unit. The numbers have ``digits``
-    decimals.
+    decimals. The text is a dash if one of them is not finite.
     """
     middle, low, high = (factor * value for value in interval(row, key))
+    if not np.isfinite([middle, low, high]).all():
+        return "–"
     return f"{middle:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
 
 
@@ -354,7 +361,8 @@ def _svg_panel(
     """
     table = factor * np.array([interval(row, key) for row in found])
     edges, chance = factor * np.array(aim), factor * np.array(by_chance(key, _median_count(found)))
-    least, most = np.nanmin([*table[:, 1], *edges, *chance]), np.nanmax([*table[:, 2], *edges, *chance])
+    finite = np.all(np.isfinite(table), axis=1)
+    least, most = min(*table[finite, 1], *edges, *chance), max(*table[finite, 2], *edges, *chance)
     room = 0.04 * (most - least)
 
     def x(value: float) -> str:
@@ -374,7 +382,7 @@ def _svg_panel(
     parts.append(f'<rect x="{left}" width="{PANEL_PX}" {size} fill="none" stroke="{drawing.GRID}"/>')
     parts += _svg_axis(float(least), float(most), x, bottom)
     for k, (row, (value, low, high)) in enumerate(zip(found, table.tolist(), strict=True)):
-        if np.isfinite([value, low, high]).all():
+        if finite[k]:
             y = _row_middle(k)
             parts.append(
                 f'<line x1="{x(low)}" x2="{x(high)}" y1="{y}" y2="{y}" stroke="{drawing.MEASURED}" '

@@ -609,9 +609,9 @@ def plus_minus(value: float, error: float) -> str:
     """Return a value and its standard error as text to two digits of the error: ``40.783 ± 0.029``.
 
     Both have the same number of decimals, at most nine; an error of 10 or more has none. If the error is not positive
-    or NaN, both have one decimal.
+    or not finite, both have one decimal.
     """
-    decimals = min(max(1 - math.floor(math.log10(error)), 0), 9) if error > 0.0 else 1
+    decimals = min(max(1 - math.floor(math.log10(error)), 0), 9) if 0.0 < error < math.inf else 1
     return f"{round(value, decimals) + 0.0:.{decimals}f} ± {error:.{decimals}f}"  # + 0.0 turns -0 into 0
 
 

@@ -201,17 +201,18 @@ class Reports:
         """Return the bytes (frame) of a MAVLink message with latest measurements.
 
         ``name`` is GPS_RAW_INT, BATTERY_STATUS or ESC_TELEMETRY_1_TO_4. Empty bytes are returned for other names, and
-        if the quantity has not been measured yet. The battery has the mean voltage of all speed controllers and the sum
-        of the magnitudes of their currents. Its charge is 0 % at 12 V or less and 100 % at 16.8 V or more, linear in
-        between.
+        if the quantity has not been measured yet. The battery has the mean of the known voltages of the speed
+        controllers and the sum of the magnitudes of their currents. Its charge is 0 % at 12 V or less and 100 % at
+        16.8 V or more, linear in between. Voltage and charge have the value for "unknown" if no voltage is known.
         """
         if name == "GPS_RAW_INT" and self._gnss is not None:
             return self._encode_fix(self._gnss)
         if name == "BATTERY_STATUS" and self._esc:
-            volts = sum(esc.voltage for esc in self._esc.values()) / len(self._esc)
+            known = [esc.voltage for esc in self._esc.values() if not math.isnan(esc.voltage)]
+            volts = sum(known) / len(known) if known else NAN
             amps = sum(abs(esc.current) for esc in self._esc.values())
-            cells = [round(volts * 1e3)] + [UNUSED] * 9
-            percent = min(max(round((volts - 12.0) / 4.8 * 100.0), 0), 100)
+            cells = [_nearest_integer(volts * 1e3, UNUSED)] + [UNUSED] * 9
+            percent = min(max(_nearest_integer((volts - 12.0) / 4.8 * 100.0), 0), 100) if known else -1
             centiamps = min(round(amps * 100), 0x7FFF)  # largest value of the field
             return self._codec.encode(name, 0, 0, 1, 0x7FFF, cells, centiamps, -1, -1, percent)
         if name == "ESC_TELEMETRY_1_TO_4" and self._esc:
@@ -247,15 +248,15 @@ class Reports:
     def _encode_escs(self, name: str) -> bytes:
         """Return the bytes (frame) of the message ``name``, ESC_TELEMETRY_1_TO_4, with telemetry of outputs 1 to 4.
 
-        Shaft speeds and currents have no sign. Temperatures are limited to 0 to 255 deg C. Values must not be NaN. An
-        output without telemetry so far has zeros.
+        Shaft speeds and currents have no sign. Temperatures are limited to 0 to 255 deg C. An output without telemetry
+        so far has zeros, and so has an unknown voltage or temperature, because the message has no value for "unknown".
         """
         zeros = Esc(0, 0.0, 0.0, 0.0, 0.0, 0.0)
         escs = [self._esc.get(node, zeros) for node in range(1, 5)]
         return self._codec.encode(
             name,
-            bytes(min(max(round(esc.temperature), 0), 255) for esc in escs),
-            [round(esc.voltage * 100) for esc in escs],
+            bytes(min(max(_nearest_integer(esc.temperature), 0), 255) for esc in escs),
+            [_nearest_integer(esc.voltage * 100) for esc in escs],
             [round(abs(esc.current) * 100) for esc in escs],
             [0] * 4,
             [round(abs(esc.rpm)) for esc in escs],  # without a sign, as from ArduPilot

@@ -194,9 +194,11 @@ class Faults:
         """
         if not self._faults:
             return sample
+        key = (device, type(sample), getattr(sample, "node", 0))  # one device may send several types of samples
+        if not self.active("late", device, t):
+            self._past.pop(key, None)  # otherwise the fault would send them if it starts again
         if self.active("silence", device, t):
             return None
-        key = (device, type(sample), getattr(sample, "node", 0))  # one device may send several types of samples
         if self.active("stuck", device, t):
             return self._last.setdefault(key, sample)
         if isinstance(sample, Gnss) and self.active("hold", device, t):

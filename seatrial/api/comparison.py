@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from seatrial.api.fits import FittedDiagnosis, FittedVehicle, Logs, model_path, window_of
 from seatrial.api.logs import as_paths
 from seatrial.api.messages import Messages, errors_of_users
+from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import import_library
 
 if TYPE_CHECKING:
@@ -100,8 +101,8 @@ def compare(
     Raises
     ------
     SeatrialError
-        If there are fewer than two models, if a model does not go with the logs, if the logs have faults that make a
-        fit meaningless, or if none is longer than ``horizon``.
+        If there are fewer than two different models, if a model does not go with the logs, if the logs have faults that
+        make a fit meaningless, or if none is longer than ``horizon``.
 
     Examples
     --------
@@ -111,6 +112,8 @@ def compare(
 
     named = models if isinstance(models, Mapping) else {_name_of(m, k): m for k, m in enumerate(models)}
     with errors_of_users(), ExitStack() as stack:
+        if len(named) == 1 < len(models):
+            raise SeatrialError(f"{next(iter(named))} is given twice; give another model to compare it with")
         paths = [stack.enter_context(model_path(m)) for m in named.values()]
         request = CompareRequest(paths, as_paths(logs), horizon, rate, window=window_of(logs))
         found = compare_models(request, Messages(False))

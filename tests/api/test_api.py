@@ -389,3 +389,8 @@ def test_a_mistake_is_one_clear_line(logs: list[Path], fit: st.FittedVehicle, ca
         call(logs, fit)
     assert message in str(raised.value)
     assert "\n" not in str(raised.value)
+
+
+def test_model_that_is_given_twice_is_no_comparison() -> None:
+    with pytest.raises(SeatrialError, match=r"a\.toml is given twice; give another model to compare it with"):
+        st.compare(["a.toml", Path("a.toml")], "run.mcap")

@@ -20,7 +20,7 @@ from seatrial.daq.acquisition.device_loop import STUCK_S, DeviceLoop, source_of
 from seatrial.daq.acquisition.log_thread import LogSink
 from seatrial.daq.acquisition.session import Acquisition
 from seatrial.daq.clock import RunClock, SuspendDetector
-from seatrial.daq.config.rig_file import load_rig
+from seatrial.daq.config.rig_file import load_rig, parse_rig
 from seatrial.daq.drivers.base import LinkRole
 from seatrial.daq.drivers.factory import make_driver
 from seatrial.daq.drivers.setpoints import REPEAT_S, Setpoints
@@ -162,7 +162,7 @@ from seatrial.daq.acquisition.device_loop import STUCK_S, DeviceLoop
 from seatrial.daq.acquisition.log_thread import LogSink
 from seatrial.daq.acquisition.session import Acquisition
 from seatrial.daq.clock import RunClock, SuspendDetector
-from seatrial.daq.config.rig_file import load_rig
+from seatrial.daq.config.rig_file import load_rig, parse_rig
 rig = load_rig(sys.argv[1])
 clock = RunClock(rig.speed)
 with Acquisition(rig, Path(sys.argv[2]), clock=clock) as acquisition:
@@ -242,6 +242,21 @@ def test_an_acquisition_overwrites_no_log(tmp_path: Path) -> None:
         ):
             pass
     assert (tmp_path / "run.mcap").read_text() == "mine"
+
+
+def test_a_start_that_fails_leaves_no_log_and_can_be_repeated(tmp_path: Path) -> None:
+    with TestBoat(tmp_path) as boat:
+        good = load_rig(boat.rig_path)
+        text = good.text.replace("\n[", '\nhardware_watchdog = "/nowhere/watchdog"\n[', 1)
+        path = tmp_path / "logs" / "run.mcap"
+        for _ in range(2):
+            bad = Acquisition(parse_rig(text, boat.rig_path), path, clock=RunClock(), drive=True)
+            with pytest.raises(SeatrialError, match="hardware_watchdog /nowhere/watchdog cannot be opened"), bad:
+                pass
+            assert os.listdir(path.parent) == []
+        with Acquisition(good, path, clock=RunClock(), drive=True):
+            pass
+        assert is_closed(path)
 
 
 def test_a_bus_lost_under_thrust_does_not_resume_thrust_when_it_returns(tmp_path: Path) -> None:

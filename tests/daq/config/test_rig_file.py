@@ -128,6 +128,38 @@ def test_two_devices_on_one_port_are_refused(port: str, kind: str) -> None:
         assert len(parse_rig(both, "rig.toml").devices) == 2
 
 
+def test_names_of_one_port_are_recognised(tmp_path: Path) -> None:
+    row = '[[device]]\nname = "{}"\nprotocol = "{}"\nport = "{}"\nrate_hz = 5.0\n'
+    text = (
+        'format = "seatrial-rig 1"\nname = "x"\n' + row.format("a", "vesc", "slcan:{}") + row.format("b", "nmea", "{}")
+    )
+    master, slave = os.openpty()
+    try:
+        link = tmp_path / "usb-receiver"
+        link.symlink_to(os.ttyname(slave))
+        for first, second in ((link, link), (link, os.ttyname(slave)), ("x/../gnss", "gnss")):
+            with pytest.raises(SeatrialError, match=r"a and b have the same port, .*(/usb-receiver|/gnss).*; give"):
+                parse_rig(text.format(first, second), tmp_path / "rig.toml")
+            # The links of this computer say nothing about the ports of a log.
+            assert parse_rig(text.format(first, second), tmp_path / "rig.toml", recorded=True).devices
+    finally:
+        os.close(master)
+        os.close(slave)
+    # Links that mocks have left behind may point to one port that is gone.
+    (tmp_path / "stale").symlink_to("/dev/pts/99999")
+    (tmp_path / "old").symlink_to("/dev/pts/99999")
+    assert parse_rig(text.format("stale", "old"), tmp_path / "rig.toml").devices
+
+
+@pytest.mark.parametrize("port", ["udp:0.0.0.0:14550", "tcp:10.0.0.2:4001"])
+def test_only_an_autopilot_may_have_a_network_address(port: str) -> None:
+    row = '[[device]]\nname = "a"\nprotocol = "nmea"\nport = "{}"\nrate_hz = 5.0\n'
+    text = 'format = "seatrial-rig 1"\nname = "x"\n' + row.format(port)
+    with pytest.raises(SeatrialError, match=r"device\[1\]\.port: .* protocol nmea, not .*; only mavlink .* network"):
+        parse_rig(text, "rig.toml")
+    assert parse_rig(text, "rig.toml", recorded=True).devices[0].port == port  # a log stays readable
+
+
 @pytest.mark.parametrize(
     "more",
     [f"x = {'[' * 20_000}", f"x = {'9' * 5_000}", f"[live]\nport = {'9' * 4_000}", f"[clock]\nspeed = {'9' * 4_000}"],

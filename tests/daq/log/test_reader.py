@@ -28,7 +28,7 @@ from seatrial.daq.log.schema import TYPES, topic
 from seatrial.daq.log.segments import segment_path
 from seatrial.daq.log.watchdog_note import note_path
 from seatrial.daq.samples import Ahrs, Command, Esc, Frame, Gnss, LoadCell, PortHealth, Scalar
-from tests.daq.logs import HEALTH, N_ROUNDS, T0, recorder, tables
+from tests.daq.logs import HEALTH, N_ROUNDS, T0, recorder, tables, write_everything
 
 
 def test_what_a_whole_log_says_of_itself(whole: Path) -> None:
@@ -415,3 +415,13 @@ def test_stamps_of_two_clocks_are_told(tmp_path: Path) -> None:
         assert [f.where for f in check_devices(opened) if f.code == "clock-ran-back"] == ["/signal/surge"]
     out = CliRunner().invoke(cli.info, [str(path)], catch_exceptions=False).stdout
     assert "/signal/surge: its times ran back 9 times, by up to 99.0 s" in out
+
+
+@pytest.mark.parametrize("limits", [(float("nan"), T0 + 1.0), (T0, float("nan"))])
+def test_an_interval_of_time_that_is_not_a_number_is_refused(tmp_path: Path, limits: tuple[float, float]) -> None:
+    write_everything(tmp_path / "all.mcap", n_rounds=2)
+    with open_log(tmp_path / "all.mcap") as log:
+        with pytest.raises(SeatrialError, match=r"begin and end .* must be numbers"):
+            log.part(*limits)
+        with pytest.raises(SeatrialError, match=r"begin and end .* must be numbers"):
+            log.table(Ahrs, "ahrs", begin=limits[0], end=limits[1])

@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import os
 import random
+import resource
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from mcap.writer import MCAP0_MAGIC
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import mcap_writer
 from seatrial.daq.log.reader import open_log
+from seatrial.daq.log.record_stream import BALLAST_BYTES, WholeRecordStream
 from seatrial.daq.samples import Ahrs, Frame, Scalar
 from tests.daq.logs import RIG, T0, recorder, write_everything
 
@@ -222,6 +224,20 @@ def test_a_full_disk_costs_nothing_but_the_rest(tmp_path: Path) -> None:
         log.close()
     finally:
         subprocess.run(["umount", str(disk)], check=True)
+
+
+def test_a_log_without_room_for_the_ballast_leaves_nothing_open(tmp_path: Path) -> None:
+    """A recorder on a full disk tries again every 0.25 s, and would run out of file descriptors."""
+    n_open = len(os.listdir("/dev/fd"))
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (BALLAST_BYTES // 2, hard))  # acts like a full disk
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            WholeRecordStream(tmp_path / "run.mcap")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert len(os.listdir("/dev/fd")) == n_open
+    assert os.listdir(tmp_path) == []
 
 
 def test_what_other_readers_make_of_it(tmp_path: Path) -> None:

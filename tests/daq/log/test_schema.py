@@ -142,3 +142,16 @@ def test_a_text_may_contain_any_characters(tmp_path: Path) -> None:
 def test_a_port_state_is_not_a_measurement() -> None:
     with pytest.raises(TypeError, match="PortHealth is not a measurement"):
         list(schema.messages("x", Frame(HEALTH, 0.0, 0.0)))
+
+
+def test_angles_beside_an_unknown_angle_are_kept(tmp_path: Path) -> None:
+    """A receiver with two antennas measures heading and pitch, one with a single antenna no heading."""
+    nan = math.nan
+    sent = [(yaw, pitch, roll) for yaw in (0.3, nan) for pitch in (-0.2, nan) for roll in (0.1, nan)]
+    log = recorder(tmp_path / "run.mcap")
+    for k, angles in enumerate(sent):
+        log.write("gnss", Frame(Ahrs(*angles), T0 + k, nan), T0 + k)
+    log.close()
+    with open_log(tmp_path / "run.mcap") as opened:
+        table = opened.table(Ahrs, "gnss")
+    np.testing.assert_allclose(np.column_stack([table[n] for n in ("yaw", "pitch", "roll")]), sent, atol=1e-15)

@@ -23,6 +23,7 @@ from seatrial.daq.log import recorder as recorder_module
 from seatrial.daq.log.reader import Log, open_log
 from seatrial.daq.log.recorder import Recorder, check_room
 from seatrial.daq.log.recovery import recover_log
+from seatrial.daq.log.segments import first_segment_of, first_segments, segments
 from seatrial.daq.log.watchdog_note import note_path
 from seatrial.daq.rig import Segments
 from seatrial.daq.samples import Ahrs, Frame, Gnss
@@ -111,6 +112,20 @@ def test_a_segment_of_another_run_is_left_out_and_reported(tmp_path: Path) -> No
         assert [text for _, _, text in opened.events()] == ["a"]
         assert opened.warnings[0].startswith("a segment is left out: ") or "another run" in opened.warnings[0]
         assert len(opened.warnings) == 2
+
+
+def test_a_number_with_a_leading_zero_makes_no_segment(tmp_path: Path) -> None:
+    log = segmented(tmp_path / "run.mcap", seconds=10.0)
+    write(log, 150)
+    log.close()
+    for copy in ("run.01.mcap", "run.0.mcap"):  # such as a copy that somebody renamed
+        (tmp_path / copy).write_bytes((tmp_path / "run.1.mcap").read_bytes())
+        assert first_segment_of(tmp_path / copy) is None
+    assert segments(tmp_path / "run.mcap") == {1: tmp_path / "run.1.mcap"}
+    assert [path.name for path in first_segments(tmp_path)] == ["run.0.mcap", "run.01.mcap", "run.mcap"]
+    with open_log(tmp_path / "run.mcap") as opened:
+        assert opened.warnings == []
+        assert len(opened.table(Ahrs, "ahrs")) == 150
 
 
 def test_an_existing_segment_file_is_not_overwritten(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from seatrial.daq.importers.signals import SignalData
 from seatrial.daq.importers.write_log import write_signals
 from seatrial.daq.log.reader import open_log
 from seatrial.daq.log.tables import log_tables, resample
-from seatrial.daq.samples import Ahrs, Frame, Gnss
+from seatrial.daq.samples import Ahrs, Frame, Gnss, Scalar
 from seatrial.daq.tools.export import export_log, export_resampled
 from tests.daq.logs import T0, recorder, write_everything
 
@@ -226,6 +226,31 @@ def test_a_compass_of_a_whole_turn_is_not_averaged_through_its_jump(tmp_path: Pa
         first = next(iter(csv.DictReader(file)))
     assert float(first["t [s]"]) == T0  # the time, not the signal of that name
     assert float(first["t_ [rad]"]) == pytest.approx(true[0], abs=5e-3)
+
+
+def test_names_that_would_be_equal_in_the_table_lose_no_column(tmp_path: Path) -> None:
+    names = ("t", "t_", "t__", "ahrs_ahrs_yaw")
+    path = signals_of(tmp_path / "run.mcap", **{name: np.full(100, 0.1 * k) for k, name in enumerate(names)})
+    with open_log(path) as opened:
+        export_resampled(opened, "csv", tmp_path / "out", 10.0)
+    with (tmp_path / "out/run.csv").open(newline="") as file:
+        row = {name.split(" ")[0]: float(value) for name, value in list(csv.DictReader(file))[5].items()}
+    assert sorted(row) == sorted(["t", "t_", "t__", "t___", "ahrs_ahrs_yaw"])
+    assert sorted(row.values())[:4] == pytest.approx([0.0, 0.1, 0.2, 0.3], abs=1e-6)
+    log = recorder(tmp_path / "both.mcap")
+    for k in range(20):
+        log.write("ahrs", Frame(Ahrs(0.7, 0.0, 0.0), T0 + 0.1 * k, math.nan), T0 + 0.1 * k)
+        log.write("ahrs_ahrs_yaw", Frame(Scalar(0.2), T0 + 0.1 * k, math.nan), T0 + 0.1 * k)
+    log.close()
+    with open_log(tmp_path / "both.mcap") as opened:
+        columns = resample(opened, 10.0).columns
+    assert sorted(np.nanmean(columns[name]) for name in columns if "yaw" in name) == pytest.approx([0.2, 0.7])
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, math.nan, math.inf])
+def test_a_rate_of_the_table_that_is_not_positive_is_refused(log: Path, rate: float) -> None:
+    with open_log(log) as opened, pytest.raises(SeatrialError, match="the rate of the table must be positive"):
+        resample(opened, rate)
 
 
 def test_longitude_is_resampled_across_the_date_line(tmp_path: Path) -> None:

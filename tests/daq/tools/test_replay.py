@@ -182,3 +182,10 @@ def test_a_missing_device_of_a_replay_is_named(recorded: Path, tmp_path: Path) -
         pytest.raises(SeatrialError, match="no raw bytes of device 'gps'; give one of those with raw bytes: ahrs"),
     ):
         replay_log(log, ["gps"], tmp_path)
+
+
+def test_a_device_that_is_given_twice_has_one_port(recorded: Path, tmp_path: Path) -> None:
+    said: list[str] = []
+    with open_log(recorded) as log:
+        assert replay_log(log, ["ahrs", "ahrs"], tmp_path, said=said.append, stopped=lambda: True) == 0
+    assert said[0].count("ahrs") == 1

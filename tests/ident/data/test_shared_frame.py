@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from seatrial.daq.errors import SeatrialError
+from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from seatrial.daq.samples import Ahrs, Esc, Gnss
 from seatrial.ident.data.loading import FrameOrigin, LoadedLog, load_all, load_run, share_frame
 from seatrial.ident.data.record import LogSegment, make_record
@@ -109,6 +109,24 @@ def test_logs_of_one_command_use_the_first_fix_of_the_first_log(tmp_path: Path) 
     assert origin is not None
     assert origin.log == "log0"
     assert (origin.latitude, origin.longitude) == pytest.approx((LATITUDE, LONGITUDE), abs=1e-5)
+
+
+def test_part_of_a_log_without_fixes_has_the_common_origin_too(tmp_path: Path) -> None:
+    """After a gap of the log, the receiver may have no fix any more."""
+    (first,) = placed(tmp_path, (0.0, 0.0))
+    again = replace(short(), channels={n: replace(c, t=c.t + 1000.0) for n, c in short().channels.items()})
+    path, both = tmp_path / "cut.mcap", short().channels
+    joined = {
+        n: c if n in ("x", "y", "vx", "vy") else replace(c, t=np.r_[c.t, d.t], value=np.r_[c.value, d.value])
+        for (n, c), d in zip(both.items(), again.channels.values(), strict=True)
+    }
+    written(path, replace(short(), channels=joined), APART)
+    with pytest.warns(SeatrialWarning, match="the log is cut there"):
+        _, (before, after) = load_all([first], [path])
+    assert before.origin == after.origin
+    assert before.shift == after.shift != (0.0, 0.0)
+    assert "x" in before.own_channels
+    assert "x" not in after.own_channels
 
 
 def test_origin_at_another_place_does_not_change_a_fit(tmp_path: Path) -> None:

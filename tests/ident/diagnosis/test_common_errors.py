@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
+from seatrial.ident.diagnosis import common_errors
 from seatrial.ident.diagnosis.common_errors import (
     COMMON_ERRORS,
     SENSOR_ERRORS,
+    CommonErrorScore,
     common_errors_for,
+    fit_common_errors,
     score_common_errors,
     with_common_errors,
 )
@@ -22,6 +28,7 @@ from seatrial.ident.diagnosis.score_test import (
 from seatrial.ident.effects import catalogue
 from seatrial.ident.models.catalogue import make_model
 from seatrial.ident.models.horizontal import STANDARD
+from seatrial.ident.validation.prediction_errors import PredictionChange
 
 N = 4000  # rows; the penalty of a parameter is ln 4000 = 8.3
 MEMBERS = ("heading-lag", "gyro-scale", "gnss-latency", "cross-flow")
@@ -95,6 +102,41 @@ def test_initial_values_respect_bounds_and_priors() -> None:
     assert started.values["T_psi"] == 0.0
     assert started.values["k_gyro"] == pytest.approx(0.1)  # one standard deviation of its prior
     assert with_common_errors(model, effects, {"k_gyro": 0.02}, 0.3).values["k_gyro"] == pytest.approx(0.006)
+
+
+@pytest.mark.parametrize(("n_failures", "accepted"), [(0, True), (2, True), (3, False)])
+def test_fit_with_a_likelihood_that_is_not_finite_on_the_validation_data_has_failed(
+    monkeypatch: pytest.MonkeyPatch, n_failures: int, accepted: bool
+) -> None:
+    """It is repeated from other initial values, and without success the errors are not added."""
+    steps = iter(range(3))
+
+    class Compared:
+        """Comparison whose gain is not finite for the first ``n_failures`` fits."""
+
+        prediction = PredictionChange(0.9, 0.8, 0.95, 10.0, {})
+
+        def __init__(self, *_: object) -> None:
+            self.k = next(steps)
+
+        @property
+        def gain(self) -> tuple[float, float]:
+            if self.k < n_failures:
+                raise ValueError("the likelihood of these validation data is not finite")
+            return 50.0, 5.0
+
+    def fitted(model: object, *_: object, **__: object) -> Any:
+        return SimpleNamespace(fit=SimpleNamespace(model=model, log_posterior=100.0))
+
+    monkeypatch.setattr(common_errors, "fit_and_evaluate", fitted)
+    monkeypatch.setattr(common_errors, "Comparison", Compared)
+    current: Any = SimpleNamespace(
+        fit=SimpleNamespace(model=make_model("horizontal:shaft", STANDARD), log_posterior=0.0)
+    )
+    records: Any = [SimpleNamespace(n_rows=100)]
+    score = CommonErrorScore(("gyro-scale",), 50.0, {})
+    found = fit_common_errors(current, records, [], score, common("gyro-scale"))  # type: ignore[arg-type]
+    assert (found is not None) == accepted
 
 
 def test_a_model_has_the_members_that_suit_its_inputs() -> None:

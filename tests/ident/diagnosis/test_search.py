@@ -12,6 +12,7 @@ from seatrial.ident.data.record import Channel, LogSegment
 from seatrial.ident.diagnosis import search
 from seatrial.ident.diagnosis.acceptance import is_immaterial, refit_outcome
 from seatrial.ident.diagnosis.findings import (
+    CommonErrorsFit,
     Diagnosis,
     EffectAttribution,
     EffectImportance,
@@ -425,6 +426,24 @@ def test_effect_is_kept_if_its_removal_could_not_be_tested(monkeypatch: pytest.M
     assert current is whole
     assert removed == []
     assert [w.untested for w in found] == ["not finite", "x0"]
+
+
+def test_effects_are_kept_if_the_model_without_them_cannot_be_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The common errors came after an effect, so that the model without effects has to be fitted once more."""
+    mine, plain, whole = a_search(), blank(fit=blank(model=horizontal_model())), blank()
+    whole.fit = plain.fit
+    mine.rounds = [Round((), (), (r,), r) for r in (refit("hump", 900.0), refit("cubic", 300.0))]
+    mine.common_errors = CommonErrorsFit((), whole, after=("hump",))
+
+    def fails(*_: Any, **__: Any) -> Any:
+        raise ValueError("not finite")
+
+    monkeypatch.setattr(search, "fit_and_evaluate", fails)
+    base, current, found, removed = mine.weighed_effects(plain, whole)
+    assert base is plain
+    assert current is whole
+    assert removed == []
+    assert [(w.effect, w.untested) for w in found] == [("hump", "not finite"), ("cubic", "not finite")]
 
 
 def test_curve_of_an_ambiguous_effect_is_omitted_if_it_cannot_be_fitted(monkeypatch: pytest.MonkeyPatch) -> None:

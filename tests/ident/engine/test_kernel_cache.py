@@ -218,6 +218,26 @@ def test_quickly_compiled_kernel_gives_the_same_numbers(tmp_path: Path, monkeypa
     assert not codes[0] & codes[1]  # The machine code differs and has another name.
 
 
+@needs_llvm
+def test_later_process_loads_a_quickly_compiled_kernel_only_for_few_rows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Otherwise a long record would run on the slower code for as long as the cache exists."""
+    monkeypatch.setenv("SEATRIAL_CACHE", str(tmp_path))
+
+    def code(n_rows: int) -> str:
+        monkeypatch.setattr(filter_kernels, "_known", WeakValueDictionary())
+        with jit.quick_compilation(n_rows):
+            return filter_kernels.FilterKernels(turning(), True, False).value.code
+
+    quick = code(100)
+    assert code(100) == quick
+    careful = code(jit.QUICK_ROWS + 1)
+    assert careful != quick
+    assert code(jit.QUICK_ROWS + 1) == careful
+    assert code(100) == careful  # It is there already, and it is faster.
+
+
 def test_cache_has_a_size_limit_and_keeps_recently_used_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SEATRIAL_CACHE", str(tmp_path))
     monkeypatch.setattr(jit, "LARGEST_CACHE", 10_000)
@@ -230,6 +250,19 @@ def test_cache_has_a_size_limit_and_keeps_recently_used_files(tmp_path: Path, mo
     assert {"0.o", "9.o"} <= kept
     assert "1.o" not in kept
     assert sum(p.stat().st_size for p in tmp_path.iterdir()) <= 7_000
+
+
+def test_entry_that_cannot_be_deleted_does_not_keep_the_cache_from_shrinking(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SEATRIAL_CACHE", str(tmp_path))
+    monkeypatch.setattr(jit, "LARGEST_CACHE", 20_000)
+    (tmp_path / "folder").mkdir()  # no file, so that it cannot be deleted like one
+    os.utime(tmp_path / "folder", (0, 0))
+    for k in range(19):
+        jit.write_cache(f"{k}.o", bytes(1000))
+    assert sum(p.stat().st_size for p in tmp_path.iterdir()) <= 20_000
+    assert (tmp_path / "18.o").exists()
 
 
 def test_cache_files_are_counted_once_and_then_by_the_written_size(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from xml.etree import ElementTree
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -38,6 +39,33 @@ def test_misses_are_highlighted(tmp_path: Path) -> None:
     (band,) = coverage["layout"]["shapes"]
     assert (round(band["x0"]), round(band["x1"])) == (93, 97)
     assert coverage["layout"]["yaxis"]["ticktext"] == ["d_v", "s_u"]
+
+
+def test_statistics_that_are_not_finite_leave_gaps(tmp_path: Path) -> None:
+    """The variance over the bound is infinite if the bound is zero."""
+    result, unknown = page_examples.study(), float("nan")
+    first, *others = result.studies
+    infinite = msgspec.structs.replace(
+        first.parameters[0], bound_ratio=float("inf"), bound_ratio_low=float("inf"), bound_ratio_high=float("inf"),
+        bias=unknown, bias_error=unknown,
+    )  # fmt: skip
+    many = [[infinite, *first.parameters[1:]], [infinite]]
+    result = msgspec.structs.replace(
+        result, studies=[*(msgspec.structs.replace(first, parameters=found) for found in many), *others]
+    )
+    path = tmp_path / "report.html"
+    write_study_page(result, page_examples.AIMS, path)
+    page = Page(path.read_text(encoding="utf-8"))
+    figures = list(page.figures().values())
+    for figure in figures[:6]:
+        assert np.isfinite(figure["layout"]["xaxis"]["range"]).all()
+    assert [figure["data"][0]["text"] for figure in figures[:6]] == [["d_u"], ["d_u"], ["m_u", "d_u"], [], [], ["m_u"]]
+    assert figures[1]["layout"]["yaxis"]["ticktext"] == ["m_u", "d_u"]
+    words = " ".join(page.words.split())
+    assert "inf" not in words.replace("information", "")
+    assert "nan" not in words
+    drawn = ElementTree.fromstring(picture(result.studies[0], page_examples.AIMS))
+    assert len(drawn.findall(f"{SVG}circle")) == 1 + 1 + 2 + 1  # One mark is in the key.
 
 
 def test_picture_has_a_mark_for_every_number_and_its_bands() -> None:

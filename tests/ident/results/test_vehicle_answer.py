@@ -27,6 +27,7 @@ from seatrial.ident.results.answers import (
     late_sensor_warnings,
     not_converged,
     outlier_lines,
+    plus_minus,
     smallest_command,
     stuck_sensors,
     thruster_answer,
@@ -366,3 +367,16 @@ def test_fit_that_stopped_close_to_its_maximum_says_so() -> None:
     warning = estimation_warnings(replace(found, gain_left=0.045), records)[-1]
     assert warning.code == "nearly-converged"
     assert "can still move by 0.3 standard errors" in warning.text
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (40.7832, 0.029, "40.783 ± 0.029"),
+        (40.7832, float("inf"), "40.8 ± inf"),
+        (40.7832, float("nan"), "40.8 ± nan"),
+        (float("inf"), 0.029, "inf ± 0.029"),
+    ],
+)
+def test_value_with_an_error_that_is_not_finite_is_still_a_text(value: float, error: float, text: str) -> None:
+    assert plus_minus(value, error) == text

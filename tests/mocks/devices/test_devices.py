@@ -12,10 +12,11 @@ import pytest
 
 from seatrial.daq.clock import ClockMap
 from seatrial.daq.config.rig_file import load_rig, parse_rig
+from seatrial.daq.drivers.base import LinkRole
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.protocol import loadcell, nmea, slcan, vectornav, vesc
 from seatrial.daq.rig import Rig
-from seatrial.daq.samples import Ahrs, Esc, Frame, Gnss, LoadCell
+from seatrial.daq.samples import Ahrs, Battery, Esc, Frame, Gnss, LoadCell, Sample
 from seatrial.mocks.cli import _device_specs
 from seatrial.mocks.devices.emulators import VescBus, by_side, make_emulator
 from seatrial.mocks.devices.faults import Faults, parse_fault
@@ -24,6 +25,7 @@ from seatrial.mocks.plant.bench import draw_bench
 from seatrial.mocks.plant.boat import draw_boat
 from seatrial.mocks.sensors import EscSensor
 from seatrial.mocks.world import EscController, EscSpec, World, bench_world, boat_world
+from tests.daq.mavlink_ends import Ends, mav_rig
 
 
 def packaged(name: str, **changes: str) -> Rig:
@@ -295,3 +297,34 @@ def test_garbage_is_as_long_as_the_bytes_it_replaces() -> None:
 def test_a_fault_that_makes_no_sense_is_named(text: str, match: str) -> None:
     with pytest.raises(SeatrialError, match=match):
         parse_fault(text, ("ahrs", "gnss"), ("left",))
+
+
+def test_fault_late_that_starts_again_sends_no_sample_of_the_first_time() -> None:
+    faults = Faults([parse_fault("late@1:2"), parse_fault("late@8:2")], RNG)
+    t = np.arange(0.0, 11.0, 0.25).tolist()
+    sent = {k: faults.reading("gnss", Gnss(k, 41.0, -8.0, fix=3), k) for k in t}
+    delay = {k: k - s.utc for k, s in sent.items() if isinstance(s, Gnss)}
+    assert max(delay.values()) == 1.0
+    assert delay[2.5] == delay[9.5] == 1.0
+    assert delay[8.0] == 0.0
+
+
+def test_fault_mute_on_an_autopilot_leaves_voltage_and_temperature_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
+    ends = Ends(mav_rig(), role=LinkRole.ASK)
+    ends.run(3.0)
+    faults, encode = Faults([parse_fault("mute@0:60")], RNG), ends.autopilot.encode
+
+    def muted(sample: Sample, t: float) -> bytes:
+        faulty = faults.reading("autopilot", sample, t)
+        assert faulty is not None
+        return encode(faulty, t)
+
+    before = [frame.sample for frame in ends.frames]
+    ends.frames.clear()
+    monkeypatch.setattr(ends.autopilot, "encode", muted)
+    ends.run(3.0)
+    after = [frame.sample for frame in ends.frames]
+    assert {(s.voltage, s.temperature) for s in before if isinstance(s, Esc)} == {(15.0, 30.0)}
+    assert {(s.voltage, s.temperature, s.current) for s in after if isinstance(s, Esc)} == {(0.0, 0.0, 2.0)}
+    assert any(isinstance(s, Battery) for s in before)
+    assert not any(isinstance(s, Battery) for s in after)  # its voltage is unknown
