@@ -148,6 +148,9 @@ class _PageRequest(BaseHTTPRequestHandler):
             content, kind, status = f"{error}\n".encode(), "text/plain; charset=utf-8", error.status
         except SeatrialError as error:
             content, kind, status = f"{error}\n".encode(), "text/plain; charset=utf-8", HTTPStatus.INTERNAL_SERVER_ERROR
+        except (MemoryError, OSError, RuntimeError, ValueError) as error:  # damaged data, or no memory left
+            text = f"this cannot be shown ({type(error).__name__})\n"
+            content, kind, status = text.encode(), "text/plain; charset=utf-8", HTTPStatus.INTERNAL_SERVER_ERROR
         self._send(status, kind, content)
 
     def _refuse_method(self) -> None:
