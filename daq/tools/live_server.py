@@ -36,7 +36,7 @@ _BROWSER_PAGE = """<!doctype html>
 <h1>Live samples for Foxglove</h1>
 <p>This port is not a web page. It is the WebSocket of <code>seatrial log --live</code>.</p>
 <p>In Foxglove: Open connection, Foxglove WebSocket, <code>ws://{host}:{port}</code></p>
-<p>For a page in the browser: <code>seatrial log RIG --view</code>, or <code>seatrial view LOG</code> of a recorded log.</p>
+<p>For a page in the browser: <code>seatrial log RIG --view</code>, or <code>seatrial view LOG</code>.</p>
 """
 _FOXGLOVE = "the live view needs the package foxglove-sdk: pip install 'seatrial[live]'"
 

@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-GAP_PERIODS = 5.0  # median sample periods; a longer pause is a gap
+# A pause is a gap if it is longer than 5 times the sample period that 9 of 10 periods do not exceed.
+GAP_PERIODS, USUAL = 5.0, 0.9
 
 Array = NDArray[np.float64]
 
@@ -31,13 +32,15 @@ class Curve(NamedTuple):
 
 
 def longest_period(t: Array, values: Array) -> float:
-    """Return the longest time [s] between two samples of a signal that is no gap: five times the median period.
+    """Return the longest time [s] between two samples of a signal that is no gap.
+
+    It is five times the period that nine of ten periods do not exceed, so that samples that arrive in bursts have none.
 
     `t` are the times of its samples [s] and `values` their values, both of shape (n,). Samples without a finite value
     do not count. The result is infinite with fewer than three samples.
     """
     periods = np.diff(t[np.isfinite(values)])
-    return GAP_PERIODS * float(np.median(periods)) if len(periods) > 1 else np.inf
+    return GAP_PERIODS * float(np.quantile(periods, USUAL)) if len(periods) > 1 else np.inf
 
 
 def decimate(t: Array, values: Array, begin: float, end: float, n_intervals: int, longest: float) -> Curve:

@@ -166,7 +166,8 @@ class ViewedLog:
         self._events: list[tuple[float, str, str]] = []
         self._ports: dict[str, PortHealth] = {}
         self._problems: dict[str, None] = {}
-        self._read_to, self._zero, self._shown_from = 0.0, math.nan, -math.inf
+        self._read_to, self._shown_from = 0.0, -math.inf
+        self._zero, self._has_zero = 0.0, False
         self._content = Content(self.path.name, str(self.path), WAITING)
 
     def _look(self) -> None:
@@ -281,8 +282,8 @@ class ViewedLog:
 
     def _describe(self, log: Log) -> None:
         """Store the content of the log for the page."""
-        if math.isnan(self._zero):
-            self._zero = self._first_time(log)
+        if not self._has_zero:
+            self._zero, self._has_zero = self._first_time(log)
         zero, end, rig = self._zero, log.end, self._rig()
         n, half = len(self._events), MAX_EVENTS // 2
         events = self._events if n <= MAX_EVENTS else self._events[:half] + self._events[-half:]
@@ -314,10 +315,11 @@ class ViewedLog:
             return math.nan
         return device.rate_hz / sum((t.device, t.kind) == (table.device, table.kind) for t in self._tables.values())
 
-    def _first_time(self, log: Log) -> float:
+    def _first_time(self, log: Log) -> tuple[float, bool]:
         """Return the time of the first sample that a fit can use [s since 1970], as `ident` counts its times.
 
-        Without such a sample it is the start of the log. A fix counts from the first position on.
+        Without such a sample it is the start of the log, and the second result is False. A fix counts from the first
+        position on.
         """
         firsts = []
         for table in self._tables.values():
@@ -325,7 +327,7 @@ class ViewedLog:
             finite = np.flatnonzero(np.isfinite(table.values(column)))
             if table.kind not in NO_ZERO and len(finite):
                 firsts.append(float(table.t[finite[0]]))
-        return min(firsts, default=log.start)
+        return min(firsts, default=log.start), bool(firsts)
 
     def _track_names(self) -> list[str]:
         """Return the names of the tracks: GNSS receivers with a position, and "x, y" for imported positions."""
