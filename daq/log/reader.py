@@ -129,7 +129,7 @@ class Log:
         """Add the messages that were written to a growing log since it was opened or since the last call.
 
         Return whether anything was added. Parts of the log (`part`) that exist already do not change. A segment that a
-        recorder has begun since is not added: open the log again.
+        recorder has started since is not added: open the log again.
 
         Raises
         ------

@@ -197,7 +197,7 @@ class ViewedLog:
             return False
 
     def _has_continued(self, log: Log) -> bool:
-        """Return whether a recorder has begun the next segment (file) of a log, or writes its last file again."""
+        """Return whether a recorder has started the next segment (file) of a log, or writes its last file again."""
         number = log.paths[-1].stem.removeprefix(self.path.stem).removeprefix(".")
         following = self.path.with_suffix(f".{int(number or 0) + 1}{self.path.suffix}")
         return following.exists() or (not log.complete and self._is_written(log))
