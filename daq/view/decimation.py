@@ -92,7 +92,7 @@ def _first_equal(values: Array, starts: NDArray[np.intp], extreme: np.ufunc) -> 
     sizes = np.diff(np.append(starts, len(values)))
     equal = np.flatnonzero(values == np.repeat(extreme.reduceat(values, starts), sizes))
     group = np.searchsorted(starts, equal, side="right")
-    return equal[np.unique(group, return_index=True)[1]]
+    return equal[np.flatnonzero(np.diff(group, prepend=-1))]
 
 
 def _with_gaps(t: Array, values: Array, chosen: NDArray[np.intp], gaps: NDArray[np.intp]) -> Curve:

@@ -166,6 +166,23 @@ def test_a_growing_log_is_read_on(tmp_path: Path) -> None:
             np.testing.assert_array_equal(mine, other)
 
 
+def test_the_next_segment_of_a_recording_is_followed(tmp_path: Path) -> None:
+    viewed = ViewedLog(tmp_path / "a.mcap", wait=True)
+    with contextlib.closing(recorder(tmp_path / "a.mcap")) as log:
+        write_run(log, 2.0)
+        assert viewed.content().state == LIVE
+    assert viewed.content().state == WHOLE
+    with contextlib.closing(recorder(tmp_path / "a.1.mcap")) as log:
+        write_run(log, 2.0, 2.0)
+        assert viewed.content().state == LIVE
+        write_run(log, 2.0, 6.0)
+        content = viewed.content()
+        assert (content.state, content.end) == (LIVE, pytest.approx(8.0, abs=0.2))
+    assert viewed.content().state == WHOLE
+    times = viewed.curve("/gnss/gnss:lat", 0.0, 9.0, 4000).t
+    assert (times[0], times[-1]) == pytest.approx((0.0, 7.8), abs=0.01)
+
+
 def test_growing_in_parts_misses_no_sample(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The samples are those of the whole log before the last look, which reads everything again."""
     path = tmp_path / "a.mcap"
