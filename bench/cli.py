@@ -88,7 +88,7 @@ def _add_bench_command(kind: str, text: str) -> None:
         rig = load_rig(rig_path)
         largest = min(N_MAX_BENCH, rig.limits.n_max) if n_max is None else n_max
         plan = mission_generators.bench_plan(kind, _bench_thruster(rig, thruster), largest, hold)
-        _run_plan(plan, rig, out, arm, retry, view=view)
+        _run_plan(plan, rig, out, arm, retry, None, view)
 
     if kind == "steps":
         _HOLD(command)
@@ -227,7 +227,7 @@ def run(mission_path: Path, rig_path: Path, out: Path | None, arm: bool, retry: 
     Keys: space pauses at zero thrust, and resumes; r repeats the step; m marks the log; Ctrl-C ends the run at zero
     thrust. Exit status 3: a safety limit ended the run.
     """
-    _run_plan(load_mission(mission_path), load_rig(rig_path), out, arm, retry, view=view)
+    _run_plan(load_mission(mission_path), load_rig(rig_path), out, arm, retry, None, view)
 
 
 @mission.command(epilog="Example: seatrial mission follow rig.toml --seconds 300 -o run.mcap")
