@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import shlex
 import sys
@@ -17,7 +18,7 @@ from seatrial.bench import mission_generators
 from seatrial.bench.mission_text import describe_mission
 from seatrial.daq.config import Mission, load_mission, load_rig, save_mission
 from seatrial.daq.errors import SeatrialError, counted
-from seatrial.daq.options import FiniteRange
+from seatrial.daq.options import FiniteRange, view_option
 from seatrial.daq.rig import Rig
 
 if TYPE_CHECKING:
@@ -62,8 +63,8 @@ def _add_bench_command(kind: str, text: str) -> None:
     """Define the command `seatrial bench KIND` and add it to the group `bench`.
 
     ``kind`` is a key of `mission_generators.BENCH_KINDS`, and ``text`` is the help of the command. All kinds have the
-    options `--out`, `--thruster`, `--n-max`, `--arm` and `--retry`; `steps` also has `--hold`. Without `--n-max` the
-    largest command is 0.9, or `limits.n_max` of the rig if that is smaller.
+    options `--out`, `--thruster`, `--n-max`, `--arm`, `--retry` and `--view`; `steps` also has `--hold`. Without
+    `--n-max` the largest command is 0.9, or `limits.n_max` of the rig if that is smaller.
     """
 
     @bench.command(kind, help=text, epilog=f"Example: seatrial bench {kind} bench-rig.toml -o {kind}.mcap")
@@ -73,6 +74,7 @@ def _add_bench_command(kind: str, text: str) -> None:
     @click.option("--n-max", type=FiniteRange(0, 1, min_open=True), help=f"Largest command [default: {N_MAX_BENCH}].")
     @_ARM
     @_RETRY
+    @view_option
     def command(
         rig_path: Path,
         out: Path | None,
@@ -80,6 +82,7 @@ def _add_bench_command(kind: str, text: str) -> None:
         n_max: float | None,
         arm: bool,
         retry: int,
+        view: bool,
         hold: float = mission_generators.HOLD_S,
     ) -> None:
         """Run the bench plan ``kind`` on one thruster of a rig file, record it, and print a summary. THRUSTERS TURN.
@@ -89,9 +92,8 @@ def _add_bench_command(kind: str, text: str) -> None:
         """
         rig = load_rig(rig_path)
         largest = min(N_MAX_BENCH, rig.limits.n_max) if n_max is None else n_max
-        _run_plan(
-            mission_generators.bench_plan(kind, _bench_thruster(rig, thruster), largest, hold), rig, out, arm, retry
-        )
+        plan = mission_generators.bench_plan(kind, _bench_thruster(rig, thruster), largest, hold)
+        _run_plan(plan, rig, out, arm, retry, None, view)
 
     if kind == "steps":
         _HOLD(command)
@@ -120,7 +122,13 @@ def _bench_thruster(rig: Rig, name: str | None) -> str:
 
 
 def _run_plan(
-    plan: Mission, rig: Rig, out: Path | None, arm: bool, retry: int, commands: Ros2Node | None = None
+    plan: Mission,
+    rig: Rig,
+    out: Path | None,
+    arm: bool,
+    retry: int,
+    commands: Ros2Node | None = None,
+    view: bool = False,
 ) -> None:
     """Run a plan on the devices of a rig, record it, and print a summary. THRUSTERS TURN.
 
@@ -141,6 +149,8 @@ def _run_plan(
         Largest number of repetitions, in all, of segments in which set-points or samples were lost.
     commands : Ros2Node, optional
         Source of external commands, which replace the set-points of the plan.
+    view : bool
+        Whether to serve the page of the log for the browser, by a process of its own, until the end of the run.
 
     Raises
     ------
@@ -148,13 +158,19 @@ def _run_plan(
         If the run cannot start or has to end early, as in `run_mission`. No summary is printed then.
     """
     # Imported here, so that --help starts quickly.
-    from seatrial.bench.execution import make_display, run_mission
+    from seatrial.bench.execution import make_display, new_log_file, run_mission
 
     stem = re.sub(r"[^A-Za-z0-9]+", "-", plan.name).strip("-").lower() or "mission"
     path = rig.log_directory / f"{time.strftime('%Y%m%dT%H%M%S')}-{stem}.mcap" if out is None else out
     start = time.monotonic()
     metadata = {"command": " ".join(["seatrial", *sys.argv[1:]])}
-    result = run_mission(plan, rig, path, make_display(), metadata, arm, retry, commands)
+    with contextlib.ExitStack() as stack:
+        if view:
+            from seatrial.daq.view import live_page
+
+            new_log_file(path)  # otherwise the page would show the log of an earlier run, before the error
+            click.echo(f"page at {stack.enter_context(live_page(path))}")
+        result = run_mission(plan, rig, path, make_display(), metadata, arm, retry, commands)
     click.echo(f"done: {plan.name}, {plan.end:g} s in {time.monotonic() - start:.1f} s; log {path}")
     click.echo(next_command(plan, rig, path))
     warn_of_armed(result.still_armed)
@@ -209,13 +225,14 @@ def warn_of_armed(names: Sequence[str]) -> None:
 @click.option("-o", "--out", type=FILE, help="The log to write [default: by date in the rig's log directory].")
 @_ARM
 @_RETRY
-def run(mission_path: Path, rig_path: Path, out: Path | None, arm: bool, retry: int) -> None:
+@view_option
+def run(mission_path: Path, rig_path: Path, out: Path | None, arm: bool, retry: int, view: bool) -> None:
     """Run a mission and record it. THRUSTERS TURN at once.
 
     Keys: space pauses at zero thrust, and resumes; r repeats the step; m marks the log; Ctrl-C ends the run at zero
     thrust. Exit status 3: a safety limit ended the run.
     """
-    _run_plan(load_mission(mission_path), load_rig(rig_path), out, arm, retry)
+    _run_plan(load_mission(mission_path), load_rig(rig_path), out, arm, retry, None, view)
 
 
 @mission.command(epilog="Example: seatrial mission follow rig.toml --seconds 300 -o run.mcap")
@@ -227,7 +244,10 @@ def run(mission_path: Path, rig_path: Path, out: Path | None, arm: bool, retry: 
 @click.option("--slew", type=FiniteRange(0, min_open=True), default=1.0, show_default=True, help="Largest change, 1/s.")
 @click.option("-o", "--out", type=FILE, help="The log to write [default: by date in the rig's log directory].")
 @_ARM
-def follow(rig_path: Path, seconds: float, n_max: float | None, slew: float, out: Path | None, arm: bool) -> None:
+@view_option
+def follow(
+    rig_path: Path, seconds: float, n_max: float | None, slew: float, out: Path | None, arm: bool, view: bool
+) -> None:
     """Let a ROS 2 node command the thrusters through the safety guard, and record the run.
 
     RIG must allow this by `commands = true` in [ros2]. THRUSTERS TURN AS OTHERS COMMAND. Ctrl-C ends the run at zero
@@ -242,7 +262,7 @@ def follow(rig_path: Path, seconds: float, n_max: float | None, slew: float, out
         click.echo(node.await_router(ROUTER_S))
         names = ", ".join(plan.thrusters)
         click.echo(f"any node that reaches this router can command {names} up to n = {plan.n_max:g}")
-        _run_plan(plan, rig, out, arm, 0, node)
+        _run_plan(plan, rig, out, arm, 0, node, view)
         click.echo(node.summary())
 
 

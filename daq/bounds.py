@@ -40,6 +40,7 @@ from seatrial.daq.files import report_scratch_to, require_file
 # The import of a table of 21 MB took 10 to 11 s both with and without the limits.
 MEMORY_BYTES, MEMORY_RATIO = 1_900_000_000, 64
 CPU_S, CPU_S_PER_BYTE = 15.0, 20e-6
+ENDLESS_S = 2**31  # s of processor time, 68 years: no limit
 DISK_BYTES, DISK_RATIO = 256 << 20, 64
 GRACE_S = 2  # s of processor time between the signal that ends a command with a message and the signal that kills it
 WATCH_S = 0.1  # s of wall time between two checks of the disk
@@ -117,7 +118,7 @@ def _walk_files(path: Path) -> Iterator[Path]:
 
 
 def bounded(
-    *names: str, when: Callable[[dict[str, Any]], bool] = lambda _: True
+    *names: str, when: Callable[[dict[str, Any]], bool] = lambda _: True, serves: bool = False
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Return a decorator for a command of the command line that reads files from strangers.
 
@@ -132,6 +133,8 @@ def bounded(
     when
         Function that returns whether the limits apply, from a dictionary of the parameters of the command by name. By
         default they always apply.
+    serves
+        Whether the command runs until Ctrl-C. Its processor time is then not limited.
     """
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -150,7 +153,7 @@ def bounded(
             if _enabled and not trust_file and when(options):
                 values = (options[name] for name in names)
                 paths = [path for value in values for path in (value if isinstance(value, tuple) else (value,)) if path]
-                continue_in_child(paths)
+                continue_in_child(paths, serves)
             return command(*args, **options)
 
         text = "Read the files without limits of memory, processor time and disk."
@@ -159,7 +162,7 @@ def bounded(
     return decorate
 
 
-def continue_in_child(paths: Sequence[Path]) -> None:
+def continue_in_child(paths: Sequence[Path], serves: bool = False) -> None:
     """Continue the program in a new child process with limits for these files.
 
     This function returns in the child only. The parent waits for the child and passes signals on to it. It ends with
@@ -172,6 +175,8 @@ def continue_in_child(paths: Sequence[Path]) -> None:
         a log and journals of a database included: 1.9 GB of memory plus 64 times the size, at most the memory of the
         computer if it has more than 1.9 GB; 15 s of processor time plus 20 us for each byte; 268 MB of disk plus 64
         times the size.
+    serves
+        Whether the processor time is not limited, because the command runs until Ctrl-C.
 
     Raises
     ------
@@ -187,7 +192,8 @@ def continue_in_child(paths: Sequence[Path]) -> None:
     size, largest = sum(sizes), paths[sizes.index(max(sizes))]
     whole = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     memory = max(MEMORY_BYTES, min(MEMORY_BYTES + MEMORY_RATIO * size, whole))
-    bounds = Bounds(largest, memory, round(CPU_S + CPU_S_PER_BYTE * size), DISK_BYTES + DISK_RATIO * size)
+    cpu_s = ENDLESS_S if serves else round(CPU_S + CPU_S_PER_BYTE * size)
+    bounds = Bounds(largest, memory, cpu_s, DISK_BYTES + DISK_RATIO * size)
     sys.stdout.flush()
     sys.stderr.flush()
     scratch = tempfile.mkdtemp(prefix="seatrial-")

@@ -1,4 +1,4 @@
-"""Commands of daq: log, info, recover, import, devices, replay, export.
+"""Commands of daq: log, view, info, recover, import, devices, replay, export.
 
 The argument LOG of a command is a file, or a folder that contains exactly one log.
 """
@@ -6,18 +6,19 @@ The argument LOG of a command is a file, or a folder that contains exactly one l
 from __future__ import annotations
 
 import contextlib
+import functools
 import math
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Any, final
 
 import click
 
 from seatrial.daq.bounds import bounded
 from seatrial.daq.errors import SeatrialError, counted, printable
-from seatrial.daq.options import FiniteRange
+from seatrial.daq.options import FiniteRange, view_option
 
 if TYPE_CHECKING:
     from seatrial.daq.tools import DiscoveredDevice
@@ -101,7 +102,8 @@ def _stop_signal() -> Iterator[threading.Event]:
 )
 @click.option("--live", "serve", is_flag=True, help="Also serve the samples to Foxglove (see [live] in the rig).")
 @click.option("--ros2", is_flag=True, help="Also publish the samples to ROS 2 (see [ros2] in the rig).")
-def log(rig: Path, duration: float | None, output: Path | None, ask: bool, serve: bool, ros2: bool) -> None:
+@view_option
+def log(rig: Path, duration: float | None, output: Path | None, ask: bool, serve: bool, ros2: bool, view: bool) -> None:
     """Record every device of RIG until Ctrl-C, with a live table.
 
     Devices may be plugged in and out meanwhile; missing and silent devices are reported. The command commands no thrust
@@ -132,6 +134,10 @@ def log(rig: Path, duration: float | None, output: Path | None, ask: bool, serve
 
             server = stack.enter_context(LiveServer(loaded, acquisition.status))
             console.print(f"live at {server.address}", markup=False)
+        if view:
+            from seatrial.daq.view import live_page
+
+            console.print(f"page at {outer.enter_context(live_page(path))}", markup=False)
         if ros2:
             from seatrial.daq.tools import Ros2Node
 
@@ -148,6 +154,55 @@ def log(rig: Path, duration: float | None, output: Path | None, ask: bool, serve
             f"{path}: no device sent any data; check power and cables, and compare ports and baud rates in {rig} with "
             "`seatrial devices`"
         )
+
+
+def _with_browser(command: Callable[..., None]) -> Callable[..., None]:
+    """Decorate a command with `--browser/--no-browser`. It receives `show`, a function that opens an address.
+
+    The process that opens the browser is started before the limits of `bounded`, which a browser would inherit.
+    """
+
+    @functools.wraps(command)
+    def run(browser: bool, **options: Any) -> None:
+        """Run the command with a function that opens an address, or does nothing with `--no-browser`."""
+        from seatrial.daq.view import prepare_browser
+
+        command(show=prepare_browser() if browser else lambda address: None, **options)
+
+    return click.option("--browser/--no-browser", default=True, help="Whether to open the page in a browser.")(run)
+
+
+@click.command()
+@click.argument("logs", nargs=-1, required=True, type=LOG)
+@click.option(
+    "--port",
+    type=click.IntRange(0, 65_535),
+    default=0,
+    show_default=True,
+    help="Port of this computer; 0: any free one.",
+)
+@_with_browser
+@bounded("logs", serves=True)
+def view(logs: tuple[Path, ...], port: int, show: Callable[[str], None]) -> None:
+    """Show LOGS as a page in the browser of this computer, until Ctrl-C: signals, track, events and health.
+
+    Intervals that are selected on the page become --from and --to of `seatrial ident`, or [[log]] tables of an import
+    map. A log that is still being written is read on. The page only reads, and needs the token in its address.
+
+    \b
+    Example:
+      seatrial view logs/run.mcap
+    """
+    from seatrial.daq.view import PageServer, ViewedLog, listen, new_token
+
+    listening = listen(port)
+    with _stop_signal() as stop, PageServer([ViewedLog(log) for log in logs], listening, new_token()) as server:
+        thread = threading.Thread(target=server.serve_forever, name="page", daemon=True)
+        thread.start()
+        click.echo(f"{server.address}  (Ctrl-C ends it)")
+        show(server.address)
+        stop.wait()
+        server.shutdown()
 
 
 @click.command()

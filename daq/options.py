@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any, final
 
 import click
@@ -21,3 +22,9 @@ class FiniteRange(click.FloatRange):
         if not math.isfinite(number):
             self.fail(f"{value} is not a finite number", param, ctx)
         return number
+
+
+def view_option(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Decorate a command that records a log with the flag `--view`. The command receives it as `view`."""
+    text = "Also serve the page of `seatrial view` for the browser of this computer. Its address is printed."
+    return click.option("--view", is_flag=True, help=text)(command)

@@ -71,6 +71,7 @@ COMMANDS = {
     "import": Row("seatrial.daq.cli:import_", "Convert logs of other software to MCAP."),
     "export": Row("seatrial.daq.cli:export", "Write a log as CSV, Parquet, MATLAB, NetCDF or a bag of ROS 2."),
     "info": Row("seatrial.daq.cli:info", "Show the content of a log."),
+    "view": Row("seatrial.daq.cli:view", "Show logs as a page in the browser, and cut them."),
     "recover": Row("seatrial.daq.cli:recover", "Recover the log of a killed run."),
     "replay": Row("seatrial.daq.cli:replay", "Send the raw bytes of a log again on ports."),
     "ident": Row("seatrial.ident.cli.commands:ident", "Fit and explain: noise, thruster, vehicle, diagnose, ..."),

@@ -187,5 +187,6 @@ def test_the_content_of_a_log_matches_the_docs() -> None:
     (text,) = blocks(ROOT / "docs/formats/log.md", "python")
     words = set(re.findall(r"\blog\.(\w+)", text.replace("seatrial.daq.log.reader.open_log", "")))
     assert {"table", "sources", "rig"} <= words
-    known = set(dir(Log)) | set(Log.__init__.__code__.co_names) | set(getattr(Log, "__annotations__", ()))
+    stored = {*Log.__init__.__code__.co_names, *Log._use_index.__code__.co_names}
+    known = set(dir(Log)) | stored | set(getattr(Log, "__annotations__", ()))
     assert not words - known

@@ -235,6 +235,7 @@ WRITERS = {
     "seatrial.daq.tools.export": "a scratch file of the writer",
     "seatrial.daq.tools.ros_export": "into a folder that it has just made",
     "seatrial.daq.transport.ftdi_latency": "a setting of the kernel",
+    "seatrial.daq.view.live_process": "a setting of the kernel",
     "seatrial.ident.engine.jit": "a cache of our own",
     "seatrial.mocks.cli": "follows no link",
     "seatrial.mocks.ports.pty": "a lock",

@@ -26,7 +26,7 @@ PARTS = ("daq", "bench", "ident", "mocks")
 BESIDE = ("docs", "tests", "benchmarks")
 SINGLE = ("pyproject.toml", "MANIFEST.in", "README.md", "LICENSE", "CHANGELOG.md", "Makefile")
 LOCKED = ("constraints.txt", "mkdocs.yml", "CONTRIBUTING.md", "SECURITY.md", "CITATION.cff")
-DATA = {".typed", ".dbc", ".msg", ".toml", ".css", ".js", ".j2", ".txt"}
+DATA = {".typed", ".dbc", ".msg", ".toml", ".css", ".html", ".js", ".j2", ".txt"}
 BUILD = """
 import sys
 from setuptools import build_meta

@@ -6,6 +6,7 @@ from .link_test import ALLOWED_S as ALLOWED_S
 from .link_test import link_test_plan as link_test_plan
 from .operator_interface import PlainDisplay as PlainDisplay
 from .operator_interface import make_display as make_display
+from .runner import new_log_file as new_log_file
 from .runner import run_link_test as run_link_test
 from .runner import run_mission as run_mission
 from .safety_guard import LOAD_CELLS as LOAD_CELLS

@@ -244,7 +244,29 @@ def load_import_map(path: Path) -> ImportMap:
         If the file cannot be read or a key is wrong, if two signals have the same name after conversion to NED, or two
         [[log]] tables the same name. The message names the file and the key.
     """
-    text = read_text(path)
+    return parse_import_map(read_text(path), path)
+
+
+def parse_import_map(text: str, path: Path) -> ImportMap:
+    """Parse and check the text of an import map.
+
+    Parameters
+    ----------
+    text
+        Text of the map, in TOML.
+    path
+        File of the map, for error messages. Paths in the map are relative to its folder.
+
+    Returns
+    -------
+    ImportMap
+        The map.
+
+    Raises
+    ------
+    SeatrialError
+        If a key is wrong. The message names the file and the key.
+    """
     root = parse_toml(text, path)
     form = root.text("format", choices=FORMATS)
     name = root.text("name", path.stem)

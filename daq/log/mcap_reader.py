@@ -114,12 +114,15 @@ class RawLog:
         If the file cannot be opened, is empty or is no MCAP file.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, growing: bool = False) -> None:
         """Open an MCAP file and read its index, from its summary or, without a valid one, from all its records.
 
-        Raise SeatrialError if the file cannot be opened, is empty or is no MCAP file.
+        With `growing`, a record that is cut off at the end of the file is not read yet: `extend` reads it when it is
+        whole. Raise SeatrialError if the file cannot be opened, is empty or is no MCAP file.
         """
         self.path = path
+        self._growing = growing
+        self._read_to = 0  # byte of the file at which the search for records stopped
         self.warnings: list[str] = []
         self.complete = False  # whether the file has its footer
         self.profile = ""
@@ -428,12 +431,47 @@ class RawLog:
         with damaged content alone is left out. The first footer ends the search. Messages without a channel record are
         not counted. All these faults, and a missing footer, cause warnings.
         """
-        found, whole = _FoundChunks(), True
-        at, size = len(MCAP0_MAGIC), self._size
+        whole = self._find_records(found := _FoundChunks(), len(MCAP0_MAGIC))
+        self._chunks, self._seen = found.chunks(), np.zeros(len(found.at), np.int8)
+        self._seen[self._bound_chunks() :] = -1
+        # Only chunks have a checksum: channel records in chunks replace channel records outside of chunks.
+        channels, schemas, self.channels, self.schemas = self.channels, self.schemas, {}, {}
+        self._count_messages(found, only_new=whole and not self.complete)
+        self.channels, self.schemas = {**channels, **self.channels}, {**schemas, **self.schemas}
+        if lost := sum(n for channel, n in self.counts.items() if channel not in self.channels):
+            self._warn(f"left out: {counted(lost, 'message')} whose channel record is damaged or missing")
+        self.counts = Counter({channel: n for channel, n in self.counts.items() if channel in self.channels})
+
+    def extend(self) -> bool:
+        """Add the whole records that were appended to a file since it was opened as `growing`, or since the last call.
+
+        Return whether there were any. A complete file has none. Raise SeatrialError if the file was replaced.
+        """
+        if self.complete or not self._growing:
+            return False
+        self._read(0, 0)  # opens a closed file again
+        self._size = os.fstat(self._fd).st_size
+        before, found = self._read_to, _FoundChunks()
+        self._find_records(found, before)
+        n, self._chunks = len(self._chunks), np.concatenate([self._chunks, found.chunks()])
+        self._seen = np.concatenate([self._seen, np.zeros(len(found.at), np.int8)])
+        self._seen[self._bound_chunks() :] = -1
+        self._count_messages(found, only_new=True, first=n)
+        return self._read_to > before
+
+    def _find_records(self, found: _FoundChunks, at: int) -> bool:
+        """Read the records of the file in order from byte `at` on, and add its chunks to `found`.
+
+        Other records than chunks, messages and message indexes are kept, if they describe the file. `_read_to` becomes
+        the byte at which the search stops. Return whether no part was damaged; a cut end is no damage.
+        """
+        whole, size = True, self._size
         while at + HEADER <= size:
             opcode, length = RECORD.unpack(self._read(at, at + HEADER))
             stop = at + HEADER + length
             unknown = opcode == 0 or max(Opcode) < opcode < 0x80  # opcodes from 0x80 on are application records
+            if self._growing and not unknown and stop > size:
+                break  # the rest of this record may follow
             if unknown or stop > size:
                 again = self._next_chunk(at + 1)
                 if again is None:
@@ -453,32 +491,26 @@ class RawLog:
                 self.complete = True
                 break
         else:
-            self._warn("the recording was cut off or still goes on (no footer): everything up to there is used")
-        self._chunks, self._seen = found.chunks(), np.zeros(len(found.at), np.int8)
-        self._seen[self._bound_chunks() :] = -1
-        # Only chunks have a checksum: channel records in chunks replace channel records outside of chunks.
-        channels, schemas, self.channels, self.schemas = self.channels, self.schemas, {}, {}
-        self._count_messages(found, only_new=whole and not self.complete)
-        self.channels, self.schemas = {**channels, **self.channels}, {**schemas, **self.schemas}
-        if lost := sum(n for channel, n in self.counts.items() if channel not in self.channels):
-            self._warn(f"left out: {counted(lost, 'message')} whose channel record is damaged or missing")
-        self.counts = Counter({channel: n for channel, n in self.counts.items() if channel in self.channels})
+            if not self._growing:
+                self._warn("the recording was cut off or still goes on (no footer): everything up to there is used")
+        self._read_to = at
+        return whole
 
-    def _count_messages(self, found: _FoundChunks, only_new: bool) -> None:
+    def _count_messages(self, found: _FoundChunks, only_new: bool, first: int = 0) -> None:
         """Read the chunks of the MCAP file to count the messages of each channel and to find the channels.
 
-        `found` has the chunks with their message indexes. With `only_new`, a chunk is not read if it has message
-        indexes and they contain only channels that earlier chunks have; its messages are counted by the indexes. The
-        last chunk is always read, because it may be cut. If the file has too many messages, the remaining chunks are
-        left out, with a warning.
+        `found` has the chunks with their message indexes; the first of them has the number `first`. With `only_new`, a
+        chunk is not read if it has message indexes and they contain only channels that earlier chunks have; its
+        messages are counted by the indexes. The last chunk is always read, because it may be cut. If the file has too
+        many messages, the remaining chunks are left out, with a warning.
         """
-        self._unindexed = np.ones(len(self._chunks), bool)
+        self._unindexed = np.append(self._unindexed[:first], np.ones(len(self._chunks) - first, bool))
         pairs: tuple[list[int], list[int]] = ([], [])
         waiting: list[int] = []
         n_bytes = 0
-        for number in range(len(self._chunks)):
+        for number in range(first, len(self._chunks)):
             # The last chunk is always read, because it may be cut.
-            indexed = found.counts[number] if only_new and number + 1 < len(self._chunks) else {}
+            indexed = found.counts[number - first] if only_new and number + 1 < len(self._chunks) else {}
             if indexed and not waiting and all(channel in self.channels for channel in indexed):
                 self._unindexed[number] = False
                 pairs[0].extend([number] * len(indexed))
@@ -498,7 +530,11 @@ class RawLog:
                 if self._has_too_many_messages(self.counts.total()):
                     self._seen[number + 1 :] = -1
                     break
-        self._chunk_channels = (np.asarray(pairs[0], np.int32), np.asarray(pairs[1], np.uint16))
+        chunks, channels = self._chunk_channels
+        self._chunk_channels = (
+            np.append(chunks, np.asarray(pairs[0], np.int32)),
+            np.append(channels, np.asarray(pairs[1], np.uint16)),
+        )
 
     def _extend_span(self, begin_ns: int, end_ns: int) -> None:
         """Extend the span of log times of the file (`span_ns`) so that it includes an interval [ns since 1970]."""

@@ -49,13 +49,16 @@ _LITTLE = int.from_bytes(ENCAPSULATION[:2], "little")
 _WHOLE = (0, LAST_NS)
 
 
-def open_log(path: Path | str) -> Log:
+def open_log(path: Path | str, growing: bool = False) -> Log:
     """Open a log, which may be whole, killed or damaged, with all its segments (files), to read its samples.
 
     Parameters
     ----------
     path
         First segment of the log, an MCAP file.
+    growing
+        Whether a program may still write the log. `Log.extend` then reads what is appended, and a record that is cut
+        off at the end of the file is not read yet.
 
     Returns
     -------
@@ -67,7 +70,7 @@ def open_log(path: Path | str) -> Log:
     SeatrialError
         If the file cannot be read or is no MCAP file.
     """
-    return Log(Path(path))
+    return Log(Path(path), growing)
 
 
 def import_library(name: str) -> Any:
@@ -108,15 +111,41 @@ class Log:
         Times of receipt of the first and the last message [s since 1970]; 0 if the log has no messages.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, growing: bool = False) -> None:
         """Open the log that begins with the MCAP file `path`, and read its index and metadata.
 
-        Raise SeatrialError if the file cannot be read or is no MCAP file.
+        With `growing`, the file may still be written (`extend`). Raise SeatrialError if the file cannot be read or is
+        no MCAP file.
         """
         self.path = path
-        self._file = open_raw(path)
+        self._file = open_raw(path, growing)
         self.paths = [raw.path for raw in self._file.files]
         self._note = read_note(path)
+        self._span_ns = _WHOLE
+        self._tables: dict[tuple[str, tuple[int, int]], NDArray[np.void]] | None = None
+        self._read_spans: set[tuple[int, int]] = set()  # intervals of time whose tables are all kept
+        self._use_index()
+
+    def extend(self) -> bool:
+        """Add the messages that were written to a growing log since it was opened or since the last call.
+
+        Return whether anything was added. Parts of the log (`part`) that exist already do not change. A segment that a
+        recorder has started since is not added: open the log again.
+
+        Raises
+        ------
+        SeatrialError
+            If the file was replaced by another file.
+        """
+        if not self._file.extend():
+            return False
+        for name in ("counts", "rig", "vehicle", "sha256", "_spacing"):
+            self.__dict__.pop(name, None)
+        self._use_index()
+        return True
+
+    def _use_index(self) -> None:
+        """Store the state, metadata, attachments and times of the files as attributes."""
         self.complete = self._file.complete
         self.metadata: dict[str, str] = {}
         for record in self._file.metadata:
@@ -124,9 +153,6 @@ class Log:
                 self.metadata.update(record.metadata)
         self.attachments = {record.name: record.data for record in self._file.attachments}
         self.start, self.end = (ns / NANO for ns in self._file.span_ns or (0, 0))
-        self._span_ns = _WHOLE
-        self._tables: dict[tuple[str, tuple[int, int]], NDArray[np.void]] | None = None
-        self._read_spans: set[tuple[int, int]] = set()  # intervals of time whose tables are all kept
 
     @contextlib.contextmanager
     def keeping_tables(self) -> Iterator[None]:

@@ -23,11 +23,12 @@ _NUMBER = r"[1-9]\d{0,5}"  # number of a later segment in its name
 SHARED_METADATA = ("origin", "rig", "host")  # metadata that are equal in all segments of one log
 
 
-def open_raw(path: Path) -> RawLog | SegmentedLog:
+def open_raw(path: Path, growing: bool = False) -> RawLog | SegmentedLog:
     """Open the MCAP log that begins at `path`, with all its segments (files), without decoding its messages.
 
     Later segments that cannot be read or that belong to another run are left out, with a warning. Missing segments also
-    cause a warning. A file whose metadata have no run clock is opened alone.
+    cause a warning. A file whose metadata have no run clock is opened alone. With `growing`, the last file may still be
+    written, and `extend` of the result reads what is appended.
 
     Returns
     -------
@@ -41,7 +42,7 @@ def open_raw(path: Path) -> RawLog | SegmentedLog:
     """
     later = segments(path)
     try:
-        first = RawLog(path)
+        first = RawLog(path, growing and not later)
     except SeatrialError as error:
         if not later:
             raise
@@ -53,7 +54,7 @@ def open_raw(path: Path) -> RawLog | SegmentedLog:
     first.close()  # a log of a week has more files than a process may have open
     for number, segment in later.items():
         try:
-            raw = RawLog(segment)
+            raw = RawLog(segment, growing and number == max(later))
         except SeatrialError as error:
             warnings.append(f"a segment is left out: {error}")
             continue
@@ -110,6 +111,21 @@ class SegmentedLog:
         self.files = files
         self.path = files[0].path
         self._warnings = warnings
+        self._join()
+
+    def extend(self) -> bool:
+        """Add the whole records that were appended to the last file since it was opened or since the last call.
+
+        Return whether there were any. Raise SeatrialError if the file was replaced.
+        """
+        extended = self.files[-1].extend()
+        if extended:
+            self._join()
+        return extended
+
+    def _join(self) -> None:
+        """Join the present channels, message counts and times of the files."""
+        files = self.files
         self.complete = all(raw.complete for raw in files)
         self.profile = files[0].profile
         self.metadata: list[Metadata] = files[0].metadata

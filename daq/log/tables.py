@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -79,6 +79,10 @@ class LogTable(NamedTuple):
         Unit of each column that has one, by name of the column.
     held
         Whether a value stays constant until the next sample.
+    source
+        Name of the device, or of the signal; empty for a table that was joined from several.
+    node
+        Id of the controller or servo output; None for other kinds.
     """
 
     name: str
@@ -86,6 +90,8 @@ class LogTable(NamedTuple):
     rows: NDArray[np.void]
     units: dict[str, str]
     held: bool
+    source: str = ""
+    node: int | None = None
 
 
 class Resampled(NamedTuple):
@@ -106,23 +112,31 @@ class Resampled(NamedTuple):
     units: dict[str, str]
 
 
-def log_tables(log: Log) -> Iterator[LogTable]:
+def log_tables(log: Log, unreadable: Callable[[SeatrialError], None] | None = None) -> Iterator[LogTable]:
     """Yield the table of samples of each device, controller and signal of a log, in the order of `KINDS`.
 
     `Esc`, `Command` and `Servo` have a table for each controller or servo output, other classes one for each device or
     signal. A device with samples of several classes has a table for each class. Each table is read when it is yielded.
+    signal. A table that cannot be read raises SeatrialError. With the function `unreadable`, it is left out and the
+    error is passed to this function.
     """
     for kind in KINDS:
         for source in log.sources(kind):
             for node in log.nodes(kind, source) if kind in NODE_TOPICS else [None]:
-                rows = log.table(kind, source, node)
+                try:
+                    rows = log.table(kind, source, node)
+                except SeatrialError as error:
+                    if unreadable is None:
+                        raise
+                    unreadable(error)
+                    continue
                 middle = "" if node is None else f"_{node}"
                 name = source if kind is Scalar else f"{source}{middle}_{kind.__name__.lower()}"
                 units = {column: UNITS[column] for column in rows.dtype.names or () if column in UNITS}
                 held = kind in HELD_KINDS
                 if kind is Scalar:
                     units["value"], held = log.unit(source), log.hold(source) in ("zero", "sampled")
-                yield LogTable(name, kind, rows, units, held)
+                yield LogTable(name, kind, rows, units, held, source, node)
 
 
 def resample(log: Log, rate: float) -> Resampled:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import html
 import math
 import random
 import re
@@ -28,6 +29,15 @@ PERIOD_S = 0.05  # s of wall time; the acquisition does not update its status mo
 HEAD_S, HEAD_BYTES = 5.0, 16_384  # limits of the head of a request
 _OURS = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?|file://")  # pages and programs of this computer
 _ORIGIN = re.compile(rb"^origin:[ \t]*(.*?)[ \t]*\r?$", re.IGNORECASE | re.MULTILINE)
+_UPGRADE = re.compile(rb"^upgrade:[ \t]*websocket[ \t]*\r?$", re.IGNORECASE | re.MULTILINE)
+_BROWSER_PAGE = """<!doctype html>
+<html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
+<meta name="color-scheme" content="light dark"><title>seatrial log --live</title>
+<h1>Live samples for Foxglove</h1>
+<p>This port is not a web page. It is the WebSocket of <code>seatrial log --live</code>.</p>
+<p>In Foxglove: Open connection, Foxglove WebSocket, <code>ws://{host}:{port}</code></p>
+<p>For a page in the browser: <code>seatrial log RIG --view</code>, or <code>seatrial view LOG</code>.</p>
+"""
 _FOXGLOVE = "the live view needs the package foxglove-sdk: pip install 'seatrial[live]'"
 
 
@@ -178,7 +188,7 @@ class OriginGate:
         A thread of the gate serves the connections, so that the constructor returns at once. Raise OSError if the
         address is not available.
         """
-        self._behind, self._origins = behind, origins
+        self._host, self._behind, self._origins = host, behind, origins
         self._loop = asyncio.new_event_loop()
         self._tasks: dict[asyncio.Task[None], asyncio.StreamWriter] = {}  # task of each connection, and its client
         try:
@@ -219,6 +229,16 @@ class OriginGate:
         origins = [origin.decode("latin-1") for origin in _ORIGIN.findall(head)]
         return all(origin in self._origins or _OURS.fullmatch(origin) for origin in origins)
 
+    def _browser_page(self) -> bytes:
+        """Return the reply (426 Upgrade Required) to a browser, with a page on what the port is and how to connect."""
+        page = _BROWSER_PAGE.format(host=html.escape(self._host), port=self.port).encode()
+        head = (
+            "HTTP/1.1 426 Upgrade Required\r\nUpgrade: websocket\r\nConnection: close, Upgrade\r\n"
+            f"Content-Type: text/html; charset=utf-8\r\nContent-Length: {len(page)}\r\n"
+            "Content-Security-Policy: default-src 'none'\r\nX-Content-Type-Options: nosniff\r\n\r\n"
+        )
+        return head.encode() + page
+
     def _start_connection(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Start a task that serves a new connection to the gate.
 
@@ -231,13 +251,17 @@ class OriginGate:
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Check the origin of a client; forward all bytes between client and server until both end, or reply 403.
 
+        A client that asks for no WebSocket, such as a browser, gets a page that explains the port.
         Only the head of the first request of a connection is checked.
         `reader` and `writer` are the ends of the connection with the client. It is closed without a reply if the head
         of the request is larger than 16 kB or takes longer than 5 s.
         """
         try:
             head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), HEAD_S)
-            if self._is_allowed(head):
+            if self._is_allowed(head) and not _UPGRADE.search(head):
+                writer.write(self._browser_page())
+                await writer.drain()
+            elif self._is_allowed(head):
                 server_reader, server_writer = await asyncio.open_connection(*self._behind)
                 server_writer.write(head)
                 await asyncio.gather(_forward_bytes(reader, server_writer), _forward_bytes(server_reader, writer))

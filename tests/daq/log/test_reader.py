@@ -9,6 +9,7 @@ import sys
 import time
 import zlib
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,7 @@ from seatrial.daq.log.schema import TYPES, topic
 from seatrial.daq.log.segments import segment_path
 from seatrial.daq.log.watchdog_note import note_path
 from seatrial.daq.samples import Ahrs, Command, Esc, Frame, Gnss, LoadCell, PortHealth, Scalar
-from tests.daq.logs import HEALTH, N_ROUNDS, T0, recorder, tables, write_everything
+from tests.daq.logs import HEALTH, N_ROUNDS, T0, is_prefix, recorder, tables, write_everything
 
 
 def test_what_a_whole_log_says_of_itself(whole: Path) -> None:
@@ -425,3 +426,37 @@ def test_an_interval_of_time_that_is_not_a_number_is_refused(tmp_path: Path, lim
             log.part(*limits)
         with pytest.raises(SeatrialError, match=r"begin and end .* must be numbers"):
             log.table(Ahrs, "ahrs", begin=limits[0], end=limits[1])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_growing_log_is_read_on_wherever_it_ended(tmp_path: Path, seed: int) -> None:
+    """The file grows by random numbers of bytes, so that most looks end inside a record."""
+    write_everything(tmp_path / "whole.mcap", N_ROUNDS)
+    data, path = (tmp_path / "whole.mcap").read_bytes(), tmp_path / "run.mcap"
+    ends = sorted(np.random.default_rng(seed).integers(100, len(data), 30).tolist())
+    path.write_bytes(data[: ends[0]])
+    with open_log(path, growing=True) as log, open_log(tmp_path / "whole.mcap") as whole:
+        n_extended = 0
+        for begin, end in pairwise([*ends, len(data)]):
+            before = tables(log)
+            with path.open("ab") as file:
+                file.write(data[begin:end])
+            n_extended += log.extend()
+            assert is_prefix(before, tables(log))
+        assert n_extended > 5
+        assert log.complete
+        assert not log.extend()
+        assert log.warnings == []
+        assert (log.counts, log.start, log.end) == (whole.counts, whole.start, whole.end)
+        assert repr(tables(log)) == repr(tables(whole))
+
+
+def test_a_log_that_is_not_opened_as_growing_is_not_extended(tmp_path: Path) -> None:
+    write_everything(tmp_path / "whole.mcap", N_ROUNDS)
+    data, path = (tmp_path / "whole.mcap").read_bytes(), tmp_path / "run.mcap"
+    path.write_bytes(data[: len(data) // 2])
+    with open_log(path) as log:
+        counts = dict(log.counts)
+        path.write_bytes(data)
+        assert not log.extend()
+        assert log.counts == counts

@@ -128,6 +128,27 @@ def test_a_client_gets_the_messages_of_the_log() -> None:
 
 
 @needs_foxglove
+def test_a_browser_gets_a_page_that_explains_the_port() -> None:
+    """An earlier version sent a browser an empty response."""
+    with LiveServer(rig(), lambda: status(time.time())) as server:
+        port = int(server.address.rpartition(":")[2])
+        with socket.create_connection(("127.0.0.1", port), timeout=10.0) as browser:
+            browser.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: keep-alive\r\n\r\n")
+            answer = b""
+            while part := browser.recv(4096):
+                answer += part
+        head, _, page = answer.partition(b"\r\n\r\n")
+        assert head.startswith(b"HTTP/1.1 426 ")
+        assert f"Content-Length: {len(page)}\r\n".encode() in head
+        assert f"ws://127.0.0.1:{port}<".encode() in page
+        assert b"seatrial log RIG --view" in page
+        with socket.create_connection(("127.0.0.1", port), timeout=10.0) as foreign:
+            foreign.sendall(b"GET / HTTP/1.1\r\nHost: x\r\nOrigin: https://evil.example\r\n\r\n")
+            assert b" 403 " in foreign.recv(4096).splitlines()[0]
+        Client(port).close()
+
+
+@needs_foxglove
 def test_a_page_of_a_foreign_site_is_refused() -> None:
     with LiveServer(rig(), lambda: status(time.time())) as server:
         port = int(server.address.rpartition(":")[2])
