@@ -229,8 +229,11 @@ def warn_of_armed(names: Sequence[str]) -> None:
 def run(mission_path: Path, rig_path: Path, out: Path | None, arm: bool, retry: int, view: bool) -> None:
     """Run a mission and record it. THRUSTERS TURN at once.
 
-    Keys: space pauses at zero thrust, and resumes; r repeats the step; m marks the log; Ctrl-C ends the run at zero
-    thrust. Exit status 3: a safety limit ended the run.
+    The log is written to --out, or to a file named by date. With --arm, disarmed autopilots are armed before the run,
+    and disarmed after it. With --retry N, up to N steps with invalid data are repeated.
+
+    Keys: space pauses at zero thrust; a second space resumes with the beginning of the step; r repeats the step; m
+    marks the log; Ctrl-C ends the run at zero thrust. Exit status 3: a safety limit ended the run.
     """
     _run_plan(load_mission(mission_path), load_rig(rig_path), out, arm, retry, None, view)
 

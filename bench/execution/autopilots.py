@@ -109,7 +109,8 @@ class Autopilots:
     def await_ready(self) -> None:
         """Wait until every autopilot has sent its parameters and has a position estimate, and check its parameters.
 
-        Findings on parameters are printed and written to the log. `changes`, `found_armed` and `tested_s` are filled.
+        Findings on parameters are written to the log. Those that allow driving are printed; those that forbid it are in
+        the message of the error. `changes`, `found_armed` and `tested_s` are filled.
 
         Raises
         ------

@@ -191,9 +191,11 @@ class MissionSequencer:
     def _restart_step(self, now: float) -> None:
         """Schedule the mission again from the beginning of the segment entered last, or from its start without one.
 
-        This segment may just have ended: `_enter_step` repeats a segment when the next one has started. The first
-        set-point is due the `lead` of the constructor after run time ``now`` [s]. Thrust must be zero. Until then no
-        segment is entered; a second restart in this time is from the same segment.
+        The segment entered last may have ended already. `_enter_step` checks a segment when the next one has started or
+        the mission has ended. If its data are invalid and repetitions are left, `_enter_step` calls this method instead
+        of entering the next segment. The first set-point is due at run time ``now + lead`` [s]; `lead` is an argument
+        of the constructor. No segment is entered before that time. If this method is called again before that time, it
+        restarts the same segment. Thrust must be zero when it is called.
         """
         if self._step is not None:
             self._restarted = self._step

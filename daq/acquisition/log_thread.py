@@ -53,12 +53,14 @@ class LogSink:
     Parameters
     ----------
     limit : int
-        Largest number of items with raw bytes. Items without raw bytes are accepted up to twice that number.
+        Length of the queue from which on items with raw bytes are refused. Items without raw bytes, such as events, are
+        refused from twice this length on.
 
     Notes
     -----
-    Events have additional room, because a disk that hangs fills the queue with data. An event may contain the reason
-    why a run ended.
+    For a refused item `put` returns False, and the item is lost. The threads of the ports count lost samples. Events
+    have additional room, because a disk that hangs fills the queue with data, and an event may contain the reason why a
+    run ended.
     """
 
     def __init__(self, limit: int = QUEUE_ITEMS) -> None:

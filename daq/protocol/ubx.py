@@ -418,10 +418,10 @@ def _attitude_sample(payload: bytes, t_rx: float) -> list[Frame]:
 def _read_pvt(v: dict[str, float], payload: bytes) -> None:
     """Store time, fix, satellites, position and velocity of the UBX message NAV-PVT in `v`.
 
-    `v` are the values of its epoch by name. The fix, as in `Gnss.fix`, is 5 or 6 with a fixed or floating carrier phase
-    solution and 4 with differential corrections; it is 0 unless the receiver marks it as valid. The UTC is stored if
-    date and time are valid, with `unresolved` if it may still be wrong: not fully resolved, or without a fix and with
-    an error above 10 ms.
+    `v` are the values of its epoch by name. The fix is numbered as in `Gnss.fix`. It is 5 if the carrier phase solution
+    is fixed (RTK fixed), 6 if it is floating (RTK float), and 4 with differential corrections only. It is 0 unless the
+    receiver marks the fix as valid. The UTC is stored if date and time are valid. `unresolved` is then true if the UTC
+    may still be wrong: it is not fully resolved, or there is no fix and its error is above 10 ms.
     """
     (
         _, year, month, day, hour, minute, second, valid, t_acc, nano, fix, flags, _, n_sat, lon, lat, _, h_msl, h_acc,

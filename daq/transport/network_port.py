@@ -79,7 +79,9 @@ class UdpPort(Port):
     def _open_socket(self, shared: bool) -> None:
         """Close the UDP socket if it is open, and open a new one. Raise PortError if this fails.
 
-        If `shared` is true, the local address may be bound by another process.
+        With `shared`, a port that listens gets its local address even if another process holds it. The socket of that
+        process must allow this (SO_REUSEADDR), as every open `UdpPort` does. Without `shared`, PortError is raised if
+        another process holds the address. A port that sends to a remote address ignores `shared`.
         """
         self.close()
         family, address = _resolve_address(self._host, self._number, socket.SOCK_DGRAM, self._listen)

@@ -526,7 +526,13 @@ def _body_frame_comparison(c: Channels, forward: str, starboard: str, track: Win
         return None
 
     def moved(rate: Complex) -> Complex:
-        """Return the integral (n,) of a signal on the common grid over each window that the channels cover."""
+        """Return the integral (n,) of a signal over each of the n windows of the track that lie inside the common grid.
+
+        The common grid ``t`` covers the time in which both channels and the heading have samples. ``rate`` has a value
+        at each time of the grid: a velocity or an acceleration in a horizontal plane, as a complex number such as north
+        + i east. The integral is then the displacement, or the change of velocity, from the start to the end of each
+        window.
+        """
         integral = cumulative_integral(t, rate)
         ends = [np.interp(at + s * track.width / 2, t, integral) for s in (1, -1)]
         return np.asarray(ends[0] - ends[1])

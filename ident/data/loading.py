@@ -376,13 +376,16 @@ def along_track(t: Array, vx: Array, vy: Array) -> Array:
     Returns
     -------
     Array (n,)
-        Speed [m/s], negative for motion astern. Zero where the mean velocity is zero.
+        Component of the velocity [m/s] along the direction of travel. Negative if the boat moves against this
+        direction. Zero where the mean velocity is zero.
 
     Notes
     -----
-    The direction of travel is the mean of the velocities from `TRACK_WINDOW` (20 s) before to 20 s after, weighted by
-    speed. A boat that drifts at rest before a run gets the direction of the run. The magnitude of the velocity would
-    turn drift and noise into forward speed.
+    The direction of travel at a time is that of the mean of the velocities from `TRACK_WINDOW` (20 s) before to 20 s
+    after, weighted by speed. The heading is not used. Motion astern therefore has a negative speed only if motion ahead
+    dominates the mean. If the boat only moves astern in these 40 s, its speed is positive. A boat that drifts at rest
+    before a run gets the direction of the run. The magnitude of the velocity would turn drift and noise into forward
+    speed.
     """
     speed = np.hypot(vx, vy)
     a, b = np.searchsorted(t, t - TRACK_WINDOW), np.searchsorted(t, t + TRACK_WINDOW, side="right")
@@ -771,9 +774,10 @@ def parts_with_sensors(log: LoadedLog) -> list[LoadedLog]:
 def _parts_with_inputs(log: LoadedLog) -> list[LoadedLog]:
     """Cut a log at times in which an input is unknown, and leave out parts shorter than `SHORTEST_PIECE_S` (10 s).
 
-    A log without such times is returned unchanged. A signal with fewer than two samples in a part is left out of it; it
-    keeps its last sample at or before the part. Only the first part has the findings on the devices; the others have
-    ().
+    A log without such times is returned unchanged. If a signal has samples at or before the start of a part, the last
+    of them is its first sample in the part, because the value of a command still holds then. A signal is left out of a
+    part if it has fewer than two samples, this one included. Only the first part has the findings on the devices; the
+    others have ().
 
     Raises
     ------

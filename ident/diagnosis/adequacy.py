@@ -277,7 +277,9 @@ def _distance_from_zero(fit: Fit, sizes: Sequence[int]) -> float:
 def _finding_in_words(score: Score) -> str:
     """Return what a score test finds, as a text for reports.
 
-    The text is the name of a parametric effect, or for example "that X depends on u and v" for a nonparametric one.
+    For a parametric effect, the text is its name. For a fitted function of one or two variables, it is "that X depends
+    on u" or "that X depends on u and v". It is "that X follows u" for a force with a first-order lag, and "that X
+    oscillates after u" for a force with a second-order response.
     """
     curve = score.curve
     if curve is None:

@@ -136,7 +136,7 @@ class _IrWriter:
         self._n = 0
 
     def __call__(self, text: str) -> None:
-        """Append an instruction that has no result, such as a store or a branch."""
+        """Append an instruction without a result, such as a store or a branch, as a line of LLVM IR to `lines`."""
         self.lines.append(f"  {text}")
 
     def instruction(self, text: str) -> str:

@@ -534,7 +534,10 @@ def _drop_test(value: Callable[[Array], float], z: Array, i: int) -> DropTest:
     top = value(z)
 
     def fallen(x: float) -> bool | None:
-        """Return whether the log-likelihood has fallen by more than 1.92 at x; None if it is not finite."""
+        """Return whether the log-likelihood is more than 1.92 below that of the estimate if coordinate i is x.
+
+        The other coordinates keep the values of the estimate. Return None if the log-likelihood is not finite.
+        """
         moved = z.copy()
         moved[i] = x
         there = value(moved)

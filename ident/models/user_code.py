@@ -40,10 +40,10 @@ _TRUST: ContextVar[bool] = ContextVar("trust_code", default=False)
 def trusting_code() -> Iterator[None]:
     """Return a context manager inside which any Python file that a model.toml names may be run.
 
-    The hash of each file that is used inside is stored (`remember_trusted_file`). Such a file therefore stays known
-    after the context: it may be run later without `--trust-code` while it is unchanged and in the folder of the
-    model.toml. At the end, the state before is restored, so that contexts may be nested. The option `--trust-code` uses
-    this context.
+    The hash of each file that is used inside is stored (`remember_trusted_file`). After the context, such a file still
+    counts as run by this user. It may then be run without `--trust-code` if two more conditions are fulfilled: the
+    model.toml contains its present hash, and it is in the folder of the model.toml (`trusted_file`). At the end, the
+    state before is restored, so that contexts may be nested. The option `--trust-code` uses this context.
     """
     before = _TRUST.set(True)
     try:

@@ -81,10 +81,12 @@ def delay_driven_shaft(s: Signals) -> None:
 
 
 def delay_force(s: Signals) -> None:
-    """Delay the measured GNSS position and velocity by the latency, in place. For models with thrusts as inputs.
+    """Delay the model's outputs of GNSS position and velocity by the latency, in place. For models with thrust inputs.
 
-    The thrusts of half the latency earlier are unknown and are assumed equal to the present ones. Only a lag of the
-    thrust in the model is traced back.
+    The outputs in ``s.y`` are extrapolated backwards in time by the latency, with the velocity and the acceleration of
+    the antenna. The acceleration should belong to the thrusts in the middle of this interval, half the latency ago.
+    Past values of the inputs are unknown, so the present ones are used. If the model has a first-order lag of the
+    thrust, the states of the lag are set to their values half the latency ago (`_earlier_lag_states`).
     """
     _delay_fix(s, s.again(_earlier_lag_states(s, {}), {}, {}))
 
