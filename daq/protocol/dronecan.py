@@ -339,7 +339,7 @@ class Assembler:
 
         A frame of another message type, of a service, or without data is ignored. A frame that does not continue the
         transfer of its sender, or comes after too many bytes, is discarded together with this transfer; all their
-        frames count as unparsed bytes. So does a frame without a begun transfer. A first frame begins a new transfer
+        frames count as unparsed bytes. A frame without a first frame before it also counts so. A first frame begins a new transfer
         and discards an incomplete one, which has no time limit.
 
         Parameters

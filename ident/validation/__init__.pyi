@@ -17,7 +17,6 @@ from .prediction_errors import horizon_errors as horizon_errors
 from .prediction_errors import largest_errors as largest_errors
 from .prediction_errors import pooled_errors as pooled_errors
 from .prediction_errors import prediction_change_by_record as prediction_change_by_record
-from .prediction_errors import simulation_run as simulation_run
 from .whiteness import OUTLIER_SDS as OUTLIER_SDS
 from .whiteness import SpectralPeak as SpectralPeak
 from .whiteness import WhitenessDiagnostics as WhitenessDiagnostics
