@@ -339,8 +339,8 @@ class Assembler:
 
         A frame of another message type, of a service, or without data is ignored. A frame that does not continue the
         transfer of its sender, or comes after too many bytes, is discarded together with this transfer; all their
-        frames count as unparsed bytes. A frame without a first frame before it also counts so. A first frame begins a new transfer
-        and discards an incomplete one, which has no time limit.
+        frames count as unparsed bytes. A frame without a first frame before it also counts so. A first frame begins a
+        new transfer and discards an incomplete one, which has no time limit.
 
         Parameters
         ----------
