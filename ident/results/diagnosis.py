@@ -10,6 +10,7 @@ import msgspec
 
 from seatrial.daq.errors import counted
 from seatrial.ident.diagnosis import (
+    NAME_RECORDS,
     Diagnosis,
     DiagnosisEvaluation,
     Refit,
@@ -22,7 +23,7 @@ from seatrial.ident.diagnosis import (
 )
 from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import FittedModel, ParameterShift, ReportedEstimates
-from seatrial.ident.model import Effect
+from seatrial.ident.model import Effect, ModelKind
 from seatrial.ident.results import parts
 from seatrial.ident.results.answers import (
     NAMES,
@@ -540,6 +541,7 @@ def _effect_rows(diagnosis: Diagnosis, role: parts.Role) -> tuple[parts.EffectRo
                 ),
                 attribution=judged.attribution,
                 reasons=tuple(judged.reasons),
+                probability=_name_probability(diagnosis, judged.attribution),
                 not_excluded=tuple(judged.not_excluded),
                 parameters=effect_parameter_rows(r.effect, diagnosis.after),
                 in_words=in_words(r.effect, diagnosis.after) or None,
@@ -549,6 +551,15 @@ def _effect_rows(diagnosis: Diagnosis, role: parts.Role) -> tuple[parts.EffectRo
             )
         )
     return tuple(rows)
+
+
+def _name_probability(diagnosis: Diagnosis, attribution: str) -> float | None:
+    """Return the probability that the name of an effect with this attribution is right, as measured on known boats.
+
+    None for a nonparametric curve, which has no name, and for models of thrusters, which the study does not have.
+    """
+    record = NAME_RECORDS.get(attribution) if diagnosis.after.model.kind is ModelKind.VEHICLE else None
+    return None if record is None else record.probability
 
 
 def _parameter_change_rows(diagnosis: Diagnosis) -> tuple[parts.ParameterChange, ...]:

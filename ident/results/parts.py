@@ -856,6 +856,13 @@ class EffectRow(Part, frozen=True, kw_only=True):
         ),
     ]
     reasons: Annotated[tuple[str, ...], Meta(description="reasons for the attribution `ambiguous`")]
+    probability: Annotated[
+        float | None,
+        Meta(
+            description="probability that the name is right: the share of names with this attribution that were right "
+            "on simulated boats with known effects (docs/realistic-boats.md); null for curves and thruster models"
+        ),
+    ] = None
     not_excluded: Annotated[tuple[str, ...], Meta(description="names of effects that may be the true one instead")]
     parameters: Annotated[
         tuple[EffectParameter, ...], Meta(description="estimates of its parameters in the last model")

@@ -485,6 +485,15 @@ class FittedDiagnosis(FittedResult):
         return {e.name: e.attribution for e in self.result.effects}
 
     @property
+    def probabilities(self) -> dict[str, float]:
+        """Probability that the name of an effect is right, by name; empty without effects.
+
+        It is the share of names with the same attribution that were right on simulated boats with known effects
+        (docs/realistic-boats.md). Curves without a name, and effects of thruster models, have no entry.
+        """
+        return {e.name: e.probability for e in self.result.effects if e.probability is not None}
+
+    @property
     def recommended_experiment(self) -> str | None:
         """Experiments that would show which effect is missing, as sentences, with a command line where there is one.
 

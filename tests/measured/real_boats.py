@@ -20,18 +20,29 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from seatrial.ident.diagnosis.certainty import NAME_RECORDS
 from seatrial.ident.results.parts import DiagnosisResult, VehicleResult
 from seatrial.ident.results.result_file import AnyResult, read_result
 from tests.recovery.cases import code_state
 from tests.recovery.logged import seatrial, spent
 from tests.recovery.resumable import listed, read, resume
-from tests.recovery.tables import as_markdown, as_text
+from tests.recovery.tables import as_markdown, as_text, interval
 
 ROOT = Path(__file__).parents[2]
 OUT, DOCS = ROOT / "docs/data/real-boats.jsonl", ROOT / "docs/real-boats.md"
 MASSES = ("m_u", "m_v", "m_r")
 RUNS = ("run1", "run2", "run3")  # The last one is for validation.
 Row = dict[str, Any]
+# By the truth of the boats: effects of the catalogue in every boat, and those of each hidden effect.
+IN_EVERY_BOAT = {"wind", "mismatch", "waves", "advance-ratio", "thrust-angle", "battery-sag"}
+HIDDEN = {
+    "fouled_prop": {"mismatch"},
+    "bent_skeg": {"yaw-bias"},
+    "payload_shift": {"payload-shift"},
+    "umbilical": {"towed-line"},
+    "gyro_scale": {"gyro-scale"},
+    "antenna_moved": {"lever-arm"},
+}
 
 
 TEXT = """\
@@ -47,9 +58,16 @@ which no file declares; the boats `none` have only the small ones. Each boat goe
 
 {table}
 
-An answer *identified* is certain; *ambiguous* means that the data do not distinguish several effects. The columns of
+*Ambiguous* means that the data do not distinguish several effects. The columns of
 the masses have the error of `ident vehicle` in per cent, and in standard errors in parentheses. {held} of {kept} are
 within three standard errors.
+
+## How certain a name is
+
+seatrial states a probability with each name: the share of names with this attribution that were right on
+[realistic mock boats](realistic-boats.md). The boats of this page are of other authorship, so that they test it.
+
+{certainty}
 
 ## What a diagnosis does not see here
 
@@ -157,11 +175,30 @@ def _error(pair: Sequence[float | None] | None) -> str:
     return f"{pair[0]:+.0f} % ({pair[1]:+.1f})" if pair[1] is not None else f"{pair[0]:+.0f} %"
 
 
+def certainty(rows: Sequence[Row]) -> list[list[str]]:
+    """Return the table of the stated probability of names, and of the share of right names on these boats."""
+    lines = [["attribution", "stated probability", "effects", "in the boat", "share", "95 % interval"]]
+    for how, record in NAME_RECORDS.items():
+        right = [
+            name in IN_EVERY_BOAT | HIDDEN.get(r["hidden"], set())
+            for r in rows
+            if "error" not in r
+            for name, attribution in r["found"]
+            if attribution == how
+        ]
+        n, k = len(right), sum(right)
+        shares = (f"{100 * k / n:.0f} %", interval(k, n)) if n else ("", "")
+        lines.append([how, f"{100 * record.probability:.0f} %", str(n), str(k), *shares])
+    return lines
+
+
 def document(rows: Sequence[Row]) -> str:
     """Return the text of docs/real-boats.md."""
     kept = [z for r in rows if "error" not in r for _, z in r["vehicle"]["masses"].values() if z is not None]
     held = sum(abs(z) <= 3 for z in kept)
-    return TEXT.format(table=as_markdown(table(rows)), held=held, kept=len(kept))
+    return TEXT.format(
+        table=as_markdown(table(rows)), certainty=as_markdown(certainty(rows)), held=held, kept=len(kept)
+    )
 
 
 def main(words: Sequence[str] | None = None) -> int:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from seatrial.ident.diagnosis.certainty import NAME_RECORDS
 from seatrial.mocks.hidden_effects.catalogue import make_effect
 from tests.recovery.cases import Row
 from tests.recovery.kinds import KINDS, all_large
@@ -64,6 +65,9 @@ boats of this page. Wind, a difference of the thrusters, waves and a dead band a
 
 {certainty}
 
+seatrial states these shares with each name, by the rule of succession: {stated}. The
+[boats of other authorship](real-boats.md) test them.
+
 An effect that is *identified* explains what was missing, and no competing model does. *Ambiguous* means that the data
 do not distinguish several effects, or that the prediction is no better with it.
 """
@@ -88,6 +92,7 @@ def document(rows: Sequence[Row]) -> str:
     return TEXT.format(
         seed=rows[0]["seed"],
         table=as_markdown(table(rows)),
+        stated=" and ".join(f"{100 * r.probability:.0f} % {how}" for how, r in NAME_RECORDS.items()),
         certainty=as_markdown(certainty([*rows, *clean])),
         n=len(rows),
         n_effects=len({r["effect"] for r in rows}),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from seatrial.ident.diagnosis.certainty import NAME_RECORDS, NameRecord
 from tests.recovery.realistic_page import DATA, PAGE, attribution_of, certainty, document
 from tests.recovery.resumable import read
 
@@ -40,3 +41,14 @@ def test_counts_of_the_page() -> None:
     assert "On 1 boats with the small imperfections alone, 2 effects are called identified (mooring, wind)" in text
     assert "of which 1 are not in the boat." in text
     assert "| 0.50 |" in document(rows)
+
+
+def test_stated_probabilities_are_those_of_the_study() -> None:
+    table = certainty([r for r in read(DATA).values() if "error" not in r and r["kind"].startswith("realistic")])
+    counts = {how: (int(named), int(right)) for how, named, right, *_ in table[1:]}
+    assert counts == {how: (record.named, record.right) for how, record in NAME_RECORDS.items()}
+
+
+def test_a_probability_is_that_of_the_next_name() -> None:
+    assert NameRecord(59, 59).probability == 60 / 61
+    assert NameRecord(0, 0).probability == 0.5

@@ -188,16 +188,22 @@ def _importance_in_words(change: PredictionChangeRow | None, horizon: float) -> 
 def attribution_words(effect: EffectRow) -> str:
     """Return the attribution of an added effect in words: how far its name can be trusted.
 
-    If the attribution is ambiguous, the text has the reasons and the effects that are not excluded.
+    If the attribution is ambiguous, the text has the reasons and the effects that are not excluded. It ends with the
+    share of such names that are right, if it is known.
     """
+    odds = ""
+    if effect.probability is not None:
+        odds = (
+            f"; on simulated boats with known effects, {formatting.percent(effect.probability)} of such names are right"
+        )
     if effect.attribution == "ambiguous":
         alternatives = [formatting.titled(name) for name in effect.not_excluded]
         reasons = [*effect.reasons, *([f"not excluded: {', '.join(alternatives)}"] if alternatives else [])]
-        return "ambiguous; " + "; ".join(reasons)
+        return "ambiguous; " + "; ".join(reasons) + odds
     return {
         "identified": "identified: the effect explains all that was missing, and no competing model comes close",
         "nonparametric": "nonparametric: no known effect explains the residual; the curve is estimated from the data",
-    }[effect.attribution]
+    }[effect.attribution] + odds
 
 
 def key_parameters(fit: FitSummary) -> list[Any]:
