@@ -176,8 +176,9 @@ def channels(log: Log) -> dict[str, Channel]:
     -------
     dict
         The signals with at least two samples, by name: ``psi``, ``r``, ``ax``, ... of an AHRS, ``x``, ``y``, ``vx``,
-        ``vy`` of a GNSS receiver, ``n_NAME``, ``n_cmd_NAME`` and ``voltage_NAME`` of a thruster, ``force`` of a load
-        cell, ``speed`` along the track, and imported signals by their own names. Times are in s since 1970.
+        ``vy`` of a GNSS receiver, ``n_NAME``, ``n_cmd_NAME`` and ``voltage_NAME`` of a thruster, ``servo_N`` of an
+        autopilot's output if the log has no rig file, ``force`` of a load cell, ``speed`` along the track, and imported
+        signals by their own names. Times are in s since 1970.
 
     Notes
     -----
@@ -300,9 +301,10 @@ def _add_thruster(log: Log, thruster: Thruster, found: dict[str, Channel]) -> No
 
     The names are ``n_NAME``, ``voltage_NAME`` and ``n_cmd_NAME``, with the name of the thruster in the rig file. The
     shaft speed is divided by the ``rpm_max`` of the rig file, and is left out without it or with fewer than two
-    samples. If its telemetry has no sign of its own, the sign is restored (`shaft_speed`). The command is the output of
-    the autopilot if the log has it, otherwise the logged command. A signal of the same name in ``found`` is replaced.
-    Signals that the log does not contain are not added.
+    samples. If the log has the output of the autopilot, and the shaft speed always has the sign of the present command
+    (`follows_command`), this sign is not measured, and `shaft_speed` restores it. In all other cases the sign is kept.
+    The command is the output of the autopilot if the log has it, otherwise the logged command. A signal of the same
+    name in ``found`` is replaced. Signals that the log does not contain are not added.
     """
     device, node = thruster.device, thruster.node
     shaft = None
@@ -891,9 +893,9 @@ def with_unique_names(loaded: Sequence[LoadedLog], files: Sequence[Path]) -> lis
     Returns
     -------
     list
-        Logs of the same name get the name of their folder before their own (``mon/run``), and a number if the names are
-        still equal (``mon/run (2)``). Other logs keep their names. A log whose own first fix is its origin gets the new
-        name in the origin too.
+        Logs of the same name get the name of their folder before their own (``mon/run``). If the names are still equal,
+        the first of them stays so, and the next ones get a number (``mon/run (2)``). Other logs keep their names. A log
+        whose own first fix is its origin gets the new name in the origin too.
 
     Notes
     -----

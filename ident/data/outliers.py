@@ -114,9 +114,10 @@ def outliers(name: str, c: Channel, found: Mapping[str, Channel]) -> Mask:
     -------
     Array (n,)
         True for an outlier. All False for a command, a given force, a servo output, a sampled or averaged signal, a
-        signal without limits of its own that is stepped like a command or whose middle 98 % are constant, and a signal
-        with fewer than 12 samples. NaN, and values of `IMPOSSIBLE` (1e6) or more, are outliers of shaft speeds and of
-        signals in `LEAST`, unless they are more than 5 % of the samples (a wrong unit).
+        signal without limits of its own whose middle 98 % are constant, and a signal with fewer than 12 samples. All
+        False also for a signal that is stepped like a command (`is_stepped`), except signals in `LEAST` and shaft
+        speeds whose command is in ``found``. NaN, and values of `IMPOSSIBLE` (1e6) or more, are outliers of shaft
+        speeds and of signals in `LEAST`, unless they are more than 5 % of the samples (a wrong unit).
     """
     none = np.zeros(c.t.size, bool)
     least, span = _outlier_limits(name, c)
@@ -170,8 +171,9 @@ def _outlier_limits(name: str, c: Channel) -> tuple[float, float]:
 
     The difference is in the unit of the signal ``c``. The duration [s] is the time from the sample before the burst to
     the one after it. Both depend on the ``name`` of the signal. For signals that may jump (commands, given forces,
-    sampled and averaged signals) they are infinite and zero, so that no sample is an outlier. For a signal without a
-    physical scale, the difference is the range of its middle 98 % of samples, or infinite if these are constant.
+    servo outputs, sampled and averaged signals) they are infinite and zero, so that no sample is an outlier. For a
+    signal without a physical scale, the difference is the range of its middle 98 % of samples, or infinite if these are
+    constant.
     """
     if is_of_thruster(name, COMMAND, THRUSTER_FORCE, "servo", "pwm") or c.sampled or c.hold == "average":
         return np.inf, 0.0

@@ -334,9 +334,9 @@ def build_record(
     -------
     Record
         Its rows are the union of the sample times of all sensors, of the changes of inputs with the hold ``zero`` that
-        are not averaged, and of the additional rows. ``meta["missing"]`` names the sensors of which a channel is
-        missing. ``meta["cut"]`` has the name of a signal that ends early and the seconds lost by it, if more than
-        `SHARE_LOST` (10 %) of the record is lost and ``t_to`` is None.
+        are not averaged, of both ends of the record, and of the additional rows. ``meta["missing"]`` names the sensors
+        of which a channel is missing. ``meta["cut"]`` has the name of a signal that ends early and the seconds lost by
+        it, if more than `SHARE_LOST` (10 %) of the record is lost and ``t_to`` is None.
 
     Raises
     ------
@@ -543,8 +543,9 @@ def _sensor_samples(
 def _block_edges(times: Array, start: float, end: float, rate: float) -> Array:
     """Return the edges [s] of blocks of 1/rate from ``start`` to ``end`` [s], but only those near ``times`` (n,) [s].
 
-    The blocks that contain a time, and their neighbours, are complete. The last edge is within half a block before or
-    after ``end``. ``rate`` is in Hz. All edges in a gap of years would need gigabytes.
+    The blocks that contain a time, and their neighbours, are complete. No edge is later than half a block after
+    ``end``. If a time is near ``end``, the last edge is within half a block before or after ``end``. ``rate`` is in Hz.
+    All edges in a gap of years would need gigabytes.
     """
     step = (start + 1.0 / rate) - start  # as np.arange has it
     last = math.ceil((end + 0.5 / rate - start) * rate) - 1

@@ -200,8 +200,8 @@ class FilterSymbols:
             Filter state ``s`` and sensitivities ``X`` after the update; no ``X`` if q is 0. Empty without a covariance,
             because the sample does not change the filter then.
         list[SX]
-            For each output, the sensitivities (1, q) of its prediction (minus those of the innovation), divided by the
-            standard deviation of the innovation.
+            For each output, the sensitivities (1, q) of its prediction, divided by the standard deviation of the
+            innovation. They are the negative of the sensitivities of the innovation.
         list[SX]
             For each output, the innovation (measured minus predicted) divided by its standard deviation.
         """

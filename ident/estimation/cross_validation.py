@@ -80,9 +80,9 @@ def leave_one_block_out(
 
     They are used for cross-validation. The values come from one Newton step inside the bounds from the fit to all
     blocks, with the block's contribution subtracted (approximate leave-one-out). A step that should gain more than 10
-    in log-posterior is halved, at most six times, until the log-posterior of the other blocks rises; the sixth half is
-    used even if it does not. Only the nominal model's per-record parameters (the current) are estimated from the block
-    itself.
+    in log-posterior is checked: while it does not raise the log-posterior of the other blocks, it is halved, at most
+    six times. The sixth half is used even if it does not raise the log-posterior. Only the nominal model's per-record
+    parameters (the current) are estimated from the block itself.
 
     Parameters
     ----------

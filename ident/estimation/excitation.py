@@ -30,7 +30,8 @@ class UnexcitedMotion:
     parameters
         Names among ``m_u``, ``m_v`` and ``m_r``.
     reason
-        Clause for reports about the commands, empty if they did change and differ.
+        Clause for reports about the commands. Empty if the commands changed and differed, or if the model lacks an
+        input of the left or the right thruster.
     """
 
     parameters: tuple[str, ...]

@@ -491,7 +491,8 @@ def nominal_model(model: Model) -> Model:
     """Return the model with which a diagnosis compares others: with disturbance forces and sensor offsets as states.
 
     The sizes of their noise and priors are scaled to the size of the boat, by its masses. A model that has disturbance
-    forces already is only scaled. A model without forces or kinematic residuals is returned unchanged.
+    forces already is only scaled. A model to which no disturbance force can be added (`forces_of`), and which has no
+    quantities for the diagnosis (`residuals_of`), is returned unchanged.
     """
     if not (forces_of(model) or residuals_of(model)):
         return model

@@ -66,10 +66,11 @@ class HomogeneityTest:
         Likelihood ratio statistic (twice the gain in log-posterior, at least 0), its degrees of freedom and its p value
         by chi-squared; p is 1 if df is 0.
     scatter
-        Standard deviation between the records, beyond their standard errors; NaN with fewer than two standard errors.
+        Standard deviation between the records, beyond their standard errors. Only records whose standard error shows
+        information from the data count (`homogeneity_test`). NaN with fewer than two such records.
     mean, mean_error, interval
-        Mean of the records' values with that scatter, its standard error, and its 95 % interval. The interval uses
-        Student's t, with the number of records that have a standard error minus one.
+        Mean of the values of these records with that scatter, its standard error, and its 95 % interval. The interval
+        uses Student's t, with the number of these records minus one.
     left_out
         Names of the records without enough information about the parameter. ``df`` does not count them.
     """

@@ -99,8 +99,9 @@ class SearchSettings:
     max_iterations
         Largest number of iterations of Fisher scoring.
     robust_errors
-        Whether to compute robust standard errors, and those of parameters with a flat likelihood. Both cost
-        evaluations, which the many rough fits of a diagnosis avoid.
+        Whether to compute robust standard errors, the standard errors of parameters with a flat likelihood, and the
+        part of all errors that comes from considered parameters. These cost evaluations, which the many rough fits of a
+        diagnosis avoid.
     initial_state
         For output error only. ``free``: the initial state of each record is estimated
         (``seatrial.ident.estimation.output_error.with_free_initial_states``). ``given``: it is that of the model, taken

@@ -516,8 +516,8 @@ def _parameter_from_table(p: Parameter, row: Mapping[str, Any]) -> Parameter:
     """Return the parameter p of the model's structure with the entries of its table ``row`` in the file.
 
     The entries are the value, whether it is free or considered, the prior and the origin. Without a prior in the table,
-    the parameter keeps its prior. An estimated parameter keeps its origin. ValueError is raised for a prior that is not
-    valid.
+    the parameter keeps its prior. If the origin in the table is ``estimated``, the parameter keeps the origin that it
+    has in the structure. ValueError is raised for a prior that is not valid.
     """
     origin = ParameterOrigin(row.get("origin", "given"))
     estimated = origin is ParameterOrigin.ESTIMATED

@@ -94,8 +94,8 @@ def with_free_initial_states(model: Model, records: Sequence[Record]) -> tuple[M
 
     A state that starts from a measurement gets a free parameter ``x0_NAME`` for each record, which starts at that
     record's first sample. A state that starts from a number (or from an output that the model lacks) gets a parameter
-    with that number as prior mean and ``sd0`` as prior standard deviation. A state that is known exactly (``sd0``
-    zero), or whose initial value is a parameter already, stays as it is.
+    with that number as prior mean and ``sd0`` as prior standard deviation. A state that starts from a number and is
+    known exactly (``sd0`` zero) stays as it is. So does a state whose initial value is a parameter already.
 
     Returns
     -------

@@ -110,7 +110,8 @@ def profile(fit: Fit, records: Sequence[Record], name: str, *, threads: int = 2)
     Raises
     ------
     ValueError
-        If the fit did not estimate the parameter, or if the records are not those of the fit.
+        If the fit did not estimate the parameter, or if a fit to these records would estimate other parameters: the fit
+        has per-record parameters, and the number of records differs. Other differences of the records are not found.
     """
     full = segment_name(name, 0) if name not in fit.names and len(fit.records) == 1 else name
     if full not in fit.names:
@@ -153,9 +154,9 @@ def _trace_both_sides(objective: ConstrainedObjective) -> list[ProfileBranch]:
 def _problem_of_fit(fit: Fit, records: Sequence[Record], threads: int) -> Problem:
     """Return the objective of a fit (log-posterior of its estimated parameters) for the given records.
 
-    ``threads`` is the largest number of records that are evaluated at the same time. Raise ValueError if the records
-    are not those of the fit: the names of the estimated parameters then differ, because there are more or fewer
-    per-record parameters.
+    ``threads`` is the largest number of records that are evaluated at the same time. Raise ValueError if the fit has
+    per-record parameters and the number of records differs: the names of the estimated parameters then differ. Other
+    differences of the records are not found.
     """
     likelihood = Likelihood(fit.model, process_noise=fit.options.process_noise)
     free = tuple(dict.fromkeys(p.name for p in fit.parameters))
@@ -221,9 +222,10 @@ def trace_profile(objective: ConstrainedObjective, sign: int) -> ProfileBranch:
     """Find the end of a parameter's 95 % likelihood interval on one side of the estimate, point by point.
 
     At each point the parameter is held and all others are fitted again. The search ends when the distance at which the
-    log-likelihood has dropped by 1.92 is known to one per cent, when a bound is reached, or when 12 points outwards and
-    14 between the last point inside and the first outside are used. It also ends if a better optimum than the estimate
-    is found. This optimum is then in ``objective.best_found``, and the caller starts again from there.
+    log-likelihood has dropped by 1.92 is known to one per cent, or when a bound is reached. It ends without this if 12
+    points outwards are all inside the interval, or if 14 points between the last point inside and the first outside are
+    used. It also ends if a better optimum than the estimate is found. This optimum is then in ``objective.best_found``,
+    and the caller starts again from there.
 
     Parameters
     ----------

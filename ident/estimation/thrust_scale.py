@@ -328,8 +328,10 @@ class ReportedEstimates:
 def contradicted_priors(fit: Fit) -> list[tuple[Parameter, float, float]]:
     """Return the parameters for which the data contradict the prior that was given for this boat.
 
-    Data and prior contradict each other if they differ by more than 3 of their common standard deviations. Priors of
-    the effects in the catalogue are not tested, because they describe a usual size and not this boat.
+    Data and prior contradict each other if they differ by more than 3 of their common standard deviations. Priors from
+    a bench test or from the user are tested, also those of a parameter of an effect. So are the priors that a
+    user-defined model declares. Built-in priors, and the usual priors of effects, are not tested: they do not describe
+    this boat.
 
     Parameters
     ----------

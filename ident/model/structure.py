@@ -450,9 +450,10 @@ class StartGrid:
         Values to try for each parameter, in its unit.
     apart : float
         Distance in the first parameter, in its unit. Fits start from values of this parameter that differ from each
-        other, and from the initial value of the model, by more than 1.5 times as much.
+        other, and from the estimate of the first fit, by more than 1.5 times as much.
     gaining : bool
-        Whether to fit only starts that are more likely than the current fit, with all other parameters as fitted.
+        Whether to fit only starts whose log-likelihood exceeds that of the first fit by more than 2. All other
+        parameters are as in the first fit.
     """
 
     names: tuple[str, ...]
@@ -924,9 +925,9 @@ def plain_model(
     parameters: tuple[Parameter, ...],
     source: str = "",
 ) -> Model:
-    """Return a model without stages, from a function of the time derivatives and a function of the outputs.
+    """Return a model of only two stages, from a function of the time derivatives and a function of the outputs.
 
-    Only effects that require no signal can be added to it.
+    The stages are ``rate`` and ``output``. Only effects that require no signal can be added to the model.
 
     Parameters
     ----------

@@ -99,7 +99,8 @@ def catalogue_model(source: str, sensors: Sequence[str] | None = None) -> Model:
     Raises
     ------
     SeatrialError
-        If there is no such model or option. The message lists the choices.
+        If there is no such model or option; the message lists the choices. Also if the function of another package
+        fails or does not return a Model.
     """
     kind, *options = source.split(":")
     if kind not in BUILT_IN:

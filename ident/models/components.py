@@ -79,7 +79,7 @@ N_LATER_SAMPLES = 5  # later samples of a shaft speed, one step each, for ages u
 
 
 def shift(s: Signals, l_x: Any, l_y: Any) -> None:
-    """Move the measured position and velocity over ground from the body's origin to another point of the hull.
+    """Move the model's outputs of position and velocity over ground from the origin to another point of the hull.
 
     The equations are those of Groves 2013, section 2.5, for a boat without roll and pitch. The point is, for example,
     the GNSS antenna.
@@ -387,8 +387,8 @@ def estimator_error(sensors: Sequence[str]) -> Effect:
     def add(s: Signals) -> None:
         """Add the errors of yaw rate, heading, position and velocity over ground to the outputs ``s.y``, in place.
 
-        The accelerations are not changed. The body velocity, if it is measured, is rotated by the heading error, and
-        gets the velocity error too.
+        The accelerations are not changed. The body velocity, if the model has its sensor, is rotated by the heading
+        error, and gets the velocity error too.
         """
         turn, (north, east) = value(s, "heading")[0], value(s, "velocity")
         for of in ("yaw rate", "heading", "position"):

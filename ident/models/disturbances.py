@@ -362,9 +362,10 @@ def sensor_bias(sensors: Sequence[str]) -> Effect:
 def with_disturbances(model: Model) -> Model:
     """Return the model with disturbance states and with states for sensor biases.
 
-    Biases are added to heading, yaw rate and acceleration, as far as the model measures them. The disturbance states
-    take over the process noise: the diffusions ``s_u``, ``s_v``, ``s_r`` and ``s_n`` of velocities and shaft speed, as
-    far as the model has them, are set to 1e-4, which is negligible, and are no longer estimated.
+    Biases are added to heading, yaw rate and acceleration, as far as the model has the sensors ``attitude``, ``gyro``
+    and ``accelerometer``. The disturbance states take over the process noise: the diffusions ``s_u``, ``s_v``, ``s_r``
+    and ``s_n`` of velocities and shaft speed, as far as the model has them, are set to 1e-4, which is negligible, and
+    are no longer estimated.
 
     Raises
     ------

@@ -35,7 +35,7 @@ def set_orientation(s: Signals, R: Matrix, omega: Sequence[Any]) -> None:
 
 
 def shift(s: Signals, arm: Sequence[Any]) -> None:
-    """Move the measured position and velocity over ground from the body's origin to another point of the hull.
+    """Move the model's outputs of position and velocity over ground from the origin to another point of the hull.
 
     The equations are those of Groves 2013, section 2.5. The point is, for example, the GNSS antenna.
 

@@ -291,9 +291,9 @@ def _set_rates(s: Signals) -> None:
 
 
 def _set_outputs(s: Signals) -> None:
-    """Set the outputs ``s.y``: shaft speed ``n``, and the measured ``force`` [N] if the model has a load cell.
+    """Set the outputs ``s.y``: shaft speed ``n``, and the ``force`` [N] if the model has a load cell.
 
-    The measured force is the thrust plus the offset of the load cell and, if it is a state, the disturbance force.
+    The output ``force`` is the thrust plus the offset of the load cell and, if it is a state, the disturbance force.
     """
     s.y["n"] = s.x.n
     if hasattr(s, "force"):

@@ -289,9 +289,10 @@ def error_place(problem: BaseException, path: Path, model: Model | None = None) 
     Returns
     -------
     str
-        The last line of the file in the traceback, or the line of a syntax error. Without either, the first line of the
-        function of ``model`` that sets the outputs (if the message is about an output) or the time derivatives. Only
-        the file if no line is known.
+        For a syntax error, its file and line; this may be another file, which the user's file imports. For any other
+        error, the last line of the user's file in the traceback. Without such a line, the first line of the function of
+        ``model`` that sets the outputs (if the message is about an output) or the time derivatives. Only the file if no
+        line is known.
     """
     if isinstance(problem, SyntaxError) and problem.lineno:
         return f"{problem.filename or path}:{problem.lineno}"

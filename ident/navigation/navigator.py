@@ -283,8 +283,8 @@ def _without_gnss_samples(
 ) -> tuple[Record, NDArray[np.bool_]]:
     """Return a copy of the record without GNSS samples in some intervals, and in which rows a position was removed.
 
-    The removed samples are NaN. They are those of all sensors that have only positions, velocities and speeds as
-    outputs.
+    The removed samples are NaN. They are those of all sensors whose outputs are all among ``x``, ``y``, ``vx``, ``vy``
+    and ``speed``. Body velocities ``u``, ``v`` are not removed.
 
     Parameters
     ----------

@@ -8,7 +8,7 @@ from seatrial.ident.model import Effect, Input, Parameter, Signals
 
 
 def creep(s: Signals) -> None:
-    """Add the drift of the load cell to the measured force [N], in place.
+    """Add the drift of the load cell to the output ``force`` [N] of the model, in place.
 
     The drift is ``F_creep (1 - exp(-t / T_creep))`` at the time t since the start of the record.
     """

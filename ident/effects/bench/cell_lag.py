@@ -6,9 +6,9 @@ from seatrial.ident.model import Effect, Parameter, Signals, State
 
 
 def smooth(s: Signals) -> None:
-    """Replace the share ``k_cell`` of the thrust in the measured force by the low-pass-filtered thrust, in place.
+    """Replace the share ``k_cell`` of the thrust in the output ``force`` by the low-pass-filtered thrust, in place.
 
-    The offset and the disturbance force in the measured force are not filtered.
+    The offset and the disturbance force in this output are not filtered.
     """
     s.y["force"] = s.y["force"] + s.p.k_cell * (s.x.cell - s.force)
 

@@ -12,8 +12,8 @@ from seatrial.ident.model import Effect, Parameter, Signals
 def couple(s: Signals) -> None:
     """Replace the rates of surge, sway and yaw by those of a body with an offset centre of gravity, in place.
 
-    ``x_g`` (forward) and ``y_g`` (to starboard) [m] are the offset from the origin. The forces ``s.X``, ``s.Y``,
-    ``s.N`` are used with the additions of all other effects.
+    ``x_g`` (forward) and ``y_g`` (to starboard) [m] are the offset from the origin, times the mass without added mass
+    over ``m_u``. The forces ``s.X``, ``s.Y``, ``s.N`` are used with the additions of all other effects.
     """
     x, p = s.x, s.p
     m_xg, m_yg = p.x_g * p.m_u, p.y_g * p.m_u

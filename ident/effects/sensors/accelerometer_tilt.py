@@ -7,7 +7,7 @@ from seatrial.ident.models import rotations
 
 
 def add_gravity(s: Signals) -> None:
-    """Add the gravity measured in pitch and roll to the accelerometer outputs ``ax`` and ``ay`` [m/s2], in place.
+    """Add the part of gravity due to pitch and roll to the accelerometer outputs ``ax`` and ``ay`` [m/s2], in place.
 
     Pitch is ``k_pitch`` [rad/N] times the total thrust. Roll is ``k_roll`` times the lateral acceleration u r.
     """

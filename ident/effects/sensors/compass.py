@@ -14,7 +14,7 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def turn_body_velocity(s: Signals, angle: Any) -> None:
-    """Rotate the measured body velocity by a heading error, in place.
+    """Rotate the output of the body velocity by a heading error, in place.
 
     The result has the components along axes that are turned clockwise by the error: u becomes ``cos u + sin v``, and v
     becomes ``cos v - sin u``. Use this function for a body velocity that was computed from the velocity over ground and
@@ -32,7 +32,9 @@ def turn_body_velocity(s: Signals, angle: Any) -> None:
 
 
 def deviate(s: Signals) -> None:
-    """Add the compass deviation to the measured heading [rad], and rotate the measured body velocity by it, in place.
+    """Add the compass deviation to the output of the heading [rad], in place.
+
+    Rotate the output of the body velocity by the same angle.
 
     The deviation is ``dev_s sin psi + dev_c cos psi + dev_2s sin 2psi + dev_2c cos 2psi`` at the true heading psi.
     """

@@ -30,9 +30,9 @@ def _set_filter_rates(s: Signals) -> None:
 
 
 def _add_deviation(s: Signals) -> None:
-    """Add the compass deviation after the heading filter to the measured heading [rad], in place.
+    """Add the compass deviation after the heading filter to the output of the heading [rad], in place.
 
-    Rotate the measured body velocity by the same angle.
+    Rotate the output of the body velocity by the same angle.
     """
     p, x, psi = s.p, s.x, s.x.psi
     deviation = p.dev_f1s * (np.sin(psi) - x.behind_1s) + p.dev_f1c * (np.cos(psi) - x.behind_1c)

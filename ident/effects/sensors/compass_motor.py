@@ -26,10 +26,10 @@ def follow(s: Signals) -> None:
 
 
 def turn(s: Signals) -> None:
-    """Add the heading error due to the motor currents to the measured heading [rad], in place.
+    """Add the heading error due to the motor currents to the output of the heading [rad], in place.
 
-    The error is ``dev_ms`` and ``dev_mc`` times the two filter states (load times sin psi and cos psi). The measured
-    body velocity is rotated by the same error.
+    The error is ``dev_ms`` and ``dev_mc`` times the two filter states (load times sin psi and cos psi). The output of
+    the body velocity is rotated by the same error.
     """
     error = s.p.dev_ms * s.x.drawn_s + s.p.dev_mc * s.x.drawn_c
     s.y["psi"] = s.y["psi"] + error

@@ -8,7 +8,7 @@ from seatrial.ident.model import INF, Effect, Parameter, Signals
 
 
 def lag(s: Signals) -> None:
-    """Delay the measured body velocity and yaw rate by the lag of their filters, in place.
+    """Delay the outputs of body velocity and yaw rate by the lag of their filters, in place.
 
     The lag is of first order: lag times rate of change is subtracted from ``u``, ``v`` (lag ``T_uv`` [s]) and ``r``
     (lag ``T_r`` [s]). ``u`` and ``v`` are over ground, so their rates include the rotation of the current in the body

@@ -32,7 +32,7 @@ def _weights_ago(tau: Any) -> list[Any]:
 
 
 def _delay_fix(s: Signals, then: Signals) -> None:
-    """Delay the measured position and velocity of the GNSS antenna by the latency ``tau_gnss``, in place in ``s.y``.
+    """Delay the outputs of the GNSS antenna's position and velocity by the latency ``tau_gnss``, in place in ``s.y``.
 
     Position and velocity are extrapolated backwards with the velocity and acceleration of the antenna. ``then``
     contains the rates of the present state, but computed with the thruster inputs of half the latency earlier; they
@@ -50,7 +50,7 @@ def _delay_fix(s: Signals, then: Signals) -> None:
 
 
 def delay_shaft(s: Signals) -> None:
-    """Delay the measured GNSS position and velocity by the latency, in place. For models with shaft speeds as inputs.
+    """Delay the outputs of GNSS position and velocity by the latency, in place. For models with shaft-speed inputs.
 
     The acceleration is computed with the shaft speeds of half the latency earlier. They are interpolated between the
     delayed copies of the inputs (``NAME~k``: k steps of 0.1 s ago). Before the oldest copy, they are constant. A lag of
@@ -68,7 +68,7 @@ def delay_shaft(s: Signals) -> None:
 
 
 def delay_driven_shaft(s: Signals) -> None:
-    """Delay the measured GNSS position and velocity by the latency, in place. For models whose shaft speeds are states.
+    """Delay the outputs of GNSS position and velocity by the latency, in place. For models with shaft speeds as states.
 
     The acceleration is computed with the shaft speeds of half the latency earlier, extrapolated with their present
     rates. The delay of the command is increased by half the latency, up to the delay of the oldest copy of the command

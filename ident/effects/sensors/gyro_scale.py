@@ -6,7 +6,7 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def scale(s: Signals) -> None:
-    """Add the relative scale error ``k_gyro`` times the true yaw rate (state) to the measured one [rad/s], in place."""
+    """Add the relative scale error ``k_gyro`` times the yaw rate (state) to the output ``r`` [rad/s], in place."""
     s.y["r"] = s.y["r"] + s.p.k_gyro * s.x.r
 
 

@@ -12,9 +12,10 @@ from seatrial.ident.model import INF, Effect, Parameter, Signals
 
 
 def trail(s: Signals) -> None:
-    """Delay the measured heading by its lag ``T_psi`` [s], and rotate the measured body velocity accordingly, in place.
+    """Delay the output of the heading by its lag ``T_psi`` [s], in place.
 
-    The heading error is ``-T_psi r``, the first order of the delay; the body velocity is rotated by the same angle.
+    The heading error is ``-T_psi r``, the first order of the delay. The output of the body velocity is rotated by the
+    same angle.
     """
     behind = -s.p.T_psi * s.x.r
     s.y["psi"] = s.y["psi"] + behind

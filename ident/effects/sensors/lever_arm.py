@@ -9,15 +9,16 @@ from seatrial.ident.models import rotations, shift
 
 
 def move(s: Signals) -> None:
-    """Move the measured position and velocity over ground to the GNSS antenna of a level boat, in place.
+    """Move the outputs of position and velocity over ground from the origin to the GNSS antenna, in place.
 
-    The antenna is ``l_x`` forward and ``l_y`` to starboard of the origin of the body frame [m].
+    This is for a level boat. The antenna is ``l_x`` forward and ``l_y`` to starboard of the origin of the body frame
+    [m].
     """
     shift(s, s.p.l_x, s.p.l_y)
 
 
 def move_tilted(s: Signals) -> None:
-    """Move the measured position and velocity over ground from the origin to the GNSS antenna, in place.
+    """Move the outputs of position and velocity over ground from the origin to the GNSS antenna, in place.
 
     This is for models with measured roll and pitch. The antenna is ``l_x`` forward, ``l_y`` to starboard and ``l_z``
     below the origin of the body frame [m].

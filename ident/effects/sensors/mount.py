@@ -13,10 +13,11 @@ from seatrial.ident.numerics import Matrix, rotation_matrix
 
 
 def turn(s: Signals) -> None:
-    """Rotate the measured heading, body velocity and accelerations by the yaw misalignment of the AHRS, in place.
+    """Rotate the outputs of heading, body velocity and accelerations by the yaw misalignment of the AHRS, in place.
 
-    The misalignment is ``psi_mount`` [rad], clockwise: the measured heading is the true one plus ``psi_mount``, and
-    velocity and accelerations are measured along axes that are turned by it. This is for models without roll and pitch.
+    The misalignment is ``psi_mount`` [rad], clockwise: the output of the heading becomes the true heading plus
+    ``psi_mount``, and velocity and accelerations become those along axes that are turned by it. This is for models
+    without roll and pitch.
     """
     cos, sin = np.cos(s.p.psi_mount), np.sin(s.p.psi_mount)
     s.y["psi"] = s.y["psi"] + s.p.psi_mount

@@ -9,12 +9,15 @@ from seatrial.ident.numerics import body_to_ned
 
 
 def scale(s: Signals) -> None:
-    """Multiply the measured velocities north and east by ``1 + k_V``, in place. ``k_V`` is the relative scale error."""
+    """Multiply the outputs ``vx``, ``vy`` (velocity over ground) by ``1 + k_V``, in place.
+
+    ``k_V`` is the relative scale error.
+    """
     s.y["vx"], s.y["vy"] = s.y["vx"] * (1 + s.p.k_V), s.y["vy"] * (1 + s.p.k_V)
 
 
 def turn(s: Signals) -> None:
-    """Rotate the measured velocity over ground clockwise by ``chi_0`` [rad], the offset of the course, in place."""
+    """Rotate the outputs ``vx``, ``vy`` clockwise by ``chi_0`` [rad], the offset of the course, in place."""
     s.y["vx"], s.y["vy"] = body_to_ned(s.p.chi_0, s.y["vx"], s.y["vy"])
 
 

@@ -6,10 +6,10 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def move(s: Signals) -> None:
-    """Move the measured body velocity [m/s] from the origin to the point of measurement, in place.
+    """Move the output of the body velocity [m/s] from the origin to the point of measurement, in place.
 
-    The point is ``b_x`` forward and ``b_y`` to starboard of the origin [m]: ``u - r b_y`` and ``v + r b_x`` are
-    measured.
+    The point is ``b_x`` forward and ``b_y`` to starboard of the origin [m]. The outputs become ``u - r b_y`` and
+    ``v + r b_x``.
     """
     s.y["u"], s.y["v"] = s.y["u"] - s.p.b_y * s.x.r, s.y["v"] + s.p.b_x * s.x.r
 
