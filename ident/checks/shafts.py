@@ -423,7 +423,8 @@ def _step_findings(name: str, command: Channel, shaft: Channel) -> Iterator[Find
 def _count_drop_outs(held: HeldCommand) -> int:
     """Count how often the shaft speed falls to zero during one held command.
 
-    It counts from the time at which the speed has reached 80 % of its settled value.
+    The count starts when the speed has reached 80 % of its settled value. The result is 0 if the speed never reaches
+    this value.
 
     Zero crossings of a reversal do not count: the shaft turns the other way before or after them. ``held.settled`` must
     not be zero.
