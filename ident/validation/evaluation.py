@@ -117,7 +117,7 @@ class ChannelResiduals:
     tests
         Tests for whiteness.
     inputs
-        Correlation of the innovations with each input.
+        Correlation of the innovations with each input that reports show (`shown_inputs`).
     """
 
     record: str
@@ -172,7 +172,8 @@ class PredictionEvaluation:
     validation
         Evaluation of the validation data, None if there are no validation data.
     residuals
-        Residual analysis of the estimation data: one entry for each channel of each record.
+        Residual analysis of the estimation data: one entry for each channel of each record. Channels of a record with
+        fewer than 60 samples, or with constant innovations, have no entry.
     """
 
     model: Model
