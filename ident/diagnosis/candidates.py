@@ -498,7 +498,7 @@ def spline_bases(model: Model, among: Mapping[str, Array]) -> dict[str, SplineBa
     """Return the spline basis of each variable of a model except angles, by name of the variable.
 
     ``among`` contains the samples (n,) of each variable. The interval of a basis is their middle 99 %, and its
-    functions are less their means over all samples. It has no functions if the interval is shorter than 1e-6.
+    functions are less their means over all samples. A basis has no functions if its interval is shorter than 1e-6.
     """
     return {v.name: spline_basis(among[v.name], v.functions) for v in variables_of(model) if not v.angle}
 

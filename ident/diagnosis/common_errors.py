@@ -145,8 +145,8 @@ def with_common_errors(model: Model, common: Sequence[Effect], step: Mapping[str
     common
         Common errors to add.
     step
-        One-step estimate of each parameter by name, 0 for missing ones. It is limited to one standard deviation of the
-        prior.
+        One-step estimate of each parameter by name, 0 for missing ones. Each estimate is limited to one standard
+        deviation of the prior, before ``share`` is applied.
     share
         Factor of these estimates, 0 to 1. An initial value is the parameter's own value plus this share of the
         estimate, limited to the bounds.

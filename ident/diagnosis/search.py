@@ -447,9 +447,10 @@ def _untestable_candidates(
     """Return the requested candidates that cannot have a score test, with the reasons.
 
     User-defined candidates are listed if the model does not accept them or if a run lacks an input. Candidates of the
-    catalogue, many of which do not concern a model, are listed only if they act at a fixed point and the runs are too
-    far apart for one origin. Each candidate is listed once; the fixed point takes precedence over other reasons, and
-    only the first run that lacks an input is named. The result is empty if each candidate can be tested.
+    catalogue, many of which do not concern a model, are listed only if they act at a fixed point, the model accepts
+    them, and the runs are too far apart for one origin. Each candidate is listed once; the fixed point takes precedence
+    over other reasons, and only the first run that lacks an input is named. The result is empty if each candidate can
+    be tested.
 
     Parameters
     ----------
@@ -723,7 +724,7 @@ class _Search:
         parametric effects are tried, with a criterion of the score above ``policy.min_gain_ratio_after_curve`` of the
         largest criterion of an added effect. With the common errors, the criterion must also exceed
         ``policy.max_remaining_criterion``. The common errors are added before a round if they explain more than any
-        single effect. The attributes of the search are updated.
+        single effect, and under the other conditions of `add_common_errors`. The attributes of the search are updated.
 
         Parameters
         ----------
@@ -1072,7 +1073,8 @@ class _Search:
         has an accepted refit. Those with a criterion of at most ``policy.min_score_ratio`` of the best are left out if
         the best is positive. Then follow up to ``policy.n_nonparametric`` nonparametric candidates whose score is high
         enough compared with the best accepted refit (``policy.nonparametric_score_share`` and
-        ``policy.nonparametric_score_distance``). The attributes of the search are not changed.
+        ``policy.nonparametric_score_distance``). There is no such limit without an accepted refit, and for the curve of
+        which the effect of the best accepted refit is one form. The attributes of the search are not changed.
 
         Parameters
         ----------
