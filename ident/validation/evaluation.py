@@ -200,8 +200,8 @@ class PredictionEvaluation:
     def widening(self) -> dict[str, float]:
         """Factor by channel with which the predicted standard deviations over the horizon are multiplied, at least 1.
 
-        It is that of the validation data (`Calibration.widening`). It is empty without validation data, and lacks
-        channels that these data do not have; nothing is multiplied then.
+        The factor is that of the validation data (`Calibration.widening`). The dictionary is empty without validation
+        data, and lacks channels that these data do not have. Standard deviations without a factor are not changed.
         """
         return {} if self.validation is None else _widening(self.validation.calibration.horizon)
 
