@@ -273,7 +273,7 @@ def response(commands: Channel, shaft: Channel) -> Response | NoResponse:
     def delayed(lagged: Array, delay: float, seen: NDArray[np.bool_]) -> Array:
         """Return the lagged command after a delay [s], at the times of ``seen``.
 
-        It is zero at times without telemetry (``seen`` false).
+        The result is zero at times without telemetry (``seen`` false).
         """
         late = longest - round(delay / SHAFT_GRID_S)
         x = lagged[late : late + seen.size]
