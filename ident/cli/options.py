@@ -108,7 +108,7 @@ def parse_rates(context: click.Context, parameter: click.Parameter, items: Seque
 def check_jobs(_context: click.Context, _parameter: click.Parameter, number: int) -> int:
     """Check the value of ``--jobs``, and return it (click callback).
 
-    It is a number of processes, or -1 for as many as the computer has cores.
+    The value is a number of processes, or -1 for as many as the computer has cores.
 
     Raises
     ------
@@ -162,7 +162,7 @@ def parse_priors(
 
 
 def validate_option(f: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorate a command with the option ``--validate``: a log to validate the model on. It may be repeated.
+    """Decorate a command with the option ``--validate``: a log to validate the model on. The option may be repeated.
 
     The command receives the paths as the tuple ``validate``.
     """
