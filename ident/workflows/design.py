@@ -407,9 +407,8 @@ def make_task(source: str, request: DesignRequest) -> DesignProblem:
     Parameters
     ----------
     source : str
-        A file model.toml (or its folder, if the text contains a slash), the name of a built-in model, or FILE.py:NAME
-        for a user-defined model. A model.toml gives the prior (the covariance of its estimates), the ranges of its
-        signals and its sensor rates.
+        A file model.toml, the name of a built-in model, or FILE.py:NAME for a user-defined model. A model.toml gives
+        the prior (the covariance of its estimates), the ranges of its signals and its sensor rates.
     request : DesignRequest
         Options of the design.
 
