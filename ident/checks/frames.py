@@ -307,8 +307,8 @@ def _mirror_fault(names: tuple[str, ...], courses: Mapping[str, Course | None]) 
 
     A signal, or two signals of one device, have a fault of their own (`MIRRORED`); for any other set of names it is
     ``frames-mirrored``, which does not state the wrong one. ``names``: the signals, or all signals of which some are
-    mirrored (`mirrored_signals`). ``courses``: relation of
-    each track to the heading, None if unknown. It shows whether the axes are exchanged or one sign is reversed.
+    mirrored (`mirrored_signals`). ``courses``: relation of each track to the heading, None if unknown. It shows whether
+    the axes are exchanged or one sign is reversed.
     """
     offset = next((f.offset for f in courses.values() if f is not None and f.parity < 0), None)
     quarter = offset is not None and abs(abs(np.degrees(offset)) - 90.0) < 45.0  # a mirror that exchanges the axes
@@ -454,6 +454,7 @@ def check_accelerometer(c: Channels, found: Match | None) -> Iterator[Finding]:
         Channels (signals) of a log by name.
     found
         Relation of velocity and specific force (`seatrial.ident.checks.sensors.velocity_match`). None gives no finding.
+        There is also none if velocities, accelerometers and heading overlap for too short a time.
     """
     velocity = displacement_windows(c, "vx", "vy")
     if found is None or velocity is None:

@@ -52,10 +52,10 @@ def check_inputs(c: Channels) -> Iterator[Finding]:
     Yields
     ------
     Finding
-        If all inputs are constant: ``inputs-constant`` or ``inputs-never-change``, and nothing else. Else
-        ``shaft-speed-stuck`` for each shaft speed that stays the same against its command. A shaft speed without a
-        command gives it if its hold is ``linear``, it is constant and above 0.05 of full speed in the whole log, and
-        speed and yaw rate rise more than twice.
+        If all inputs are constant: at most one finding, ``inputs-constant`` or ``inputs-never-change``; none if speed
+        and yaw rate do not rise. Else ``shaft-speed-stuck`` for each shaft speed that stays the same against its
+        command. A shaft speed without a command gives it if its hold is ``linear``, it is constant and above 0.05 of
+        full speed in the whole log, and speed and yaw rate rise more than twice.
     """
     names = sorted(n for n in c if is_of_thruster(n, *INPUTS) or n in ("X", "N"))
     if not names:

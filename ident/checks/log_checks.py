@@ -333,8 +333,8 @@ def _response_curve(
 ) -> ThrustResponseCurve:
     """Return a measured motion y (n,) and its expected response to the thrust or moment f (n,), as a curve to plot.
 
-    The response passes a first-order lag with the best of the time constants ``lags`` [s]. It is NaN if f is constant.
-    ``forces`` gives the times (n,). Times at which y is NaN are left out.
+    The response passes a first-order lag with the best of the time constants ``lags`` [s]. The response is NaN if f is
+    constant. ``forces`` gives the times (n,). Times at which y is NaN are left out.
     """
     measured = np.isfinite(y)  # a course is NaN while the boat is too slow
     filled = fill_gaps(forces.t, y)

@@ -230,6 +230,8 @@ def thrust_responses(c: Channels, sides: Mapping[str, float]) -> ThrustResponse 
 def best_turn_rate(c: Channels, edges: Array) -> Array | None:
     """Return the yaw rate (n,) [rad/s] by the gyro, else the heading, else the course; None without these sensors.
 
+    A sensor whose yaw rate is NaN in all intervals counts as missing.
+
     Parameters
     ----------
     c

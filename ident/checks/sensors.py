@@ -232,10 +232,10 @@ def gyro_and_heading(c: Channels, found: Match | None) -> Iterator[Finding]:
     """Yield findings on scale and delay between heading and yaw rate.
 
     The sign is the task of `seatrial.ident.checks.frames`. With an R2 below 0.6 the only finding is
-    ``heading-and-gyro-disagree`` (warning). Otherwise the factor (yaw rate over change of heading, or its inverse)
-    gives ``angle-in-degrees`` (fault, 30 to 120), ``gyro-scale`` (warning outside 0.7 to 1.4, fault outside 0.6 to
-    1.67) or ``gyro-as-expected`` (ok), all by its size; a negative factor of the right size gives none of them. The
-    delay follows (`sensor_delay`).
+    ``heading-and-gyro-disagree`` (warning). Otherwise the factor (change of heading over yaw rate) gives
+    ``angle-in-degrees`` (fault, if the factor or its inverse is 30 to 120), ``gyro-scale`` (warning outside 0.7 to 1.4,
+    fault outside 0.6 to 1.67) or ``gyro-as-expected`` (ok), all by its size; a negative factor of the right size gives
+    none of them. The delay follows (`sensor_delay`).
 
     Parameters
     ----------

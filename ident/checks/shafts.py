@@ -273,7 +273,7 @@ def response(commands: Channel, shaft: Channel) -> Response | NoResponse:
     def delayed(lagged: Array, delay: float, seen: NDArray[np.bool_]) -> Array:
         """Return the lagged command after a delay [s], at the times of ``seen``.
 
-        It is zero at times without telemetry (``seen`` false).
+        The result is zero at times without telemetry (``seen`` false).
         """
         late = longest - round(delay / SHAFT_GRID_S)
         x = lagged[late : late + seen.size]
@@ -423,7 +423,8 @@ def _step_findings(name: str, command: Channel, shaft: Channel) -> Iterator[Find
 def _count_drop_outs(held: HeldCommand) -> int:
     """Count how often the shaft speed falls to zero during one held command.
 
-    It counts from the time at which the speed has reached 80 % of its settled value.
+    The count starts when the speed has reached 80 % of its settled value. The result is 0 if the speed never reaches
+    this value.
 
     Zero crossings of a reversal do not count: the shaft turns the other way before or after them. ``held.settled`` must
     not be zero.

@@ -108,7 +108,7 @@ def parse_rates(context: click.Context, parameter: click.Parameter, items: Seque
 def check_jobs(_context: click.Context, _parameter: click.Parameter, number: int) -> int:
     """Check the value of ``--jobs``, and return it (click callback).
 
-    It is a number of processes, or -1 for as many as the computer has cores.
+    The value is a number of processes, or -1 for as many as the computer has cores.
 
     Raises
     ------
@@ -162,7 +162,7 @@ def parse_priors(
 
 
 def validate_option(f: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorate a command with the option ``--validate``: a log to validate the model on. It may be repeated.
+    """Decorate a command with the option ``--validate``: a log to validate the model on. The option may be repeated.
 
     The command receives the paths as the tuple ``validate``.
     """
@@ -174,8 +174,8 @@ def validate_option(f: Callable[..., Any]) -> Callable[..., Any]:
 def window_option(f: Callable[..., Any]) -> Callable[..., Any]:
     """Decorate a command with ``--from`` and ``--to`` [s of the log]: the interval of time of the logs to use.
 
-    The command receives both as one ``window`` (`TimeWindow`); by default this is the whole log. It raises
-    click.BadParameter if the end is not after the start.
+    The command receives both as one ``window`` (`TimeWindow`); by default this is the whole log. If the end is not
+    after the start, click.BadParameter is raised, and the command is not called.
     """
 
     @wraps(f)
@@ -217,8 +217,8 @@ def check_output(context: click.Context, _parameter: click.Parameter, out: Path 
     Raises
     ------
     SeatrialError
-        If it is a file, or a folder with a result.json, and ``--force`` is not given. Also if it, or a model.toml,
-        result.json or report.html in it, is a symbolic link to a file or to nothing.
+        If ``out`` is a file, or a folder with a result.json, and ``--force`` is not given. With or without ``--force``:
+        if ``out``, or a model.toml, result.json or report.html in it, is a symbolic link to a file or to nothing.
     """
     if out is not None:
         for path in (out, *(out / name for name in ("model.toml", "result.json", "report.html"))):
@@ -250,8 +250,8 @@ def out_option(default: str) -> Callable[..., Any]:
 def _trust_files(context: click.Context, _parameter: click.Parameter, trusted: bool) -> None:
     """Allow the Python files of users until the command ends, if ``--trust-code`` is given (click callback).
 
-    The hashes of the files that are run are stored, so that these files, if unchanged and in the folder of their
-    model.toml, may be run later without the option.
+    The hashes of the files that are run are stored. Such a file may be run later without the option if two conditions
+    are fulfilled: the model.toml contains its present hash, and the file is in the folder of this model.toml.
     """
     if trusted:
         from seatrial.ident.models import trusting_code
@@ -262,8 +262,9 @@ def _trust_files(context: click.Context, _parameter: click.Parameter, trusted: b
 def trust_option(f: Callable[..., Any]) -> Callable[..., Any]:
     """Decorate a command with the flag ``--trust-code``: run any Python file that a model.toml names.
 
-    The command does not receive the flag, which takes effect while the command runs. A file that was run stays trusted
-    later, if it is unchanged and in the folder of its model.toml.
+    The command does not receive the flag, which takes effect while the command runs. A file that was run may be run
+    later without the flag, if the model.toml contains its present hash and the file is in the folder of this
+    model.toml.
     """
     words = (
         "Run the Python files that a model.toml names, even if they are new, changed or moved, and trust them later."

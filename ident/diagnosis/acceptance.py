@@ -180,8 +180,8 @@ def validation_gain(
         Gain d ln L from ``before`` to ``after``, summed over the records.
     t
         t statistic of the gain over blocks of time of 10 s (4 s on the bench), as the normal deviate of the same
-        probability. The blocks are half as long if the data are shorter than ``policy.min_double_blocks`` of them. 0
-        for fewer than two blocks.
+        probability. The blocks are half as long if the data are shorter than ``policy.min_double_blocks`` times 10 s
+        (4 s). t is 0 for fewer than two blocks.
 
         Both are 0 without common validation records.
 
@@ -213,7 +213,8 @@ def pooled_t(before: FittedModel, after: FittedModel, penalty: float, policy: Se
     before, after
         Fitted models to compare.
     penalty
-        Gain d ln L of the estimation data that is due to the added parameters; each block has an equal share of it.
+        Gain d ln L of the estimation data that is due to the added parameters. An equal share of this gain is
+        subtracted from each block of the estimation data, and nothing from the blocks of the validation data.
     policy
         Thresholds, of which the smallest number of blocks of double length is used.
 
@@ -482,8 +483,8 @@ def _t_as_normal_deviate(x: Array) -> float:
 def _errors_by_inputs(model: Model, evaluation: RecordEvaluation, blocks: float) -> dict[str, PredictionErrors]:
     """Return the prediction errors of a fitted model on a record, by channel, with the disturbance forces set to zero.
 
-    Each prediction starts at the filtered state, without its disturbance states. The horizon is ``blocks`` times the
-    block of the model (5 s for a boat, 2 s on the bench).
+    Each prediction starts at the filtered state with its disturbance states set to zero. The horizon is ``blocks``
+    times the block of the model (5 s for a boat, 2 s on the bench).
     """
     forces = [i for i, s in enumerate(model.states) if s.name in {r.state for r in residuals_of(model)}]
     x = evaluation.run.x_filt.copy()

@@ -84,8 +84,9 @@ class TrajectoryLinearisation:
     def part(self, rows: slice) -> TrajectoryLinearisation:
         """Return the linearisation of consecutive rows of the record, so that a long record is processed in parts.
 
-        The first row of each part is the last row of the part before. The states that effects add continue from there.
-        All parts share one store of these states, so the parts have to be processed in the order of time.
+        The caller has to choose ``rows`` so that the first row of each part is the last row of the part before, because
+        the states that effects add continue from there. All parts share one store of these states, so the parts have to
+        be processed in the order of time. The original is not changed.
         """
         part = copy(self)
         part.record, own = self.record.rows(rows), self.own.rows(rows)
@@ -415,8 +416,8 @@ def generic_features(
     Returns
     -------
     dict
-        Array (n_rows, n_features) by a tuple of one or two variable names. A variable that is constant in the samples
-        of its basis has no entry of its own.
+        Array (n_rows, n_features) by a tuple of one or two variable names. A variable other than an angle
+        has no entry of its own if the middle 99 % of the samples of its basis differ by less than 1e-6.
     """
     z = variables(model, record, x, values)
     available = variables_of(model)
@@ -497,7 +498,7 @@ def spline_bases(model: Model, among: Mapping[str, Array]) -> dict[str, SplineBa
     """Return the spline basis of each variable of a model except angles, by name of the variable.
 
     ``among`` contains the samples (n,) of each variable. The interval of a basis is their middle 99 %, and its
-    functions are less their means over all samples. It has no functions if the interval is shorter than 1e-6.
+    functions are less their means over all samples. A basis has no functions if its interval is shorter than 1e-6.
     """
     return {v.name: spline_basis(among[v.name], v.functions) for v in variables_of(model) if not v.angle}
 

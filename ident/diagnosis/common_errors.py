@@ -68,9 +68,9 @@ def common_errors_for(model: Model, candidates: Mapping[str, Effect]) -> dict[st
         The model. Errors that it has already are left out.
     candidates
         Candidates of the diagnosis, which the model accepts. A common error of the catalogue that is not among them is
-        left out, also if a user-defined effect has its name. The age of the telemetry is not in the catalogue. It is
-        added, with an initial value of zero, if the model has measured shaft speeds and at least one other common error
-        was found.
+        left out. A user-defined effect with the name of a common error is left out too. The age of the telemetry is not
+        in the catalogue. It is added, with an initial value of zero, if the model has measured shaft speeds and at
+        least one other common error was found.
     """
     present = {e.name for e in model.effects}
     found = {n: candidates[n] for n in COMMON_ERRORS if n in candidates and candidates[n] is catalogue().get(n)}
@@ -145,8 +145,8 @@ def with_common_errors(model: Model, common: Sequence[Effect], step: Mapping[str
     common
         Common errors to add.
     step
-        One-step estimate of each parameter by name, 0 for missing ones. It is limited to one standard deviation of the
-        prior.
+        One-step estimate of each parameter by name, 0 for missing ones. Each estimate is limited to one standard
+        deviation of the prior, before ``share`` is applied.
     share
         Factor of these estimates, 0 to 1. An initial value is the parameter's own value plus this share of the
         estimate, limited to the bounds.

@@ -203,10 +203,10 @@ class Round:
 
     @property
     def outcome(self) -> Outcome:
-        """Outcome of the refit that came closest to being added, ``UNTESTED`` if there is no refit.
+        """Outcome of the round: ``ADDED`` if a refit was added, ``UNTESTED`` if there is no refit.
 
-        Refits come closer in the order ``NOT_SUPPORTED``, ``NOT_VALIDATED``, ``NO_BETTER_PREDICTION``,
-        ``WORSE_PREDICTION``, ``SMALL``.
+        Otherwise it is the outcome of the refit that came closest to being added. Refits come closer in the order
+        ``NOT_SUPPORTED``, ``NOT_VALIDATED``, ``NO_BETTER_PREDICTION``, ``WORSE_PREDICTION``, ``SMALL``.
         """
         if self.chosen is not None:
             return Outcome.ADDED
@@ -392,7 +392,7 @@ class Diagnosis:
         Fitted model without added effects, and with the selected effects. ``after`` also has the common errors, if they
         were added. Both are the same object if nothing was added.
     rounds
-        Rounds of the search, in their order; empty if no candidate passed.
+        Rounds of the search, in their order; empty if no candidate was refitted.
     remaining
         Scores that pass the score test on ``after``, the largest criterion first.
     curves

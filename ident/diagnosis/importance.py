@@ -41,8 +41,8 @@ def effect_importance(
     """Compute the importance of each chosen effect; the most important comes first (`by_importance`).
 
     Each effect is left out in turn, and the other effects are fitted again by a rough search. If a refit of the search
-    has the same effects, it is used instead. A chosen nonparametric curve of the same force and variable is left out
-    together with the effect.
+    has the same effects, it is used instead. A chosen nonparametric curve of which the catalogue
+    declares the effect to be one form is left out together with the effect (`left_out_with`).
 
     Parameters
     ----------
@@ -94,8 +94,9 @@ def _importance(
     """Return the importance of the effect of a refit, by comparison of two fitted models.
 
     ``without`` is the model without the effect, and ``after`` the model with all effects. ``alone`` is True if no other
-    effect is left out of ``without``. If the effect was also added last, its refit contains the comparison on the
-    validation data already, which is used again.
+    effect is left out of ``without``. If it is True and the fitted model of the refit is ``after``, the refit contains
+    the comparison on the validation data already, and this comparison is used again. ValueError is raised if the two
+    models cannot be compared.
     """
     gain = 2 * (after.fit.log_posterior - without.fit.log_posterior)
     compared = comparison(without, after, refit.effect, policy)

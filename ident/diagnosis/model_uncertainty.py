@@ -83,18 +83,19 @@ def model_uncertainty(
 
 
 def with_model_uncertainty(fit: Fit, uncertainty: ModelUncertainty | None) -> Fit:
-    """Return the fit with the shifts of the estimates added to its covariance, standard errors and correlation.
+    """Return a copy of the fit whose covariance, errors and correlation include the shifts of the estimates.
 
-    The shifts are also added to ``considered``, the part of the covariance that is not used for predictions of the
-    measured outputs: these are checked on validation data and do not become less certain. Parameters without a standard
-    error keep none.
+    The covariance of the shifts (`ModelUncertainty.covariance`) is added to that of the estimates. The estimates
+    themselves are not shifted. The covariance of the shifts is also added to ``considered``, the part of the covariance
+    that is not used for predictions of the measured outputs: these are checked on validation data and do not become
+    less certain. Parameters without a standard error keep none.
 
     Parameters
     ----------
     fit
         The fit. Parameters of the same full names get the shifts.
     uncertainty
-        Shifts of the estimates; None leaves the fit unchanged.
+        Shifts of the estimates. With None, the fit itself is returned.
     """
     if uncertainty is None:
         return fit

@@ -177,8 +177,8 @@ class Score:
     def least_blocks(self, policy: SearchPolicy = DEFAULT_POLICY) -> int:
         """Return the smallest number of blocks of time with which the block-robust test can pass.
 
-        The block-robust statistic cannot exceed the number of blocks. It has to exceed the quantile of chi-squared with
-        ``df`` degrees of freedom at the significance level ``policy.block_level``.
+        The block-robust statistic cannot exceed the number of blocks. To pass, the statistic has to exceed the quantile
+        of chi-squared with ``df`` degrees of freedom at the significance level ``policy.block_level``.
         """
         return int(np.ceil(chi2_isf(policy.block_level, self.df)))
 

@@ -116,7 +116,8 @@ class DiagnosisEvaluation:
     Attributes
     ----------
     before, after
-        Evaluation of the model without and with the effects; the same object if no effect was selected.
+        Evaluation of the model without and with the effects and the added common errors. They are the same object if
+        neither an effect nor a common error was added.
     changes
         Change of the prediction errors over the horizon from ``before`` to ``after``, by role of the data
         (``estimation``, ``validation``).
@@ -324,7 +325,8 @@ def assess_model(
     Raises
     ------
     ValueError
-        If an estimation run lacks a signal that the model needs, or if the score tests cannot be computed.
+        If an estimation run lacks a signal that the model needs, if the model cannot be fitted, or if the score tests
+        cannot be computed.
     """
     if not residuals_of(model):
         return None
@@ -387,7 +389,8 @@ def _prepared_search(
     Raises
     ------
     ValueError
-        If an estimation run lacks a signal that the model needs, or if the model has no residual forces to test.
+        If an estimation run lacks a signal that the model needs, if the model cannot be fitted, or if the model has no
+        residual forces to test.
     """
     if not residuals_of(model):
         raise ValueError(
@@ -444,9 +447,10 @@ def _untestable_candidates(
     """Return the requested candidates that cannot have a score test, with the reasons.
 
     User-defined candidates are listed if the model does not accept them or if a run lacks an input. Candidates of the
-    catalogue, many of which do not concern a model, are listed only if they act at a fixed point and the runs are too
-    far apart for one origin. Each candidate is listed once; the fixed point takes precedence over other reasons, and
-    only the first run that lacks an input is named. The result is empty if each candidate can be tested.
+    catalogue, many of which do not concern a model, are listed only if they act at a fixed point, the model accepts
+    them, and the runs are too far apart for one origin. Each candidate is listed once; the fixed point takes precedence
+    over other reasons, and only the first run that lacks an input is named. The result is empty if each candidate can
+    be tested.
 
     Parameters
     ----------
@@ -720,7 +724,7 @@ class _Search:
         parametric effects are tried, with a criterion of the score above ``policy.min_gain_ratio_after_curve`` of the
         largest criterion of an added effect. With the common errors, the criterion must also exceed
         ``policy.max_remaining_criterion``. The common errors are added before a round if they explain more than any
-        single effect. The attributes of the search are updated.
+        single effect, and under the other conditions of `add_common_errors`. The attributes of the search are updated.
 
         Parameters
         ----------
@@ -830,10 +834,10 @@ class _Search:
     def add_common_errors(self, current: FittedModel, passed: Sequence[Score]) -> FittedModel | None:
         """Add the common errors to a model if they explain more than any single effect; return the fit with them.
 
-        None if fewer than ``policy.min_common_errors`` of them are needed, if a single other parametric candidate
-        explains more, or if the fit with them is not supported by the estimation or the validation data. In the latter
-        case they are not tried again (``common`` is empty). Otherwise ``common``, ``common_errors``, ``candidates`` and
-        ``policy`` are changed.
+        None if ``common`` is empty, if fewer than ``policy.min_common_errors`` of them are needed, if a single other
+        parametric candidate explains more, or if the fit with them is not supported by the estimation or the validation
+        data. In the latter case they are not tried again (``common`` is empty). Otherwise ``common``,
+        ``common_errors``, ``candidates`` and ``policy`` are changed.
 
         Parameters
         ----------
@@ -885,8 +889,9 @@ class _Search:
     def unaffected_by(self, current: FittedModel, remaining: Sequence[Score]) -> tuple[frozenset[str], frozenset[str]]:
         """Fit the last model with the strongest remaining candidates, and find the effects that they do not change.
 
-        These are up to ``policy.n_beside`` parametric candidates. Without any, the model is compared with itself, so
-        that all added effects keep their size, except those of which it cannot be compared (`_keeps_its_size`).
+        The strongest remaining candidates are the first ``policy.n_beside`` parametric ones in ``remaining``. If there
+        is none, the model is compared with itself. All added effects then keep their size, except those whose size
+        cannot be compared (`_keeps_its_size`).
 
         A score test that still passes has two possible reasons: a further effect, beside those found, or an effect that
         was found in place of the right one. In the first case the effects found keep their size beside it, in the
@@ -905,7 +910,7 @@ class _Search:
             Names of the added effects whose strongest parameter differs by less than ``policy.max_change_beside`` of
             its value between ``current`` and the fit with the candidates. Empty if the fit fails.
         beside
-            Names of the candidates that they were fitted with.
+            Names of the candidates that they were fitted with. Empty if the fit fails.
         """
         strongest = [s for s in remaining if not s.nonparametric and s.name in self.candidates]
         beside = strongest[: self.policy.n_beside]
@@ -1000,7 +1005,8 @@ class _Search:
 
         The least supported effect is the one with the smallest t among those of `should_be_removed`.
 
-        If the remaining effects predict worse than the nominal model after a removal, the last effect is removed too.
+        If no further effect should be removed, but after a removal the remaining effects predict significantly worse
+        than the nominal model, the effect that was selected last is removed too.
         An effect is kept if the model without it cannot be fitted, because its importance is then unknown. A removed
         parametric effect becomes a candidate again.
 
@@ -1067,7 +1073,8 @@ class _Search:
         has an accepted refit. Those with a criterion of at most ``policy.min_score_ratio`` of the best are left out if
         the best is positive. Then follow up to ``policy.n_nonparametric`` nonparametric candidates whose score is high
         enough compared with the best accepted refit (``policy.nonparametric_score_share`` and
-        ``policy.nonparametric_score_distance``). The attributes of the search are not changed.
+        ``policy.nonparametric_score_distance``). There is no such limit without an accepted refit, and for the curve of
+        which the effect of the best accepted refit is one form. The attributes of the search are not changed.
 
         Parameters
         ----------
@@ -1175,7 +1182,8 @@ class _Search:
         and the criterion stay those of the rough search.
 
         Three sets of initial values are tried in turn: the rough estimates, the effect's own initial values, and half
-        of these. A fit that did not converge is used only if the fit of ``current`` did not converge either.
+        of the effect's own initial values. A fit that did not converge is used only if the fit of ``current`` did not
+        converge either.
 
         Raises
         ------
@@ -1321,7 +1329,8 @@ def _with_initial_values(effect: Effect, score: Score) -> Iterator[Effect]:
     """Yield an effect with different initial values for a refit, the most promising first.
 
     The first are the one-step estimates of the score test. Then follow smaller values, the neighbours of a scanned
-    value, and values of the opposite sign. The last is zero, from which an ascent cannot lose likelihood.
+    value, and values of the opposite sign. The last are the effect's own values without an estimate (zero for a size),
+    from which an ascent cannot lose likelihood.
     """
     scans = [score.scan]
     for name, values in effect.scan.items():

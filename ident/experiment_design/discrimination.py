@@ -317,7 +317,7 @@ def discriminate(
     def evaluate(z: Array) -> tuple[Array, Array]:
         """Return log T (n,) of the worse hypothesis and the violation (n,) of the limits, at search points z (n, size).
 
-        Log T is that of the smaller T, to first order. It is ``SINGULAR`` (-1e9) if a T is not finite.
+        Log T is that of the smaller T, to first order. Log T is ``SINGULAR`` (-1e9) if one of both T is not finite.
         """
         command = problem.commands(z)
         parts: Sequence[Array] = [

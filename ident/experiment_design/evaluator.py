@@ -101,7 +101,8 @@ class DesignEvaluator:
     def information(self, u: Array, values: Array | None = None) -> Array:
         """Return the information about the parameters ``problem.free`` that experiments give.
 
-        It is reduced by the inflation of the standard errors in earlier logs. It does not include prior information.
+        The information is reduced by the inflation of the standard errors in earlier logs. Prior information is not
+        included.
 
         Parameters
         ----------

@@ -651,6 +651,7 @@ def _record_information(
 ) -> Array:
     """Return the information (q, q) about the parameters ``free`` in one of the records.
 
-    It is the record with the first index of the slice ``selected``: `parallel` calls with a slice for each record.
+    The record is the one whose index is the start of the slice ``selected``: `parallel` calls this function with a
+    slice for each record.
     """
     return prediction_information(model, records[selected.start], values, free)

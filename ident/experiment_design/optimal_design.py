@@ -88,7 +88,8 @@ class Design:
     def before(self) -> dict[str, float]:
         """Standard errors before the experiment, from the prior information, by observed parameter.
 
-        They are inf for a parameter that has no prior information, or that it does not separate from others.
+        They are inf for a parameter without prior information, and for a parameter that the prior information does not
+        separate from others.
         """
         return self._errors_by_name(self.evaluator.prior_information)
 

@@ -79,8 +79,8 @@ class ParameterPrior:
 def default_prior(model: Model, observed: Sequence[str]) -> ParameterPrior:
     """Return the prior without earlier logs: uniform within 0.75 to 1.25 times the values of the model.
 
-    It has those of the ``observed`` parameters that a fit estimates. It leaves out parameters whose value was given,
-    for example a thrust curve from the bench.
+    The prior has those of the ``observed`` parameters that a fit estimates. Parameters whose value was given, for
+    example a thrust curve from the bench, are left out.
     """
     return ParameterPrior(tuple(n for n in observed if model.parameter(n).provenance is ESTIMATED))
 

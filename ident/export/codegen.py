@@ -871,8 +871,8 @@ class _Writer:
     def _name(self, node: Node) -> str:
         """Return a new variable name for a node, and add it to ``taken``.
 
-        It is the label of the node, else a name such as ``cos_psi`` for a function of a named quantity. If neither is
-        free, it is ``t`` and a number.
+        The name is the label of the node or, without a label, a name such as ``cos_psi`` for a function of a named
+        quantity. If there is no such name, or if it is taken, the name is ``t`` and a number.
         """
         name = node.label
         if not name and len(node.operands) == 1:

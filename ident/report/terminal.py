@@ -109,9 +109,9 @@ def outage_table(result: NavigationResult) -> Table:
 def parameter_table(result: InformationResult) -> Table:
     """Return the table of the standard errors of the parameters from all logs, with their most important segment.
 
-    It is the segment of a log that a standard error depends on most; the last column is the factor by which the error
-    would grow without it. A parameter without information has the words ``no information`` in place of its value and
-    standard error, no segment, and a dash as the factor.
+    The most important segment is the part of a log that a standard error depends on most. The last column is the factor
+    by which the standard error would grow without this segment. A parameter without information has the words ``no
+    information`` in place of its value and standard error, no segment, and a dash as the factor.
     """
     table = titled_table("Information of these logs")
     table.add_column("", no_wrap=True)

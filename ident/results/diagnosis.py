@@ -197,10 +197,10 @@ def diagnosis_answer(diagnosis: Diagnosis, prediction: parts.PredictionChangeRow
 def _missing_effects_sentence(diagnosis: Diagnosis, prediction: parts.PredictionChangeRow | None) -> str:
     """Return the sentences on the missing effects, or on why no effect was added.
 
-    Without effects, the first of these that applies is stated: there are validation runs that the model does not fit;
-    no candidate passed the score test (perhaps because the data are short); candidates could not be refitted; effects
-    were removed because the prediction is as good without them; the smallest p value, above 1e-6, may be by chance; no
-    candidate explains the residuals.
+    Without effects, the first of these that applies is stated: there are validation runs that the model does not fit
+    (and, if no candidate passed the score test, a sentence that states this too); no candidate passed the score test
+    (perhaps because the data are short); candidates could not be refitted; effects were removed because the prediction
+    is as good without them; the smallest p value, above 1e-6, may be by chance; no candidate explains the residuals.
     """
     if diagnosis.effects:
         return f"{what_is_lacking(diagnosis, fell=prediction is not None and prediction.verdict == 'fell')}."
@@ -619,7 +619,7 @@ def _blocks_note(evaluation: DiagnosisEvaluation) -> list[str]:
     """Return the note that validation runs are predicted in blocks of time, because of effects with per-record values.
 
     Each block is predicted with the values that fit the other blocks of its run. The list is empty if no added effect
-    has parameters with a separate value for each run.
+    has parameters with a separate value for each run, or if there are no validation runs.
     """
     if not evaluation.in_blocks:
         return []

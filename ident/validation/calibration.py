@@ -239,7 +239,8 @@ def _standardised_errors(e: Array, sd: Array, measured: NDArray[np.bool_]) -> Ar
     """Return the errors e (n,) over their standard deviations (n,).
 
     ``measured`` (n,) is true for the samples that were measured. The result is infinite for such a sample if its error
-    is not finite or its standard deviation is NaN (a diverged prediction). It is NaN for a sample without measurement.
+    is not finite or its standard deviation is NaN (a diverged prediction). The result is NaN for a sample without
+    measurement.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         z = e / sd

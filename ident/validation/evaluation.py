@@ -117,7 +117,7 @@ class ChannelResiduals:
     tests
         Tests for whiteness.
     inputs
-        Correlation of the innovations with each input.
+        Correlation of the innovations with each input that reports show (`shown_inputs`).
     """
 
     record: str
@@ -172,7 +172,8 @@ class PredictionEvaluation:
     validation
         Evaluation of the validation data, None if there are no validation data.
     residuals
-        Residual analysis of the estimation data: one entry for each channel of each record.
+        Residual analysis of the estimation data: one entry for each channel of each record. Channels of a record with
+        fewer than 60 samples, or with constant innovations, have no entry.
     """
 
     model: Model
@@ -199,8 +200,8 @@ class PredictionEvaluation:
     def widening(self) -> dict[str, float]:
         """Factor by channel with which the predicted standard deviations over the horizon are multiplied, at least 1.
 
-        It is that of the validation data (`Calibration.widening`). It is empty without validation data, and lacks
-        channels that these data do not have; nothing is multiplied then.
+        The factor is that of the validation data (`Calibration.widening`). The dictionary is empty without validation
+        data, and lacks channels that these data do not have. Standard deviations without a factor are not changed.
         """
         return {} if self.validation is None else _widening(self.validation.calibration.horizon)
 

@@ -363,7 +363,7 @@ def _smooth_spectrum(power: Array) -> Array:
     """Return a smooth spectrum (n_bins,) through a power spectrum (n_bins,) that starts at the fourth bin.
 
     A cubic polynomial in the logarithms of power and frequency is fitted with Huber's weights, so that a peak does not
-    raise it. It is scaled so that the median ratio of the bins to it is one.
+    raise the polynomial. The smooth spectrum is scaled so that the median ratio of the bins to it is one.
     """
     z = np.log(np.arange(FIRST_BIN, FIRST_BIN + power.size))
     basis, y = np.vander(z - z.mean(), 4), np.log(power)

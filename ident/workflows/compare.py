@@ -70,7 +70,7 @@ class LogScore:
     low, high
         95 % interval of the gain, by Student's t over blocks of time; NaN for fewer than four blocks.
     blocks
-        Number of blocks of time into which the logs are divided. They are so long that their gains are nearly
+        Number of blocks of time into which the logs are divided. The blocks are so long that their gains are nearly
         independent.
     """
 

@@ -70,8 +70,8 @@ class NoiseEstimate:
     def remedy(self) -> str:
         """Advice to the user, a sentence, for a channel that is not white noise plus a random walk.
 
-        If `reason` names two departures, the advice is that for the second. It is defined only if `reason` is not
-        empty; otherwise it raises IndexError.
+        If `reason` names two departures, the advice is that for the second. If `reason` is empty, the property raises
+        IndexError.
         """
         return self._departures()[-1][1]
 

@@ -97,8 +97,8 @@ def errors_section(errors: Errors, seconds: float) -> Section:
 def _before_after_table(kinds: Kinds) -> list[Any]:
     """Return the table of RMS errors before and after effects were added, with their ratio and its 95 % interval.
 
-    It is a list of one; an empty list without channels. ``kinds`` has title and errors by channel of each kind of
-    prediction.
+    The table is returned as a list of one; the list is empty without channels. ``kinds`` has title and errors by
+    channel of each kind of prediction.
     """
     columns = (("channel", ""), ("before", "num"), ("after", "num"), ("unit", ""), ("ratio", "num"), ("95 %", "num"))
     return _grouped_table(kinds, columns, _before_after_cells)
