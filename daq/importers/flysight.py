@@ -48,7 +48,7 @@ def read_flysight(path: Path, options: SourceOptions) -> list[Table]:
     Raises
     ------
     SeatrialError
-        If the file cannot be read or has no rows.
+        If the file cannot be read, or no sensor with a column of times has complete rows.
     """
     columns: dict[str, list[str]] = {}
     units: dict[str, list[str]] = {}
