@@ -94,7 +94,8 @@ class MavlinkDecoder(StreamDecoder[Frame]):
     foreign
         Number of frames of each other system, by its id.
     unsigned
-        Number of frames of the autopilot that were ignored because of their signature.
+        Number of frames of the autopilot that were ignored because of their signature, or because pymavlink cannot
+        decode them.
     signed
         Number of frames of the autopilot with a signature, checked or not.
     lost
@@ -198,7 +199,7 @@ class MavlinkDecoder(StreamDecoder[Frame]):
         """Decode a frame of the autopilot, append its samples to `self._out`, and pass its message to the listener.
 
         If the codec has a signing key and the signature is missing or wrong, or if pymavlink cannot decode the frame,
-        it is counted in `unsigned` and ignored. `t_rx` is the run time of receipt [s].
+        the frame is counted in `unsigned` and ignored. `t_rx` is the run time of receipt [s].
         """
         message = self._codec.decode(frame)
         if message is None:
