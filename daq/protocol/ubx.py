@@ -332,7 +332,7 @@ class Epochs:
         """Return the GNSS sample of the present epoch (the UBX messages with the same time of week).
 
         The list is empty if the epoch has no position message, if its sample has been returned before, or if an HNR-PVT
-        message was received since 2 s (HIGH_RATE_S) before the first message of the epoch.
+        message was received in the 2 s (HIGH_RATE_S) before the first message of the epoch, or later.
         """
         epoch = self._epoch
         if epoch is None or self._emitted or not epoch.kinds & _POSITION_IDS:
