@@ -520,7 +520,8 @@ class DemoSteps:
         """Run a mock in the background while the context lasts. The context begins when the mock prints `ready`.
 
         At the end of the context the mock is ended and its standard error is printed. `late_ms` is then the largest
-        delay that the mock reports, or 0 if it reports none. A mock that ends before gives no error here.
+        delay that the mock reports, or 0 if it reports none. A mock that is ready, and ends before the end of the
+        context, gives no error here.
 
         Parameters
         ----------

@@ -776,8 +776,8 @@ class ControllerCheck:
         """Return whether the thruster is at zero thrust, from a sample of its speed controller.
 
         The sample must be newer than run time ``since`` [s], at which zero was sent. A motor that coasts counts as at
-        zero thrust. The result is None (not measured) without such a sample, without duty and shaft speed, or if the
-        shaft speed falls and no measurement shows whether the motor is driven.
+        zero thrust. `is_zero` of the result is None (not measured) without such a sample, without duty and shaft speed,
+        or if the shaft speed falls and no measurement shows whether the motor is driven.
         """
         name = self._thruster.name
         latest = self.observe(status)
@@ -1186,7 +1186,7 @@ class SafetyGuard:
         """Return for each thruster of the mission whether it is measured at zero thrust.
 
         Only samples count that are newer than the last zero command to the thruster's device. Without such a sample, or
-        if a command has followed, the result of the thruster is None (not measured).
+        if a command has followed, `is_zero` of the thruster is None (not measured).
         """
         found = []
         for thruster in self._thrusters:
@@ -1276,7 +1276,7 @@ def _output_rest(thruster: Thruster, status: Status, since: float) -> Rest:
     """Return whether an autopilot's output for a thruster is at neutral, so that thrust is zero.
 
     The sample must be newer than run time ``since`` [s], at which zero was sent. An output without pulses is at
-    neutral. The result is None (not measured) without such a sample, or if its normalised output is NaN.
+    neutral. `is_zero` of the result is None (not measured) without such a sample, or if its normalised output is NaN.
     """
     name = thruster.name
     latest = status.latest.get((thruster.device, thruster.node))
