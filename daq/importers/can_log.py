@@ -181,10 +181,10 @@ def _dbc_tables(path: Path, frames: list[BusFrame], database: Path) -> list[Tabl
     """Decode CAN frames by a DBC file (`database`): one table for each message, with a column for each of its signals.
 
     A signal that a frame lacks is NaN in its row. The topic of a table is MESSAGE, or MESSAGE_SENDER if several senders
-    send the same J1939 or NMEA 2000 message. It begins with the bus, can0_MESSAGE, if the messages come from several
-    buses. Frames that the DBC file does not define are ignored; frames that it cannot decode are counted in the remark
-    of their table. A message of which no frame can be decoded gets no table. Raise SeatrialError if no frame can be
-    decoded.
+    send the same J1939 or NMEA 2000 message. The topic begins with the bus, can0_MESSAGE, if the messages come from
+    several buses. Frames that the DBC file does not define are ignored; frames that it cannot decode are counted in the
+    remark of their table. A message of which no frame can be decoded gets no table. Raise SeatrialError if no frame can
+    be decoded.
     """
     messages = dbc.load_dbc(str(database)).messages
     messages_by_name = {m.name: m for m in messages}

@@ -99,7 +99,7 @@ class _Dialect(NamedTuple):
         Pattern of a line with a frame.
     frames : callable
         Function that takes the state of the log and the texts of the pattern's groups by name, and yields the CAN
-        frames of the line. It may change the state. It raises ValueError for an invalid number.
+        frames of the line. The function may change the state. The function raises ValueError for an invalid number.
     """
 
     name: str

@@ -224,7 +224,8 @@ def row_seconds(table: Table, clock: Clock) -> Column | None:
 def _rises_evenly(values: Column) -> bool:
     """Return whether the values of a column (n,) rise evenly, as the times of rows at a fixed rate do.
 
-    They have more than 10 steps, all positive, and the largest step exceeds the smallest by less than half the mean.
+    This is so if there are more than 10 steps, all are positive, and the largest step exceeds the smallest by less than
+    half the mean.
     """
     steps = np.diff(values)
     return bool(len(steps) > 10 and np.all(steps > 0.0) and np.ptp(steps) < 0.5 * np.mean(steps))
@@ -235,8 +236,8 @@ def _with_row_rate(table: Table, clock: Clock) -> Clock:
 
     The rate, and the time of the first row in `start`, are set, with a caveat that replaces that of the clock, if the
     stamps are even, and if more than 90 % of them (without the first and the last) have about the same number of rows.
-    Otherwise the clock only gets a caveat, which also replaces its own. It is returned unchanged if times fall or are
-    missing, if most stamps have a single row, or if there are fewer than 7 stamps.
+    Otherwise the clock only gets a caveat, which also replaces its own. The clock is returned unchanged if times fall
+    or are missing, if most stamps have a single row, or if there are fewer than 7 stamps.
     """
     t = row_seconds(table, clock)
     if t is None or not np.all(np.diff(t) >= 0.0):  # also for NaN

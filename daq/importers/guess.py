@@ -177,8 +177,8 @@ def _style_line(options: SourceOptions, kind: str) -> list[str]:
     """Return the line `csv = ...` of a guessed import map, in a list; an empty list if the source is not a text table.
 
     `kind` is the kind of source, "csv" for a text table. The line has delimiter and decimal mark of the text in
-    `options.style`. It has encoding, lines to skip and names of columns only if they differ from the default. Its keys
-    nan and time_order drop cells without a number and rows out of order.
+    `options.style`. The line has encoding, lines to skip and names of columns only if they differ from the default. Its
+    keys nan and time_order drop cells without a number and rows out of order.
     """
     if kind != "csv":
         return []

@@ -429,7 +429,7 @@ def _is_of_16_bits(values: Column, high: np.typing.NDArray[np.bool_]) -> bool:
 def quantity(words: frozenset[str]) -> frozenset[str]:
     """Return the words of a thruster's name without side and number: {"motor", "rpm"} for left_motor_rpm_1.
 
-    They are equal for the left and the right column of one quantity.
+    These words are equal for the left and the right column of one quantity.
     """
     return frozenset(word.rstrip("0123456789") for word in words - SIDES) - {""}
 

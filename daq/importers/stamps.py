@@ -119,8 +119,9 @@ def _without_zeros(times: MessageTimes) -> MessageTimes:
 def _receipt_rate(times: MessageTimes) -> float:
     """Return how fast the recorder's clock runs by the stamps of a topic: seconds of receipt per second of stamps.
 
-    The rate is a median over pieces of a tenth of the recording, which a step or wrong stamps do not affect. It is
-    exactly 1 if the clocks drift by less than 0.2 s over the recording, if the rate is not positive, or without stamps.
+    The rate is a median over pieces of a tenth of the recording, which a step or wrong stamps do not affect. The rate
+    is exactly 1 if the clocks drift by less than 0.2 s over the recording, if the rate is not positive, or without
+    stamps.
     """
     known = np.isfinite(times.receipt + times.stamp)
     receipt, stamp = times.receipt[known], times.stamp[known]
@@ -137,8 +138,8 @@ def _receipt_rate(times: MessageTimes) -> float:
 def _running_median(values: Column) -> Column:
     """Return the running median (n,) of the offsets (n,) [s] between message stamps and their receipts.
 
-    It is over 51 values, or over the largest odd number of values if there are fewer. The first and the last value are
-    repeated beyond the ends. Fewer than 3 values are returned unchanged.
+    The median is over 51 values, or over the largest odd number of values if there are fewer. The first and the last
+    value are repeated beyond the ends. Fewer than 3 values are returned unchanged.
     """
     window = min(SMOOTH, len(values) - 1 + len(values) % 2)
     if window < 3:

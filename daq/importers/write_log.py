@@ -227,10 +227,11 @@ def early_dates(first: float, last: float, written: Sequence[float]) -> str:
         Dates of its source files, and the present time [s since 1970]. Without any, the result is "".
 
     Notes
-    ----- Let the corrected end be the last time plus 1024 weeks. The dates are suspicious if a file was written from 1
-    day before to 30 days after the corrected end. They are also suspicious if the last time is before 2007 and a file
-    was written later than 1 day before the corrected end. Times before July 1998, for example since the start of a
-    device, are no dates. The times are not changed, since an old log with right dates looks the same.
+    -----
+    The corrected end is the last time plus 1024 weeks. The dates are suspicious if a file was written from 1 day before
+    to 30 days after the corrected end. The dates are also suspicious if the last time is before 2007 and a file was
+    written later than 1 day before the corrected end. Times before July 1998, for example since the start of a device,
+    are no dates. The times are not changed, since an old log with right dates looks the same.
     """
     true_end = last + GPS_ERA_S
     if first < FIRST_GPS_DATE or true_end > max(written, default=0.0) + 86_400.0:
