@@ -737,9 +737,9 @@ class Headings:
     Parameters
     ----------
     declination
-        True heading minus magnetic heading [rad], positive to the east. None if it is unknown. It corrects magnetic
-        headings without a variation in HDG. If both are missing, magnetic headings give no sample, and `remark` reports
-        this.
+        True heading minus magnetic heading [rad], positive to the east. None if it is unknown. The declination corrects
+        magnetic headings without a variation in HDG. If variation and declination are missing, magnetic headings give
+        no sample, and `remark` reports this.
     signal_ending
         Ending of the names of transducers. None if transducers are to be left out.
 

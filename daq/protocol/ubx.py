@@ -183,7 +183,7 @@ def _find_messages(buffer: bytearray, start: int, end: int) -> Iterator[tuple[in
     """Yield start and end of each complete UBX message that this module decodes, in a part of the buffer.
 
     A message counts if its length is usual for its kind and its checksum is correct. Only messages that begin at an
-    index from `start` up to, not including, `end` are found. They may end behind `end`.
+    index from `start` up to, not including, `end` are found. Such a message may end behind `end`.
     """
     while (start := buffer.find(SYNC, start, end + 1)) >= 0:
         n_payload = int.from_bytes(buffer[start + 4 : start + HEAD], "little")
