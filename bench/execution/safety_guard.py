@@ -1008,9 +1008,10 @@ class SafetyGuard:
     def _limit_patience(self, limit: LimitSource) -> float:
         """Return how long [run s] the quantity of ``limit`` may be missing before the limit has no source.
 
-        It is the time for which the device may be silent (`patience`, by the rate of one thruster if it has several),
-        times 1.5, or times 3 for a quantity that is sent less often. It is at most 6 s, or on fast mocks 1.5 s (3 s) of
-        wall time if that is longer. It is minus infinity before the first report: the limit has no source then.
+        The result is the time for which the device may be silent (`patience`, by the rate of one thruster if it has
+        several), times 1.5, or times 3 for a quantity that is sent less often. The result is at most 6 s, or on fast
+        mocks 1.5 s (3 s) of wall time if that is longer. The result is minus infinity before the first report: the
+        limit has no source then.
         """
         if not limit.source:
             return -math.inf
@@ -1174,8 +1175,8 @@ class SafetyGuard:
     def turning(self, status: Status) -> list[str]:
         """Return a line of text for each thruster with a speed controller that is driven although zero is commanded.
 
-        It is called before the start of a run, which must not start then. Outputs of autopilots are not checked. The
-        list is empty if `unwatched` in [limits] of the rig contains "telemetry".
+        This method is called before the start of a run. The run must not start if the list is not empty. Outputs of
+        autopilots are not checked. The list is empty if `unwatched` in [limits] of the rig contains "telemetry".
         """
         if TELEMETRY in self._rig.limits.unwatched:
             return []
