@@ -117,8 +117,8 @@ class AutopilotEmulator(DeviceEmulator):
     def _is_due(self, name: str) -> bool:
         """Return whether the MAVLink message ``name`` must be sent now. If so, the caller sends it.
 
-        It is due at the first call in each interval of its rate. The intervals are counted from boot, so that messages
-        of one rate are sent together, as by ArduPilot. Each call marks the present interval as served.
+        A message is due at the first call in each interval of its rate. The intervals are counted from boot, so that
+        messages of one rate are sent together, as by ArduPilot. Each call marks the present interval as served.
         """
         count = math.floor((self._now + BOOT_S) * self._rates[name] + 1e-6)
         previous, self._sent[name] = self._sent.get(name, -1), count
