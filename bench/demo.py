@@ -328,8 +328,9 @@ def print_outcome(folder: Path) -> None:
 
     The lines are the conclusion of the diagnosis (`answer` in its result) with its caveat, the prediction errors before
     and after the diagnosis, the path of the report, the found effects and whether they match the hidden effect, and the
-    ground truth. They match if the hidden effect is among them, or if there is neither a hidden nor a found effect. For
-    a realistic boat, the names of its small imperfections are printed before the hidden effect.
+    ground truth. Found and hidden effect match if the hidden effect is among the found ones, or if there is neither a
+    hidden nor a found effect. For a realistic boat, the names of its small imperfections are printed before the hidden
+    effect.
 
     Parameters
     ----------
@@ -520,7 +521,8 @@ class DemoSteps:
         """Run a mock in the background while the context lasts. The context begins when the mock prints `ready`.
 
         At the end of the context the mock is ended and its standard error is printed. `late_ms` is then the largest
-        delay that the mock reports, or 0 if it reports none. A mock that ends before gives no error here.
+        delay that the mock reports, or 0 if it reports none. A mock that is ready, and ends before the end of the
+        context, gives no error here.
 
         Parameters
         ----------

@@ -44,7 +44,8 @@ def write_truth(path: Path, truth: Mapping[str, Any]) -> None:
     """Write the content ``truth`` of a ground-truth file to ``path`` as JSON. An existing file is replaced.
 
     Only the owner can read the file (mode 0600). The folder is made if it does not exist. The text is first written to
-    the hidden file `.NAME.part` in the same folder, so a failed write leaves ``path`` unchanged. It raises OSError.
+    the hidden file `.NAME.part` in the same folder, so a failed write leaves ``path`` unchanged. A failed write raises
+    OSError.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".{path.name}.part")

@@ -163,8 +163,9 @@ class EscController:
     def command(self, t: float, duty: float) -> None:
         """Obey a duty command (-1 to 1, with its sign on the bus) that arrives at time ``t`` [s].
 
-        The time-out starts again. A dead or stuck controller ignores the command. The command is not clipped here; the
-        simulated thruster clips it.
+        If the time-out has ended before ``t``, the motor is first stopped at that time. The time-out then starts again.
+        A dead or stuck controller ignores the command. The command is not clipped here; the simulated thruster clips
+        it.
         """
         if self.dead or self.stuck:
             return

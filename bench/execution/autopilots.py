@@ -102,7 +102,7 @@ class Autopilots:
     def begin_link_test(self) -> None:
         """Let `await_ready` accept autopilots without a stored link test, because a link test itself is run.
 
-        It must be called before `await_ready`. The largest command then counts as 0. Nothing is sent.
+        This method must be called before `await_ready`. The largest command then counts as 0. Nothing is sent.
         """
         self._n_max = 0.0
 

@@ -293,8 +293,8 @@ def _all_at_zero(rests: list[Rest] | None) -> bool:
 class _Runner:
     """Runner of one mission or link test, from the first sample of the devices to the closed log.
 
-    The sequencer passes set-points and events to it (`EventSink`). It asks the safety guard about each set-point before
-    it sends it to the acquisition. After an error it returns thrust to zero.
+    The sequencer passes set-points and events to this runner (`EventSink`). The runner asks the safety guard about each
+    set-point before the set-point is sent to the acquisition. After an error the runner returns thrust to zero.
     """
 
     def __init__(
@@ -417,9 +417,10 @@ class _Runner:
     def _await_ready(self, arm: bool) -> None:
         """Wait until thrust may be commanded, and let the guard allow set-points from then on.
 
-        The method waits for samples of all devices, parameters and estimators of the autopilots, and devices that
-        report the limited quantities, in this order. With ``arm`` it then arms the autopilots; otherwise they must be
-        armed already. Raises SeatrialError if one of these conditions is not fulfilled in its time.
+        The method waits for samples of all devices, then for parameters and estimators of the autopilots. It then waits
+        until devices report the limited quantities, send at their rate, and no thruster turns. With ``arm`` it then
+        arms the autopilots; otherwise they must be armed already. Raises SeatrialError if one of these conditions is
+        not fulfilled in its time.
         """
         names = await_devices(self._rig, self._acquisition, self._mission.thrusters, self._wait)
         self._display.say(f"devices: {', '.join(names)}; recording {self._path}")
@@ -432,7 +433,8 @@ class _Runner:
         """Send set-points to the acquisition if the guard allows them.
 
         ``rows`` are pairs of run time [s] and n_cmd by thruster. Raises SafetyStop if a set-point is not allowed, for
-        example beyond `limits.n_max`. Before the guard is started, and after a stop, set-points are discarded.
+        example beyond `limits.n_max`, also before the guard is started. Other set-points are discarded before the guard
+        is started. After a stop all set-points are discarded without an error.
         """
         allowed = self._guard.allow(rows)
         self._moved = self._moved or any(n != 0.0 for _, row in allowed for n in row.values())
@@ -543,8 +545,8 @@ class _Runner:
         """Return the tares of the load cells: their mean raw measurements while the mission rests.
 
         The tares and their drift are also printed and written to the log as events. ``timeline`` has the run times of
-        the executed segments. The list is empty if the rig has no load cell, the mission does not rest at its start or
-        end, or the log cannot be read; in the last case the reason is printed.
+        the executed segments. The list is empty if the rig has no device with the protocol "loadcell", the mission
+        rests neither at its start nor at its end, or the log cannot be read; in the last case the reason is printed.
         """
         windows = timeline.static_windows()
         if not windows or not any(device.protocol == "loadcell" for device in self._rig.devices):

@@ -776,8 +776,8 @@ class ControllerCheck:
         """Return whether the thruster is at zero thrust, from a sample of its speed controller.
 
         The sample must be newer than run time ``since`` [s], at which zero was sent. A motor that coasts counts as at
-        zero thrust. The result is None (not measured) without such a sample, without duty and shaft speed, or if the
-        shaft speed falls and no measurement shows whether the motor is driven.
+        zero thrust. `is_zero` of the result is None (not measured) without such a sample, without duty and shaft speed,
+        or if the shaft speed falls and no measurement shows whether the motor is driven.
         """
         name = self._thruster.name
         latest = self.observe(status)
@@ -1008,9 +1008,10 @@ class SafetyGuard:
     def _limit_patience(self, limit: LimitSource) -> float:
         """Return how long [run s] the quantity of ``limit`` may be missing before the limit has no source.
 
-        It is the time for which the device may be silent (`patience`, by the rate of one thruster if it has several),
-        times 1.5, or times 3 for a quantity that is sent less often. It is at most 6 s, or on fast mocks 1.5 s (3 s) of
-        wall time if that is longer. It is minus infinity before the first report: the limit has no source then.
+        The result is the time for which the device may be silent (`patience`, by the rate of one thruster if it has
+        several), times 1.5, or times 3 for a quantity that is sent less often. The result is at most 6 s, or on fast
+        mocks 1.5 s (3 s) of wall time if that is longer. The result is minus infinity before the first report: the
+        limit has no source then.
         """
         if not limit.source:
             return -math.inf
@@ -1174,8 +1175,8 @@ class SafetyGuard:
     def turning(self, status: Status) -> list[str]:
         """Return a line of text for each thruster with a speed controller that is driven although zero is commanded.
 
-        It is called before the start of a run, which must not start then. Outputs of autopilots are not checked. The
-        list is empty if `unwatched` in [limits] of the rig contains "telemetry".
+        This method is called before the start of a run. The run must not start if the list is not empty. Outputs of
+        autopilots are not checked. The list is empty if `unwatched` in [limits] of the rig contains "telemetry".
         """
         if TELEMETRY in self._rig.limits.unwatched:
             return []
@@ -1186,7 +1187,7 @@ class SafetyGuard:
         """Return for each thruster of the mission whether it is measured at zero thrust.
 
         Only samples count that are newer than the last zero command to the thruster's device. Without such a sample, or
-        if a command has followed, the result of the thruster is None (not measured).
+        if a command has followed, `is_zero` of the thruster is None (not measured).
         """
         found = []
         for thruster in self._thrusters:
@@ -1276,7 +1277,7 @@ def _output_rest(thruster: Thruster, status: Status, since: float) -> Rest:
     """Return whether an autopilot's output for a thruster is at neutral, so that thrust is zero.
 
     The sample must be newer than run time ``since`` [s], at which zero was sent. An output without pulses is at
-    neutral. The result is None (not measured) without such a sample, or if its normalised output is NaN.
+    neutral. `is_zero` of the result is None (not measured) without such a sample, or if its normalised output is NaN.
     """
     name = thruster.name
     latest = status.latest.get((thruster.device, thruster.node))

@@ -30,7 +30,7 @@ GAP_PART = 0.5
 class EventSink(Protocol):
     """Interface of the receiver of a sequencer's set-points and events.
 
-    It is the runner of a mission, which asks the safety guard before it sends a set-point.
+    The receiver is the runner of a mission. The runner asks the safety guard before a set-point is sent.
     """
 
     def schedule(self, rows: Sequence[Row]) -> None:
@@ -508,7 +508,7 @@ class CommandFollower(MissionSequencer):
         """Forget all external commands, and follow none until the external sender has sent zero for every thruster.
 
         Zero is a newest command of at most 0.02. Senders and sequence numbers are forgotten too, so that another sender
-        may begin at once. It is called after a pause or the key `r`, when thrust is zero. ``now`` is not used.
+        may begin at once. This method is called after a pause or the key `r`, when thrust is zero. ``now`` is not used.
         """
         self._follows, self._heard = False, {}
         self._scheduled_n = dict.fromkeys(self._scheduled_n, 0.0)

@@ -48,9 +48,9 @@ def check_mission(mission: Mission, rig: Rig) -> Iterator[Finding]:
 def _fence_finding(mission: Mission, rig: Rig, radius: float) -> Finding:
     """Return the finding whether the predicted track of a mission stays within ``radius`` [m] of the start (geofence).
 
-    It is a fault if the track leaves the fence. It is a warning if the track goes beyond 80 % of the radius, or cannot
-    be predicted. Else it is OK. The track is that of the mission's design, with its 95 % band. Without a design it is
-    simulated with the rig's nominal vehicle.
+    The finding is a fault if the track leaves the fence. The finding is a warning if the track goes beyond 80 % of the
+    radius, or cannot be predicted. Else it is OK. The track is that of the mission's design, with its 95 % band.
+    Without a design it is simulated with the rig's nominal vehicle.
     """
     if mission.prediction is not None:
         p = mission.prediction

@@ -222,9 +222,9 @@ def armed_finding(name: str) -> Finding:
 def check_computer(rig: Rig, status: Status) -> Iterator[Finding]:
     """Yield one finding on the free space of the disk to which logs are written: a fault, a warning or OK.
 
-    It is a fault if the space is below `free_mb` in [log] of the rig. It is a warning if the space above that lasts for
-    less than four hours of logging. ``status`` is the last status of a recording, from which the size of a log per hour
-    is computed.
+    The finding is a fault if the space is below `free_mb` in [log] of the rig. The finding is a warning if the space
+    above that lasts for less than four hours of logging. ``status`` is the last status of a recording, from which the
+    size of a log per hour is computed.
     """
     place = rig.log_directory
     while not place.exists() and place != place.parent:

@@ -49,12 +49,13 @@ def is_can_log(head: bytes) -> bool:
 def read_frames(path: Path) -> list[BusFrame]:
     """Read the data frames of a CAN log (BLF, candump, ASC, ...), in the order of the file.
 
-    Error frames, remote requests and CAN FD frames are left out. Lines of a text that are no frames cause a warning.
+    Error frames, remote requests and CAN FD frames are left out. Lines of a text cause a warning if they are neither
+    frames nor known other lines (heading, comment, event).
 
     Raises
     ------
     SeatrialError
-        If the file cannot be read or is not a CAN log.
+        If the file cannot be read or is not a CAN log, or if the frames of a text have no times.
     """
     try:
         with path.open("rb") as file:
@@ -105,7 +106,8 @@ def read_can(path: Path, options: SourceOptions) -> list[Table]:
     Returns
     -------
     list of Table
-        One table for each message of the DBC file, or for each kind of decoded sample and each node.
+        With `dbc`, one table for each message in the log, and for each bus and sender of the message if there are
+        several. Otherwise one table for each kind of decoded sample and each node.
 
     Raises
     ------
@@ -179,9 +181,10 @@ def _dbc_tables(path: Path, frames: list[BusFrame], database: Path) -> list[Tabl
     """Decode CAN frames by a DBC file (`database`): one table for each message, with a column for each of its signals.
 
     A signal that a frame lacks is NaN in its row. The topic of a table is MESSAGE, or MESSAGE_SENDER if several senders
-    send the same J1939 or NMEA 2000 message. It begins with the bus, can0_MESSAGE, if the messages come from several
-    buses. Frames that the DBC file does not define are ignored; frames that it cannot decode are counted in the remark
-    of their table. Raise SeatrialError if no frame can be decoded.
+    send the same J1939 or NMEA 2000 message. The topic begins with the bus, can0_MESSAGE, if the messages come from
+    several buses. Frames that the DBC file does not define are ignored; frames that it cannot decode are counted in the
+    remark of their table. A message of which no frame can be decoded gets no table. Raise SeatrialError if no frame can
+    be decoded.
     """
     messages = dbc.load_dbc(str(database)).messages
     messages_by_name = {m.name: m for m in messages}
@@ -293,7 +296,8 @@ def import_can(path: Path, rig_path: Path, *, out: Path | None = None, force: bo
     Raises
     ------
     SeatrialError
-        If a file cannot be read, no frame belongs to a device of the rig, or the log exists and `force` is not set.
+        If a file cannot be read, the CAN log is empty, the rig has no CAN device, no sample results for a device of the
+        rig, or the new log exists and `force` is not set.
     """
     rig = load_rig(rig_path)
     frames = sorted(read_frames(path), key=lambda frame: frame.t)

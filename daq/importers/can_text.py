@@ -99,7 +99,7 @@ class _Dialect(NamedTuple):
         Pattern of a line with a frame.
     frames : callable
         Function that takes the state of the log and the texts of the pattern's groups by name, and yields the CAN
-        frames of the line. It may change the state. It raises ValueError for an invalid number.
+        frames of the line. The function may change the state. The function raises ValueError for an invalid number.
     """
 
     name: str
@@ -142,7 +142,7 @@ def dialect_of(head: bytes) -> str:
     """Return the text format of a CAN log, for example "candump" or "ASC", from its first bytes; "" if it is none.
 
     ASC and BusMaster are recognised by their headings. For other formats at least half of the first 40 lines that are
-    not blank must be frames.
+    not blank must be frames. The compact form of candump has the name "candump -L", its other forms "candump".
     """
     lines = [line.strip() for line in head.decode("utf-8", "replace").splitlines() if line.strip()][:LOOKED_AT]
     if any(_BUSMASTER_DATE.match(line) or line.startswith("***BUSMASTER") for line in lines):
@@ -213,10 +213,10 @@ def read_text_frames(path: Path, dialect: str) -> list[BusFrame]:
 def _with_continuous_times(log: _LogState, dialect: str, frames: list[BusFrame]) -> list[BusFrame]:
     """Return CAN frames with continuous times: the start of the log (`log.start`) plus the time since then [s].
 
-    Times that count from the previous frame are summed; for candump they do so if all are below one day and any is less
-    than the one before. In formats with times of day ("BusMaster", "Yacht Devices", "N2K"), 24 h are added from each
-    frame on whose time is more than 12 h before the previous one (midnight). The start is in s since 1970, or 0 if the
-    log has no date.
+    Times that count from the previous frame are summed; for "candump" (not "candump -L") they do so if all are below
+    one day and any is less than the one before. In formats with times of day ("BusMaster", "Yacht Devices", "N2K"), 24
+    h are added from each frame on whose time is more than 12 h before the previous one (midnight). The start is in s
+    since 1970, or 0 if the log has no date.
     """
     t, total = [frame.t for frame in frames], 0.0
     is_delta = log.is_delta

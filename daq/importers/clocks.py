@@ -102,8 +102,10 @@ def clock_of(table: Table) -> Clock:
     """Find the column with the times of a table's rows, and their format, by the names and values of the columns.
 
     The first column with a name of a time whose values may be times is taken. The order of the names is: exactly "t",
-    "time" or "timestamp"; seconds by the type in the source; times of a GPS week; names that contain such a word. If
-    there is none, one of the first two columns is taken if it contains dates or rises evenly.
+    "time" or "timestamp" (or the German words); seconds by the type in the source; times of a GPS week; names that
+    contain such a word. A column that contains only dates is not taken if its name is that of a time. If no column is
+    found, one of the first two columns is taken if it contains dates or rises evenly, and its name is not that of a
+    signal, a thruster or a row number.
 
     Parameters
     ----------
@@ -222,7 +224,8 @@ def row_seconds(table: Table, clock: Clock) -> Column | None:
 def _rises_evenly(values: Column) -> bool:
     """Return whether the values of a column (n,) rise evenly, as the times of rows at a fixed rate do.
 
-    They have more than 10 steps, all positive, and the largest step exceeds the smallest by less than half the mean.
+    This is so if there are more than 10 steps, all are positive, and the largest step exceeds the smallest by less than
+    half the mean.
     """
     steps = np.diff(values)
     return bool(len(steps) > 10 and np.all(steps > 0.0) and np.ptp(steps) < 0.5 * np.mean(steps))
@@ -232,9 +235,9 @@ def _with_row_rate(table: Table, clock: Clock) -> Clock:
     """Add the rate of the rows [Hz] to a clock whose time stamps are coarser than the rows, as whole seconds at 10 Hz.
 
     The rate, and the time of the first row in `start`, are set, with a caveat that replaces that of the clock, if the
-    stamps are even and all except the first and the last have about the same number of rows. Otherwise the clock only
-    gets a caveat, which also replaces its own. It is returned unchanged if times fall or are missing, if most stamps
-    have a single row, or if there are fewer than 7 stamps.
+    stamps are even, and if more than 90 % of them (without the first and the last) have about the same number of rows.
+    Otherwise the clock only gets a caveat, which also replaces its own. The clock is returned unchanged if times fall
+    or are missing, if most stamps have a single row, or if there are fewer than 7 stamps.
     """
     t = row_seconds(table, clock)
     if t is None or not np.all(np.diff(t) >= 0.0):  # also for NaN
@@ -314,8 +317,9 @@ def _time_format(table: Table, column: str) -> tuple[str, str]:
 def format_of_text(texts: Sequence[str]) -> tuple[str, str]:
     """Return the format of dates or times of day in text form, and the caveat about it.
 
-    If several patterns fit, as for 05/06/2024, the day comes first, or the month if the times have AM or PM; the caveat
-    reports it.
+    If patterns with the day first and with the month first both fit, as for 05/06/2024, the day comes first, or the
+    month if the times have AM or PM; the caveat reports the order. Texts of a rare shape (at most 5 %) do not count.
+    Times of day without a date have a caveat too.
 
     Parameters
     ----------

@@ -308,8 +308,9 @@ def whole_messages(raw: bytes) -> tuple[bytes | None, int, int]:
 
     A message is complete if the first bytes of another message, or the end of the file, follow it. Bytes after a
     damaged place are skipped up to the next three complete messages in a row, or up to complete messages that end the
-    log. Its time must lie within 1 s of the median of the five times around it. For times that rise, this median is the
-    time itself.
+    log. A complete message is removed too if its time (TimeUS) is more than 1 s from the median of the five times
+    around it. For times that rise, this median is the time itself. A log that is only cut off at its end is not
+    damaged.
 
     Parameters
     ----------
@@ -319,8 +320,8 @@ def whole_messages(raw: bytes) -> tuple[bytes | None, int, int]:
     Returns
     -------
     tuple
-        The remaining bytes, None if no message is damaged; the number of damaged places; the number of messages with a
-        wrong time.
+        The remaining bytes, None if nothing is removed; the number of damaged places; the number of messages removed
+        for their time.
     """
     sizes = {FMT: FMT_SIZE}  # bytes of a message by its type
     timed: set[int] = set()  # types whose first field is TimeUS
@@ -410,7 +411,7 @@ def _opened_log(path: Path) -> Iterator[Any]:
     """Yield pymavlink's reader of a DataFlash log, and close its file at the end of the `with` block.
 
     What the reader prints is discarded until the end of the block; output of C code is discarded only while the log is
-    opened. It may raise any error for a damaged file.
+    opened. The reader may raise any error for a damaged file.
     """
     from pymavlink import DFReader
 

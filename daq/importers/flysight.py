@@ -41,14 +41,14 @@ def read_flysight(path: Path, options: SourceOptions) -> list[Table]:
     Returns
     -------
     list of Table
-        One table for each sensor that has times. They are in s since 1970, or in s since power-on if the file has no
-        UTC. Rows with GPS time (TIME) make a table only if there is no other. Rows of a sensor without a line $COL
+        One table for each sensor that has times. The times are in s since 1970, or in s since power-on if the file has
+        no UTC. Rows with GPS time (TIME) make a table only if there is no other. Rows of a sensor without a line $COL
         before them are ignored. A remark counts incomplete rows.
 
     Raises
     ------
     SeatrialError
-        If the file cannot be read or has no rows.
+        If the file cannot be read, or no sensor with a column of times has complete rows.
     """
     columns: dict[str, list[str]] = {}
     units: dict[str, list[str]] = {}

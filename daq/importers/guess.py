@@ -176,8 +176,9 @@ def _toml_text(text: str) -> str:
 def _style_line(options: SourceOptions, kind: str) -> list[str]:
     """Return the line `csv = ...` of a guessed import map, in a list; an empty list if the source is not a text table.
 
-    `kind` is the kind of source, "csv" for a text table. The line has delimiter, decimal mark, encoding and header of
-    the text in `options.style`. Its keys also drop cells without a number and rows out of order.
+    `kind` is the kind of source, "csv" for a text table. The line has delimiter and decimal mark of the text in
+    `options.style`. The line has encoding, lines to skip and names of columns only if they differ from the default. Its
+    keys nan and time_order drop cells without a number and rows out of order.
     """
     if kind != "csv":
         return []
@@ -263,9 +264,10 @@ def _held_signal_comments(candidates: Sequence[Candidate], taken: Sequence[MapSi
 def _named_columns(table: Table, clocks: Clocks) -> Iterator[tuple[str, Name, frozenset[str], Column]]:
     """Yield (column, parsed name, words of column and topic, values (n,)) for each column of numbers of a table.
 
-    Tables with messages of a known type, and set-points, yield no columns. The column of times and columns of text are
-    skipped. A message with a single number is named by its topic. `clocks` has the time column of each table, by the id
-    of the table.
+    Tables with a type of messages yield no columns, except messages of a DBC, of a single number and of joints
+    (JointState). Topics of set-points yield no columns either. The column of times and columns of text are skipped. A
+    message with a single number is named by its topic. `clocks` has the time column of each table, by the id of the
+    table.
     """
     message = table.kind.rpartition("/")[2]
     is_scalar = message in SCALARS and not table.kind.startswith("seatrial_msgs/")
@@ -288,11 +290,11 @@ def _named_columns(table: Table, clocks: Clocks) -> Iterator[tuple[str, Name, fr
 def _column_candidates(table: Table, clocks: Clocks, together: Mapping[frozenset[str], Column]) -> Iterator[Candidate]:
     """Yield the signals that the names of a table's columns suggest, as candidates for a guessed import map.
 
-    These are commands, shaft speeds and forces of thrusters, and the signals of the boat's motion. Tables with messages
-    of a known type yield nothing here. Of several columns with one meaning of motion, such as two headings, only the
-    first counts. A column without a finite value is no thruster. `together` has the numbers of the left and right
-    columns of each quantity of thrusters, so that both sides get the same scale. `clocks` has the time column of each
-    table, by the id of the table.
+    These are commands, shaft speeds and forces of thrusters, and the signals of the boat's motion. Tables with a type
+    of messages yield nothing here, except messages of a DBC, of a single number and of joints. Of several columns with
+    one meaning of motion, such as two headings, only the first counts. A column without a finite value is no thruster.
+    `together` has the numbers of the left and right columns of each quantity of thrusters, so that both sides get the
+    same scale. `clocks` has the time column of each table, by the id of the table.
     """
     message = table.kind.rpartition("/")[2]
     names: dict[str, tuple[str, Name]] = {}
@@ -345,8 +347,8 @@ def _with_hold(taken: MapSignal, t: Column | None, values: Column, words: frozen
 def _position_axis(letter: str, letters: Collection[str], stated: str) -> str:
     """Return "x" (north) or "y" (east) if a column named X, N or E (`letter`) is a position, "" if the column is none.
 
-    Its unit `stated` in the file must be a length. Without a unit, another column must fit: Y to X (and no N), or N to
-    E. `letters` are the names of all columns of the table.
+    Its unit `stated` in the file must be a length. Without a unit, X is a position if the table has a column Y and no
+    N; N and E are positions if the table has both. `letters` are the names of all columns of the table.
     """
     beside = (letter == "X" and "Y" in letters and "N" not in letters) or (letter != "X" and {"N", "E"} <= set(letters))
     is_length = UNITS.get(stated, ("",))[0] == "m"
@@ -565,9 +567,11 @@ def outputs(tables: Sequence[Table]) -> Iterator[Candidate]:
     Yields
     ------
     Candidate
-        The left and the right output, if the source has both: those with the throttle functions in the parameters
-        SERVOn_FUNCTION, or else outputs 1 and 3, ArduPilot's default, if the boat has no steering output. Then the
-        shaft speed of each motor controller: n for one controller, n_left and n_right for two, else n_NUMBER.
+        The left and the right output, if the source has both: those with the functions of left and right throttle in
+        the parameters SERVOn_FUNCTION. A side without such an output gets output 1 (left) or 3 (right), ArduPilot's
+        default, if the log has no function of this output, and no output has the function of steering or of a single
+        throttle. Then the shaft speed of each motor controller: n for one controller, n_left and n_right for two, else
+        n_NUMBER.
     """
     nodes = {int(table.topic.rpartition("_")[2]): table for table in tables if table.kind == "Servo"}
     p = tables[0].parameters if tables else {}
@@ -644,12 +648,12 @@ def _chosen_signals(candidates: Sequence[Candidate], clocks: Clocks, main: Clock
     """Choose the signals of a guessed import map. Return them, and the lines of the map.
 
     The lines are one for each chosen signal, then the other candidates as comments. Candidates are tried in the order
-    of their rank, then of the number of their rows, the largest first. A thruster of one side alone ranks 2 lower. A
-    candidate is chosen if its rank is below `UNCHOSEN_RANK` (5), none of its signals has been chosen before, it has
-    times (or no table has), and its thrusters have the same quantity as those chosen before. A speed without direction
-    is not chosen beside u. Commands and shaft speeds are not chosen if the source has forces of a left or right
-    thruster, or if the vehicle is no boat. `main` is the time column in [time] of the map, and `clocks` has that of
-    each table, by the id of the table.
+    of their rank, then of the number of their rows, the largest first. For this order, 2 is added to the rank of a
+    thruster of which only one side was found, so that it comes later. A candidate is chosen if its rank is below
+    `UNCHOSEN_RANK` (5), none of its signals has been chosen before, it has times (or no table has), and its thrusters
+    have the same quantity as those chosen before. A speed without direction is not chosen beside u. Commands and shaft
+    speeds are not chosen if the source has forces of a left or right thruster, or if the vehicle is no boat. `main` is
+    the time column in [time] of the map, and `clocks` has that of each table, by the id of the table.
     """
 
     sides: dict[frozenset[str], set[str]] = {}

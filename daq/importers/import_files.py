@@ -249,8 +249,8 @@ def _write_piece(
 
     An event exactly at an end of the interval is included. The signals and events are shifted by the origin of their
     file to s since 1970. The metadata contain the digests of the import map and the files, and the numbers of rows left
-    out. The map is attached. An existing log is replaced only with `force`; the files `reads` (map and sources) are
-    never replaced.
+    out. The map and the known numbers of the boat in it are attached. An existing log is replaced only with `force`;
+    the files `reads` (map and sources) are never replaced.
     """
     signals: list[SignalData] = []
     events = [

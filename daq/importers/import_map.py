@@ -265,7 +265,8 @@ def parse_import_map(text: str, path: Path) -> ImportMap:
     Raises
     ------
     SeatrialError
-        If a key is wrong. The message names the file and the key.
+        If a key is wrong, if two signals have the same name after conversion to NED, or two [[log]] tables the same
+        name. The message names the file and the key.
     """
     root = parse_toml(text, path)
     form = root.text("format", choices=FORMATS)

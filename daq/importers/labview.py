@@ -45,7 +45,8 @@ def read_lvm(path: Path, options: SourceOptions) -> list[Table]:
     Raises
     ------
     SeatrialError
-        If the file cannot be read, has no rows or no times, or its channels have different times.
+        If the file cannot be read, its header has no end, it has no rows or no times, its channels have different
+        times, or its segments have different channels.
     """
     try:
         lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
@@ -96,7 +97,7 @@ def _first_filled_cell(head: Mapping[str, Sequence[str]], key: str, usual: str) 
 
 
 def _header_seconds(head: Mapping[str, Sequence[str]], decimal: str) -> float:
-    """Return the entries Date and Time of a LabVIEW header, taken as UTC [s since 1970]; NaN if there is no date.
+    """Return the entries Date and Time of a LabVIEW header, taken as UTC [s since 1970]; NaN if one is missing.
 
     `head` has the cells of each header line by name, and `decimal` is the decimal mark of the file. The date is
     yyyy/mm/dd or yyyy-mm-dd; NaN is also returned for another form.

@@ -233,10 +233,10 @@ def _simulink_signals(value: Mapping[str, Any]) -> list[Mapping[str, Any]] | Non
 def _simulink_vectors(place: str, name: str, time: Any, signals: list[Mapping[str, Any]]) -> Iterator[Vector]:
     """Yield the times and the signals of a Simulink structure with time as columns of the topic `place`.
 
-    `time` has the times (n,) [s]. Each signal is a dict with "values". It is named after its label. A single signal
-    without a label has the name of the variable (`name`). Of several, one without a label has the name of its block, or
-    else signals[k]. Values with time along the third axis become one row for each time. Signals that are no arrays of
-    numbers are left out.
+    `time` has the times (n,) [s]. Each signal is a dict with "values". The column of a signal is named after the label
+    of the signal. A single signal without a label has the name of the variable (`name`). Of several, one without a
+    label has the name of its block, or else signals[k]. Values with time along the third axis become one row for each
+    time. Signals that are no arrays of numbers are left out.
     """
     t = np.ravel(time)
     yield Vector(place, "time", t)

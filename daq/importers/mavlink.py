@@ -155,7 +155,7 @@ def read_tlog(
     rig, device
         The rig and its autopilot; None without a rig.
     system
-        MAVLink system number; None for the first autopilot that sends a heartbeat.
+        MAVLink system number, of which only component 1 is read; None for the first autopilot that sends a heartbeat.
 
     Returns
     -------
@@ -216,8 +216,8 @@ def read_tlog(
 def _refuse_two_autopilots(path: Path, rows: Sequence[Timed], system: int) -> None:
     """Raise SeatrialError if two autopilots send with the same MAVLink system number; otherwise return nothing.
 
-    Then the times since boot of attitudes or fixes (`rows`, in the order of the file) run back by more than 0.05 s in
-    more than 20 % of the samples, at least ten times.
+    Two autopilots are assumed if the times since boot of attitudes or of fixes (`rows`, in the order of the file) run
+    back by more than 0.05 s in more than 20 % of the samples, at least ten times.
     """
     for kind in (Ahrs, Gnss):
         boot = np.array([row.frame.t_device for row in rows if isinstance(row.frame.sample, kind)])

@@ -66,7 +66,8 @@ def input_gaps(t: Column, values: Column) -> Mask:
     Mask
         True in the first row of each gap of at least 3 rows and more than 0.5 s (n,). A column whose values are usually
         more than a row apart has no gaps: the other rows belong to other columns, and its last value holds. A column
-        with fewer than 3 values has no gaps either.
+        with fewer than 3 values has no gaps either. Rows before the first value are no gap; rows after the last value
+        may be one.
     """
     found = np.zeros(len(values), bool)
     known = np.flatnonzero(np.isfinite(values))

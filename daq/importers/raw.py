@@ -194,9 +194,9 @@ def _with_corrected_dates(path: Path, frames: list[Frame]) -> list[Frame]:
 
     A receiver counts from a date of its firmware until it has received the week, and its week number starts again every
     1024 weeks. Both make its date too early by years, so the latest date is assumed to be right. Samples of other dates
-    are moved next to it by whole days. They are left out if they would then overlap it or be more than 10 minutes away.
-    Samples without a device time stay. The samples are unchanged, without a warning, if no date jumps by more than 300
-    days. `path` is for the warning.
+    are moved next to it by whole days. These samples are left out if they would then overlap the samples of the right
+    date, or be more than 10 minutes away from them. Samples without a device time stay. The samples are unchanged,
+    without a warning, if no date jumps by more than 300 days. `path` is for the warning.
     """
     t = np.array([frame.t_device for frame in frames])
     known = np.flatnonzero(np.isfinite(t))

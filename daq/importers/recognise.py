@@ -305,9 +305,10 @@ def read_name(column: str) -> Name:
     Returns
     -------
     Name
-        The parts of the name. The unit is the text in brackets at the end, or else an ending such as _dps, which is
-        removed from `plain`. Words are also separated where a capital letter follows a small one. The unit "ms" of a
-        velocity is m/s. A speed with the unit of a shaft speed has no meaning.
+        The parts of the name. The unit is the text in brackets at the end, or else an ending such as _dps. The ending
+        is used, and removed from `plain`, only if the name with the ending has no meaning. Words are also separated
+        where a capital letter follows a small one. The unit "ms" of a velocity is m/s. A speed with the unit of a shaft
+        speed has no meaning.
     """
     spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", column)
     bracket = _BRACKET.search(column)
@@ -428,7 +429,7 @@ def _is_of_16_bits(values: Column, high: np.typing.NDArray[np.bool_]) -> bool:
 def quantity(words: frozenset[str]) -> frozenset[str]:
     """Return the words of a thruster's name without side and number: {"motor", "rpm"} for left_motor_rpm_1.
 
-    They are equal for the left and the right column of one quantity.
+    These words are equal for the left and the right column of one quantity.
     """
     return frozenset(word.rstrip("0123456789") for word in words - SIDES) - {""}
 

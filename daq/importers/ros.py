@@ -171,7 +171,8 @@ def _readable_files(path: Path) -> Iterator[tuple[list[Path], str]]:
 def _sqlite_logs(path: Path) -> list[Path]:
     """Return the log files (-wal, -journal) that SQLite left beside a database, with changes to be completed.
 
-    An empty log is not returned. A symbolic link counts as a log, wherever it points.
+    An empty log is not returned. A symbolic link counts as a log, also without a target, unless it points to an empty
+    file.
     """
     beside = (path.with_name(path.name + ending) for ending in SQLITE_LOGS)
     return [log for log in beside if os.path.lexists(log) and not (log.is_file() and log.stat().st_size == 0)]

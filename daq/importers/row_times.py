@@ -120,8 +120,8 @@ def _seconds_of_text(table: Table, time: TimeColumn, lenient: bool) -> Column:
     """Convert the text cells of a time column to s (n,). With `lenient`, a cell of another format becomes NaN.
 
     Blanks around a cell are ignored. If the map names a column of dates, the date stands before the time of day. Raise
-    SeatrialError for such a cell without `lenient`, or if too many cells are of another format: all cells, or 5 and
-    more than 5 %.
+    SeatrialError if a cell is of another format and `lenient` is False. With `lenient`, raise it if too many cells are
+    of another format: all cells, or at least 5 cells and more than 5 %.
     """
     parse = _cell_parser(time)
     text = dated(table, time.date, time.column) if time.date else [cell.strip() for cell in table.text(time.column)]
@@ -200,9 +200,10 @@ def _take_out_clock_changes(table: Table, t: Column, time: TimeColumn) -> None:
 
     The change is a step of one hour, forward or back, added to the usual step. It is at a full hour of a Sunday night
     in spring or autumn. The rows after it are moved, with a remark of the table. A step of an hour at any other time is
-    a pause of the logger, or a clock that was set. It is kept, with a remark. If several steps are of this kind, the
-    times are unchanged, without a remark. Nothing is done for fewer than 11 rows with a time, or rows 60 s or more
-    apart. `time` has the origin of the times.
+    a pause of the logger, or a clock that was set. It is kept, with a remark. Steps forward and steps back are judged
+    separately. If several steps of one direction have this size, or a step back is larger, the steps of this direction
+    are kept without a remark. Nothing is done for fewer than 11 rows with a time, or rows 60 s or more apart. `time`
+    has the origin of the times.
     """
     known = np.flatnonzero(np.isfinite(t))
     steps = np.diff(t[known])

@@ -279,8 +279,8 @@ class _RowCounter:
 def _is_of_two_sources(t: Column) -> bool:
     """Return whether times (n,) [s] that repeat look like those of two sources of unequal rate in one table.
 
-    Then most times have one row, and at least 5 of them, at regular intervals, have two. Stamps that are coarser than
-    the rows have several rows at nearly every time.
+    Then no time has more than two rows, and at least 5 times, but not more than half of them, have two, at regular
+    intervals. Stamps that are coarser than the rows have several rows at nearly every time.
     """
     times, number = np.unique(t, return_counts=True)
     twice = times[number == 2]
@@ -313,11 +313,11 @@ def _without_held(table: Sequence[SignalData], places: Sequence[int]) -> Iterato
 
 
 def _table_of_signal(tables: Sequence[Table], signal: Signal) -> Table:
-    """Return the table that has the columns of a signal: the table of its topic, or, without a topic, the only table.
+    """Return the table that has the columns of a signal: the table of its topic; without a topic, the only table.
 
-    If several tables have the topic, the table with the columns of the signal is returned. If none has them, it is the
-    first table of the topic. Raise SeatrialError if no table has the topic, or if the signal has no topic and there are
-    several tables.
+    A signal without a topic selects the tables without a topic if there are several tables. Of several selected tables,
+    the one that has all columns of the signal is returned; if none has them, the first. Raise SeatrialError if no table
+    has the topic, or if several of its tables have the columns.
     """
     if len(tables) == 1 and not signal.topic:
         return tables[0]

@@ -36,8 +36,9 @@ def source_kind(path: Path) -> SourceKind:
     """Return the kind of a source, recognised by the first bytes of the file, not by its name.
 
     Any folder is "ros", and any text of no known format is "csv"; whether it is a table shows only when it is read. A
-    file with zero bytes that is no text of two bytes per character is of an unknown kind, except for blocks of zeros in
-    less than half of it. A DataFlash log that was converted to text is refused.
+    text may contain blocks of at least 64 zero bytes in up to half of its first 65536 bytes, or have two bytes per
+    character (UTF-16). Any other file with zero bytes is of an unknown kind. A DataFlash log that was converted to text
+    is refused.
 
     Parameters
     ----------

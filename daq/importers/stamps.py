@@ -119,8 +119,9 @@ def _without_zeros(times: MessageTimes) -> MessageTimes:
 def _receipt_rate(times: MessageTimes) -> float:
     """Return how fast the recorder's clock runs by the stamps of a topic: seconds of receipt per second of stamps.
 
-    The rate is a median over pieces of a tenth of the recording, which a step or wrong stamps do not affect. It is
-    exactly 1 if the clocks drift by less than 0.2 s over the recording, if the rate is not positive, or without stamps.
+    The rate is a median over pieces of a tenth of the recording, which a step or wrong stamps do not affect. The rate
+    is exactly 1 if the clocks drift by less than 0.2 s over the recording, if the rate is not positive, or without
+    stamps.
     """
     known = np.isfinite(times.receipt + times.stamp)
     receipt, stamp = times.receipt[known], times.stamp[known]
@@ -137,8 +138,8 @@ def _receipt_rate(times: MessageTimes) -> float:
 def _running_median(values: Column) -> Column:
     """Return the running median (n,) of the offsets (n,) [s] between message stamps and their receipts.
 
-    It is over 51 values, or over the largest odd number of values if there are fewer. The first and the last value are
-    repeated beyond the ends. Fewer than 3 values are returned unchanged.
+    The median is over 51 values, or over the largest odd number of values if there are fewer. The first and the last
+    value are repeated beyond the ends. Fewer than 3 values are returned unchanged.
     """
     window = min(SMOOTH, len(values) - 1 + len(values) % 2)
     if window < 3:
@@ -170,11 +171,11 @@ class _ReferenceClock:
 
         `stamped` has receipts and stamps of each topic with at least two stamps.
 
-        Topics of which at least 20 % of the stamps are within 1 s of their receipts share the recorder's clock. Without
-        such a topic, the topic with the most messages gives the clock and its rate, and topics with about the same
-        level share it. Only these topics are used. Their level is smoothed by a running median in the order of receipt.
-        If the recorder's clock was set back in all of them, the order is that of the stamps, and each interval between
-        two steps back has its own level.
+        Topics share the recorder's clock if their stamps have its rate, and at least 20 % of the stamps are within 1 s
+        of their receipts. Without such a topic, the topic with the most messages gives the clock and its rate, and
+        topics with about the same level share it. Only these topics are used. Their level is smoothed by a running
+        median in the order of receipt. If the recorder's clock was set back in all of them, the order is that of the
+        stamps, and each interval between two steps back has its own level.
         """
         rates = {name: _receipt_rate(times) for name, times in stamped.items()}
         sharing = [n for n, times in stamped.items() if rates[n] == 1.0 and self._agrees_with_recorder(times)]
@@ -213,8 +214,8 @@ class _ReferenceClock:
         The level is the receipt minus `rate` times the stamp [s]. After a step back the same receipt may occur again
         with another level, so each interval (a branch) is interpolated on its own. `receipt` and `level` (n,) are in
         the order of the stamps; a fall of the level by more than 0.25 s is a step. `shift` is set from the first branch
-        with a level below 1 s (near the recorder's clock), or else from the first branch: it is the median of its
-        levels if the reference is the recorder's clock, and otherwise the first of them.
+        whose level is between -1 s and 1 s (near the recorder's clock), or else from the first branch. `shift` is the
+        median of the levels of this branch if the reference is the recorder's clock, and otherwise the first of them.
         """
         steps = np.flatnonzero(np.diff(level) < -STEP_S) + 1
         edges = [0, *steps.tolist(), len(level)]
@@ -310,8 +311,9 @@ class _ReferenceClock:
         -------
         EstimatedTimes
             The times, with a remark if they differ from the stamps. Messages with a wrong or empty stamp have NaN.
-            Right stamps are unchanged if the reference is the recorder's clock; otherwise `shift` is added. If fewer
-            than 20 % of the stamps agree with the reference, they are taken as those of another clock.
+            Right stamps are unchanged if the reference is the recorder's clock; otherwise `shift` is added. The stamps
+            are taken as those of another clock if fewer than 20 % of them agree with the reference to 1 s, or if their
+            rate is another one and no more than half of them agree.
         """
         if not is_stamped:
             return self._times_of_receipts(topic_times)

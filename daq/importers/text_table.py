@@ -77,9 +77,10 @@ class TextTable(Table):
     def _read_numbers(self) -> bool:
         """Read the text file by numpy, which is fast, and return whether this was possible.
 
-        It is possible only if the file contains one header with unique names, and rows of plain finite numbers with
-        decimal points, without blank lines. The import map must not give the names of the columns, a decimal comma or
-        the delimiter "blank". Otherwise nothing is stored. An error of reading gives False too.
+        It is possible only if the file contains one header with unique names, and rows of plain numbers with decimal
+        points, without blank lines. The word nan counts as a number, infinity does not. The import map must not give
+        the names of the columns, a decimal comma or the delimiter "blank". Otherwise nothing is stored. An error of
+        reading gives False too.
         """
         style = self._style
         if style.columns or style.decimal != "." or len(style.delimiter) != 1:
@@ -193,8 +194,8 @@ class TextTable(Table):
         """Add a remark about the lines of the text table whose number of cells differs from the header, or raise.
 
         `ragged` has line and number of cells of each. Raise SeatrialError if the import map does not have nan = "drop",
-        or if these are more than 20 % of the lines. `is_cut` means that the last line of the file has no line end; if
-        it is the only such line, the remark reports it as cut off.
+        or if these are more than 20 % of the lines. `is_cut` means that the last line of the file has no line end. If
+        the last line is then the only one with a wrong number of cells, the remark reports this line as cut off.
         """
         line, n_cells = ragged[0]
         width, n = len(self._header), len(ragged)
@@ -479,8 +480,8 @@ def has_decimal_commas(head: bytes) -> bool:
     Returns
     -------
     bool
-        True if more than 90 % of the rows are numbers and have more cells between commas than the header; False for
-        fewer than 3 lines, or a header with another delimiter.
+        True if more than 90 % of the rows are numbers, and more than 90 % have more cells between commas than the
+        header, but at most twice as many; False for fewer than 3 lines, or a header with another delimiter.
     """
     lines = head.decode("utf-8-sig", "ignore").splitlines()[:-1]
     widths = [line.count(",") + 1 for line in lines if line.strip()]

@@ -228,9 +228,10 @@ def early_dates(first: float, last: float, written: Sequence[float]) -> str:
 
     Notes
     -----
-    The dates are suspicious if a file was written within 30 days after them and 1024 weeks, or if they are before 2007
-    and a file was written later than 1024 weeks after them. Times before July 1998, for example since the start of a
-    device, are no dates. The times are not changed, since an old log with right dates looks the same.
+    The corrected end is the last time plus 1024 weeks. The dates are suspicious if a file was written from 1 day before
+    to 30 days after the corrected end. The dates are also suspicious if the last time is before 2007 and a file was
+    written later than 1 day before the corrected end. Times before July 1998, for example since the start of a device,
+    are no dates. The times are not changed, since an old log with right dates looks the same.
     """
     true_end = last + GPS_ERA_S
     if first < FIRST_GPS_DATE or true_end > max(written, default=0.0) + 86_400.0:
@@ -256,8 +257,8 @@ def warn_of_early_dates(out: Path, first: float, last: float, reads: Sequence[Pa
     first, last
         First and last time of the log [s since 1970].
     reads
-        Source files and folders, whose dates show when they were written. Maps and rigs (.toml) among them are not
-        recordings, so their dates do not count.
+        Source files and folders, whose dates show when they were written. The present time is used like such a date.
+        Maps and rigs (.toml) among them are not recordings, so their dates do not count.
 
     Returns
     -------
@@ -349,7 +350,8 @@ def replacing(out: Path, force: bool, reads: Sequence[Path]) -> Iterator[Path]:
     Raises
     ------
     SeatrialError
-        If `out` is one of `reads`, or exists and `force` is not set.
+        If `out` exists, and `force` is not set, `out` is one of `reads`, or `out` lies in a folder of `reads` (except a
+        .toml file).
     """
     for path in reads if out.exists() else ():
         inside = path.resolve() in out.resolve().parents and out.suffix != ".toml"  # a map may be in a bag's folder

@@ -94,7 +94,8 @@ class MavlinkDecoder(StreamDecoder[Frame]):
     foreign
         Number of frames of each other system, by its id.
     unsigned
-        Number of frames of the autopilot that were ignored because of their signature.
+        Number of frames of the autopilot that were ignored because of their signature, or because pymavlink cannot
+        decode them.
     signed
         Number of frames of the autopilot with a signature, checked or not.
     lost
@@ -198,7 +199,7 @@ class MavlinkDecoder(StreamDecoder[Frame]):
         """Decode a frame of the autopilot, append its samples to `self._out`, and pass its message to the listener.
 
         If the codec has a signing key and the signature is missing or wrong, or if pymavlink cannot decode the frame,
-        it is counted in `unsigned` and ignored. `t_rx` is the run time of receipt [s].
+        the frame is counted in `unsigned` and ignored. `t_rx` is the run time of receipt [s].
         """
         message = self._codec.decode(frame)
         if message is None:
@@ -397,9 +398,9 @@ class SampleConverter:
     def _attitude(self, m: Any) -> TimedSamples:
         """Return the samples that an ATTITUDE message completes; each is an `Ahrs`.
 
-        The attitude is joined with the IMU message of the same moment (within 5 ms). It waits for this message if an
-        IMU message has been received in the last second; the list may therefore be empty. An earlier attitude or IMU
-        message that has waited in vain is returned too.
+        The attitude is joined with the IMU message of the same moment (within 5 ms). The attitude waits for this
+        message if an IMU message has been received in the last second; the list may therefore be empty. An earlier
+        attitude or IMU message that has waited in vain is returned too.
         """
         self._boot = t = self._check_restart(_since_boot(m.time_boot_ms))
         samples: TimedSamples = [self._attitude_waits] if self._attitude_waits is not None else []
@@ -445,10 +446,10 @@ class SampleConverter:
     def _take_imu(self, t: float, accel: tuple[float, ...], field: tuple[float, ...]) -> TimedSamples:
         """Return the samples that specific force and magnetic field of an IMU message complete; each is an `Ahrs`.
 
-        They are joined with the attitude of the same moment (within 5 ms), and get its time; or they wait for it. `t`
-        is the time [s since boot], `accel` the specific force [m/s2], and `field` the magnetic field [T]. A field of
-        zero means that it is unknown, and becomes NaN. An earlier attitude or IMU message that has waited in vain is
-        returned too.
+        Force and field are joined with the attitude of the same moment (within 5 ms), and get the time of the attitude.
+        Without such an attitude, force and field wait for it. `t` is the time [s since boot], `accel` the specific
+        force [m/s2], and `field` the magnetic field [T]. A field of zero means that it is unknown, and becomes NaN. An
+        earlier attitude or IMU message that has waited in vain is returned too.
         """
         self._imu_at = self._check_restart(t)
         imu = (t, accel, field if any(field) else (NAN, NAN, NAN))

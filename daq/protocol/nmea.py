@@ -622,9 +622,9 @@ def _read_gns(epoch: _Epoch, message: Message) -> None:
 def _read_rmc(epoch: _Epoch, message: Message) -> None:
     """Store date, fix, position, speed and course of an NMEA sentence RMC in the epoch.
 
-    The kind of fix, as in `Gnss.fix`, follows from the mode letter; a sentence without it has 3. The year of the date
-    is 1980 to 2079, because the sentence has two digits of it. If the sentence is flagged as invalid, only the date and
-    the kind of fix (0) are stored. `message` has the fields by name.
+    The kind of fix, as in `Gnss.fix`, follows from the mode letter; a sentence without a letter has 3, one with an
+    unknown letter 0. The year of the date is 1980 to 2079, because the sentence has two digits of it. If the sentence
+    is flagged as invalid, only the date and the kind of fix (0) are stored. `message` has the fields by name.
     """
     if isinstance(date := message.get("date"), datetime.date):
         # RMC has two digits of the year. Before its first fix a receiver may send a year from 1980 on.
@@ -737,9 +737,9 @@ class Headings:
     Parameters
     ----------
     declination
-        True heading minus magnetic heading [rad], positive to the east. None if it is unknown. It corrects magnetic
-        headings without a variation in HDG. If both are missing, magnetic headings give no sample, and `remark` reports
-        this.
+        True heading minus magnetic heading [rad], positive to the east. None if it is unknown. The declination corrects
+        magnetic headings without a variation in HDG. If variation and declination are missing, magnetic headings give
+        no sample, and `remark` reports this.
     signal_ending
         Ending of the names of transducers. None if transducers are to be left out.
 

@@ -101,7 +101,8 @@ class Decoder(FrameDecoder):
             True heading minus magnetic heading [rad], positive to the east, for magnetic headings without a variation.
             None if it is unknown.
         settle
-            Time [s] after the first message of a kind in which no sample is returned. It serves to find all senders.
+            Time [s] after the first message of a kind in which no sample is returned. In this time the decoder finds
+            the senders.
         """
         super().__init__()
         self._declination, self._settle = declination, settle

@@ -182,8 +182,8 @@ class Decoder(nmea.Decoder):
 def _find_messages(buffer: bytearray, start: int, end: int) -> Iterator[tuple[int, int]]:
     """Yield start and end of each complete UBX message that this module decodes, in a part of the buffer.
 
-    A message counts if its length is usual for its kind and its checksum is correct. Only messages that begin from
-    index `start` to `end`, inclusive, are found.
+    A message counts if its length is usual for its kind and its checksum is correct. Only messages that begin at an
+    index from `start` up to, not including, `end` are found. Such a message may end behind `end`.
     """
     while (start := buffer.find(SYNC, start, end + 1)) >= 0:
         n_payload = int.from_bytes(buffer[start + 4 : start + HEAD], "little")
@@ -332,7 +332,7 @@ class Epochs:
         """Return the GNSS sample of the present epoch (the UBX messages with the same time of week).
 
         The list is empty if the epoch has no position message, if its sample has been returned before, or if an HNR-PVT
-        message was received in the last 2 s (HIGH_RATE_S) before it.
+        message was received in the 2 s (HIGH_RATE_S) before the first message of the epoch, or later.
         """
         epoch = self._epoch
         if epoch is None or self._emitted or not epoch.kinds & _POSITION_IDS:

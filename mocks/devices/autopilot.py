@@ -117,8 +117,8 @@ class AutopilotEmulator(DeviceEmulator):
     def _is_due(self, name: str) -> bool:
         """Return whether the MAVLink message ``name`` must be sent now. If so, the caller sends it.
 
-        It is due at the first call in each interval of its rate. The intervals are counted from boot, so that messages
-        of one rate are sent together, as by ArduPilot. Each call marks the present interval as served.
+        A message is due at the first call in each interval of its rate. The intervals are counted from boot, so that
+        messages of one rate are sent together, as by ArduPilot. Each call marks the present interval as served.
         """
         count = math.floor((self._now + BOOT_S) * self._rates[name] + 1e-6)
         previous, self._sent[name] = self._sent.get(name, -1), count
@@ -147,9 +147,10 @@ class AutopilotEmulator(DeviceEmulator):
     def _check_failsafes(self) -> None:
         """Act on missing messages of the ground station, like ArduPilot Rover 4.7. It is called in each loop.
 
-        While it is armed and in MANUAL, the thrusters get the command of the last RC override again, or zero if this is
-        older than RC_OVERRIDE_TIME (without an RC receiver: than RADIO_S if FS_THR_ENABLE is set, else the command
-        stays). A negative RC_OVERRIDE_TIME never ends. A command of zero is not repeated.
+        While the autopilot is armed and in MANUAL, each thruster gets the command of the last RC override again. If
+        this override is older than RC_OVERRIDE_TIME, the thruster gets zero instead. Without an RC receiver the time is
+        RADIO_S if FS_THR_ENABLE is set; otherwise the command stays. A negative RC_OVERRIDE_TIME never ends. A command
+        of zero is not repeated.
 
         In AUTO and RTL an armed autopilot drives by itself. If in MANUAL the heartbeats, after a first one, are
         missing for longer than FS_GCS_TIMEOUT plus FS_TIMEOUT, the autopilot obeys FS_ACTION: 5 disarms it, 1 changes

@@ -195,7 +195,7 @@ def by_side(rig: Rig) -> tuple[Thruster, Thruster]:
     Raises
     ------
     SeatrialError
-        If the rig does not have exactly one thruster on each side. A thruster at y = 0 is on neither side.
+        If the rig does not have exactly two thrusters, one on each side. A thruster at y = 0 is on neither side.
     """
     left = [t for t in rig.thrusters if t.position_m[1] < 0.0]
     right = [t for t in rig.thrusters if t.position_m[1] > 0.0]

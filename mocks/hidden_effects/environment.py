@@ -79,7 +79,7 @@ def _tether(rng: np.random.Generator, scale: float) -> HiddenEffect:
     def tether(x: float, y: float, v_n: float, v_e: float) -> tuple[float, float]:
         """Return the force of the line [N], north and east, at a position [m] and velocity over ground [m/s].
 
-        It acts against the velocity, and is zero at the start of the boat.
+        The force acts against the velocity, and is zero at the start of the boat.
         """
         away = math.hypot(x, y)
         paid_out = away * away / (away + slack)
