@@ -38,7 +38,7 @@ from seatrial.daq.config import Mission, dump_mission
 from seatrial.daq.errors import SafetyStop, SeatrialError
 from seatrial.daq.log import open_log
 from seatrial.daq.realtime_priority import realtime_priority
-from seatrial.daq.rig import Rig
+from seatrial.daq.rig import LOAD_CELLS, Rig
 from seatrial.daq.samples import Esc, Gnss, LoadCell, Servo
 
 # Wall seconds.
@@ -545,11 +545,11 @@ class _Runner:
         """Return the tares of the load cells: their mean raw measurements while the mission rests.
 
         The tares and their drift are also printed and written to the log as events. ``timeline`` has the run times of
-        the executed segments. The list is empty if the rig has no device with the protocol "loadcell", the mission
-        rests neither at its start nor at its end, or the log cannot be read; in the last case the reason is printed.
+        the executed segments. The list is empty if the rig has no load cell, the mission rests neither at its start nor
+        at its end, or the log cannot be read; in the last case the reason is printed.
         """
         windows = timeline.static_windows()
-        if not windows or not any(device.protocol == "loadcell" for device in self._rig.devices):
+        if not windows or not any(device.protocol in LOAD_CELLS for device in self._rig.devices):
             return []
         self._wait(FLUSH_S)
         try:

@@ -11,7 +11,7 @@ import numpy as np
 
 from seatrial.daq.config import STATIC, Mission
 from seatrial.daq.log import open_log
-from seatrial.daq.rig import Rig
+from seatrial.daq.rig import LOAD_CELLS, Rig
 from seatrial.daq.samples import LoadCell
 
 SETTLE_S = 3.0  # run seconds from zero thrust until the water and the rod are at rest
@@ -100,7 +100,7 @@ def measure_tares(path: Path, rig: Rig, windows: Sequence[tuple[str, float, floa
     path : Path
         The log, which may still grow.
     rig : Rig
-        The rig with its load cells. Only devices with the protocol "loadcell" count.
+        The rig with its load cells.
     windows : sequence of tuple
         Intervals at rest: ("start" or "end", begin, end), with run times [s]. Samples at ``end`` do not count.
 
@@ -118,7 +118,7 @@ def measure_tares(path: Path, rig: Rig, windows: Sequence[tuple[str, float, floa
     tares = []
     with open_log(path) as log:
         with_samples = log.sources(LoadCell)
-        cells = [device.name for device in rig.devices if device.protocol == "loadcell" and device.name in with_samples]
+        cells = [device.name for device in rig.devices if device.protocol in LOAD_CELLS and device.name in with_samples]
         tables = {name: log.table(LoadCell, name) for name in cells}
     for name, table in tables.items():
         for where, begin, end in windows:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from seatrial.bench.mission_generators import bench_plan
 from seatrial.daq.clock import RunClock
 from seatrial.daq.config.rig_file import parse_rig
 from seatrial.daq.log.recorder import Recorder
-from seatrial.daq.rig import Rig
+from seatrial.daq.rig import LOAD_CELLS, Rig
 from seatrial.daq.samples import Frame, LoadCell
 from tests.bench.standin import NEWTON_PER_COUNT, RIG, ZERO_COUNTS
 
@@ -36,6 +37,15 @@ def recorded(path: Path, rig: Rig, seconds: float) -> None:
         sample = LoadCell(counts + (1e6 if spike else 0.0), 0.0, 2 if spike else 0)
         recorder.write("loadcell", Frame(sample, START + t, float("nan")), START + t)
     recorder.close()
+
+
+@pytest.mark.parametrize("protocol", LOAD_CELLS)
+def test_every_kind_of_load_cell_is_tared(tmp_path: Path, rig: Rig, protocol: str) -> None:
+    devices = tuple(replace(d, protocol=protocol) if d.name == "loadcell" else d for d in rig.devices)
+    plan = bench_plan("steps", "left")
+    recorded(tmp_path / "run.mcap", rig, plan.end)
+    tares = measure_tares(tmp_path / "run.mcap", replace(rig, devices=devices), static_windows(plan, START))
+    assert [(tare.device, tare.where) for tare in tares] == [("loadcell", "start"), ("loadcell", "end")]
 
 
 def test_zero_at_start_and_end_and_the_drift(tmp_path: Path, rig: Rig) -> None:
