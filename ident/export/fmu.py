@@ -79,11 +79,7 @@ def source(content: Content, guid: str) -> str:
         _table("double upper", [C.number(high) for _, high in bounds], "0.0"),
         _table("int positive", [str(flag) for flag in positive], "0"),
     ]
-    prefix = (
-        f"#if !defined(FMI2_OVERRIDE_FUNCTION_PREFIX) && !defined(FMI2_FUNCTION_PREFIX)\n"
-        f"#define FMI2_FUNCTION_PREFIX {content.name}_\n#endif\n"
-    )
-    text = prefix + HEAD + "\n" + "\n".join(tables) + SOURCE
+    text = HEAD + "\n" + "\n".join(tables) + SOURCE
     return text.replace("NAME_", f"{content.name}_").replace("NAME.h", f"{content.name}.h")
 
 

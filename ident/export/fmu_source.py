@@ -14,13 +14,12 @@ HEAD = """/* FMI 2.0 co-simulation of the model in NAME.h. An instance keeps all
 #define NAME_MERGE_SHORT_STEPS 1 /* steps may be shorter */
 #include "NAME.h"
 
-/* Functions of a static library begin with the prefix; those of a shared library have none. */
-#if defined(FMI2_OVERRIDE_FUNCTION_PREFIX) || !defined(FMI2_FUNCTION_PREFIX)
+/* Functions of a static library begin with the prefix; those of a shared library have none. CMake defines
+   NAME_EXPORTS for a shared library, and other builds define FMI2_OVERRIDE_FUNCTION_PREFIX. */
+#if defined(FMI2_OVERRIDE_FUNCTION_PREFIX) || defined(NAME_EXPORTS)
 #define FMI(name) name
 #else
-#define FMI_JOIN(a, b) a##b
-#define FMI_PASTE(a, b) FMI_JOIN(a, b)
-#define FMI(name) FMI_PASTE(FMI2_FUNCTION_PREFIX, name)
+#define FMI(name) NAME_##name
 #endif
 #if defined(_WIN32) || defined(__CYGWIN__)
 #define EXPORT __declspec(dllexport)

@@ -21,7 +21,7 @@ from seatrial.ident.export.codegen import Content, collect_content, identifiers,
 from seatrial.ident.model import EffectKind, Input, Model, ModelFunction, ModelKind, Parameter, Signals, State
 
 BENCH_ONLY = ("bench", "sensor")  # places of effects of the tank, the rig and its sensors, which a boat does not have
-SHAFT_STAGES = ("shaft", "dead_band", "thrust_lag", "thrust")  # places of effects between shaft speed and thrust
+SHAFT_STAGES = ("shaft", "dead_band", "thrust_lag")  # places of effects between shaft speed and thrust curve
 DIFFERENT = 0.02  # of the largest thrust: a larger difference of two thrust curves gives a warning
 MARGIN = 0.05  # of full speed by which a boat may exceed the range of the bench without a warning
 SPEEDS = np.linspace(-1.0, 1.0, 41)  # shaft speeds at which thrust curves are compared
@@ -227,7 +227,7 @@ def _check_curves(boat: Content, drives: list[Drive]) -> None:
         if abs(bench - own)[worst] > DIFFERENT * abs(bench).max():
             warnings.warn(
                 f"thruster {d.name}: at the shaft speed {SPEEDS[worst]:.2g} its bench model has {bench[worst]:.3g} N "
-                f"and the boat model {own[worst]:.3g} N; masses and damping were fitted with the latter, so fit the boat "
+                f"and the boat model {own[worst]:.3g} N; masses and damping were fitted with the latter; fit the boat "
                 "again with `ident vehicle --thruster`, and compare rpm_max of both rigs",
                 SeatrialWarning,
                 stacklevel=3,
@@ -373,8 +373,7 @@ def with_thrust_input(boat: Content) -> Content:
     between = [e.name for e in model.effects if set(e.hooks) & set(SHAFT_STAGES)]
     if between:
         raise SeatrialError(
-            f"--thrust-input: the effect {', '.join(between)} acts between shaft speed and thrust; use a model without "
-            "it"
+            f"--thrust-input: the effect {', '.join(between)} acts on the shaft speed; use a model without it"
         )
     c1, c2 = model.values["c1"], model.values["c2"]
     inputs = tuple(
