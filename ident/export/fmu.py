@@ -18,6 +18,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from seatrial.daq.errors import SeatrialError
+from seatrial.daq.files import write_output
 from seatrial.ident.export import c
 from seatrial.ident.export.codegen import C, Content, header
 from seatrial.ident.export.fmu_source import HEAD, SOURCE
@@ -147,7 +148,7 @@ def compiled(sources: dict[str, str], main: str) -> bytes:
     shared = ["-dynamiclib", "-arch", "arm64", "-arch", "x86_64"] if sys.platform == "darwin" else ["-shared"]
     with TemporaryDirectory() as folder:
         for name, text in sources.items():
-            (Path(folder) / name).write_text(text, encoding="utf-8")
+            write_output(Path(folder) / name, text)
         words = [*command, *FLAGS, *shared, main, "-o", "model", "-lm"]
         try:
             done = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=TIMEOUT_S)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import TypedDict, Unpack
 
 from seatrial.ident.estimation import SavedModel
 from seatrial.ident.export import c, casadi_file, fmu, gazebo, python, ros2
@@ -28,19 +29,39 @@ SUFFIXES = {
 }
 
 
-def export(
-    saved: SavedModel,
-    target: str,
-    *,
-    name: str | None = None,
-    nuisance: bool = False,
-    thrusters: Mapping[str, SavedModel] | None = None,
-    own_curve: bool = False,
-    thrust_input: bool = False,
-    source_only: bool = False,
-    mass: float | None = None,
-    inertia: float | None = None,
-) -> str | bytes:
+class ExportOptions(TypedDict, total=False):
+    """Options of `export`.
+
+    Attributes
+    ----------
+    name : str or None
+        Prefix of the functions, or name of the node or FMU; by default the model's name.
+    nuisance : bool
+        Whether disturbance forces and sensor biases are kept as states.
+    thrusters : mapping
+        Bench models of the thrusters by name, which are joined with the boat model (`seatrial.ident.export.joined`).
+    own_curve : bool
+        Whether a joined model keeps the thrust curve of the boat model.
+    thrust_input : bool
+        Whether the inputs are thrusts [N] in place of shaft speeds.
+    source_only : bool
+        Whether an FMU has no binary. Other targets ignore it.
+    mass, inertia : float or None
+        Mass [kg] and moment of inertia about the vertical axis [kg m2] of the boat without added mass, which Gazebo and
+        VRX need. Other targets ignore them.
+    """
+
+    name: str | None
+    nuisance: bool
+    thrusters: Mapping[str, SavedModel]
+    own_curve: bool
+    thrust_input: bool
+    source_only: bool
+    mass: float | None
+    inertia: float | None
+
+
+def export(saved: SavedModel, target: str, **options: Unpack[ExportOptions]) -> str | bytes:
     """Return the content of the exported file of a fitted model: text, or the bytes of an FMU.
 
     Parameters
@@ -49,21 +70,8 @@ def export(
         Model with its provenance, standard errors and validity.
     target : str
         A key of `SUFFIXES`; any other text raises KeyError.
-    name : str, optional
-        Prefix of the functions, or name of the node or FMU; by default the model's name.
-    nuisance : bool
-        Whether disturbance forces and sensor biases are kept as states.
-    thrusters : mapping, optional
-        Bench models of the thrusters by name, which are joined with the boat model (`seatrial.ident.export.joined`).
-    own_curve : bool
-        Whether a joined model keeps the thrust curve of the boat model.
-    thrust_input : bool
-        Whether the inputs are thrusts [N] in place of shaft speeds.
-    source_only : bool
-        Whether an FMU has no binary. Other targets ignore it.
-    mass, inertia : float, optional
-        Mass [kg] and moment of inertia about the vertical axis [kg m2] of the boat without added mass, which Gazebo and
-        VRX need. Other targets ignore them.
+    **options
+        `ExportOptions`.
 
     Raises
     ------
@@ -72,15 +80,15 @@ def export(
     SeatrialError
         If the models cannot be joined, the FMU cannot be compiled, or the target needs other options.
     """
-    content = collect_content(saved, name=name, nuisance=nuisance)
-    if thrusters:
-        content = join(content, thrusters, own_curve=own_curve)
-    if thrust_input:
+    content = collect_content(saved, name=options.get("name"), nuisance=options.get("nuisance", False))
+    if thrusters := options.get("thrusters"):
+        content = join(content, thrusters, own_curve=options.get("own_curve", False))
+    if options.get("thrust_input", False):
         content = with_thrust_input(content)
     if target == "fmu":
-        return fmu.write(content, source_only=source_only)
+        return fmu.write(content, source_only=options.get("source_only", False))
     if target in BLOCKS:
-        return BLOCKS[target](content, mass=mass, inertia=inertia)
+        return BLOCKS[target](content, mass=options.get("mass"), inertia=options.get("inertia"))
     return TARGETS[target](content)
 
 
