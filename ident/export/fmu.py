@@ -22,7 +22,7 @@ from seatrial.daq.files import write_output
 from seatrial.ident.export import c
 from seatrial.ident.export.codegen import C, Content, header
 from seatrial.ident.export.fmu_source import HEAD, SOURCE
-from seatrial.ident.export.model_description import model_description, parameter_bounds, step_size, variables
+from seatrial.ident.export.model_description import STEP_S, model_description, parameter_bounds, variables
 
 COMPILERS = ("cc", "gcc", "clang")
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-DFMI2_OVERRIDE_FUNCTION_PREFIX")
@@ -74,7 +74,7 @@ def source(content: Content, guid: str) -> str:
     positive = [int(p.transform == "log") for p in content.exported_parameters]
     tables = [
         f'#define GUID "{guid}"',
-        f"#define DEFAULT_DT {step_size(content)!r} /* s */",
+        f"#define DEFAULT_DT {STEP_S!r} /* s */",
         _table("char *const names", [f'"{v.name}"' for v in variables(content)], '""'),
         _table("double lower", [C.number(low) for low, _ in bounds], "0.0"),
         _table("double upper", [C.number(high) for _, high in bounds], "0.0"),

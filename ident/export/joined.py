@@ -235,8 +235,8 @@ def _check_curves(boat: Content, drives: list[Drive]) -> None:
 
 
 def _check_range(boat: Content, drive: Drive) -> None:
-    """Warn if the boat's data exceed the range of shaft speeds that the bench test of its thruster covered."""
-    covered, needed = drive.saved.validity.get("n"), boat.saved.validity.get(drive.input)
+    """Warn if the boat's data exceed the range of commands, and so of shaft speeds, of its thruster's bench test."""
+    covered, needed = drive.saved.validity.get("n_cmd"), boat.saved.validity.get(drive.input)
     if covered is None or needed is None or drive.input.startswith("f_"):
         return
     if needed[0] < covered[0] - MARGIN or needed[1] > covered[1] + MARGIN:

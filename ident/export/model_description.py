@@ -16,7 +16,7 @@ BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 # Units that are products of powers of base units
 DERIVED_UNITS = {"N": {"kg": 1, "m": 1, "s": -2}, "Hz": {"s": -1}, "V": {"kg": 1, "m": 2, "s": -3, "A": -1}}
 INVALID_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-STOP_S = 60.0  # length of the default experiment
+STOP_S, STEP_S = 60.0, 0.05  # length and communication step of the default experiment
 Role = Literal["input", "start", "before", "parameter", "state", "output"]
 
 
@@ -110,14 +110,6 @@ def _text(words: str) -> str:
     return " ".join(INVALID_IN_XML.sub(" ", words).split())
 
 
-def step_size(content: Content) -> float:
-    """Return the step of the default experiment [s]: 0.05 s, or the longest step of the integration if it is shorter.
-
-    The integration divides longer steps.
-    """
-    return min(0.05, content.history.max_step)
-
-
 def model_description(content: Content, guid: str, version: str) -> bytes:
     """Return the text of modelDescription.xml, encoded as UTF-8.
 
@@ -155,9 +147,7 @@ def model_description(content: Content, guid: str, version: str) -> bytes:
     _add_units(root, (v.unit for v in rows))
     categories = ElementTree.SubElement(root, "LogCategories")
     ElementTree.SubElement(categories, "Category", name="logStatusError", description="Errors, which are always logged")
-    ElementTree.SubElement(
-        root, "DefaultExperiment", startTime="0.0", stopTime=repr(STOP_S), stepSize=repr(step_size(content))
-    )
+    ElementTree.SubElement(root, "DefaultExperiment", startTime="0.0", stopTime=repr(STOP_S), stepSize=repr(STEP_S))
     listed = ElementTree.SubElement(root, "ModelVariables")
     for reference, variable in enumerate(rows):
         _add_variable(listed, reference, variable)

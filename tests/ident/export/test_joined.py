@@ -227,7 +227,7 @@ def test_different_curve_and_range_give_a_warning() -> None:
     ):
         join(collect_content(saved(boat())), {"": weak})
     wide = replace(saved(boat()), validity={"n_left": (-1.0, 1.0), "n_right": (-0.2, 1.0)})
-    narrow = replace(saved(LEFT), validity={"n": (-0.3, 1.0)})
+    narrow = replace(saved(LEFT), validity={"n_cmd": (-0.3, 1.0)})
     with pytest.warns(SeatrialWarning, match=r"thruster left: the boat ran .* covers -0\.30 to 1\.00"):
         join(collect_content(wide), {"": narrow})
 
