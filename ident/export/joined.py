@@ -159,6 +159,13 @@ def _drives(model: Model, thrusters: Mapping[str, SavedModel]) -> list[Drive]:
             f"the boat model {model.source or model.name} cannot be joined with a thruster: its inputs are {given}, "
             "not shaft speeds or thrusts; fit `ident vehicle --model horizontal:shaft` or horizontal:force"
         )
+    units = {i.name: i.unit for i in model.inputs}
+    for n in found:
+        if units[n] != (wanted := "N" if n.startswith("f_") else ""):
+            raise SeatrialError(
+                f"the input {n} of the boat model has the unit {units[n] or '1'}, but a bench model gives "
+                f"{wanted or '1'} (shaft speeds relative to rpm_max); scale the input of the boat model"
+            )
     names = [name or "n" for name in found.values()]
     if unknown := [n for n in thrusters if n and n not in names]:
         raise SeatrialError(f"--thruster {unknown[0]}=...: the boat has no such thruster; it has {', '.join(names)}")

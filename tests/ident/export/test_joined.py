@@ -208,6 +208,8 @@ def test_unsuitable_models_are_refused() -> None:
     refuse(nomoto_model(), "cannot be replaced, because the model nomoto.* needs its past")
     refuse(boat() + catalogue()["delay"], "because its effect delay needs its past")
     refuse(horizontal_model(), "the thrust of the boat model was not given.* --thrust-curve boat")
+    in_rpm = replace(boat(), inputs=tuple(replace(i, unit="rev/min") for i in boat().inputs))
+    refuse(in_rpm, "the input n_left of the boat model has the unit rev/min, but a bench model gives 1")
     refuse(boat(), "thruster right has no model: give --thruster right=FILE", {"left": saved(LEFT)})
     refuse(boat(), "the boat has no such thruster; it has left, right", {"bow": saved(LEFT)})
     refuse(boat(), "the model of thruster left is horizontal, not a bench model", {"": saved(boat())})
