@@ -217,7 +217,7 @@ def _check_curves(boat: Content, drives: list[Drive]) -> None:
     Raise SeatrialError if the thrust of the boat is unknown or no stage of the model; warn if the curves differ.
     """
     model = boat.model
-    if "thrust" not in dict(model.stages):
+    if "thrust" not in dict(model.stages) or "c1" not in model.values:
         raise SeatrialError(
             f"the thrust curve of {model.source or model.name} cannot be replaced; keep it with --thrust-curve boat"
         )
@@ -295,10 +295,16 @@ def _joined_model(boat: Model, drives: list[Drive], own_curve: bool) -> Model:
             given[WORK_INPUT] = s.x.work
             s.rate[WORK_INPUT] = sum(abs(given[d.input]) ** 3 for d in drives) / WORK_UNIT
         curves = {d.name: benches[d.input] for d in drives if d.has_thrust and not own_curve}
-        changed = _with_thrust(
-            boat, lambda b: {side: curves[side].again({"n": n}, {}, {}).force for side, n in b.n.items()}
-        )
-        found = (changed if curves and not driven & {f"f_{d.name}" for d in drives} else boat).signals(
+
+        def thrusts(b: Signals) -> dict[str, Any]:
+            """Return the thrusts by side: on the bench's curve, or as the boat model has them without one."""
+            return {
+                side: curves[side].again({"n": n}, {}, {}).force if side in curves else b.f[side]
+                for side, n in b.n.items()
+            }
+
+        given_thrusts = any(name.startswith("f_") for name in driven)
+        found = (boat if given_thrusts or not curves else _with_thrust(boat, thrusts)).signals(
             [getattr(s.x, x.name) for x in boat.states],
             [given[i.name] for i in boat.inputs],
             [getattr(s.p, p.name) for p in boat.parameters],
@@ -370,7 +376,7 @@ def with_thrust_input(boat: Content) -> Content:
     """
     model = boat.model
     shafts = {i.name: f"f_{i.name[2:]}" for i in model.inputs if i.name in ("n_left", "n_right")}
-    if not shafts or "thrust" not in dict(model.stages):
+    if not shafts or "thrust" not in dict(model.stages) or "c1" not in model.values:
         inputs_now = ", ".join(i.name for i in model.inputs if not i.tap)
         raise SeatrialError(
             "--thrust-input needs a model with the shaft speeds n_left, n_right as inputs, such as horizontal:shaft; "

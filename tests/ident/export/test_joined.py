@@ -218,6 +218,9 @@ def test_unsuitable_models_are_refused() -> None:
     assert join(collect_content(saved(horizontal_model())), {"": saved(LEFT)}, own_curve=True).states[-1] == "n_right"
     without_cell = join(collect_content(saved(boat())), {"": saved(thruster_model(force=False))})
     assert thrust_of(without_cell, 1.0) == pytest.approx(2 * 41.5)
+    weaker = saved(LEFT.with_values({"c1": 39.7}))
+    mixed = join(collect_content(saved(boat())), {"left": saved(thruster_model(force=False)), "right": weaker})
+    assert thrust_of(mixed, 1.0) == pytest.approx(41.5 + 41.2)
     kinematic = known(kinematic_model(), **CURVE)
     assert join(collect_content(saved(kinematic)), {"": saved(LEFT)}).states[-1] == "n_right"
 
