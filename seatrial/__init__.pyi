@@ -8,6 +8,7 @@ from .api.fits import Series as Series
 from .api.fits import diagnose as diagnose
 from .api.fits import fit as fit
 from .api.loading import Saved as Saved
+from .api.loading import export as export
 from .api.loading import linearise as linearise
 from .api.loading import load as load
 from .api.loading import simulate as simulate

@@ -16,10 +16,10 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 import seatrial  # noqa: E402
-from seatrial.api import fits, runs  # noqa: E402
+from seatrial.api import fits, loading, runs  # noqa: E402
 
 PAGE = ROOT / "docs/reference.md"
-OPTIONS = (fits.FitOptions, fits.DiagnosisOptions, runs.ThrusterOptions, runs.DesignOptions)
+OPTIONS = (fits.FitOptions, fits.DiagnosisOptions, runs.ThrusterOptions, runs.DesignOptions, loading.ExportOptions)
 HEAD = """# Reference of the Python interface
 
 <!-- written by python docs/site/reference.py -->

@@ -30,6 +30,7 @@ from seatrial.ident.cli.options import (
     parse_names,
     parse_priors,
     parse_rates,
+    parse_thruster_files,
     parse_values,
     rate_option,
     reml_option,
@@ -163,14 +164,15 @@ def navigate(model: Path, logs: tuple[Path, ...], out: Path, **how: Any) -> None
 ident.add_command(navigate)
 
 
-@click.command(short_help="Write a fitted model for Python, CasADi, C or ROS 2.")
+@click.command(short_help="Write a fitted model for Python, CasADi, C, ROS 2, Simulink (FMU), Gazebo or VRX.")
 @click.argument("model", type=MODEL)
 @click.option(
     "--to",
+    "--format",
     "target",
-    type=click.Choice(("python", "casadi", "c", "ros2")),
+    type=click.Choice(("python", "casadi", "c", "ros2", "fmu", "gazebo", "vrx")),
     required=True,
-    help="Target language or format.",
+    help="Target language or format. fmu: FMI 2.0 co-simulation, for Simulink, OpenModelica and others.",
 )
 @click.option(
     "-o",
@@ -178,39 +180,62 @@ ident.add_command(navigate)
     "output",
     type=click.Path(dir_okay=False, path_type=Path),
     callback=check_output,
-    help="File to write; without it, the text is printed.",
+    help="File to write; without it, the text is printed. An FMU needs it.",
 )
 @force_option
-@click.option("--name", help="Prefix of the functions, or name of the node; default: name of the model.")
+@click.option("--name", help="Prefix of the functions, or name of the node or FMU; default: name of the model.")
 @click.option(
     "--with-disturbance-states",
-    "with_nuisance",
     is_flag=True,
     help="Keep disturbance forces and sensor biases as states.",
 )
+@click.option(
+    "--thruster",
+    "thrusters",
+    multiple=True,
+    callback=parse_thruster_files,
+    metavar="[NAME=]FILE",
+    help="model.toml of a bench test: the inputs become commands. FILE for all thrusters, or NAME=FILE (left, right), "
+    "repeated.",
+)
+@click.option(
+    "--thrust-curve",
+    type=click.Choice(("bench", "boat")),
+    default="bench",
+    show_default=True,
+    help="Thrust curve of a model with --thruster.",
+)
+@click.option("--thrust-input", is_flag=True, help="Thrusts [N] as inputs in place of shaft speeds, for optimisation.")
+@click.option("--source-only", is_flag=True, help="FMU without a binary, which needs no compiler here.")
+@click.option("--mass", type=FiniteRange(0.0), help="Mass of the boat without added mass [kg], for gazebo and vrx.")
+@click.option(
+    "--inertia",
+    type=FiniteRange(0.0),
+    help="Moment of inertia about the vertical axis without added inertia [kg m2], for gazebo and vrx.",
+)
 @trust_option
-def export(model: Path, target: str, output: Path | None, name: str | None, with_nuisance: bool) -> None:
+def export(output: Path | None, **how: Any) -> None:
     """Export the fitted MODEL for other programs: equations, parameters, noise, names and units.
 
     The text is printed, or written to the file --out, which must not exist without --force.
 
     \b
-    Example:
+    Examples:
       seatrial ident export diagnosis/model.toml --to c -o boat.h
+      seatrial ident export boat/model.toml --to fmu --thruster thruster/model.toml -o boat.fmu
     """
     from seatrial.daq.errors import printable
     from seatrial.daq.files import write_output
-    from seatrial.ident.estimation import load_model
-    from seatrial.ident.export import export as written
+    from seatrial.ident.workflows.export import ExportRequest, export_model
 
-    try:
-        text = written(load_model(model), target, name=name, nuisance=with_nuisance)
-    except ValueError as problem:
-        raise SeatrialError(f"{model}: {problem}") from problem
+    request = ExportRequest(**how)
+    if output is None and request.target == "fmu":
+        raise SeatrialError("an FMU is a binary file: name it with -o, for example -o boat.fmu")
+    exported = export_model(request)
     if output is None:
-        click.echo(text, nl=False)
+        click.echo(exported.content, nl=False)
     else:
-        write_output(output, text)
+        write_output(output, exported.content)
         click.echo(f"wrote {printable(str(output))}")
 
 

@@ -79,6 +79,35 @@ def parse_values(_context: click.Context, _parameter: click.Parameter, items: Se
     return found
 
 
+def parse_thruster_files(context: click.Context, parameter: click.Parameter, items: Sequence[str]) -> dict[str, Path]:
+    """Parse the values of a repeatable option with a file, or NAME=FILE for one thruster (click callback).
+
+    Parameters
+    ----------
+    items : sequence of str
+        Texts, for example ``left=bench/model.toml``. A text that is the path of an existing file or folder is a path.
+
+    Returns
+    -------
+    dict
+        Path of the model.toml by name of the thruster; the name of a file without NAME is empty.
+
+    Raises
+    ------
+    click.BadParameter
+        If a file does not exist, or if a thruster has two files.
+    """
+    found: dict[str, Path] = {}
+    for item in items:
+        name, sign, path = item.partition("=")
+        if not sign or Path(item).exists():
+            name, path = "", item
+        if name in found:
+            raise click.BadParameter(f"{name or 'all thrusters'}: two files; give each thruster one, as NAME=FILE")
+        found[name] = MODEL.convert(path, parameter, context)
+    return found
+
+
 def parse_rates(context: click.Context, parameter: click.Parameter, items: Sequence[str]) -> dict[str, float]:
     """Parse the values of a repeatable SENSOR=HZ option (click callback).
 

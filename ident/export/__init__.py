@@ -1,4 +1,4 @@
-"""Export of a fitted model as source code or parameters for other programs: Python, CasADi, C, ROS 2."""
+"""Export of a fitted model as source code or parameters for other programs: Python, CasADi, C, ROS 2, FMI, Gazebo."""
 
 import lazy_loader
 

@@ -75,6 +75,7 @@ def write(content: Content) -> str:
             STEP_FUNCTION.replace("NAME_", f"{content.name}_"),
             *_history_lines(content),
             SIMULATION.replace("NAME_", f"{content.name}_"),
+            *_shaft_speed_lines(content),
             "#endif",
             "",
         ]
@@ -122,6 +123,21 @@ def _history_lines(content: Content) -> list[str]:
         f"#define {name}_MAX_STEP {past.max_step!r} /* longest step of the integration [s]; longer ones are divided */",
         f"#define {name}_WORK_UNIT {WORK_UNIT!r} /* s */",
         f"#define {name}_LONGEST_DELAY_US {math.ceil(max(past.longest, default=0.0) * 1e6 - 1e-3)} /* microseconds */",
+    ]
+
+
+def _shaft_speed_lines(content: Content) -> list[str]:
+    """Return the lines of the function from thrust to shaft speed; none if the inputs of the model are no thrusts."""
+    if content.thrust_curve is None:
+        return []
+    c1, c2 = (C.number(v) for v in content.thrust_curve)
+    return [
+        "/* Shaft speed at which a thruster has this thrust [N], -1 to 1 in its range. */",
+        f"static inline double {content.name}_shaft_speed(double thrust)",
+        "{",
+        f"    const double c1 = {c1}, c2 = {c2};",
+        "    return thrust >= 0.0 ? sqrt(thrust / (c1 + c2)) : -sqrt(-thrust / (c1 - c2));",
+        "}",
     ]
 
 

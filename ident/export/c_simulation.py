@@ -10,8 +10,13 @@ SIMULATION = """
 #ifndef NAME_SHORTEST_DT_US
 #define NAME_SHORTEST_DT_US 10000 /* microseconds */
 #endif
+/* Define it as 1 to accept shorter steps, too. The past then keeps the mean of an input over the shortest step. */
+#ifndef NAME_MERGE_SHORT_STEPS
+#define NAME_MERGE_SHORT_STEPS 0
+#endif
 enum {
-    NAME_HISTORY = (NAME_LONGEST_DELAY_US + NAME_SHORTEST_DT_US - 1) / NAME_SHORTEST_DT_US + 1, /* steps kept */
+    NAME_HISTORY = (NAME_LONGEST_DELAY_US + NAME_SHORTEST_DT_US - 1) / NAME_SHORTEST_DT_US + 1 /* steps kept */
+        + NAME_MERGE_SHORT_STEPS,
     NAME_OK = 0,
     NAME_DT_TOO_SHORT = 1, /* shorter than NAME_SHORTEST_DT_US, or not a number */
     NAME_DT_TOO_LONG = 2 /* longer than 1000 s */
@@ -122,6 +127,34 @@ static inline void NAME_ends(const NAME_simulation *sim, const double now[], dou
     }
 }
 
+/* Whether a duration of dt [s] is shorter than the shortest step, or not a number. */
+static inline int NAME_is_short(double dt)
+{
+    return !(dt >= NAME_SHORTEST_DT_US * (1.0 - 1e-9) * 1e-6);
+}
+
+/* Whether dt [s] is too short for a step. */
+static inline int NAME_is_too_short(double dt)
+{
+    return NAME_MERGE_SHORT_STEPS ? !(dt > 0.0) : NAME_is_short(dt);
+}
+
+/* Add the physical inputs of a step of dt [s] to the past. */
+static inline void NAME_remember(NAME_simulation *sim, const double now[], double dt)
+{
+    const double before = sim->length[sim->newest];
+    const int merged = NAME_MERGE_SHORT_STEPS && NAME_is_short(before);
+    double *value;
+    int i;
+    if (!merged) sim->newest = (sim->newest + 1) % NAME_HISTORY;
+    sim->length[sim->newest] = merged ? before + dt : dt;
+    value = sim->value[sim->newest];
+    for (i = 0; i < NAME_NIN; i++) { /* of merged steps, a held input has its mean, and a line or an angle its end */
+        const int mean = merged && !sim->linear[i] && !NAME_angle[i];
+        value[i] = mean ? (value[i] * before + now[i] * dt) / (before + dt) : now[i];
+    }
+}
+
 /* Advance the states by dt [s] with these physical inputs. The steps may differ in duration.
    The result is NAME_OK; after any other result nothing has changed. */
 static inline int NAME_advance(NAME_simulation *sim, const double inputs[], double dt)
@@ -131,7 +164,7 @@ static inline int NAME_advance(NAME_simulation *sim, const double inputs[], doub
     const double *p = sim->p;
     double *x = sim->x;
     int i, part, parts = 1;
-    if (!(dt >= NAME_SHORTEST_DT_US * (1.0 - 1e-9) * 1e-6)) return NAME_DT_TOO_SHORT;
+    if (NAME_is_too_short(dt)) return NAME_DT_TOO_SHORT;
     if (dt > 1000.0) return NAME_DT_TOO_LONG;
     if (dt > 1.1 * NAME_MAX_STEP) parts = (int)ceil(dt / NAME_MAX_STEP - 1e-6);
     NAME_present(sim, inputs, now);
@@ -150,9 +183,7 @@ static inline int NAME_advance(NAME_simulation *sim, const double inputs[], doub
     }
     sim->t += dt;
     sim->work += dt * NAME_power(sim, now);
-    sim->newest = (sim->newest + 1) % NAME_HISTORY;
-    sim->length[sim->newest] = dt;
-    for (i = 0; i < NAME_NIN; i++) sim->value[sim->newest][i] = now[i];
+    NAME_remember(sim, now, dt);
     return NAME_OK;
 }
 
@@ -161,7 +192,7 @@ static inline int NAME_outputs(const NAME_simulation *sim, const double inputs[]
 {
     double now[NAME_NIN > 0 ? NAME_NIN : 1], first[NAME_NU > 0 ? NAME_NU : 1], last[NAME_NU > 0 ? NAME_NU : 1];
     double end = dt;
-    if (!(dt >= NAME_SHORTEST_DT_US * (1.0 - 1e-9) * 1e-6)) return NAME_DT_TOO_SHORT;
+    if (NAME_is_too_short(dt)) return NAME_DT_TOO_SHORT;
     if (dt > 1000.0) return NAME_DT_TOO_LONG;
     if (dt > 1.1 * NAME_MAX_STEP) end = dt / ceil(dt / NAME_MAX_STEP - 1e-6);
     NAME_present(sim, inputs, now);

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from seatrial.ident.export.codegen import CASADI, Content, Program, header
 from seatrial.ident.export.codegen import write as write_lines
-from seatrial.ident.export.python import constants, unpacked
+from seatrial.ident.export.python import SHAFT_SPEED, constants, unpacked
 from seatrial.ident.export.python_simulation import NEEDED_FOR_PAST, PAST
 
 RESERVED = {"x", "u", "p", "dt", "f", "h", "step", "ca"}
@@ -124,6 +124,7 @@ def write(content: Content) -> str:
             _function(content, "_f", content.programs[0]),
             _function(content, "_h", content.programs[1]),
             PAST,
+            *([SHAFT_SPEED] if content.thrust_curve else []),
             END.replace("NAME_", f"{content.name}_"),
         ]
     )

@@ -58,6 +58,13 @@ class Content:
     states_without_noise : tuple of str
         Removed states that decay but are neither in ``state_noise`` nor in ``output_noise``, because they have no
         effect at rest. Removed random walks are in neither noise and are not listed.
+    effects : tuple of str
+        Names of the effects in the model.
+    thrust_curve : tuple of float or None
+        Coefficients c1 and c2 [N] of the thrust ``c1 n|n| + c2 n^2`` if the inputs are thrusts in place of shaft
+        speeds; otherwise None.
+    remarks : tuple of str
+        Further lines of the header.
     """
 
     name: str
@@ -74,6 +81,9 @@ class Content:
     removed_states: tuple[str, ...]
     noise_time_scale: Mapping[str, float]
     states_without_noise: tuple[str, ...]
+    effects: tuple[str, ...] = ()
+    thrust_curve: tuple[float, float] | None = None
+    remarks: tuple[str, ...] = ()
 
     @cached_property
     def exported_parameters(self) -> tuple[Parameter, ...]:
@@ -173,6 +183,7 @@ def collect_content(saved: SavedModel, *, name: str | None = None, nuisance: boo
         tuple(s.name for s in removed),
         {n: tau for n, tau in zip(outputs, extra.noise_time_scale, strict=True) if tau > 0.0},
         extra.states_without_noise,
+        tuple(e.name for e in model.effects),
     )
 
 
@@ -304,6 +315,17 @@ def equivalent_noise(whole: Model, kept: Model) -> EquivalentNoise:
     )
 
 
+def provenance_lines(content: Content, target: str) -> list[str]:
+    """Return the first lines of a header: the target, the command and the logs of the fit, and the effects."""
+    made = content.saved.provenance
+    lines = [f"{content.model.name}: fitted model, exported to {target} by seatrial."]
+    lines += [f"{label}: {made[key]}" for label, key in (("made by", "made_by"), ("created", "created")) if key in made]
+    lines += [f"fitted to: {log}" for log in made.get("logs", [])]
+    if content.effects:
+        lines.append("effects: " + ", ".join(content.effects))
+    return [" ".join(line.splitlines()) for line in lines]
+
+
 def header(content: Content, target: str) -> list[str]:
     """Return the lines of the comment at the top of an exported file, without the comment signs of the language.
 
@@ -311,13 +333,11 @@ def header(content: Content, target: str) -> list[str]:
     parameters. ``target`` is the name of the language, for the first line. A line break within a text of the model
     becomes a space.
     """
-    made = content.saved.provenance
-    lines = [f"{content.model.name}: fitted model, exported to {target} by seatrial.", ""]
-    lines += [f"{label}: {made[key]}" for label, key in (("made by", "made_by"), ("created", "created")) if key in made]
-    lines += [f"fitted to: {log}" for log in made.get("logs", [])]
-    if content.model.effects:
-        lines.append("effects: " + ", ".join(e.name for e in content.model.effects))
-    lines += ["", "Rates dx/dt = f(x, u; p), outputs y = h(x, u; p); SI units and radians."]
+    lines = [
+        *provenance_lines(content, target),
+        "",
+        "Rates dx/dt = f(x, u; p), outputs y = h(x, u; p); SI units and radians.",
+    ]
     lines += ["States x, inputs u, outputs y:"]
     lines += [
         f"  x[{i}] {n} {_unit_text(s.unit)} {s.meaning}".rstrip()
@@ -389,7 +409,7 @@ def _remark_lines(content: Content) -> list[str]:
 
     The list is empty for a model without any of these.
     """
-    lines = []
+    lines = list(content.remarks)
     if content.removed_states:
         lines += [
             "",

@@ -24,6 +24,14 @@ def step(x, u, dt, p=P):
     return [a + dt / 6 * (b + 2 * c + 2 * d + e) for a, b, c, d, e in zip(x, k1, k2, k3, k4)]
 '''
 
+SHAFT_SPEED = '''
+
+def shaft_speed(thrust):
+    """Return the shaft speed at which a thruster has this thrust [N], -1 to 1 in its range."""
+    c1, c2 = THRUST_CURVE
+    return (thrust / (c1 + c2)) ** 0.5 if thrust >= 0 else -((-thrust / (c1 - c2)) ** 0.5)
+'''
+
 
 def write(content: Content) -> str:
     """Return the text of the Python file of a model, from its collected content. The file imports only ``math``.
@@ -42,6 +50,7 @@ def write(content: Content) -> str:
             STEP_FUNCTION,
             PAST,
             SIMULATION,
+            *([SHAFT_SPEED] if content.thrust_curve else []),
         ]
     )
     imported = sorted(
@@ -107,6 +116,7 @@ def constants(content: Content) -> list[str]:
         f"    {_tuple_text([i.prefilter for i in past.inputs])},",
         f"    {_tuple_text([i.angle for i in past.inputs])},",
         ")",
+        *([f"THRUST_CURVE = {content.thrust_curve!r}  # c1, c2 [N]"] if content.thrust_curve else []),
         f"_SHAFTS, WORK_UNIT = {_tuple_text(past.shafts)}, {WORK_UNIT!r}  # work is the integral of |n|^3 / WORK_UNIT",
     ]
 

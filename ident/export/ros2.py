@@ -21,8 +21,8 @@ def write(content: Content) -> str:
     units = {n: p.unit for n, p in zip(content.parameters, content.exported_parameters, strict=True)}
     errors = {n: e for n, e in zip(content.parameters, content.errors, strict=True) if math.isfinite(e)}
     rows = [f"model: {_quoted(content.model.name)}"]
-    if content.model.effects:
-        rows.append(f"effects: {_quoted_list(e.name for e in content.model.effects)}")
+    if content.effects:
+        rows.append(f"effects: {_quoted_list(content.effects)}")
     for kind, names, part in (
         ("state", content.states, content.model.states),
         ("input", content.inputs, content.model.inputs),

@@ -6,13 +6,13 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from seatrial.api import tables
-from seatrial.api.fits import FittedDiagnosis, FittedVehicle, Series, model_path
+from seatrial.api.fits import FittedDiagnosis, FittedVehicle, Series, known_options, model_path
 from seatrial.api.logs import PathLike
 from seatrial.api.messages import errors_of_users
 from seatrial.daq.errors import SeatrialError, SeatrialWarning
@@ -23,6 +23,40 @@ if TYPE_CHECKING:
     from seatrial.ident.model import Model
 
 MODEL, RESULT = "model.toml", "result.json"
+
+
+class ExportOptions(TypedDict, total=False):
+    """Options of `export`. All are optional; the defaults are those of ``seatrial ident export``.
+
+    Attributes
+    ----------
+    name : str
+        Prefix of functions and of the file; by default the name of the model.
+    with_disturbance_states : bool
+        Whether disturbance forces and sensor biases are kept as states.
+    thruster : path, or dict of str to path
+        model.toml of the bench test of all thrusters, or of each thruster by name (``left``, ``right``). The inputs of
+        the exported model are then commands.
+    thrust_curve : "bench" or "boat"
+        Thrust curve of a model with ``thruster``; ``bench`` by default.
+    thrust_input : bool
+        Whether the inputs are thrusts [N] in place of shaft speeds.
+    source_only : bool
+        Whether an FMU has no binary, and needs no compiler here.
+    mass : float
+        Mass of the boat without added mass [kg]; needed for Gazebo and VRX.
+    inertia : float
+        Moment of inertia about the vertical axis without added inertia [kg m2]; needed for Gazebo and VRX.
+    """
+
+    name: str
+    with_disturbance_states: bool
+    thruster: PathLike | Mapping[str, PathLike]
+    thrust_curve: Literal["bench", "boat"]
+    thrust_input: bool
+    source_only: bool
+    mass: float
+    inertia: float
 
 
 @dataclass(frozen=True, repr=False)
@@ -252,6 +286,59 @@ def linearise(model: PathLike | Saved | FittedVehicle | FittedDiagnosis, speed: 
         )
         warnings.warn(text, SeatrialWarning, stacklevel=2)
     return found
+
+
+def export(
+    model: PathLike | Saved | FittedVehicle | FittedDiagnosis,
+    folder: PathLike,
+    format: Literal["python", "casadi", "c", "ros2", "fmu", "gazebo", "vrx"],
+    **options: Unpack[ExportOptions],
+) -> Path:
+    """Write a fitted model as a file for another program, as ``seatrial ident export``.
+
+    Parameters
+    ----------
+    model : path, `Saved`, `FittedVehicle` or `FittedDiagnosis`
+        The model.
+    folder : path
+        Folder for the file; it is created if it does not exist. An existing file of the same name is replaced.
+    format : str
+        ``python``, ``casadi``, ``c``, ``ros2``, ``fmu`` (FMI 2.0 co-simulation), ``gazebo`` or ``vrx``.
+    **options
+        `ExportOptions`: name, with_disturbance_states, thruster, thrust_curve, thrust_input, source_only, mass,
+        inertia.
+
+    Returns
+    -------
+    Path
+        The file: NAME.py, NAME_casadi.py, NAME.h, NAME.yaml, NAME.fmu, NAME.sdf or NAME_vrx.sdf.
+
+    Raises
+    ------
+    SeatrialError
+        If the model cannot be exported in this format, or if an option is unknown or does not fit the model.
+
+    Examples
+    --------
+    >>> st.export(fit, "simulink", "fmu", name="boat", thruster="thruster/model.toml")
+    PosixPath('simulink/boat.fmu')
+    """
+    from seatrial.daq.files import write_output
+    from seatrial.ident.workflows.export import ExportRequest, Target, export_model
+
+    given: dict[str, Any] = known_options(options, ExportOptions)
+    if format not in (targets := get_args(Target)):
+        raise SeatrialError(f"there is no format {format!r}; choose {', '.join(targets)}")
+    benches = given.pop("thruster", {})
+    thrusters = benches if isinstance(benches, Mapping) else {"": benches}
+    with errors_of_users(), model_path(model) as path:
+        exported = export_model(
+            ExportRequest(path, format, thrusters={n: Path(p) for n, p in thrusters.items()}, **given)
+        )
+    file = Path(folder) / exported.file_name
+    file.parent.mkdir(parents=True, exist_ok=True)
+    write_output(file, exported.content)
+    return file
 
 
 def _structure(model: PathLike | Saved | FittedVehicle | FittedDiagnosis) -> Model:

@@ -17,7 +17,9 @@ ARGUMENTS = {
     "--thruster": "thruster", "--robust": "outlier_model", "--profile": "profiles", "--settle": "settle",
     "--force": "force=True", "--despite-faults": "despite_faults=True", "--no-reml": "reml=False",
     "--second-order": "mean_order=2", "--no-second-order": "mean_order=1", "--no-score-tests": "score_tests=False",
-    "--from": "start of st.open_log", "--to": "end of st.open_log", "--out-dir": "out_dir",
+    "--thrust-curve": "thrust_curve", "--thrust-input": "thrust_input", "--source-only": "source_only=True",
+    "--mass": "mass", "--inertia": "inertia", "--from": "start of st.open_log",
+    "--to": "end of st.open_log", "--out-dir": "out_dir",
 }  # fmt: skip
 
 

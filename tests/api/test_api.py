@@ -242,6 +242,28 @@ def test_linearisation_is_shown_in_a_few_lines_and_warns_outside_the_data(fit: s
         st.linearise(fit, 1.8)
 
 
+def test_export_writes_the_file_of_the_command(fit: st.FittedVehicle, tmp_path: Path) -> None:
+    fit.save(tmp_path / "vehicle")
+    run("ident", "export", tmp_path / "vehicle", "--to", "c", "--name", "boat", "-o", tmp_path / "command.h")
+    for model in (fit, tmp_path / "vehicle", st.load(tmp_path / "vehicle")):
+        path = st.export(model, tmp_path / "out", "c", name="boat")
+        assert path == tmp_path / "out/boat.h"
+        assert path.read_text() == (tmp_path / "command.h").read_text()
+    path = st.export(fit, tmp_path / "out", "fmu", source_only=True)
+    assert path.name == "horizontal.fmu"
+    assert path.read_bytes().startswith(b"PK")
+    names = [st.export(fit, tmp_path / "out", t).name for t in ("python", "casadi", "ros2")]
+    assert names == ["horizontal.py", "horizontal_casadi.py", "horizontal.yaml"]
+    with pytest.raises(SeatrialError, match="give mass and inertia"):
+        st.export(fit, tmp_path, "gazebo")
+    with pytest.raises(SeatrialError, match="there is no format 'matlab'; choose python, casadi"):
+        st.export(fit, tmp_path, "matlab")  # type: ignore[arg-type]
+    with pytest.raises(SeatrialError, match="there is no option 'thrusters'; did you mean 'thruster'"):
+        st.export(fit, tmp_path, "c", thrusters="x")  # type: ignore[call-arg]
+    with pytest.raises(SeatrialError, match=r"thruster bow=...: the boat has no such thruster"):
+        st.export(fit, tmp_path, "c", thruster={"bow": tmp_path / "vehicle"})
+
+
 def test_diagnosis_names_the_effect(logs: list[Path], found: st.FittedDiagnosis, tmp_path: Path) -> None:
     assert list(found.effects) == ["mismatch"]
     assert found.params["eps_LR"] == pytest.approx(-0.06, abs=0.03)

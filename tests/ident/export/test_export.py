@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import casadi as ca
 import numpy as np
@@ -21,7 +21,7 @@ from seatrial.ident.data.record import Record
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.output_error import simulate
 from seatrial.ident.export.codegen import collect_content, identifiers, prefix
-from seatrial.ident.export.formats import TARGETS, export
+from seatrial.ident.export.formats import SUFFIXES, TARGETS, export
 from seatrial.ident.model.parameter import Parameter, ParameterOrigin
 from seatrial.ident.model.structure import Output, Sensor, State, plain_model
 from seatrial.ident.models.components import estimator_error
@@ -30,6 +30,7 @@ from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.models.kinematic import kinematic_model
 from seatrial.ident.models.nomoto import nomoto_model
 from seatrial.ident.models.thruster import thruster_model
+from seatrial.ident.workflows.export import Target
 from tests.ident.exported import ALONE, MODELS, compare, moved, points, run_c, run_casadi, run_python, saved
 from tests.test_docs import ROOT, blocks
 
@@ -283,6 +284,11 @@ def test_operation_that_cannot_be_exported_is_reported() -> None:
     )
     with pytest.raises(ValueError, match=r"an operation .* that cannot be exported"):
         export(saved(strange), "python")
+
+
+def test_command_and_request_have_the_same_targets() -> None:
+    (option,) = [p for p in ident.commands["export"].params if p.name == "target"]
+    assert tuple(option.type.choices) == get_args(Target) == tuple(SUFFIXES)
 
 
 @pytest.mark.parametrize("target", TARGETS)

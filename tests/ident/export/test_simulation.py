@@ -159,6 +159,22 @@ def test_c_simulation_rejects_a_step_that_is_too_short_and_continues(tmp_path: P
     np.testing.assert_allclose([row[-len(x) - 1 : -1] for row in smaller(x, before, many)], states, rtol=1e-9)
 
 
+def test_c_simulation_merges_short_steps_on_request(tmp_path: Path) -> None:
+    """Steps of 10 ms and more are not merged, so that their motion is the same as without the definition."""
+    text, x, values = export(saved(COMMAND), "c", name="boat"), initial(COMMAND), samples(COMMAND)
+    (tmp_path / "plain").mkdir()
+    plain = build_c_simulation(text, tmp_path / "plain", "boat")
+    merging = build_c_simulation(text, tmp_path, "boat", "-Dboat_MERGE_SHORT_STEPS=1")
+    whole = [[0.01, *row] for row in values]
+    assert merging(x, values[0], whole) == plain(x, values[0], whole)
+    parts = [[dt, *row] for row in values for dt in (0.001, 0.0065, 0.0025)]
+    n = len(x) + 1  # states and return code; outputs are those at the start of a step
+    found, wanted = merging(x, values[0], parts)[-1][-n:], merging(x, values[0], whole)[-1][-n:]
+    np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-6)
+    refused = merging(x, values[0], [[0.0, 1.0, 1.0], [-1.0, 1.0, 1.0]])
+    assert [row[-1] for row in refused] == [1.0, 1.0]
+
+
 def test_c_simulation_accepts_steps_of_different_duration(tmp_path: Path) -> None:
     """Two steps of 0.05 s have the same effect as one of 0.1 s, also in the past of the command."""
     run = build_c_simulation(export(saved(COMMAND), "c", name="boat"), tmp_path, "boat")

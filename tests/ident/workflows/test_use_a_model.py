@@ -59,7 +59,10 @@ def after(code: str) -> str:
 
 
 def run(code: str, folder: Path) -> str:
-    environment = {**os.environ, "PYTHONPATH": str(folder)}
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(filter(None, [str(folder), os.environ.get("PYTHONPATH")])),
+    }
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=folder, env=environment, capture_output=True, text=True, timeout=120
     )
@@ -106,6 +109,27 @@ def test_snippets_with_a_model_of_commands(block: int, command_folder: Path) -> 
 def test_c_program_with_a_model_of_commands(command_folder: Path) -> None:
     code = blocks(PAGE, "c")[1]
     assert compiled(code, 4, command_folder) == after(code)
+
+
+@pytest.fixture
+def joined_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Create the models of docs/how-to/control.md as the files that the sections on joined models and FMUs name."""
+    if not shutil.which("cc"):
+        pytest.skip("no C compiler (cc) on PATH")
+    monkeypatch.chdir(tmp_path)
+    boat, thruster = blocks(how_to("control"), "toml")
+    for name, text in (("boat", boat), *((n, thruster) for n in ("thruster", "t1", "t2"))):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "model.toml").write_text(text, encoding="utf-8")
+    for block, n in ((5, 2), (6, 1), (7, 2)):
+        export_files(block, n)
+    return tmp_path
+
+
+def test_fmu_snippet(joined_folder: Path) -> None:
+    code = blocks(PAGE, "python")[4]
+    assert run(code, joined_folder) == after(code)
+    assert {"plant.py", "two.fmu", "boat.sdf", "boat_vrx.sdf"} < {p.name for p in joined_folder.iterdir()}
 
 
 def test_ros_node_parameters(folder: Path) -> None:

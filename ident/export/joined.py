@@ -1,0 +1,438 @@
+"""Boat models joined with bench models of their thrusters, and boat models with thrusts as inputs.
+
+A boat model with shaft speeds as inputs does not know how the shafts follow their commands. A bench model does: delay,
+dead zone and lag of the shaft, and the thrust curve. `join` puts one bench model before each thruster input, so that
+the inputs are commands. `with_thrust_input` replaces shaft speeds by thrusts, which have a slope at rest.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.ident.data import TIME_INPUT, WORK_INPUT, WORK_UNIT
+from seatrial.ident.estimation import SavedModel, thrust_scale_of
+from seatrial.ident.export.codegen import Content, collect_content, identifiers, parameters_of, without_nuisance
+from seatrial.ident.model import EffectKind, Input, Model, ModelFunction, ModelKind, Parameter, Signals, State
+
+BENCH_ONLY = ("bench", "sensor")  # places of effects of the tank, the rig and its sensors, which a boat does not have
+SHAFT_STAGES = ("shaft", "dead_band", "thrust_lag")  # places of effects between shaft speed and thrust curve
+DIFFERENT = 0.02  # of the largest thrust: a larger difference of two thrust curves gives a warning
+MARGIN = 0.05  # of full speed by which a boat may exceed the range of the bench without a warning
+SPEEDS = np.linspace(-1.0, 1.0, 41)  # shaft speeds at which thrust curves are compared
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Bench model of the thruster that drives one input of a boat model.
+
+    Attributes
+    ----------
+    input : str
+        Input of the boat model: ``n_left`` (shaft speed) or ``f_left`` (thrust).
+    name : str
+        Name of the thruster, ``left``; empty for the only thruster of a surge model.
+    saved : SavedModel
+        The bench model as it was saved.
+    model : Model
+        The bench model without its load cell, the tank and the disturbance force.
+    """
+
+    input: str
+    name: str
+    saved: SavedModel
+    model: Model
+
+    def own(self, name: str) -> str:
+        """Return the name in the joined model of a state, parameter or input of the bench model: ``tau_left``.
+
+        ``n_cmd_3`` becomes ``n_cmd_left_3``. The time ``t`` is common to all thrusters.
+        """
+        if name == TIME_INPUT or not self.name:
+            return name
+        if name.startswith("n_cmd"):
+            return f"n_cmd_{self.name}{name.removeprefix('n_cmd')}"
+        return f"{name}_{self.name}"
+
+    def signals(self, s: Signals) -> Signals:
+        """Return the signals of the bench model, given those of the joined model."""
+        return self.model.signals(
+            [getattr(s.x, self.own(x.name)) for x in self.model.states],
+            [getattr(s.u, self.own(u.name)) for u in self.model.inputs],
+            [getattr(s.p, self.own(p.name)) for p in self.model.parameters],
+        )
+
+    @property
+    def has_thrust(self) -> bool:
+        """Whether the bench had a load cell, so that the model has a thrust curve."""
+        return "thrust" in self.model.provides
+
+    def steady_thrust(self, n: float) -> float:
+        """Return the steady thrust [N] at the shaft speed n, with the other states of the bench model at zero."""
+        x = [n if state.name == "n" else 0.0 for state in self.model.states]
+        values = list(self.model.values.values())
+        return float(self.model.signals(x, [n if i.tap_of else 0.0 for i in self.model.inputs], values).force)
+
+
+def join(boat: Content, thrusters: Mapping[str, SavedModel], *, own_curve: bool = False) -> Content:
+    """Return a boat model whose inputs are the commands of its thrusters, with the shafts of bench models.
+
+    Parameters
+    ----------
+    boat : Content
+        Collected content of the boat model, whose inputs are shaft speeds or thrusts of thrusters.
+    thrusters : mapping
+        Bench models by name of the thruster (``left``); the name ``""`` stands for all thrusters.
+    own_curve : bool
+        Whether to keep the thrust curve of the boat model. Otherwise that of the bench models replaces it; a bench
+        without a load cell has none, and the boat keeps its own.
+
+    Returns
+    -------
+    Content
+        The joined model. Names of the bench models end with the name of the thruster: ``n_cmd_left``, ``tau_left``.
+        Effects of the load cell and the tank are left out.
+
+    Raises
+    ------
+    SeatrialError
+        If a model is of the wrong kind, if a thruster has no model, or if the boat model cannot be joined.
+
+    Warns
+    -----
+    SeatrialWarning
+        If the thrust curves differ, or if the data of the bench cover less than those of the boat.
+    """
+    model = boat.model
+    if model.kind is not ModelKind.VEHICLE:
+        raise SeatrialError(
+            f"model {model.name} is not that of a boat: give that of a boat, and with --thruster that of a bench"
+        )
+    drives = _drives(model, thrusters)
+    _check_past(model, {d.input for d in drives})
+    with_curve = [d for d in drives if d.has_thrust and not own_curve]
+    for d in drives:
+        if d.input.startswith("f_") and not d.has_thrust:
+            raise SeatrialError(
+                f"thruster {d.name}: its bench had no load cell, but the boat model has the thrust {d.input} as input; "
+                "use a bench model with thrust, or a boat model with shaft speeds"
+            )
+    if any(not d.input.startswith("f_") for d in with_curve):
+        _check_curves(boat, with_curve)
+    for d in drives:
+        _check_range(boat, d)
+    joined = _joined_model(model, drives, own_curve)
+    used = parameters_of(joined)
+    exported = [p for p in joined.parameters if p.name in used]
+    errors = dict(boat.saved.errors)
+    for d in drives:
+        errors |= {d.own(n): e for n, e in d.saved.errors.items()}
+    benches = [collect_content(replace(d.saved, model=d.model)) for d in drives]
+    extra = len(joined.states) - len(model.states) - sum(len(b.states) for b in benches)  # the state of the work
+    return replace(
+        boat,
+        model=joined,
+        effects=(*boat.effects, *(f"{e.name} ({d.name or d.input})" for d in drives for e in d.model.effects)),
+        states=identifiers(s.name for s in joined.states),
+        inputs=identifiers(i.name for i in joined.inputs),
+        parameters=identifiers(p.name for p in exported),
+        values=tuple(p.value for p in exported),
+        errors=tuple(errors.get(p.name, np.nan) for p in exported),
+        state_noise=(*boat.state_noise, *(q for b in benches for q in b.state_noise), *([0.0] * extra)),
+        remarks=(*boat.remarks, *_remarks(drives, own_curve)),
+    )
+
+
+def _drives(model: Model, thrusters: Mapping[str, SavedModel]) -> list[Drive]:
+    """Return the bench model of each thruster input of a boat model; SeatrialError if one is missing or unsuitable."""
+    found = {i.name: i.name[2:] for i in model.inputs if not i.tap and i.name.startswith(("n_", "f_"))}
+    found |= {i.name: "" for i in model.inputs if i.name == "n"}
+    commands = [n for n in found if n.startswith("n_cmd")]
+    if commands or not found:
+        given = ", ".join(i.name for i in model.inputs if not i.tap) or "none"
+        raise SeatrialError(
+            f"the boat model {model.source or model.name} cannot be joined with a thruster: its inputs are {given}, "
+            "not shaft speeds or thrusts; fit `ident vehicle --model horizontal:shaft` or horizontal:force"
+        )
+    units = {i.name: i.unit for i in model.inputs}
+    for n in found:
+        if units[n] != (wanted := "N" if n.startswith("f_") else ""):
+            raise SeatrialError(
+                f"the input {n} of the boat model has the unit {units[n] or '1'}, but a bench model gives "
+                f"{wanted or '1'} (shaft speeds relative to rpm_max); scale the input of the boat model"
+            )
+    names = [name or "n" for name in found.values()]
+    if unknown := [n for n in thrusters if n and n not in names]:
+        raise SeatrialError(f"--thruster {unknown[0]}=...: the boat has no such thruster; it has {', '.join(names)}")
+    drives = []
+    for (input_, name), shown in zip(found.items(), names, strict=True):
+        saved = thrusters.get(shown, thrusters.get(""))
+        if saved is None:
+            raise SeatrialError(f"thruster {shown} has no model: give --thruster {shown}=FILE, or one FILE for all")
+        if saved.model.kind is not ModelKind.BENCH:
+            raise SeatrialError(
+                f"the model of thruster {shown} is {saved.model.name}, not a bench model; give the model.toml of "
+                "`ident thruster`"
+            )
+        drives.append(Drive(input_, name, saved, _without_bench(saved.model)))
+    return drives
+
+
+def _without_bench(model: Model) -> Model:
+    """Return a bench model without disturbances, and without the effects of load cell and tank."""
+    smaller, _ = without_nuisance(model)
+    gone = [e for e in smaller.effects if e.kind is EffectKind.CATALOGUE and e.place in BENCH_ONLY]
+    states, parameters = ({x.name for e in gone for x in getattr(e, part)} for part in ("states", "parameters"))
+    kept = [e for e in smaller.effects if e not in gone]
+    inputs = {i.name for e in gone for i in e.inputs} - {i.name for e in kept for i in e.inputs}
+    return replace(
+        smaller,
+        states=tuple(s for s in smaller.states if s.name not in states),
+        parameters=tuple(p for p in smaller.parameters if p.name not in parameters),
+        inputs=tuple(i for i in smaller.inputs if i.name not in inputs),
+        effects=tuple(kept),
+    )
+
+
+def _check_past(model: Model, replaced: set[str]) -> None:
+    """Raise SeatrialError if a model needs the past or the future of an input that is to be replaced."""
+    past = sorted({i.tap_of for i in model.inputs if i.tap and i.tap_of in replaced})
+    if past:
+        names = [e.name for e in model.effects if any(i.tap_of in replaced for i in e.inputs)]
+        cause = f"its effect {', '.join(names)}" if names else f"the model {model.source or model.name}"
+        raise SeatrialError(
+            f"the input {past[0]} cannot be replaced, because {cause} needs its past; use a model without this delay, "
+            "such as horizontal:shaft"
+        )
+
+
+def _check_curves(boat: Content, drives: list[Drive]) -> None:
+    """Compare the thrust curve of a boat model with those of the bench models that replace it.
+
+    Raise SeatrialError if the thrust of the boat is unknown or no stage of the model; warn if the curves differ.
+    """
+    model = boat.model
+    if "thrust" not in dict(model.stages) or "c1" not in model.values:
+        raise SeatrialError(
+            f"the thrust curve of {model.source or model.name} cannot be replaced; keep it with --thrust-curve boat"
+        )
+    if thrust_scale_of(boat.saved.model).relative:
+        raise SeatrialError(
+            "the thrust of the boat model was not given, so its masses are ratios to a built-in thrust and do not fit "
+            "the thrust curve of the bench: fit the boat with `ident vehicle --thruster FILE`, or keep its own curve "
+            "with --thrust-curve boat"
+        )
+    for d in drives:
+        bench = np.array([d.steady_thrust(n) for n in SPEEDS])
+        own = model.values["c1"] * SPEEDS * abs(SPEEDS) + model.values["c2"] * SPEEDS**2
+        worst = int(np.argmax(abs(bench - own)))
+        if abs(bench - own)[worst] > DIFFERENT * abs(bench).max():
+            warnings.warn(
+                f"thruster {d.name}: at the shaft speed {SPEEDS[worst]:.2g} its bench model has {bench[worst]:.3g} N "
+                f"and the boat model {own[worst]:.3g} N; masses and damping were fitted with the latter; fit the boat "
+                "again with `ident vehicle --thruster`, and compare rpm_max of both rigs",
+                SeatrialWarning,
+                stacklevel=3,
+            )
+
+
+def _check_range(boat: Content, drive: Drive) -> None:
+    """Warn if the boat's data exceed the range of commands, and so of shaft speeds, of its thruster's bench test."""
+    covered, needed = drive.saved.validity.get("n_cmd"), boat.saved.validity.get(drive.input)
+    if covered is None or needed is None or drive.input.startswith("f_"):
+        return
+    if needed[0] < covered[0] - MARGIN or needed[1] > covered[1] + MARGIN:
+        warnings.warn(
+            f"thruster {drive.name}: the boat ran with shaft speeds from {needed[0]:.2f} to {needed[1]:.2f}, but its "
+            f"bench test covers {covered[0]:.2f} to {covered[1]:.2f}; the thrust beyond is extrapolated",
+            SeatrialWarning,
+            stacklevel=3,
+        )
+
+
+def _remarks(drives: list[Drive], own_curve: bool) -> list[str]:
+    """Return header lines that name the bench model of each thruster and the parts that it provides."""
+    lines = ["", "Joined with bench models; full speed (n = 1, rpm_max of the rig) must be the same in both tests:"]
+    for d in drives:
+        made = d.saved.provenance
+        parts = "shaft dynamics" + (" and thrust curve" if d.has_thrust and not own_curve else "")
+        logs = ", ".join(str(log) for log in made.get("logs", [])) or made.get("made_by", "unknown")
+        lines.append(f"  {d.own('n_cmd')} drives {d.input}: {parts} fitted to {logs}")
+    return lines
+
+
+def _joined_model(boat: Model, drives: list[Drive], own_curve: bool) -> Model:
+    """Return the model of a boat with its thrusters; its only stage evaluates the bench models, then the boat model.
+
+    The input ``work`` becomes a state, because it is an integral of shaft speeds, which are states here.
+    """
+    driven = {d.input for d in drives}
+    work = any(i.name == WORK_INPUT for i in boat.inputs)
+    inputs: dict[str, Input] = {i.name: i for i in boat.inputs if i.name not in driven | {WORK_INPUT}}
+    states, parameters = list(boat.states), list(boat.parameters)
+    for d in drives:
+        states += [_renamed_state(d, s) for s in d.model.states]
+        parameters += [_renamed_parameter(d, p) for p in d.model.parameters]
+        for i in d.model.inputs:
+            inputs[d.own(i.name)] = replace(i, name=d.own(i.name), tap_of=d.own(i.tap_of) if i.tap_of else "")
+    if work:
+        states.append(State(WORK_INPUT, "", "work of the thrusters"))
+
+    def evaluate(s: Signals) -> None:
+        """Evaluate the bench models, then the boat model, and set the rates and the outputs of the joined model."""
+        benches = {d.input: d.signals(s) for d in drives}
+        given: dict[str, Any] = {i.name: getattr(s.u, i.name) for i in boat.inputs if i.name in inputs}
+        for d in drives:
+            bench = benches[d.input]
+            given[d.input] = bench.force if d.input.startswith("f_") else bench.x.n
+            s.rate.update({d.own(name): rate for name, rate in bench.rate.items()})
+        if work:
+            given[WORK_INPUT] = s.x.work
+            s.rate[WORK_INPUT] = sum(abs(given[d.input]) ** 3 for d in drives) / WORK_UNIT
+        curves = {d.name: benches[d.input] for d in drives if d.has_thrust and not own_curve}
+
+        def thrusts(b: Signals) -> dict[str, Any]:
+            """Return the thrusts by side: on the bench's curve, or as the boat model has them without one."""
+            return {
+                side: curves[side].again({"n": n}, {}, {}).force if side in curves else b.f[side]
+                for side, n in b.n.items()
+            }
+
+        given_thrusts = any(name.startswith("f_") for name in driven)
+        found = (boat if given_thrusts or not curves else _with_thrust(boat, thrusts)).signals(
+            [getattr(s.x, x.name) for x in boat.states],
+            [given[i.name] for i in boat.inputs],
+            [getattr(s.p, p.name) for p in boat.parameters],
+        )
+        s.rate.update(found.rate)
+        s.y.update(found.y)
+        for name, value in vars(found).items():  # names of the forces in the code
+            if name not in ("x", "u", "p", "rate", "y", "again"):
+                setattr(s, name, value)
+
+    return Model(
+        boat.name,
+        tuple(states),
+        tuple(inputs.values()),
+        boat.sensors,
+        tuple(parameters),
+        (("rate", evaluate),),
+        max_step=min([boat.max_step, *(d.model.max_step for d in drives)]),
+    )
+
+
+def _renamed_state(drive: Drive, state: State) -> State:
+    """Return a state of a bench model with the names of the joined model."""
+    noise = drive.own(state.noise) if isinstance(state.noise, str) else state.noise
+    meaning = f"{state.meaning}, thruster {drive.name}" if drive.name else state.meaning
+    return State(drive.own(state.name), state.unit, meaning, noise)
+
+
+def _renamed_parameter(drive: Drive, p: Parameter) -> Parameter:
+    """Return a parameter of a bench model with its name in the joined model, and the thruster in its meaning."""
+    meaning = f"{p.meaning}, thruster {drive.name}" if drive.name else p.meaning
+    return replace(p, name=drive.own(p.name), meaning=meaning, per_record=False)
+
+
+def _with_thrust(model: Model, thrust: Any) -> Model:
+    """Return a model with other thrusts: ``thrust`` is a function from the signals to the thrust [N] by side.
+
+    The stage ``thrust`` of the model runs before; it also sets the positions of the thrusters.
+    """
+
+    def changed(stage: ModelFunction) -> ModelFunction:
+        """Return the stage ``thrust`` of the model, followed by the other thrusts."""
+
+        def run(s: Signals) -> None:
+            """Run the stage, and set the thrusts ``s.f``."""
+            stage(s)
+            s.f = thrust(s)
+
+        return run
+
+    return replace(model, stages=tuple((name, changed(f) if name == "thrust" else f) for name, f in model.stages))
+
+
+def with_thrust_input(boat: Content) -> Content:
+    """Return a boat model with the thrusts ``f_left``, ``f_right`` [N] as inputs in place of the shaft speeds.
+
+    The motion is the same, but it has a slope at rest: the thrust ``c1 n|n| + c2 n^2`` has none at n = 0. The shaft
+    speed of a thrust is the inverse of this curve, which the exported file contains (`Content.thrust_curve`).
+
+    Raises
+    ------
+    SeatrialError
+        If the inputs are no shaft speeds, or if an effect acts between shaft speed and thrust.
+
+    Warns
+    -----
+    SeatrialWarning
+        If an effect needs the shaft speed, whose slope by the thrust is infinite at rest.
+    """
+    model = boat.model
+    shafts = {i.name: f"f_{i.name[2:]}" for i in model.inputs if i.name in ("n_left", "n_right")}
+    if not shafts or "thrust" not in dict(model.stages) or "c1" not in model.values:
+        inputs_now = ", ".join(i.name for i in model.inputs if not i.tap)
+        raise SeatrialError(
+            "--thrust-input needs a model with the shaft speeds n_left, n_right as inputs, such as horizontal:shaft; "
+            f"the inputs of {model.source or model.name} are {inputs_now}"
+        )
+    _check_past(model, set(shafts))
+    between = [e.name for e in model.effects if set(e.hooks) & set(SHAFT_STAGES)]
+    if between:
+        raise SeatrialError(
+            f"--thrust-input: the effect {', '.join(between)} acts on the shaft speed; use a model without it"
+        )
+    c1, c2 = model.values["c1"], model.values["c2"]
+    inputs = tuple(
+        replace(i, name=shafts[i.name], unit="N", label=None) if i.name in shafts else i for i in model.inputs
+    )
+
+    def speeds(s: Signals) -> None:
+        """Set the shaft speeds ``s.n`` by side to those that have the given thrusts."""
+        forces = {name.removeprefix("f_"): getattr(s.u, name) for name in shafts.values()}
+        s.n = {
+            side: np.sqrt(np.maximum(f, 0.0) / (s.p.c1 + s.p.c2)) - np.sqrt(np.maximum(-f, 0.0) / (s.p.c1 - s.p.c2))
+            for side, f in forces.items()
+        }
+
+    changed = _with_thrust(model, lambda s: {name.removeprefix("f_"): getattr(s.u, name) for name in shafts.values()})
+    stages = tuple((name, speeds if name == "shaft" else f) for name, f in changed.stages)
+    if WORK_INPUT in {i.name for i in inputs}:
+        raise SeatrialError("--thrust-input: an effect needs the work of the shafts; use a model without it")
+    changed = replace(changed, inputs=inputs, stages=stages)
+    used = parameters_of(changed)
+    if {"c1", "c2"} & used:
+        warnings.warn(
+            "an effect of the model needs the shaft speed, whose slope by the thrust is infinite at rest; start an "
+            "optimisation from a small thrust",
+            SeatrialWarning,
+            stacklevel=3,
+        )
+    exported = [p for p in changed.parameters if p.name in used]
+    validity = dict(boat.saved.validity)
+    for shaft, force in shafts.items():
+        if shaft in validity:
+            low, high = (c1 * n * abs(n) + c2 * n * n for n in validity.pop(shaft))
+            validity[force] = (low, high)
+    return replace(
+        boat,
+        model=changed,
+        saved=replace(boat.saved, validity=validity),
+        inputs=identifiers(i.name for i in inputs),
+        parameters=identifiers(p.name for p in exported),
+        values=tuple(p.value for p in exported),
+        errors=tuple(boat.saved.errors.get(p.name, np.nan) for p in exported),
+        thrust_curve=(c1, c2),
+        remarks=(
+            *boat.remarks,
+            "",
+            "The inputs are thrusts. shaft_speed gives the shaft speed of a thrust, which is the set-point:",
+            f"  the inverse of {c1!r} n|n| + {c2!r} n^2.",
+        ),
+    )

@@ -1,0 +1,90 @@
+"""Workflow of `seatrial ident export`: a fitted model as a file for another program."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.estimation import load_model, model_file
+from seatrial.ident.export import export, file_name
+
+Target = Literal["python", "casadi", "c", "ros2", "fmu", "gazebo", "vrx"]
+
+
+@dataclass(frozen=True)
+class ExportRequest:
+    """Options of `seatrial ident export`.
+
+    Attributes
+    ----------
+    model
+        The model.toml of the model.
+    target
+        Language or format of the file.
+    name
+        Prefix of functions and files. None: the name of the model.
+    with_disturbance_states
+        Whether disturbance forces and sensor biases are kept as states.
+    thrusters
+        The model.toml of the bench test of each thruster, by its name; the name ``""`` stands for all thrusters. Empty:
+        the boat model is exported alone.
+    thrust_curve
+        Thrust curve of a joined model: that of the ``bench``, or that of the ``boat``.
+    thrust_input
+        Whether the inputs are thrusts in place of shaft speeds.
+    source_only
+        Whether an FMU has no binary.
+    mass, inertia
+        Mass [kg] and moment of inertia about the vertical axis [kg m2] of the boat without added mass, for Gazebo and
+        VRX. None: not known.
+    """
+
+    model: Path
+    target: Target
+    name: str | None = None
+    with_disturbance_states: bool = False
+    thrusters: Mapping[str, Path] = field(default_factory=dict)
+    thrust_curve: Literal["bench", "boat"] = "bench"
+    thrust_input: bool = False
+    source_only: bool = False
+    mass: float | None = None
+    inertia: float | None = None
+
+
+@dataclass(frozen=True)
+class ExportedModel:
+    """Exported model: its usual file name, and its content as text or, of an FMU, as bytes."""
+
+    file_name: str
+    content: str | bytes
+
+
+def export_model(request: ExportRequest) -> ExportedModel:
+    """Return the exported file of a model, without writing it.
+
+    Raises
+    ------
+    SeatrialError
+        If a model cannot be read or exported, or if an option does not fit it.
+    """
+    saved = load_model(request.model)
+    thrusters = {name: load_model(model_file(path)) for name, path in request.thrusters.items()}
+    try:
+        content = export(
+            saved,
+            request.target,
+            name=request.name,
+            nuisance=request.with_disturbance_states,
+            thrusters=thrusters,
+            own_curve=request.thrust_curve == "boat",
+            thrust_input=request.thrust_input,
+            source_only=request.source_only,
+            mass=request.mass,
+            inertia=request.inertia,
+        )
+    except ValueError as problem:
+        raise SeatrialError(f"{request.model}: {problem}") from problem
+    return ExportedModel(file_name(saved, request.target, request.name), content)

@@ -1,0 +1,167 @@
+"""Tests of the SDF blocks for Gazebo and VRX: the formulae of the plugins, written out here, give the fitted model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.ident.cli.commands import ident
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.engine.vectorised_model import VectorisedModel
+from seatrial.ident.export.formats import export
+from seatrial.ident.model.structure import Model
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.models.nomoto import nomoto_model
+from tests.ident.export.test_joined import CURVE, LEFT, boat, files, known
+from tests.ident.exported import saved
+
+MASS, INERTIA = 30.0, 4.0
+MODEL = boat(c1=41.0, c2=2.5, V_x=0.0, y_left=-0.35, y_right=0.25, d_u=3.0, d_vv=60.0)
+
+
+def blocks_of(target: str, model: Model = MODEL) -> ElementTree.Element:
+    text = export(saved(model), target, name="boat", mass=MASS, inertia=INERTIA)
+    root = ElementTree.fromstring(text)
+    found = root.find("model")
+    assert found is not None
+    return found
+
+
+def numbers(element: ElementTree.Element | None) -> dict[str, float]:
+    """Return the numbers below an element by name."""
+    assert element is not None
+    return {x.tag: float(x.text or "") for x in element.iter() if not len(x) and x.tag not in ("link_name", "namespace")
+            and not x.tag.endswith("_name")}  # fmt: skip
+
+
+def model_rates(u: float, v: float, r: float, n_left: float, n_right: float) -> np.ndarray:
+    """Return the rates of surge, sway and yaw of the fitted model."""
+    values = np.array(list(MODEL.values.values()))
+    row = VectorisedModel(MODEL)(np.array([[0.0, 0.0, 0.0, u, v, r]]), np.array([[n_left, n_right]]), values)
+    return row[0, 3:6]
+
+
+def to_gazebo(surge: float, sway: float, yaw: float) -> np.ndarray:
+    """Return a vector of forward, starboard and down axes in those of Gazebo: forward, port, up."""
+    return np.array([surge, -sway, -yaw])
+
+
+def wrench(model: ElementTree.Element, n_left: float, n_right: float) -> np.ndarray:
+    """Return the force and the moment of both thrusters in the axes of Gazebo, from the comments of the block."""
+    places, forces = {"left": 0.35, "right": -0.25}, {"left": n_left, "right": n_right}
+    plugins = [p for p in model.findall("plugin") if p.get("name") == "gz::sim::systems::Thruster"]
+    assert [p.findtext("joint_name") for p in plugins] == ["left_propeller_joint", "right_propeller_joint"]
+    total = np.zeros(3)
+    for side, plugin in zip(places, plugins, strict=True):
+        limits = numbers(plugin)
+        c1, c2 = (
+            (limits["max_thrust_cmd"] - limits["min_thrust_cmd"]) / 2,
+            (limits["max_thrust_cmd"] + limits["min_thrust_cmd"]) / 2,
+        )
+        force = c1 * forces[side] * abs(forces[side]) + c2 * forces[side] ** 2
+        total += np.array([force, 0.0, -places[side] * force])
+    return total
+
+
+STATES = [(0.9, 0.2, -0.4, 0.5, 0.3), (-0.3, -0.1, 0.6, -0.7, 0.2), (0.0, 0.0, 0.0, 1.0, -1.0)]
+
+
+@pytest.mark.parametrize("state", STATES)
+def test_gazebo_blocks_give_the_accelerations_of_the_model(state: tuple[float, ...]) -> None:
+    """Equations of gz-sim: (M + A) a + C(v) v = wrench - D(v) v, with D = -xU - xUabsU |u| of the plugin."""
+    model = blocks_of("gazebo")
+    inertial = numbers(model.find("link/inertial"))
+    assert (inertial["mass"], inertial["izz"]) == (MASS, INERTIA)
+    drag = numbers(model.find("plugin[@name='gz::sim::systems::Hydrodynamics']"))
+    assert all(value <= 0.0 for value in drag.values())
+    u, v, r = to_gazebo(*state[:3])
+    masses = np.array([MASS + inertial["xx"], MASS + inertial["yy"], INERTIA + inertial["rr"]])
+    damping = np.array(
+        [
+            -drag["xU"] - drag["xUabsU"] * abs(u),
+            -drag["yV"] - drag["yVabsV"] * abs(v),
+            -drag["nR"] - drag["nRabsR"] * abs(r),
+        ]
+    )
+    # Coriolis matrix of a diagonal mass matrix (Fossen 2011, eq. 6.43)
+    coriolis = np.array([-masses[1] * v * r, masses[0] * u * r, (masses[1] - masses[0]) * u * v])
+    acceleration = (wrench(model, *state[3:]) - damping * [u, v, r] - coriolis) / masses
+    np.testing.assert_allclose(acceleration, to_gazebo(*model_rates(*state)), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("state", [(0.9, 0.0, 0.0, 0.5, 0.5), (-0.3, 0.0, 0.0, -0.7, -0.7), (0.0, 0.0, 0.5, 0.4, -0.4)])
+def test_vrx_blocks_give_the_accelerations_of_the_model_in_one_direction(state: tuple[float, ...]) -> None:
+    """Equation of SimpleHydrodynamics: force = -(A a) - (xU + xUU |u|) u, without the Coriolis forces of A."""
+    model = blocks_of("vrx")
+    inertial = numbers(model.find("link/inertial"))
+    plugin = numbers(model.find("plugin[@name='vrx::SimpleHydrodynamics']"))
+    assert all(value >= 0.0 for value in plugin.values())
+    u, v, r = to_gazebo(*state[:3])
+    added = np.array([plugin["xDotU"], plugin["yDotV"], plugin["nDotR"]])
+    damping = np.array(
+        [
+            plugin["xU"] + plugin["xUU"] * abs(u),
+            plugin["yV"] + plugin["yVV"] * abs(v),
+            plugin["nR"] + plugin["nRR"] * abs(r),
+        ]
+    )
+    own = np.array([inertial["mass"], inertial["mass"], inertial["izz"]])
+    rigid = own * np.array([-v * r, u * r, 0.0])
+    acceleration = (wrench(model, *state[3:]) - damping * [u, v, r] - rigid) / (own + added)
+    np.testing.assert_allclose(acceleration, to_gazebo(*model_rates(*state)), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("target", ["gazebo", "vrx"])
+def test_file_states_what_the_blocks_lack(target: str) -> None:
+    model = (MODEL + catalogue()["cubic-drag"]).with_values({})
+    text = export(saved(model), target, mass=MASS, inertia=INERTIA)
+    assert "Not in these blocks: cubic-drag, current." in text
+    assert "made by: seatrial ident vehicle a.mcap" in text
+    assert "- -x" in text  # two hyphens would end the comment
+    assert "left: its joint lies 0.35 m to port" in text
+    joined = export(saved(boat()), target, mass=MASS, inertia=INERTIA, thrusters={"": saved(LEFT)})
+    assert "shaft n_left, shaft n_right" in joined
+    assert "<max_thrust_cmd>41.5</max_thrust_cmd>" in joined
+
+
+def test_missing_and_impossible_values_are_reported() -> None:
+    def refuse(words: str, model: Model = MODEL, **options: float) -> None:
+        with pytest.raises(SeatrialError, match=words):
+            export(saved(model), "gazebo", **options)
+
+    refuse(r"give --mass and --inertia: a fit finds only the sums with added mass \(surge 37 kg, sway 47 kg")
+    refuse("give --inertia: ", mass=30.0)
+    refuse("--mass 38 kg is more than the fitted sum with added mass", mass=38.0, inertia=4.0)
+    refuse("--inertia 50 kg m2 is more than the fitted sum", mass=30.0, inertia=50.0)
+    refuse("--mass 0: give a positive number, in kg", mass=0.0, inertia=4.0)
+    refuse("the model nomoto has no m_v", nomoto_model(), mass=30.0, inertia=4.0)
+    refuse("the thrust of the model was not given", horizontal_model(), mass=30.0, inertia=4.0)
+    with pytest.warns(SeatrialWarning, match="the arms of the thrusters were not given"):
+        export(saved(known(horizontal_model(), **CURVE)), "vrx", mass=30.0, inertia=4.0)
+    forces = known(horizontal_model("force"), y_left=-0.3, y_right=0.3)
+    assert "The model has no thrust curve" in export(saved(forces), "gazebo", mass=30.0, inertia=4.0)
+
+
+def test_export_command_writes_blocks(tmp_path: Path) -> None:
+    hull, _ = files(tmp_path)
+    words = [
+        "export",
+        str(hull),
+        "--format",
+        "gazebo",
+        "--mass",
+        "30",
+        "--inertia",
+        "4",
+        "-o",
+        str(tmp_path / "boat.sdf"),
+    ]
+    done = CliRunner().invoke(ident, words, catch_exceptions=False)
+    assert done.exit_code == 0
+    found = numbers(ElementTree.parse(tmp_path / "boat.sdf").getroot().find("model/link/inertial"))
+    assert found["mass"] == 30.0

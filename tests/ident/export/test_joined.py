@@ -1,0 +1,314 @@
+"""Tests of boat models joined with bench models of their thrusters, and of models with thrusts as inputs."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.ident.cli.commands import ident
+from seatrial.ident.data.record import Channel, Record, build_record
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.engine.vectorised_model import VectorisedModel
+from seatrial.ident.estimation.model_file import SavedModel
+from seatrial.ident.estimation.output_error import simulate
+from seatrial.ident.export.codegen import collect_content
+from seatrial.ident.export.formats import export
+from seatrial.ident.export.joined import join, with_thrust_input
+from seatrial.ident.model.parameter import ParameterOrigin
+from seatrial.ident.model.structure import Model
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.models.kinematic import kinematic_model
+from seatrial.ident.models.nomoto import nomoto_model
+from seatrial.ident.models.thruster import delayed_channels, thruster_model
+from tests.ident.exported import build_c_simulation, saved, simulate_casadi, simulate_python
+
+STEP = 0.0125  # s between the copies of the command in a bench model
+CURVE = {"c1": 40.0, "c2": 1.5}
+
+
+def known(model: Model, **values: float) -> Model:
+    """Return the model with given values, so that the scale of its thrust is known."""
+    return model.replace_parameters(
+        *(model.parameter(n).known(v, 0.0, ParameterOrigin.GIVEN) for n, v in values.items())
+    )
+
+
+def boat(**values: float) -> Model:
+    return known(horizontal_model(), **{**CURVE, "y_left": -0.3, "y_right": 0.3, "V_x": 0.1, "d_vv": 3.0} | values)
+
+
+LEFT = thruster_model().with_values({**CURVE, "tau": 0.2125, "a": 4.0, "d": 0.08, "bias": 2.0})
+RIGHT = thruster_model().with_values({**CURVE, "tau": 0.1, "a": 7.0, "d": 0.03})
+BENCHES = {"left": LEFT, "right": RIGHT}
+
+
+def benches(**models: Model) -> dict[str, SavedModel]:
+    return {name: saved(model) for name, model in (models or BENCHES).items()}
+
+
+def commands(n: int) -> np.ndarray:
+    """Return n random commands of both thrusters, each for five steps."""
+    return np.repeat(np.random.default_rng(7).uniform(-1.0, 1.0, (n // 5 + 1, 2)), 5, axis=0)[:n]
+
+
+def bench_record(model: Model, command: np.ndarray, dt: float, rate: float) -> Record:
+    """Return the record of a bench log whose command has a sample every dt."""
+    t = dt * np.arange(len(command) + 1)
+    channels = delayed_channels(Channel(t, np.append(command, command[-1])), STEP)
+    rows = np.arange(0.0, t[-1], 1.0 / rate)
+    for output in model.outputs:
+        channels[output.name] = Channel(rows, np.zeros(rows.size))
+    return build_record(model, channels, rate=rate, t_from=0.0, t_to=float(t[-1]))
+
+
+def cascade(values: np.ndarray, dt: float) -> np.ndarray:
+    """Return the states of boat and shafts after each step: the bench models of ident, then its boat model.
+
+    Each stage of Runge-Kutta evaluates the bench models at the rows of their records, and gives their shafts to the
+    boat model. The rows are the steps of the copies of the command.
+    """
+    hull, sides = VectorisedModel(boat()), ("left", "right")
+    shafts = [VectorisedModel(m) for m in BENCHES.values()]
+    records = [bench_record(m, values[:, k], dt, 1.0 / STEP) for k, m in enumerate(BENCHES.values())]
+    p_boat = np.array(list(boat().values.values()))
+    p_bench = [np.array(list(m.values.values())) for m in BENCHES.values()]
+    parts, x, found = round(dt / STEP), np.zeros(8), []
+    for k in range(len(values)):
+        for part in range(parts):
+            t = dt * k + STEP * part + 1e-6
+            u = [r.u[np.searchsorted(r.t, t, side="right") - 1] for r in records]
+
+            def rates(z: np.ndarray, u: list[np.ndarray] = u) -> np.ndarray:
+                motion = hull(z[None, :6], z[None, 6:], p_boat)[0, :6]
+                turning = [
+                    shafts[j](np.array([[z[6 + j], 0.0]]), u[j][None], p_bench[j])[0, 0] for j in range(len(sides))
+                ]
+                return np.concatenate([motion, turning])
+
+            k1 = rates(x)
+            k2 = rates(x + STEP / 2 * k1)
+            k3 = rates(x + STEP / 2 * k2)
+            x = x + STEP / 6 * (k1 + 2 * k2 + 2 * k3 + rates(x + STEP * k3))
+        found.append(x)
+    return np.array(found)
+
+
+@pytest.mark.parametrize("dt", [0.0125, 0.05, 0.1])
+def test_joined_export_equals_bench_model_then_boat_model_in_ident(dt: float) -> None:
+    values = commands(40)
+    text = export(saved(boat()), "python", thrusters=benches())
+    states, _ = simulate_python(text, np.zeros(8), values[0], values, dt)
+    np.testing.assert_allclose(states, cascade(values, dt), rtol=1e-9, atol=1e-9)
+
+
+def test_joined_export_is_close_to_two_simulations_one_after_the_other() -> None:
+    """The boat is simulated with the shaft speeds of the bench models as a log, which is linear between its samples."""
+    values, dt, fine = commands(40), 0.05, 1600.0
+    speeds, t = [], np.zeros(0)
+    for k, model in enumerate(BENCHES.values()):
+        record = bench_record(model, values[:, k], dt, fine)
+        run = simulate(model, record, x0=np.zeros(2))
+        t = np.arange(0.0, dt * len(values), 1.0 / fine)
+        speeds.append(np.interp(t, record.t, run.x[:, 0]))
+    channels = {f"n_{side}": Channel(t, n) for side, n in zip(BENCHES, speeds, strict=True)}
+    channels |= {o.name: Channel(t, np.zeros(t.size)) for o in boat().outputs}
+    record = build_record(boat(), channels, rate=fine, t_from=0.0, t_to=float(t[-1]))
+    run = simulate(boat(), record, x0=np.zeros(6))
+    text = export(saved(boat()), "python", thrusters=benches())
+    states, _ = simulate_python(text, np.zeros(8), values[0], values, dt)
+    rows = np.searchsorted(record.t, dt * np.arange(1, 40) - 1e-6)
+    np.testing.assert_allclose(states[:39, :6], run.x[rows], rtol=0.0, atol=1e-5)
+    assert abs(states[:, :3]).max() > 0.2
+
+
+def test_joined_model_is_the_same_in_all_languages(tmp_path: Path) -> None:
+    values, x = commands(30), np.random.default_rng(1).normal(0.0, 0.2, 8)
+    texts = {t: export(saved(boat()), t, name="boat", thrusters=benches()) for t in ("python", "casadi", "c")}
+    wanted = simulate_python(texts["python"], x, values[0], values, 0.05)
+    for got, want in zip(simulate_casadi(texts["casadi"], x, values[0], values, 0.05), wanted, strict=True):
+        np.testing.assert_allclose(got, want, rtol=1e-9, atol=1e-9)
+    run = build_c_simulation(texts["c"], tmp_path, "boat")
+    in_c = np.array(run(x, values[0], np.column_stack([np.full(30, 0.05), values])))
+    np.testing.assert_allclose(in_c[:, :-1], np.column_stack([wanted[1], wanted[0]]), rtol=1e-9, atol=1e-9)
+    names = 'physical_inputs: ["n_cmd_left", "n_cmd_right"]'
+    assert names in export(saved(boat()), "ros2", thrusters=benches())
+
+
+def test_header_names_the_bench_model_of_each_thruster() -> None:
+    other = replace(saved(RIGHT), provenance={"logs": ["right.mcap sha256:99"]})
+    text = export(saved(boat()), "c", thrusters={"left": saved(LEFT), "right": other})
+    assert "n_cmd_left drives n_left: shaft dynamics and thrust curve fitted to a.mcap sha256:12" in text
+    assert "n_cmd_right drives n_right: shaft dynamics and thrust curve fitted to right.mcap sha256:99" in text
+    content = join(collect_content(saved(boat())), {"": saved(LEFT)})
+    assert {"tau_left", "a_right", "c1_left", "d_right"} <= set(content.parameters)
+    assert not {"c1", "bias_left", "q_f_left", "s_n_left"} & set(content.parameters)
+    assert content.states[-2:] == ("n_left", "n_right")
+    assert content.state_noise[-1] == LEFT.values["s_n"]
+    assert content.errors[content.parameters.index("tau_left")] == 0.1
+
+
+def thrust_of(content: Any, n: float) -> float:
+    """Return the surge acceleration of a joined model from rest with both shafts at n, times its mass: the thrust."""
+    model = content.model
+    x = [n if s.name in ("n_left", "n_right") else 0.0 for s in model.states]
+    row = VectorisedModel(model)(np.array([x]), np.zeros((1, len(model.inputs))), np.array(list(model.values.values())))
+    return float(row[0, [s.name for s in model.states].index("u")]) * model.values["m_u"]
+
+
+def test_effects_of_the_thruster_are_kept_and_those_of_the_tank_are_not() -> None:
+    effects = catalogue()
+    bench = (LEFT + effects["thrust-exponent"] + effects["recirculation"] + effects["cell-lag"]).with_values(
+        {"p_n": 0.4}
+    )
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always", SeatrialWarning)
+        content = join(collect_content(saved(boat())), {"": saved(bench)})
+    assert "thrust curves" in str(found) or any("its bench model has" in str(w.message) for w in found)
+    assert content.effects == ("thrust-exponent (left)", "thrust-exponent (right)")
+    assert content.states == ("x", "y", "psi", "u", "v", "r", "n_left", "n_right")
+    assert thrust_of(content, 0.5) == pytest.approx(2 * (40.0 * 0.25 + 1.5 * 0.25) * 0.5**0.4)
+    own = join(collect_content(saved(boat())), {"": saved(bench)}, own_curve=True)
+    assert thrust_of(own, 0.5) == pytest.approx(2 * (40.0 * 0.25 + 1.5 * 0.25))
+    dead = (boat() + effects["dead-band"]).with_values({"n_dead": 0.1})
+    reduced = join(collect_content(saved(dead)), {"": saved(LEFT)})
+    assert thrust_of(reduced, 0.5) == pytest.approx(2 * (40.0 * 0.16 + 1.5 * 0.16))
+
+
+def test_model_of_thrusts_is_joined_with_the_thrust_of_the_bench() -> None:
+    model = known(horizontal_model("force"), y_left=-0.3, y_right=0.3)
+    content = join(collect_content(saved(model)), {"": saved(LEFT)})
+    assert content.physical_inputs == ("n_cmd_left", "n_cmd_right")
+    assert thrust_of(content, -0.5) == pytest.approx(2 * (-40.0 * 0.25 + 1.5 * 0.25))
+
+
+def test_work_of_the_shafts_is_a_state() -> None:
+    model = (boat() + catalogue()["battery-sag"]).with_values({"beta_E": 0.1})
+    content = join(collect_content(saved(model)), {"": saved(LEFT)})
+    assert content.physical_inputs == ("n_cmd_left", "n_cmd_right")
+    assert content.states[-1] == "work"
+    assert len(content.state_noise) == len(content.states)
+
+
+def test_unsuitable_models_are_refused() -> None:
+    def refuse(model: Model, words: str, thrusters: dict[str, SavedModel] | None = None, **options: Any) -> None:
+        with pytest.raises(SeatrialError, match=words):
+            join(collect_content(saved(model)), thrusters or {"": saved(LEFT)}, **options)
+
+    refuse(LEFT, "is not that of a boat")
+    refuse(horizontal_model("command"), r"its inputs are n_cmd_left, n_cmd_right, not shaft speeds")
+    refuse(horizontal_model("general"), "its inputs are X, N")
+    refuse(nomoto_model(), "cannot be replaced, because the model nomoto.* needs its past")
+    refuse(boat() + catalogue()["delay"], "because its effect delay needs its past")
+    refuse(horizontal_model(), "the thrust of the boat model was not given.* --thrust-curve boat")
+    in_rpm = replace(boat(), inputs=tuple(replace(i, unit="rev/min") for i in boat().inputs))
+    refuse(in_rpm, "the input n_left of the boat model has the unit rev/min, but a bench model gives 1")
+    refuse(boat(), "thruster right has no model: give --thruster right=FILE", {"left": saved(LEFT)})
+    refuse(boat(), "the boat has no such thruster; it has left, right", {"bow": saved(LEFT)})
+    refuse(boat(), "the model of thruster left is horizontal, not a bench model", {"": saved(boat())})
+    force = known(horizontal_model("force"), y_left=-0.3, y_right=0.3)
+    refuse(force, "its bench had no load cell", {"": saved(thruster_model(force=False))})
+    assert join(collect_content(saved(horizontal_model())), {"": saved(LEFT)}, own_curve=True).states[-1] == "n_right"
+    without_cell = join(collect_content(saved(boat())), {"": saved(thruster_model(force=False))})
+    assert thrust_of(without_cell, 1.0) == pytest.approx(2 * 41.5)
+    weaker = saved(LEFT.with_values({"c1": 39.7}))
+    mixed = join(collect_content(saved(boat())), {"left": saved(thruster_model(force=False)), "right": weaker})
+    assert thrust_of(mixed, 1.0) == pytest.approx(41.5 + 41.2)
+    kinematic = known(kinematic_model(), **CURVE)
+    assert join(collect_content(saved(kinematic)), {"": saved(LEFT)}).states[-1] == "n_right"
+
+
+def test_different_curve_and_range_give_a_warning() -> None:
+    weak = saved(LEFT.with_values({"c1": 30.0}))
+    with pytest.warns(
+        SeatrialWarning, match=r"at the shaft speed -1 its bench model has -28\.5 N and the boat model -38\.5 N"
+    ):
+        join(collect_content(saved(boat())), {"": weak})
+    wide = replace(saved(boat()), validity={"n_left": (-1.0, 1.0), "n_right": (-0.2, 1.0)})
+    narrow = replace(saved(LEFT), validity={"n_cmd": (-0.3, 1.0)})
+    with pytest.warns(SeatrialWarning, match=r"thruster left: the boat ran .* covers -0\.30 to 1\.00"):
+        join(collect_content(wide), {"": narrow})
+
+
+def test_model_with_thrust_input_has_the_same_motion_and_a_slope_at_rest() -> None:
+    model = boat()
+    text, own = export(saved(model), "python", thrust_input=True), export(saved(model), "python")
+    speeds = commands(40)
+    thrusts = 40.0 * speeds * abs(speeds) + 1.5 * speeds**2
+    states, _ = simulate_python(text, np.zeros(6), np.zeros(2), thrusts, 0.1, "zero")
+    wanted, _ = simulate_python(own, np.zeros(6), np.zeros(2), speeds, 0.1, "zero")
+    np.testing.assert_allclose(states, wanted, rtol=1e-12, atol=1e-12)
+    space: dict[str, Any] = {"__name__": "boat"}
+    exec(compile(text, "boat.py", "exec"), space)
+    found = [space["shaft_speed"](f) for f in thrusts[:, 0]]
+    np.testing.assert_allclose(found, speeds[:, 0], rtol=1e-12)
+    slopes = []
+    for options in ({}, {"thrust_input": True}):
+        solver: dict[str, Any] = {"__name__": "boat"}
+        exec(compile(export(saved(model), "casadi", **options), "boat.py", "exec"), solver)
+        x, u = ca.SX.sym("x", 6), ca.SX.sym("u", 2)
+        jacobian = ca.Function("J", [x, u], [ca.jacobian(solver["f"](x, u, solver["DEFAULTS"]), u)])
+        slopes.append(np.array(jacobian(np.zeros(6), np.zeros(2))))
+    assert not slopes[0].any()
+    np.testing.assert_allclose(slopes[1][3], 1.0 / model.values["m_u"])
+
+
+def test_thrust_input_in_c(tmp_path: Path) -> None:
+    text = export(saved(boat()), "c", name="boat", thrust_input=True)
+    assert "boat_in_f_left" in text
+    run = build_c_simulation(text.replace("NAME_init", "x"), tmp_path, "boat")
+    (row,) = run(np.zeros(6), [20.0, 20.0], [[0.1, 20.0, 20.0]])
+    assert row[-4] == pytest.approx(2 * 20.0 / boat().values["m_u"] * 0.1, rel=0.02)
+
+
+def test_thrust_input_refuses_models_without_shaft_speeds() -> None:
+    def refuse(model: Model, words: str) -> None:
+        with pytest.raises(SeatrialError, match=words):
+            with_thrust_input(collect_content(saved(model)))
+
+    refuse(horizontal_model("command"), "--thrust-input needs a model with the shaft speeds")
+    refuse(horizontal_model("force"), "the inputs of horizontal:force are f_left, f_right")
+    refuse(boat() + catalogue()["dead-band"], "the effect dead-band acts on the shaft speed")
+    refuse(boat() + catalogue()["delay"], "because its effect delay needs its past")
+    refuse(boat() + catalogue()["battery-sag"], "an effect needs the work of the shafts")
+    with pytest.warns(SeatrialWarning, match="slope by the thrust is infinite at rest"):
+        with_thrust_input(collect_content(saved((boat() + catalogue()["advance-ratio"]).with_values({}))))
+
+
+def files(folder: Path) -> tuple[Path, Path]:
+    """Write the model.toml of a boat and of a bench test."""
+    texts = []
+    for source, sensors, values in (
+        ("horizontal:shaft", '["attitude", "position"]', {**CURVE, "y_left": -0.3, "y_right": 0.3}),
+        ("thruster:0.0125", '["rpm", "load_cell"]', {**CURVE, "tau": 0.2125, "a": 4.0}),
+    ):
+        lines = ['format = "seatrial-model 1"', f'name = "{source.split(":")[0]}"', f'source = "{source}"']
+        lines += [f"sensors = {sensors}", "effects = []"]
+        for name, value in values.items():
+            lines += ["[[parameter]]", f'name = "{name}"', f"value = {value!r}", "free = false", 'origin = "given"']
+        texts.append("\n".join(lines))
+    for name, text in zip(("boat", "thruster"), texts, strict=True):
+        (folder / name).mkdir()
+        (folder / name / "model.toml").write_text(text, encoding="utf-8")
+    return folder / "boat", folder / "thruster/model.toml"
+
+
+def test_export_command_joins_one_file_or_one_for_each_thruster(tmp_path: Path) -> None:
+    hull, bench = files(tmp_path)
+    words = ["export", str(hull), "--to", "python"]
+    one = CliRunner().invoke(ident, [*words, "--thruster", str(bench)], catch_exceptions=False)
+    two = [*words, "--thruster", f"left={bench.parent}", "--thruster", f"right={bench}"]
+    assert one.stdout == CliRunner().invoke(ident, two, catch_exceptions=False).stdout
+    assert 'PHYSICAL_INPUTS = ("n_cmd_left", "n_cmd_right")' in one.stdout
+    twice = CliRunner().invoke(ident, [*words, "--thruster", str(bench), "--thruster", str(bench)])
+    assert "all thrusters: two files" in twice.output
+    missing = CliRunner().invoke(ident, [*words, "--thruster", "left=nowhere.toml"])
+    assert "nowhere.toml" in missing.output
+    assert missing.exit_code == 2

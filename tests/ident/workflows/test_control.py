@@ -1,0 +1,64 @@
+"""Tests that run the controllers of docs/how-to/control.md and compare their output."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from seatrial.ident.cli.commands import ident
+from tests.ident.workflows.test_use_a_model import run
+from tests.test_docs import blocks, how_to
+
+PAGE = how_to("control")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Create the models of the page, and the files that its commands write."""
+    made = tmp_path_factory.mktemp("control")
+    for name, text in zip(("boat", "thruster"), blocks(PAGE, "toml"), strict=True):
+        (made / name).mkdir()
+        (made / name / "model.toml").write_text(text, encoding="utf-8")
+    for line in blocks(PAGE, "sh")[0].splitlines():
+        words = [str(made / w) if w.endswith((".toml", ".py")) else w for w in line.split()[2:]]
+        ident.main(words, standalone_mode=False)
+    return made
+
+
+def output(code: str) -> str:
+    """Return the text block after a code block."""
+    text = PAGE.read_text(encoding="utf-8")
+    found = re.match(r"\n*```text\n(.*?)^```$", text[text.index(code) + len(code) + 4 :], re.MULTILINE | re.DOTALL)
+    assert found
+    return found[1]
+
+
+@pytest.mark.parametrize("block", range(4), ids=["slope", "pid", "lqr", "mpc"])
+def test_controller_of_the_page(block: int, folder: Path) -> None:
+    code = blocks(PAGE, "python")[block]
+    assert run(code, folder) == output(code)
+
+
+def test_mpc_with_shaft_speeds_stays_at_rest(folder: Path) -> None:
+    """The page states that zero is a stationary point of the optimisation with shaft speeds."""
+    code = blocks(PAGE, "python")[3]
+    for old, new in (
+        ("boat_casadi import DEFAULTS, make_step, shaft_speed", "shafts_casadi import DEFAULTS, make_step"),
+        ("LIMIT = 0.2, 25, 38.0", "LIMIT = 0.2, 25, 1.0"),
+        ("[shaft_speed(force) for force in found.value(f)[:, 0]]", "found.value(f)[:, 0]"),
+        ("range(75)", "range(3)"),
+        ("after 15 s", "shaft speeds"),
+    ):
+        assert old in code
+        code = code.replace(old, new)
+    assert run(code, folder) == "shaft speeds: x = 0.0 m, y = 0.0 m\n"
+
+
+def test_mpc_with_do_mpc(folder: Path) -> None:
+    pytest.importorskip("do_mpc", reason="do-mpc is not installed: it needs matplotlib, which no other test uses")
+    found = re.search(r"after 15 s: x = ([\d.]+) m, y = ([\d.]+) m", run(blocks(PAGE, "python")[4], folder))
+    assert found
+    assert float(found[1]) == pytest.approx(4.0, abs=0.3)
+    assert float(found[2]) == pytest.approx(2.0, abs=0.3)
