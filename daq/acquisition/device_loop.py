@@ -180,16 +180,16 @@ class DeviceLoop(threading.Thread):
         """Return the time [wall s] to wait before the next attempt to open the port.
 
         `failures` is the number of failed attempts in a row: the wait grows with it from 0.05 to 1 s. It is at most
-        0.1 s for a port that has commanded thrust, because zero still has to be sent.
+        0.1 s for a port that has sent a command, because zero still has to be sent.
         """
         drives = self._setpoints is not None and bool(self._setpoints.held)
         return min(RETRY_S[min(failures, len(RETRY_S) - 1)], DRIVEN_RETRY_S if drives else math.inf)
 
     def is_at_zero(self, now: float) -> bool:
-        """Return whether all thrusters of the port are at zero: it was sent and repeated, and the port is open.
+        """Return whether all thrusters of the port are at zero: zero was sent and repeated, and the port is open.
 
-        Repeated means: sent again for 0.5 s. True also if the port has never sent a command. `now` is a monotonic time
-        [s].
+        Repeated means that zero was sent again for 0.5 s. Return True also if the port has never sent a command, open
+        or not. `now` is a monotonic time [s].
         """
         if self._setpoints is None or not self._setpoints.held:
             return True

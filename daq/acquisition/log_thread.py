@@ -66,8 +66,8 @@ class LogSink:
     def __init__(self, limit: int = QUEUE_ITEMS) -> None:
         """Make an empty queue of data for the log.
 
-        `limit` is the largest number of reads and writes with raw bytes in it. Events are accepted up to twice this
-        number.
+        `limit` is the length of the queue from which on items with raw bytes are refused. Items without raw bytes, such
+        as events, are refused from twice this length on.
         """
         self._items: deque[LogItem] = deque()
         self._limit = limit
