@@ -150,10 +150,10 @@ def _check_rate(source: str, device: Device | None, log: Log, tables: Tables, ga
     """Compare the rate of the samples of one device with `rate_hz` of the rig, and yield the finding.
 
     A fault is a difference of more than 20 %, fewer than three samples, or samples of one time only. Of an autopilot or
-    NMEA 2000 bus not all samples count (`_rated_times`). Those of an autopilot are its attitudes after the first third
-    of the log (at most 10 s), in which it still sends at its own rates. The rate of an autopilot in a log imported from
-    a tlog is reported and not compared. The samples of all controllers of a bus count together. A device without tables
-    has no finding, except an autopilot.
+    NMEA 2000 bus not all samples count (`_rated_times`). Of an autopilot only the attitudes count. Its attitudes in the
+    first third of their time, at most in the first 10 s, are left out, because the autopilot then still sends at its
+    own rates. The rate of an autopilot in a log imported from a tlog is reported and not compared. The samples of all
+    controllers of a bus count together. A device without tables has no finding, except an autopilot.
 
     Parameters
     ----------

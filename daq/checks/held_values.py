@@ -172,8 +172,7 @@ def group_held_signals(found: Mapping[str, HeldValues]) -> list[tuple[str, HeldV
     -------
     list
         For each group the names, joined by commas, and the result for the first of them. Groups and names keep the
-        order of
-    `found`.
+        order of `found`.
     """
     groups: dict[int, list[str]] = {}
     for name, held in found.items():
