@@ -585,7 +585,7 @@ class MavlinkDriver(DeviceDriver):
         """Return the fault in the signing of the autopilot's frames, in one line for the user; empty if there is none.
 
         Either the autopilot signs its frames and the rig has no key, or its frames are not signed with the key of the
-        rig.
+        rig. The first fault is not reported in the role LISTEN, in which nothing is sent.
         """
         decoder = self._decoder
         if self._role is not LinkRole.LISTEN and decoder.signed and not self._codec.signs:
