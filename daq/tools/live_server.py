@@ -44,7 +44,8 @@ _FOXGLOVE = "the live view needs the package foxglove-sdk: pip install 'seatrial
 class LiveServer:
     """WebSocket server of the newest samples for Foxglove, within a `with` block, at the address in `rig.live`.
 
-    The server sends the newest sample of each source twenty times a second. Only the log has all samples.
+    Twenty times a second the server sends the newest sample of each source, if it was not sent before. Only the log has
+    all samples.
 
     Parameters
     ----------
