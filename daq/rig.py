@@ -454,7 +454,8 @@ class Ros2:
     commands
         Whether nodes of ROS 2 may command thrusters.
     timeout_s
-        Time without a command after which thrust is zero [wall s].
+        Time without a command after which thrust is zero [wall s]. A command that arrives later than the fastest one by
+        more than this time is ignored.
     """
 
     router: str = "tcp/127.0.0.1:7447"
