@@ -254,9 +254,9 @@ class DeviceLoop(threading.Thread):
         """Command zero to the thrusters of `setpoints` if this thread was stopped for more than 0.25 s (STUCK_S, wall).
 
         Otherwise it would repeat an old command. `on_lost` is then called too, so that the process stops all thrust.
-        The pause is the time since the last check, minus the intended wait `waited` [wall s]. It does not count if zero
-        was already sent and repeated. The method is called at several places, because a pause can occur at any line of
-        the loop.
+        The pause is the time since the last check, minus the intended wait `waited` [wall s]. A pause does not count if
+        zero was already sent and repeated. The method is called at several places, because a pause can occur at any
+        line of the loop.
         """
         now = time.monotonic()
         paused, self._checked = now - self._checked - waited, now

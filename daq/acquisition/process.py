@@ -282,7 +282,7 @@ class Process:
         """Append set-points of the parent to the schedules of the devices, and wake the threads of their ports.
 
         A schedule belongs to one device and has the commands by node; the parent sends them by name of the thruster.
-        They are ignored after this process has stopped thrust by itself. In each case the message also counts as a
+        The set-points are ignored after this process has stopped thrust by itself. In each case the message counts as a
         heartbeat of the mission's runner.
         """
         self._runner_seen = self._parent_seen

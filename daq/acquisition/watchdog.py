@@ -175,8 +175,8 @@ class HeartbeatMonitor:
     def look(self, now: float, words: bytes | None) -> str | None:
         """Process the heartbeats that the watchdog has received, and decide whether it must step in and command zero.
 
-        It steps in only while thrust is commanded: if the socket is closed, or after 0.6 s (`HANG_S`, wall) without a
-        heartbeat. A pause of the watchdog itself does not count.
+        The watchdog steps in only while thrust is commanded, and then if the socket is closed, or after 0.6 s
+        (`HANG_S`, wall) without a heartbeat. A pause of the watchdog itself does not count.
 
         Parameters
         ----------
