@@ -468,8 +468,8 @@ class RawLog:
     def _find_records(self, found: _FoundChunks, at: int) -> bool:
         """Read the records of the file in order from byte `at` on, and add its chunks to `found`.
 
-        Other records than chunks, messages and message indexes are kept, if they describe the file. `_read_to` becomes
-        the byte at which the search stops. Return whether no part was damaged; a cut end is no damage.
+        Header, schema, channel, attachment and metadata records are kept (`_keep_record`). `_read_to` becomes the byte
+        at which the search stops. Return whether no part was damaged; a cut end is no damage.
         """
         whole, size = True, self._size
         while at + HEADER <= size:

@@ -223,8 +223,9 @@ def _hold_last_value(grid: Array, t: Array, values: Array) -> Array:
 def _average_and_interpolate(grid: Array, t: Array, values: Array, step: float, period: float) -> Array:
     """Average the samples nearest to each time of the grid, and interpolate the averages linearly to the grid.
 
-    An average stands at the mean time of its samples, which may differ from the time of the grid. The result is the
-    first average between the first sample and this average, and the last average between it and the last sample.
+    An average stands at the mean time of its samples, which may differ from the time of the grid. At times from the
+    first sample to the first average, the result is the first average. At times from the last average to the last
+    sample, the result is the last average.
 
     Parameters
     ----------
