@@ -342,9 +342,9 @@ class DeviceLoop(threading.Thread):
     def _is_rated(self, sample: Sample) -> bool:
         """Return whether a sample counts for the measured rate of the device.
 
-        This rate is compared with `rate_hz` of the rig. All samples of a device with one kind of samples count. For a
-        device with several kinds (autopilot, NMEA 2000 bus) only the attitudes count; on an NMEA 2000 bus without
-        attitudes the position fixes count.
+        This rate is compared with `rate_hz` of the rig. Of an autopilot or an NMEA 2000 bus only the attitudes count.
+        On an NMEA 2000 bus that has sent no attitude so far, the position fixes count. Of all other devices every
+        sample counts.
         """
         if not self._many_kinds:
             return True

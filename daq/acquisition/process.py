@@ -202,9 +202,10 @@ class Process:
     def _send_heartbeat(self, at_once: bool = False) -> None:
         """Send a heartbeat to the watchdog, unless the thread of a port hangs. Stop thrust if the watchdog has failed.
 
-        Without heartbeats the watchdog kills this process and sends zero itself. The heartbeat contains whether thrust
-        is commanded, or zero not yet repeated. With `at_once` it is sent even if the last one was sent a moment ago.
-        Without a watchdog nothing happens. Thrust is stopped only while it is commanded or scheduled.
+        If the last heartbeat said that thrust is commanded and no other follows, the watchdog kills this process and
+        sends zero itself. The heartbeat contains whether thrust is commanded, or zero not yet repeated. With `at_once`
+        it is sent even if the last one was sent a moment ago. Without a watchdog, or if a thread hangs, nothing
+        happens. Thrust is stopped only while it is commanded or scheduled.
         """
         now = time.monotonic()
         if self._heartbeat is None or any(loop.is_stuck(now) for loop in self._loops.values()):
