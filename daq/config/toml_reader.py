@@ -254,7 +254,7 @@ class TomlTable:
         return tuple(value)
 
     def table(self, key: str) -> TomlTable | None:
-        """Return the sub-table of a key, or None if the key is missing. Any other value raises SeatrialError.
+        """Return the sub-table of a key, or None if the key is missing. A value that is no table raises SeatrialError.
 
         The keys of the sub-table do not count as read; the caller calls its own `done`.
         """
