@@ -324,8 +324,8 @@ class ReplayPort:
     def has_host(self) -> bool:
         """Return whether a program, the host, has opened the port of the replay.
 
-        The first time, the method waits 0.1 s, in which the host configures the port. Then this process keeps the
-        host's end open, too, so the result stays true.
+        When the method finds the port opened for the first time, it waits 0.1 s, in which the host configures the port.
+        Then this process keeps the host's end open, too, so the result stays true.
         """
         if self._slave >= 0:
             return True
