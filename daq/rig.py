@@ -242,8 +242,8 @@ class Device:
     def is_rated(self, kind: type, yaw: Any, with_attitudes: bool) -> Any:
         """Return whether a sample, or each sample of a table, counts for the rate ``rate_hz`` of the rig file.
 
-        All samples of a device with one kind of samples count. Of an autopilot or a ship's bus, only attitudes count.
-        On a ship's bus (nmea2000) without attitudes, the fixes count.
+        Of an autopilot or a ship's bus (nmea2000), only attitudes count. On a ship's bus without attitudes, the fixes
+        count. Of all other devices every sample counts.
 
         Parameters
         ----------
