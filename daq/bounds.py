@@ -140,7 +140,7 @@ def bounded(
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         """Return the command with the option `--trust-file`. Without this option it runs in a limited child process.
 
-        It runs without limits also if `enable` was not called or `when` returns false.
+        The command runs without limits also if `enable` was not called or `when` returns false.
         """
 
         @functools.wraps(command)
@@ -165,8 +165,8 @@ def bounded(
 def continue_in_child(paths: Sequence[Path], serves: bool = False) -> None:
     """Continue the program in a new child process with limits for these files.
 
-    This function returns in the child only. The parent waits for the child and passes signals on to it. It ends with
-    the exit status of the child, or by the same signal if SIGINT, SIGTERM or SIGHUP ended the child.
+    This function returns in the child only. The parent waits for the child and passes signals on to it. The parent then
+    ends with the exit status of the child, or by the same signal if SIGINT, SIGTERM or SIGHUP ended the child.
 
     Parameters
     ----------
@@ -247,8 +247,8 @@ def _companion_files(path: Path) -> Iterator[Path]:
 def _become_child(bounds: Bounds, scratch: str, reports: int) -> None:
     """Make this process the limited child: set its resource limits, signal handlers and temporary folder.
 
-    At the limit of processor time a SeatrialError is raised, and the child is killed after 2 s more (GRACE_S). On Linux
-    it is also killed when its parent ends for any reason. It writes no core dump.
+    At the limit of processor time a SeatrialError is raised in the child, and the child is killed after 2 s more
+    (GRACE_S). On Linux the child is also killed when its parent ends for any reason. The child writes no core dump.
 
     Parameters
     ----------

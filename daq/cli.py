@@ -109,6 +109,10 @@ def log(rig: Path, duration: float | None, output: Path | None, ask: bool, serve
     Devices may be plugged in and out meanwhile; missing and silent devices are reported. The command commands no thrust
     and sends no heartbeat to an autopilot, so that the failsafes still depend on its own ground station. A log that
     exists is never overwritten. Exit status 1: no device has sent any data.
+
+    With --request-rates, message rates and parameters are requested from autopilots; without it nothing is sent to
+    them. --live also serves the samples to Foxglove, --ros2 publishes them to ROS 2, and --view serves the log as a
+    page in the browser.
     """
     from rich.console import Console
 
@@ -300,7 +304,8 @@ def import_map(
 ) -> None:
     """Turn SOURCEs (files, or folders of ROS 2 bags) into logs by a MAP from columns and topics to signals.
 
-    The map is described in docs/formats/import.md.
+    The first argument is the MAP, which is described in docs/formats/import.md. With --guess there is no MAP: a guessed
+    map of the only SOURCE is written. A file that exists is replaced only with --force.
 
     \b
     Example:
@@ -380,7 +385,8 @@ def import_can(rig: Path, file: Path, out: Path | None, force: bool) -> None:
 def import_mavlink(file: Path, rig_path: Path | None, system: int | None, out: Path | None, force: bool) -> None:
     """Turn FILE, a ground station's tlog or an ArduPilot DataFlash log (BIN), into a log.
 
-    With --rig the outputs become the thrusters' n; without it they stay pulses in us, servo_1, servo_2, ...
+    With --rig the outputs become the thrusters' n; without it they stay pulses in us, servo_1, servo_2, ... With
+    --system the autopilot with this system id is read from a tlog; without it the first one with a heartbeat.
 
     \b
     Example:
@@ -559,8 +565,9 @@ def replay(log: Path, folder: Path, names: tuple[str, ...], speed: float) -> Non
     """Send the raw bytes of LOG again, on ports DIR/DEVICE, at their times of receipt.
 
     The replay begins when every port has a reader. `seatrial log DIR/replay.toml` records the log again; that file is
-    the rig of the log with these ports. A CAN bus is replayed as an slcan adapter. Ctrl-C ends the replay. At the end
-    the ports and the file are deleted.
+    the rig of the log with these ports. With --device only the named devices are replayed, otherwise all with raw
+    bytes. A CAN bus is replayed as an slcan adapter. Ctrl-C ends the replay. At the end the ports and the file are
+    deleted.
 
     \b
     Example:

@@ -243,8 +243,8 @@ class Device:
     def is_rated(self, kind: type, yaw: Any, with_attitudes: bool) -> Any:
         """Return whether a sample, or each sample of a table, counts for the rate ``rate_hz`` of the rig file.
 
-        All samples of a device with one kind of samples count. Of an autopilot or a ship's bus, only attitudes count.
-        On a ship's bus (nmea2000) without attitudes, the fixes count.
+        Of an autopilot or a ship's bus (nmea2000), only attitudes count. On a ship's bus without attitudes, the fixes
+        count. Of all other devices every sample counts.
 
         Parameters
         ----------
@@ -455,7 +455,8 @@ class Ros2:
     commands
         Whether nodes of ROS 2 may command thrusters.
     timeout_s
-        Time without a command after which thrust is zero [wall s].
+        Time without a command after which thrust is zero [wall s]. A command that arrives later than the fastest one by
+        more than this time is ignored.
     """
 
     router: str = "tcp/127.0.0.1:7447"

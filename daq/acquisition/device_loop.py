@@ -180,16 +180,16 @@ class DeviceLoop(threading.Thread):
         """Return the time [wall s] to wait before the next attempt to open the port.
 
         `failures` is the number of failed attempts in a row: the wait grows with it from 0.05 to 1 s. It is at most
-        0.1 s for a port that has commanded thrust, because zero still has to be sent.
+        0.1 s for a port that has sent a command, because zero still has to be sent.
         """
         drives = self._setpoints is not None and bool(self._setpoints.held)
         return min(RETRY_S[min(failures, len(RETRY_S) - 1)], DRIVEN_RETRY_S if drives else math.inf)
 
     def is_at_zero(self, now: float) -> bool:
-        """Return whether all thrusters of the port are at zero: it was sent and repeated, and the port is open.
+        """Return whether all thrusters of the port are at zero: zero was sent and repeated, and the port is open.
 
-        Repeated means: sent again for 0.5 s. True also if the port has never sent a command. `now` is a monotonic time
-        [s].
+        Repeated means that zero was sent again for 0.5 s. Return True also if the port has never sent a command, open
+        or not. `now` is a monotonic time [s].
         """
         if self._setpoints is None or not self._setpoints.held:
             return True
@@ -254,9 +254,9 @@ class DeviceLoop(threading.Thread):
         """Command zero to the thrusters of `setpoints` if this thread was stopped for more than 0.25 s (STUCK_S, wall).
 
         Otherwise it would repeat an old command. `on_lost` is then called too, so that the process stops all thrust.
-        The pause is the time since the last check, minus the intended wait `waited` [wall s]. It does not count if zero
-        was already sent and repeated. The method is called at several places, because a pause can occur at any line of
-        the loop.
+        The pause is the time since the last check, minus the intended wait `waited` [wall s]. A pause does not count if
+        zero was already sent and repeated. The method is called at several places, because a pause can occur at any
+        line of the loop.
         """
         now = time.monotonic()
         paused, self._checked = now - self._checked - waited, now
@@ -342,9 +342,9 @@ class DeviceLoop(threading.Thread):
     def _is_rated(self, sample: Sample) -> bool:
         """Return whether a sample counts for the measured rate of the device.
 
-        This rate is compared with `rate_hz` of the rig. All samples of a device with one kind of samples count. For a
-        device with several kinds (autopilot, NMEA 2000 bus) only the attitudes count; on an NMEA 2000 bus without
-        attitudes the position fixes count.
+        This rate is compared with `rate_hz` of the rig. Of an autopilot or an NMEA 2000 bus only the attitudes count.
+        On an NMEA 2000 bus that has sent no attitude so far, the position fixes count. Of all other devices every
+        sample counts.
         """
         if not self._many_kinds:
             return True

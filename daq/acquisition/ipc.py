@@ -186,7 +186,7 @@ class SampleBatch:
 
 @dataclass(frozen=True)
 class Failed:
-    """Last message of the acquisition process to the parent: it ends because of an error.
+    """Last message of the acquisition process to the parent: the start failed, or the log could not be written.
 
     Attributes
     ----------
@@ -199,12 +199,12 @@ class Failed:
 
 @dataclass(frozen=True)
 class Closed:
-    """Last message of the acquisition process to the parent: the log is closed, and no error has occurred.
+    """Last message of the acquisition process to the parent: the log is closed and was written without an error.
 
     Attributes
     ----------
     reason
-        Why the acquisition ended, in one line.
+        Why the acquisition ended, in one line. It may have ended by itself, for example because the parent hangs.
     """
 
     reason: str

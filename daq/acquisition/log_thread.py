@@ -66,8 +66,8 @@ class LogSink:
     def __init__(self, limit: int = QUEUE_ITEMS) -> None:
         """Make an empty queue of data for the log.
 
-        `limit` is the largest number of reads and writes with raw bytes in it. Events are accepted up to twice this
-        number.
+        `limit` is the length of the queue from which on items with raw bytes are refused. Items without raw bytes, such
+        as events, are refused from twice this length on.
         """
         self._items: deque[LogItem] = deque()
         self._limit = limit
@@ -75,8 +75,8 @@ class LogSink:
     def put(self, item: LogItem) -> bool:
         """Append the bytes and samples of one read or write, or an event, to the queue of the log.
 
-        Return True, or False without appending it if the queue is full: it has `limit` items, or for an item without
-        raw bytes, such as an event, twice as many.
+        Return True. If the queue is full, the item is not appended, and False is returned. The queue is full for an
+        item with raw bytes if it has `limit` items, and for an item without, such as an event, if it has twice as many.
         """
         if len(self._items) >= (self._limit if item.raw else 2 * self._limit):
             return False

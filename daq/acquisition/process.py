@@ -127,8 +127,7 @@ class Process:
         """Run the acquisition until there is a reason to end, then command zero and close the log.
 
         The reasons are: the parent requests the end or is gone, the parent hangs while thrust is commanded, SIGTERM, or
-        an error. Each port and the log have
-        a thread of their own, which this method starts and ends.
+        an error. Each port and the log have a thread of their own, which this method starts and ends.
         """
         self._writer.start()
         for loop in self._loops.values():
@@ -203,9 +202,10 @@ class Process:
     def _send_heartbeat(self, at_once: bool = False) -> None:
         """Send a heartbeat to the watchdog, unless the thread of a port hangs. Stop thrust if the watchdog has failed.
 
-        Without heartbeats the watchdog kills this process and sends zero itself. The heartbeat contains whether thrust
-        is commanded, or zero not yet repeated. With `at_once` it is sent even if the last one was sent a moment ago.
-        Without a watchdog nothing happens. Thrust is stopped only while it is commanded or scheduled.
+        If the last heartbeat said that thrust is commanded and no other follows, the watchdog kills this process and
+        sends zero itself. The heartbeat contains whether thrust is commanded, or zero not yet repeated. With `at_once`
+        it is sent even if the last one was sent a moment ago. Without a watchdog, or if a thread hangs, nothing
+        happens. Thrust is stopped only while it is commanded or scheduled.
         """
         now = time.monotonic()
         if self._heartbeat is None or any(loop.is_stuck(now) for loop in self._loops.values()):
@@ -219,10 +219,11 @@ class Process:
     def _check_timeouts(self) -> None:
         """Request the end of the acquisition, or stop thrust, after a time-out or a failure.
 
-        The end is requested after SIGTERM and after a failure of the log. While thrust is commanded or scheduled, it is
-        also requested if no message of the parent, or no heartbeat of the mission's runner, has arrived for 0.25 s
-        (SILENCE_S, wall), and thrust is stopped if no data can be written to the log at present. The method must be
-        called after messages were received, so that a pause of this process does not count as one of the parent.
+        The end is requested after SIGTERM and after a failure of the log. Two further checks apply only while thrust is
+        commanded or scheduled. The end is requested if no message of the parent, or no heartbeat of the mission's
+        runner, has arrived for 0.25 s (SILENCE_S, wall). Thrust is stopped, but recording goes on, if no data can be
+        written to the log at present. The method must be called after messages were received, so that a pause of this
+        process does not count as one of the parent.
         """
         now = time.monotonic()
         if self._terminated:
@@ -282,7 +283,7 @@ class Process:
         """Append set-points of the parent to the schedules of the devices, and wake the threads of their ports.
 
         A schedule belongs to one device and has the commands by node; the parent sends them by name of the thruster.
-        They are ignored after this process has stopped thrust by itself. In each case the message also counts as a
+        The set-points are ignored after this process has stopped thrust by itself. In each case the message counts as a
         heartbeat of the mission's runner.
         """
         self._runner_seen = self._parent_seen
@@ -336,10 +337,11 @@ class Process:
         self._sink.put(LogItem("", "", b"", t, [(Frame(Event(kind, text), t, NAN), t)]))
 
     def _shut_down(self) -> None:
-        """Command zero, wait until it was repeated, end all threads, close the log and report the end to the parent.
+        """Command zero, wait until zero was repeated, end all threads, close the log and report the end to the parent.
 
-        Autopilots that this run has armed are disarmed. The heartbeats to the watchdog go on until the ports are
-        closed. If the parent is gone or hangs, so that it cannot print the last line of the run, it is printed here.
+        The wait for zero takes at most 3 s (`_may_close`). Autopilots that this run has armed are disarmed. The
+        heartbeats to the watchdog go on until the ports are closed. If the parent is gone or hangs, and therefore
+        cannot print the last line of the run, this method prints that line.
         """
         self._command_zero()
         self._send_heartbeat(at_once=True)
@@ -370,7 +372,8 @@ class Process:
     def _print_last_line(self) -> None:
         """Print the reason for the end and the path of the log to the terminal, because the parent cannot print it.
 
-        Nothing is printed if the terminal is closed or does not accept the text at once.
+        For a run with thrust, the line also says that zero was sent but is not confirmed. Nothing is printed if the
+        terminal is closed or does not accept the text at once.
         """
         unconfirmed = "zero thrust was sent, not confirmed: make sure that the propellers stand still; "
         thrust = unconfirmed if self._setpoints and self._role is LinkRole.DRIVE else ""

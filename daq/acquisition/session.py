@@ -63,8 +63,8 @@ class Acquisition:
     """Acquisition of all devices of a rig into a new log while the context lasts.
 
     It is done by a process of its own, the acquisition process; this class is its interface in the parent process. Any
-    thread may call the methods. All methods except `alive`, and a second call of `stop`, raise SeatrialError if the
-    process has failed.
+    thread may call the methods. If the process has failed, all methods raise SeatrialError, except `alive` and a second
+    call of `stop`.
 
     Parameters
     ----------
@@ -247,9 +247,10 @@ class Acquisition:
         self._send_message(LogEvent(kind, text))
 
     def stream(self, take: Callable[[Sequence[StreamedSample], int], None]) -> None:
-        """Pass all samples that are logged from now on to a function, up to twenty times a second.
+        """Pass all samples that are logged from now on to a function, every 50 ms (wall).
 
-        Samples of transducers are left out. A second call replaces the function.
+        One call of the function has at most 100 samples; the function may be called several times in a row. Samples of
+        transducers, and events, are left out. A second call of `stream` replaces the function.
 
         Parameters
         ----------

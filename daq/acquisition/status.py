@@ -131,7 +131,8 @@ class Status:
         Newest samples by `Source`: name of the device (and kind of the sample), and node. The node is None except for
         speed controllers and servo outputs.
     commanded
-        Command n_cmd, -1..1, of each thruster, as last sent; 0 before the first command.
+        Present command n_cmd, -1..1, of each thruster; 0 before the first command. It is 0 as soon as zero is
+        commanded; whether zero was sent is in `zeroed`.
     pending
         Number of set-points that wait for their time.
     path

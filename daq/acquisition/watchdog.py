@@ -175,8 +175,8 @@ class HeartbeatMonitor:
     def look(self, now: float, words: bytes | None) -> str | None:
         """Process the heartbeats that the watchdog has received, and decide whether it must step in and command zero.
 
-        It steps in only while thrust is commanded: if the socket is closed, or after 0.6 s (`HANG_S`, wall) without a
-        heartbeat. A pause of the watchdog itself does not count.
+        The watchdog steps in only while thrust is commanded, and then if the socket is closed, or after 0.6 s
+        (`HANG_S`, wall) without a heartbeat. A pause of the watchdog itself does not count.
 
         Parameters
         ----------
@@ -220,8 +220,8 @@ class FailsafeSender(threading.Thread):
     Attributes
     ----------
     outcome : str
-        Result in words: "not tried", "zero thrust was sent" with the device's confirmation, or with the words that it
-        is missing (`DeviceDriver.confirmation`), or the last error of the port.
+        Result in words. It is "not tried" at first, and the last error of the port after a failure. After success it is
+        "zero thrust was sent", and after that whether the device has confirmed this (`DeviceDriver.confirmation`).
     """
 
     def __init__(self, device: Device, rig: Rig) -> None:
@@ -307,7 +307,7 @@ def main() -> None:
 
     The argument of this process is the file descriptor of the socket. If the acquisition process dies or hangs while
     thrust is commanded, zero is sent to its thrusters. If the hardware watchdog of the rig cannot be opened, this is
-    reported to the acquisition process, and the watchdog ends. Ctrl-C and SIGTERM are ignored.
+    reported to the acquisition process, and the watchdog ends. Ctrl-C, SIGTERM and SIGHUP are ignored.
     """
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # the watchdog ends only when the acquisition process has ended

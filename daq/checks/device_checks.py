@@ -150,10 +150,10 @@ def _check_rate(source: str, device: Device | None, log: Log, tables: Tables, ga
     """Compare the rate of the samples of one device with `rate_hz` of the rig, and yield the finding.
 
     A fault is a difference of more than 20 %, fewer than three samples, or samples of one time only. Of an autopilot or
-    NMEA 2000 bus not all samples count (`_rated_times`). Those of an autopilot are its attitudes after the first third
-    of the log (at most 10 s), in which it still sends at its own rates. The rate of an autopilot in a log imported from
-    a tlog is reported and not compared. The samples of all controllers of a bus count together. A device without tables
-    has no finding, except an autopilot.
+    NMEA 2000 bus not all samples count (`_rated_times`). Of an autopilot only the attitudes count. Its attitudes in the
+    first third of their time, at most in the first 10 s, are left out, because the autopilot then still sends at its
+    own rates. The rate of an autopilot in a log imported from a tlog is reported and not compared. The samples of all
+    controllers of a bus count together. A device without tables has no finding, except an autopilot.
 
     Parameters
     ----------
@@ -166,8 +166,8 @@ def _check_rate(source: str, device: Device | None, log: Log, tables: Tables, ga
     tables : Tables
         Tables of samples of the device: kind of sample, name in findings, table.
     gaps_known : bool
-        Whether another finding reports missing sections. They are then left out of the rate if it is as expected
-        without them.
+        Whether another finding reports missing sections. If the rate without these sections is as expected, that rate
+        is then used.
     """
     # In an imported tlog the ground station has set the rates, so that `rate_hz` does not apply.
     ours = device is not None and (device.protocol != "mavlink" or log.metadata.get("import") != "mavlink")
@@ -389,9 +389,9 @@ def _check_gnss(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
     """Check the fixes and satellites of a GNSS receiver in a log, and yield the findings.
 
     Warnings are positions at 0 N 0 E, more than 5 % of the samples without a position, and a median below 6 satellites.
-    It is a fault if no sample has a position. A sample has one if its `fix` is 2 or more and it is not at 0 N 0 E.
-    Satellites count in samples with a position only, and unreported ones (-1) do not. `table` has the samples of the
-    receiver, `name` is the device in the findings, and `rig` is not used.
+    It is a fault if no sample has a position. A sample has a position if its `fix` is 2 or more and it is not at 0 N 0
+    E. The median of the satellites is over samples with a position that report a number of satellites (not -1). `table`
+    has the samples of the receiver, `name` is the device in the findings, and `rig` is not used.
     """
     at_zero = (table["fix"] >= 2) & (table["lat"] == 0.0) & (table["lon"] == 0.0)
     if at_zero.any():

@@ -58,10 +58,10 @@ class HeldValues(NamedTuple):
 def held_values(columns: Sequence[FloatArray]) -> HeldValues | None:
     """Decide whether a table repeats each measurement of a slow sensor in several rows, by the values of the sensor.
 
-    It does if at least 15 % of the rows repeat the row before, at least 15 % of the values stay for more than one row,
-    changes follow each other at a regular pace (80 % of the distances), and the resolution of the sensor does not
-    explain the repeats: at most half of the changes are by one step of it, and the repeats are at least twice as many
-    as these.
+    The table does so if four conditions are fulfilled. At least 15 % of the rows repeat the row before. At least 15 %
+    of the values stay for more than one row. Changes follow each other at a regular pace (80 % of the distances). The
+    resolution of the sensor does not explain the repeats: at most half of the changes are by one step of the
+    resolution, and the repeats are at least twice as many as these changes.
 
     Parameters
     ----------
@@ -142,9 +142,9 @@ def held_signals(t: FloatArray, signals: Mapping[str, FloatArray]) -> dict[str, 
 def is_measured(levels: FloatArray, interval: float) -> bool:
     """Return whether a held input comes from a sensor or a joystick, and is not a sequence of commanded steps.
 
-    It has at least 50 values, of which more than half are different, and at most 1.05 s between two of them. Equal
-    values that follow each other count once. Measurements may be interpolated; interpolation would turn commanded steps
-    into ramps.
+    The result is True if the input has at least 50 values, of which more than half are different, and `interval` is at
+    most 1.05 s. Equal values that follow each other count once. Measurements may be interpolated; interpolation would
+    turn commanded steps into ramps.
 
     Parameters
     ----------
@@ -172,8 +172,7 @@ def group_held_signals(found: Mapping[str, HeldValues]) -> list[tuple[str, HeldV
     -------
     list
         For each group the names, joined by commas, and the result for the first of them. Groups and names keep the
-        order of
-    `found`.
+        order of `found`.
     """
     groups: dict[int, list[str]] = {}
     for name, held in found.items():

@@ -66,8 +66,9 @@ def parse_rig(text: str, source: Path | str, *, recorded: bool = False) -> Rig:
         Path of the file, which error messages name. The file itself is not read. Relative paths in the text count from
         its folder.
     recorded
-        True if the text comes from a log. A protocol that is not installed here is then accepted, because the log
-        contains its decoded samples, and the options of that device are not checked.
+        True if the text comes from a log. A protocol that is unknown or not installed here is then accepted, because
+        the log contains its decoded samples. The options of a device with an unknown protocol are not checked. Ports
+        are not checked, and a DBC file need not exist.
 
     Raises
     ------
@@ -253,7 +254,7 @@ def _read_device(table: TomlTable, folder: Path, recorded: bool) -> Device:
 
     A protocol that is unknown or not installed, and a DBC file that does not exist, raise SeatrialError. If `recorded`
     is true, the rig file comes from a log, and these are accepted. The options of an unknown protocol are then neither
-    read nor checked.
+    read nor checked, and `port` is returned as written, without a check.
     """
     name = _read_topic_name(table)
     protocol = table.text("protocol")
@@ -340,7 +341,8 @@ def read_protocol_options(table: TomlTable, names: Sequence[str], folder: Path) 
     -------
     dict
         Fields of `seatrial.daq.rig.Device` by name. Keys that only a protocol of another package has are together in
-        the field `settings`, unchecked. The field is missing if the table has no such key.
+        the field `settings`. Their values must be texts, finite numbers or booleans, and are not checked further. The
+        field is missing if the table has no such key.
 
     Raises
     ------
@@ -413,8 +415,9 @@ def _read_calibration(table: TomlTable, folder: Path) -> dict[str, Any]:
     """Return {"calibration": LoadCellCalibration} from the table [device.calibration] of a load cell.
 
     The force is (counts - zero_counts) * newton_per_count * lever_ratio; only the gain `newton_per_count` is required.
-    `zero_counts` is 0 and `lever_ratio` 1 by default; their standard deviations are None if missing. The dictionary is
-    empty if there is no such table. A gain of zero raises SeatrialError. `folder` is not used.
+    `zero_counts` is 0 and `lever_ratio` 1 by default. The standard deviations `newton_per_count_sd` and
+    `lever_ratio_sd` are None if missing. The dictionary is empty if there is no such table. A gain of zero, and a
+    `lever_ratio` that is not positive, raise SeatrialError. `folder` is not used.
     """
     inner = table.table("calibration")
     if inner is None:

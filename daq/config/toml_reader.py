@@ -254,7 +254,7 @@ class TomlTable:
         return tuple(value)
 
     def table(self, key: str) -> TomlTable | None:
-        """Return the sub-table of a key, or None if the key is missing. Any other value raises SeatrialError.
+        """Return the sub-table of a key, or None if the key is missing. A value that is no table raises SeatrialError.
 
         The keys of the sub-table do not count as read; the caller calls its own `done`.
         """
@@ -289,7 +289,7 @@ class TomlTable:
     def _to_finite(self, key: str, value: object) -> float:
         """Return a value as a finite float. For any other value raise SeatrialError with the name of `key`.
 
-        Other values are booleans, texts, nan, inf, and whole numbers too large for a float.
+        Other values are for example booleans, texts, lists, nan, inf, and whole numbers too large for a float.
         """
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise self.error(key, f"must be a number, not {_describe_value(value)}")

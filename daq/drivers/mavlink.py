@@ -251,11 +251,12 @@ class MavlinkDriver(DeviceDriver):
     def _receive_answer(self, m: Any) -> None:
         """Process the autopilot's answer to a command (message COMMAND_ACK `m`).
 
-        Only an answer to the first command of the queue counts, and not the answers to other ground stations. If a
-        request of the operator was temporarily rejected, it is sent again, up to 4 times in all (TRIES). "In progress"
-        is ignored. Otherwise the command is removed from the queue. The answer to a request of the operator is then
-        stored and logged. A message rate that is not accepted, also temporarily, is logged, and requested again at half
-        the rate only if it was denied. In the role RESCUE, an accepted disarming is stored for `confirmation`.
+        Answers to other ground stations are ignored. In the role RESCUE, an accepted disarming is stored for
+        `confirmation`, whatever the queue contains. Apart from this, only an answer to the first command of the queue
+        counts, and only if this command was sent already. If a request of the operator was temporarily rejected, it is
+        sent again, up to 4 times in all (TRIES). "In progress" is ignored. Otherwise the command is removed from the
+        queue. The answer to a request of the operator is then stored and logged. A message rate that is not accepted,
+        also temporarily, is logged, and requested again at half the rate only if it was denied.
         """
         if m.target_system not in (0, self._codec.system):
             return  # this is the answer to another ground station
@@ -585,7 +586,7 @@ class MavlinkDriver(DeviceDriver):
         """Return the fault in the signing of the autopilot's frames, in one line for the user; empty if there is none.
 
         Either the autopilot signs its frames and the rig has no key, or its frames are not signed with the key of the
-        rig.
+        rig. The first fault is not reported in the role LISTEN, in which nothing is sent.
         """
         decoder = self._decoder
         if self._role is not LinkRole.LISTEN and decoder.signed and not self._codec.signs:

@@ -90,8 +90,8 @@ class Setpoints:
     def is_settled(self, now_wall: float) -> bool:
         """Return whether thrust has ended: the last zero was written to the port and repeated for 0.5 s (ZERO_FOR_S).
 
-        It is False while a command other than zero holds or a set-point is scheduled. It is True if no node ever had a
-        command. `now_wall` is wall time [s].
+        The result is False while a command other than zero holds or a set-point is scheduled. It is True if no node
+        ever had a command and no set-point is scheduled. `now_wall` is wall time [s].
         """
         with self._lock:
             waiting = bool(self._zeroed) or self._unwritten or now_wall < self._repeat_until

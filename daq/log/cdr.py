@@ -237,7 +237,7 @@ class CdrLayout:
         Raises
         ------
         ValueError
-            If the message ends before its last field.
+            If the message ends before the end of its last field.
         """
         parts, at = [], self.dtype.itemsize
         for field in self.tail:

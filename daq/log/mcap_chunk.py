@@ -227,8 +227,8 @@ def scan(chunks: list[tuple[Buffer, bytes]], register: Callable[[int, bytes], No
     Notes
     -----
     Index entries beyond the end of a chunk are ignored. If another entry is not the offset of a whole message, or its
-    message overlaps another one, all entries of its chunk are ignored. Bytes between used entries are scanned record by
-    record, up to an invalid record.
+    message overlaps another one, all entries of its chunk are ignored. All bytes outside the messages of the used
+    entries are scanned record by record. An invalid record ends the scan up to the next used entry or the next chunk.
     """
     buffer = chunks[0][0] if len(chunks) == 1 else np.concatenate([data for data, _ in chunks])
     bounds = np.cumsum([0, *(len(data) for data, _ in chunks)])
@@ -305,8 +305,9 @@ def _read_gap(view: memoryview, at: int, stop: int, register: Callable[[int, byt
 def rows_at(buffer: Buffer, offsets: Offsets, dtype: np.dtype[Any]) -> NDArray[Any]:
     """Return the items of the numpy type `dtype` that begin at the `offsets` of a byte buffer, shape (n,).
 
-    The items are copied, in the order of the offsets, and may overlap. All items must lie within the buffer; otherwise
-    IndexError is raised. Without offsets the result is empty.
+    The items are copied, in the order of the offsets, and may overlap. Without offsets the result is empty. An item
+    that goes beyond the end of the buffer raises IndexError, or ValueError if the buffer is shorter than one item. The
+    offsets must not be negative; this is not checked.
     """
     return _records_at(buffer, offsets, dtype.itemsize).view(dtype) if len(offsets) else np.zeros(0, dtype)
 

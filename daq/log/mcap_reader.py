@@ -102,7 +102,8 @@ class RawLog:
     channels, schemas
         Channel and schema records by number.
     metadata, attachments
-        Metadata and attachment records of the file, except damaged ones and those beyond 64 MiB (MAX_HELD_BYTES).
+        Metadata and attachment records of the file, except damaged ones. A record is also left out if all kept records
+        together, schemas and channels included, would then be larger than 64 MiB (MAX_HELD_BYTES).
     counts
         Number of messages of each channel, by number of the channel. Channels without messages are absent.
     span_ns
@@ -187,7 +188,7 @@ class RawLog:
         Raises
         ------
         SeatrialError
-            If the disk fails, or if the file was replaced by another file.
+            If the disk fails, or if a closed file cannot be opened again or was replaced by another file.
         """
         if self._fd < 0:
             self._fd, _, same = self._open()
@@ -279,11 +280,12 @@ class RawLog:
                 self._read_chunk(number)
 
     def _chunks_to_read(self, ids: NDArray[np.uint16], begin_ns: int, end_ns: int) -> Offsets:
-        """Return the numbers of the undamaged chunks that may have messages of some channels and log times, shape (n,).
+        """Return the numbers of the chunks that may have messages of some channels and log times, shape (n,).
 
         The numbers ascend, as in the file. `ids` are the numbers of the channels. A chunk counts if its span of log
         times [ns since 1970] overlaps the interval from `begin_ns` to `end_ns`, both ends included. A chunk without
-        message indexes may have messages of all channels.
+        message indexes may have messages of all channels. Chunks that are left out, or that an earlier read has found
+        damaged, do not count.
         """
         chunk, channel = self._chunk_channels
         wanted = self._unindexed.copy()
@@ -323,7 +325,8 @@ class RawLog:
         Raises
         ------
         ValueError, or another error in DAMAGE (errors that damaged bytes cause)
-            If the chunk is damaged or was left out. The first time a warning is added.
+            If the chunk is damaged or was left out. When a chunk is found damaged for the first time, a warning is
+            added.
         """
         if number in self._cache:
             return self._cache[number]
@@ -425,11 +428,12 @@ class RawLog:
         return True
 
     def _read_records(self) -> None:
-        """Build the index of an MCAP file without a summary: read all its records in order, and then the chunks.
+        """Build the index of an MCAP file without a valid summary: read all its records in order, and then its chunks.
 
-        After an unknown opcode or a length beyond the file, the search continues at the next whole zstd chunk. A record
-        with damaged content alone is left out. The first footer ends the search. Messages without a channel record are
-        not counted. All these faults, and a missing footer, cause warnings.
+        After an unknown opcode or a length beyond the file, the search continues at the next whole zstd chunk. If only
+        the content of a record is damaged, only this record is left out. The first footer ends the search. Messages
+        without a channel record are not counted. All these faults, and a missing footer, cause warnings. If the file is
+        undamaged but has no footer, most chunks are counted by their message indexes and not read here.
         """
         whole = self._find_records(found := _FoundChunks(), len(MCAP0_MAGIC))
         self._chunks, self._seen = found.chunks(), np.zeros(len(found.at), np.int8)
@@ -445,7 +449,9 @@ class RawLog:
     def extend(self) -> bool:
         """Add the whole records that were appended to a file since it was opened as `growing`, or since the last call.
 
-        Return whether there were any. A complete file has none. Raise SeatrialError if the file was replaced.
+        Return whether there were any. The result is False, and the file is not read, if it is complete or was not
+        opened as `growing`. Raise SeatrialError if the file was closed since (`close`) and another file has replaced
+        it.
         """
         if self.complete or not self._growing:
             return False
@@ -462,8 +468,8 @@ class RawLog:
     def _find_records(self, found: _FoundChunks, at: int) -> bool:
         """Read the records of the file in order from byte `at` on, and add its chunks to `found`.
 
-        Other records than chunks, messages and message indexes are kept, if they describe the file. `_read_to` becomes
-        the byte at which the search stops. Return whether no part was damaged; a cut end is no damage.
+        Header, schema, channel, attachment and metadata records are kept (`_keep_record`). `_read_to` becomes the byte
+        at which the search stops. Return whether no part was damaged; a cut end is no damage.
         """
         whole, size = True, self._size
         while at + HEADER <= size:
@@ -500,9 +506,9 @@ class RawLog:
         """Read the chunks of the MCAP file to count the messages of each channel and to find the channels.
 
         `found` has the chunks with their message indexes; the first of them has the number `first`. With `only_new`, a
-        chunk is not read if it has message indexes and they contain only channels that earlier chunks have; its
-        messages are counted by the indexes. The last chunk is always read, because it may be cut. If the file has too
-        many messages, the remaining chunks are left out, with a warning.
+        chunk is not read if it has message indexes and they contain only channels that are known already; its messages
+        are counted by the indexes. The last chunk is always read, because it may be cut. If the file has too many
+        messages, the remaining chunks are left out, with a warning.
         """
         self._unindexed = np.append(self._unindexed[:first], np.ones(len(self._chunks) - first, bool))
         pairs: tuple[list[int], list[int]] = ([], [])
@@ -634,7 +640,7 @@ class RawLog:
     def _keep_definition(self, opcode: int, data: bytes) -> None:
         """Decode and keep a schema or channel record of the file by its opcode and content. Warn if it is damaged.
 
-        It replaces an earlier record of the same number. A record is left out without a warning if the kept records
+        The record replaces an earlier record of the same number. It is left out without a warning if the kept records
         would be larger than 64 MiB.
         """
         try:

@@ -102,8 +102,9 @@ class LogWriter:
     Raises
     ------
     SeatrialError
-        If the file cannot be created. After a failed write the file is closed, and has a footer if the reserved disk
-        space (ballast) had room for it. Every later call of `channel`, `add`, `tick` or `flush` raises the same error.
+        If the file cannot be created, or if a later write fails. After a failed write the file is closed. It then has a
+        footer only if the disk was full and the reserved disk space (ballast) had room for the footer. Every later call
+        of `channel`, `add`, `tick` or `flush` raises the same error.
     """
 
     def __init__(
@@ -117,7 +118,7 @@ class LogWriter:
         """Create the file of a log and write its header, metadata and attachments.
 
         `metadata` and `attachments` are by name; `time_ns` is the time of the attachments [ns since 1970]. Raise
-        SeatrialError if the file exists or cannot be created.
+        SeatrialError if the file exists, or cannot be created or written.
         """
         self.path = path
         try:
@@ -275,8 +276,8 @@ class LogWriter:
         Raises
         ------
         SeatrialError
-            If the end of the file could not be written. If the disk is full and the reserved space had room for it,
-            `DiskFull` is raised too, with `complete` true.
+            If the end of the file could not be written or synced. If the disk is full but the reserved space had room
+            for the end, the file is complete; `DiskFull` with `complete` true is raised nevertheless.
         """
         if self._closed:
             return

@@ -129,8 +129,9 @@ class Log:
     def extend(self) -> bool:
         """Add the messages that were written to a growing log since it was opened or since the last call.
 
-        Return whether anything was added. Parts of the log (`part`) that exist already do not change. A segment that a
-        recorder has started since is not added: open the log again.
+        Return whether anything was added. `start` and `end` of views (`part`) that exist already do not change, but
+        their methods find the new messages in their interval. Tables that `keeping_tables` keeps do not change. A
+        segment that a recorder has started since is not added: open the log again.
 
         Raises
         ------
@@ -171,10 +172,11 @@ class Log:
     def part(self, begin: float, end: float) -> Log:
         """Return a view of the log with the messages of an interval of time only.
 
-        Messages outside the interval are not read. `start` and `end` are the limits of the interval, cut to the log; if
-        it begins after the log, both are `begin`. `counts`, `types`, `sources`, `nodes` and `sha256` remain those of
-        the whole log. The view uses the same open files as the log. A part of a view has only the overlap of both
-        intervals.
+        Messages outside the interval are not read. `start` and `end` are the limits of the interval, cut to the log. If
+        the interval begins after the log, both are `begin`. If the interval ends before the log, `start` is the start
+        of the log, and `end` is the earlier end of the interval. `counts`, `types`, `sources`, `nodes` and `sha256`
+        remain those of the whole log. The view uses the same open files as the log. A part of a view has only the
+        overlap of both intervals.
 
         Parameters
         ----------
@@ -518,8 +520,8 @@ class Log:
         """Read the samples of all topics of the log in one pass, because each chunk of the file contains all topics.
 
         `span` is the interval of log times [ns since 1970]. Return a structured array (n,) by topic and interval.
-        Topics with errors are left out. `table` then reads the topic alone and raises the error. So it does with an
-        AHRS without ascending sequence numbers, which it then reads without companion topics.
+        Topics with errors are left out. `table` then reads the topic alone and raises the error. An AHRS without
+        ascending sequence numbers is left out too. `table` then reads this AHRS alone, without its companion topics.
         """
         rows: dict[str, _TopicTable] = {}
         for kind in (*MEASURED, Command):

@@ -163,8 +163,9 @@ class Recorder:
         frame
             The sample with its time of receipt.
         t
-            Estimated time of the sample by the run clock [s since 1970]. NaN stands for the time of receipt. Events and
-            counters are logged at `t`, as by `event` and `health`; their time of receipt is not used.
+            Estimated time of the sample by the run clock [s since 1970]. NaN stands for the log time (time of receipt,
+            but never earlier than the log time of the message before). Events and counters are logged at `t`, as by
+            `event` and `health`; their time of receipt is not used.
 
         Raises
         ------

@@ -176,10 +176,10 @@ def _ahrs_topics(device: str) -> tuple[str, str, str, str]:
 def _ahrs_messages(device: str, s: Ahrs, times: tuple[float, float]) -> list[Message]:
     """Return the messages of a sample of an AHRS: device times, Imu and, if any part of it is known, magnetic field.
 
-    `times` are t_rx and t_device [s]. The covariances of the Imu message mark unknown quantities: -1 in the first
-    element of the orientation if no angle is known, and of rates or accelerations if one of the three is unknown; and
-    a variance of 1e6 rad2 for each unknown angle beside a known one, which is written as 0, such as roll and pitch of
-    a compass.
+    `times` are t_rx and t_device [s]. The covariances of the Imu message mark unknown quantities. The first element for
+    the orientation is -1 if no angle is known. The first element for the rates, or for the accelerations, is -1 if one
+    of the three is unknown. If only some angles are known, as by a compass, each unknown angle has the variance 1e6
+    rad2. An unknown angle is written as 0.
     """
     frame_id, time, imu, mag = _ahrs_topics(device)
     whole = not math.isnan(s.yaw + s.pitch + s.roll)
@@ -219,9 +219,9 @@ def _partial_covariance(yaw: bool, pitch: bool, roll: bool) -> bytes:
 def _gnss_messages(device: str, s: Gnss) -> list[Message]:
     """Return the standard ROS messages of a GNSS sample: NavSatFix, and TwistStamped for a known velocity.
 
-    TwistStamped needs a fix and a velocity north and east; an unknown velocity down becomes zero. The status of the fix
-    is -1 for `fix` below 2, 2 from 4 on, and else 0. The variance of the position is `sigma_h` squared, four times as
-    much vertically; without `sigma_h` the variances are marked as unknown.
+    TwistStamped needs a `fix` other than 0 and a velocity north and east; an unknown velocity down becomes zero. The
+    status of the fix in NavSatFix is -1 for `fix` below 2, 0 for 2 and 3, and 2 from 4 on. The variance of the position
+    is `sigma_h` squared, four times as much vertically; without `sigma_h` the variances are marked as unknown.
     """
     # NavSatStatus: -1 no fix, 0 fix, 2 ground-based augmentation (differential and RTK); service 1 is GPS.
     status = -1 if s.fix < 2 else 2 if s.fix >= 4 else 0

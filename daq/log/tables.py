@@ -117,7 +117,7 @@ def log_tables(log: Log, unreadable: Callable[[SeatrialError], None] | None = No
 
     `Esc`, `Command` and `Servo` have a table for each controller or servo output, other classes one for each device or
     signal. A device with samples of several classes has a table for each class. Each table is read when it is yielded.
-    signal. A table that cannot be read raises SeatrialError. With the function `unreadable`, it is left out and the
+    A table that cannot be read raises SeatrialError. With the function `unreadable`, the table is left out and the
     error is passed to this function.
     """
     for kind in KINDS:
@@ -223,8 +223,9 @@ def _hold_last_value(grid: Array, t: Array, values: Array) -> Array:
 def _average_and_interpolate(grid: Array, t: Array, values: Array, step: float, period: float) -> Array:
     """Average the samples nearest to each time of the grid, and interpolate the averages linearly to the grid.
 
-    An average stands at the mean time of its samples, which may differ from the time of the grid. Before the first and
-    after the last average, the result is this average.
+    An average stands at the mean time of its samples, which may differ from the time of the grid. At times from the
+    first sample to the first average, the result is the first average. At times from the last average to the last
+    sample, the result is the last average.
 
     Parameters
     ----------

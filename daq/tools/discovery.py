@@ -240,8 +240,9 @@ def identify_protocol(
 ) -> DiscoveredDevice:
     """Identify the device at a serial port by listening at one baud rate after the other.
 
-    The search ends at the first baud rate at which a protocol fits; the best one there is returned. It also ends if no
-    byte arrives at the first baud rate. No byte is sent, because the device is unknown and may react to it.
+    The search ends at the first baud rate at which a protocol fits; the best protocol there is returned. The search
+    also ends if no byte arrives at the first baud rate, or if the port fails. No byte is sent, because the device is
+    unknown and may react to it.
 
     Parameters
     ----------

@@ -44,7 +44,8 @@ def export_log(log: Log, form: str, folder: Path, force: bool = False) -> list[P
     Raises
     ------
     SeatrialError
-        If the log has no samples, a file exists already or cannot be written, or a package is not installed.
+        If the log has neither samples nor events, if a file exists already or cannot be written, or if a package is not
+        installed. For other formats than CSV and Parquet also if the log has only events.
     """
     if form not in ("csv", "parquet"):
         return [export_resampled(log, form, folder, DEFAULT_RATE_HZ, force)]
@@ -74,8 +75,8 @@ def export_log(log: Log, form: str, folder: Path, force: bool = False) -> list[P
 def export_resampled(log: Log, form: str, folder: Path, rate: float, force: bool = False) -> Path:
     """Write the whole log as one resampled table, and return the file.
 
-    Commands, states and other held values keep the last sample. Other quantities are averaged over the samples around
-    each time, or interpolated linearly if there is none; they are NaN in long gaps (`resample`).
+    Commands, states and other held values keep the last sample. Other quantities are averaged over the samples nearest
+    to each time, and the averages are interpolated linearly to the times. They are NaN in long gaps (`resample`).
 
     Times are seconds since 1970: ``t`` in CSV, Parquet and MATLAB, the coordinate ``time`` in NetCDF. The units are in
     the column heads of CSV, the metadata of the columns of Parquet, the struct ``units`` of MATLAB, and the attributes

@@ -41,7 +41,8 @@ def escape(text: str) -> str:
 def show_log(log: Log, console: Console) -> None:
     """Print the content of a log: duration, metadata, topics with rates, port counters, events and warnings.
 
-    If `log.path` is a later segment of a log, a line names the first segment. A log without messages has no topics.
+    If `log.path` is a later segment of a log whose first segment exists, a line names the first segment. A log without
+    messages has no topics.
     Metadata are shown only if they are in the table _ABOUT, and the clock speed only if it is not 1. The warnings
     include times that ran back on a topic.
     """

@@ -44,7 +44,8 @@ _FOXGLOVE = "the live view needs the package foxglove-sdk: pip install 'seatrial
 class LiveServer:
     """WebSocket server of the newest samples for Foxglove, within a `with` block, at the address in `rig.live`.
 
-    The server sends the newest sample of each source twenty times a second. Only the log has all samples.
+    Twenty times a second the server sends the newest sample of each source, if it was not sent before. Only the log has
+    all samples.
 
     Parameters
     ----------
@@ -253,8 +254,8 @@ class OriginGate:
 
         A client that asks for no WebSocket, such as a browser, gets a page that explains the port.
         Only the head of the first request of a connection is checked.
-        `reader` and `writer` are the ends of the connection with the client. It is closed without a reply if the head
-        of the request is larger than 16 kB or takes longer than 5 s.
+        `reader` and `writer` are the ends of the connection with the client. The connection is closed without a reply
+        if the head of the request is larger than 16 kB or takes longer than 5 s.
         """
         try:
             head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), HEAD_S)

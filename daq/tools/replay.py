@@ -56,7 +56,7 @@ def replay_log(
     devices
         Names of the devices to replay; empty for all devices with raw bytes.
     folder
-        Folder of the ports and of the rig file. Both are deleted at the end.
+        Folder of the ports and of the rig file. The ports and the rig file are deleted at the end; the folder stays.
     speed
         Recorded seconds in one second of wall time.
     said
@@ -138,7 +138,7 @@ class ReplayFolder:
         """
 
         def write() -> None:
-            """Create the file of the replay, unless a file or link of this name exists, and write the text."""
+            """Create the file of the replay and write the text. Raise FileExistsError if its name exists already."""
             fd = os.open(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o644, dir_fd=self._fd)
             with os.fdopen(fd, "w", encoding="utf-8") as file:
                 file.write(text)
@@ -324,8 +324,8 @@ class ReplayPort:
     def has_host(self) -> bool:
         """Return whether a program, the host, has opened the port of the replay.
 
-        The first time, the method waits 0.1 s, in which the host configures the port. Then this process keeps the
-        host's end open, too, so the result stays true.
+        When the method finds the port opened for the first time, it waits 0.1 s, in which the host configures the port.
+        Then this process keeps the host's end open, too, so the result stays true.
         """
         if self._slave >= 0:
             return True
@@ -371,7 +371,7 @@ def write_replay_rig(log: Log, devices: Sequence[str], folder: ReplayFolder, spe
     Raises
     ------
     SeatrialError
-        If a file of this name exists already.
+        If a file of this name exists already, or if the file cannot be written.
     """
     try:
         text = _replay_rig_text(log, devices, speed)

@@ -181,7 +181,7 @@ class Ros2Node:
         Parameters
         ----------
         samples
-            New samples. Those that do not fit into the queue (5000) are lost, the newest ones.
+            New samples. If the queue (at most 5000 samples) has no room for all, the last ones of them are lost.
         dropped
             Total number of samples that were lost before this queue, so far.
         """

@@ -32,8 +32,8 @@ class Port(ABC):
     unparsed_bytes : int
         Read bytes that the port itself has discarded, for example datagrams of other senders.
     hint : str
-        Advice to the user on the port, in one line; empty without advice. It is set when the port is opened, and by an
-        slcan adapter that refuses its settings also later.
+        Advice to the user on the port, in one line; empty without advice. It is set when the port is opened. An slcan
+        port also sets it later, if the adapter refuses its settings.
     """
 
     def __init__(self) -> None:

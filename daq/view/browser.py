@@ -16,10 +16,11 @@ from seatrial.daq.child_process import module_command, module_environment
 
 
 def prepare_browser() -> Callable[[str], None]:
-    """Return a function that opens an address in the browser of the user. It does nothing on a computer without screen.
+    """Return a function that opens an address in the browser of the user.
 
-    The function may be called in a child process with limits: the process that starts the browser is started here, and
-    waits for the address. It ends with the command. A failure to open the browser is not reported.
+    On a computer without a screen the function does nothing. Otherwise a process that starts the browser is started
+    here. This process waits for the address and ends then, or when the command ends. The function may therefore be
+    called in a child process with limits. It may be called only once. A failure to open the browser is not reported.
     """
     has_screen = sys.platform == "darwin" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     if not has_screen:  # a browser in the terminal would take over the terminal of the command
@@ -34,7 +35,7 @@ def prepare_browser() -> Callable[[str], None]:
     )
 
     def show(address: str) -> None:
-        """Open an address in the browser."""
+        """Send an address to the process that opens it in the browser. No error is reported. Call this only once."""
         assert process.stdin is not None
         with contextlib.suppress(OSError):
             process.stdin.write(f"{address}\n".encode())

@@ -17,10 +17,28 @@ HIDDEN = ("t", "t_rx", "t_device", "utc", "node")  # columns that are times or n
 
 
 class Columns:
-    """Samples of one table of the log: an array for each column, to which samples are appended."""
+    """Samples of one table of the log in memory: an array for each column, to which samples are appended.
+
+    Columns of other times than `t`, and the column of the node, are left out.
+
+    Attributes
+    ----------
+    kind, source, title, device, topic
+        Class of the samples, name of device or signal, and texts of the page (`TableRow`).
+    units
+        Unit of each column that has one.
+    held
+        Whether the values stay constant until the next sample.
+    gap, gap_at
+        Longest time between two samples [s], and the time at which it begins [s since 1970]; NaN with fewer than two
+        samples. Samples that were dropped (`drop_before`) count too.
+    """
 
     def __init__(self, table: LogTable, title: str, device: str, topic: str) -> None:
-        """Begin without samples. `table` gives the names and units of the columns."""
+        """Begin without samples. `table` gives the names and units of the columns; its rows are not appended.
+
+        `title`, `device` and `topic` are texts for the page.
+        """
         self.kind, self.source, self.title, self.device, self.topic = table.kind, table.source, title, device, topic
         self.units, self.held = table.units, table.held
         names = [name for name in table.rows.dtype.names or () if name not in HIDDEN]
@@ -31,7 +49,11 @@ class Columns:
         self.gap, self.gap_at = math.nan, math.nan
 
     def append(self, rows: NDArray[np.void]) -> None:
-        """Append the next samples of the table (n,). A time before the last one is replaced by it."""
+        """Append the next samples of the table (n,), whose times must not decrease.
+
+        A time before that of the last sample of an earlier call is replaced by the time of that sample. `gap` and
+        `gap_at` are updated.
+        """
         n, before = self._n + len(rows), self.t[-1:]
         if not len(rows):
             return
@@ -61,7 +83,7 @@ class Columns:
         return self._all["t"][: self._n]
 
     def values(self, name: str) -> Array:
-        """Return the values of a column, shape (n,)."""
+        """Return the values of a column, shape (n,). Raise KeyError if there is no such column."""
         return self._all[name][: self._n]
 
     @property
@@ -70,13 +92,17 @@ class Columns:
         return 8 * self._n * len(self._all)
 
     def is_step(self, name: str) -> bool:
-        """Return whether the value of a column stays constant until its next sample."""
+        """Return whether the value of a column stays constant until its next sample.
+
+        This is so for all columns of a held table, and for whole numbers. The result is False for an unknown name.
+        """
         return name in self._steps
 
     def longest(self, name: str) -> float:
-        """Return the longest time between two samples of a column that is no gap [s]; infinite for held columns.
+        """Return the longest time between two samples of a column that is no gap [s].
 
-        It is computed again when the number of samples has grown by a quarter.
+        The result is infinite for a column with `is_step`, and with fewer than three finite values. Otherwise it is
+        that of `longest_period`. It is computed again only when the number of samples has grown by more than a quarter.
         """
         if name in self._steps:
             return math.inf
@@ -100,7 +126,10 @@ class Columns:
         ]
 
     def row(self, zero: float, end: float, expected: float) -> TableRow:
-        """Return the row of the page about this table. `zero` and `end` of the log are in s since 1970."""
+        """Return the row of the page about this table.
+
+        `zero` and `end` are time zero and the end of the log [s since 1970]. `expected` is the expected rate [Hz].
+        """
         t = self.t
         span = float(t[-1] - t[0]) if len(t) else 0.0
         recent = t[np.searchsorted(t, end - RECENT_S) :]

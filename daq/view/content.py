@@ -8,7 +8,10 @@ WAITING, LIVE, WHOLE, CUT = "waiting", "live", "whole", "cut off"  # states of a
 
 
 class SignalRow(Struct):
-    """One signal in the list of the page: its id for requests, its name, its unit, and whether its value is held."""
+    """One signal in the list of the page: its id for requests, its name, its unit, and whether its value is held.
+
+    The id is TOPIC:COLUMN. The value of a held signal stays constant until the next sample.
+    """
 
     id: str
     name: str
@@ -26,19 +29,23 @@ class TableRow(Struct):
     topic
         Topic of the log.
     title
-        Kind of the samples, with the name of the thruster if there is one.
+        Kind of the samples. It is followed by the name of the thruster, or by the number of the node if the rig has no
+        thruster there. Empty for an imported signal.
     signals
         Signals with at least one finite value.
     samples
-        Number of samples.
+        Number of samples in memory.
     expected
-        Expected rate of the device by the rig [Hz]; NaN if it is unknown.
-    rate, recent
-        Mean rate of the samples, in the whole log and in its last 10 s [Hz]; NaN with fewer than two samples.
+        Expected rate of the samples by the rig [Hz]; NaN if it is unknown.
+    rate
+        Mean rate of the samples in memory [Hz]; NaN unless they have two different times.
+    recent
+        Number of samples in the last 10 s of the log, divided by this time [Hz]. The time is shorter if the first
+        sample is later. NaN without samples, or if the log ends with the first one.
     gap, gap_at
         Longest time between two samples [s], and its begin [s of the log]; NaN with fewer than two samples.
     silent
-        Time from the last sample to the end of the log [s].
+        Time from the last sample to the end of the log [s]; NaN without samples.
     """
 
     device: str
@@ -90,12 +97,16 @@ class Content(Struct):
         Time of the last message [s of the log].
     shown_from
         Time from which samples are in memory [s of the log]; above 0 in a very long recording only.
-    tables, events, ports, tracks, warnings
-        What the log contains.
+    tables, events, ports
+        Tables of samples, events, and last counters of the ports.
     n_events
-        Number of events of the log; `events` may have fewer.
+        Number of events of the log. If there are more than 2000, `events` has only the first and the last 1000.
+    tracks
+        Names of the tracks: the topics of GNSS receivers, and "x, y" for imported positions.
+    warnings
+        Tables that cannot be read, and unless the log is LIVE the faults of the log.
     imported
-        Whether an import map made the log, so that [[log]] tables apply.
+        Whether [[log]] tables apply: an import map made the log, the map can be read, and its files have one origin.
     """
 
     name: str
@@ -124,7 +135,11 @@ class FindingRow(Struct):
 
 
 class Track(Struct):
-    """Track of the boat over ground: times [s of the log] and position east and north of its first point [m]."""
+    """Track of the boat over ground: times [s of the log], and positions east and north [m].
+
+    Positions of a GNSS receiver count from its first position in memory. Imported positions are as in the log: east is
+    y, and north is x.
+    """
 
     t: list[float]
     east: list[float]
@@ -141,7 +156,7 @@ class CutText(Struct):
     commands
         A command of `seatrial ident vehicle` for each interval, one line each.
     toml
-        [[log]] tables of an import map. Empty if no import map made the log.
+        [[log]] tables of an import map. Empty if such tables do not apply (`Content.imported`).
     """
 
     options: str

@@ -34,10 +34,9 @@ class Curve(NamedTuple):
 def longest_period(t: Array, values: Array) -> float:
     """Return the longest time [s] between two samples of a signal that is no gap.
 
-    It is five times the period that nine of ten periods do not exceed, so that samples that arrive in bursts have none.
-
-    `t` are the times of its samples [s] and `values` their values, both of shape (n,). Samples without a finite value
-    do not count. The result is infinite with fewer than three samples.
+    The result is five times the period that nine of ten periods do not exceed. The pauses between bursts of samples are
+    therefore mostly no gaps. `t` are the times of the samples [s] and `values` their values, both of shape (n,).
+    Samples without a finite value do not count. The result is infinite with fewer than three finite samples.
     """
     periods = np.diff(t[np.isfinite(values)])
     return GAP_PERIODS * float(np.quantile(periods, USUAL)) if len(periods) > 1 else np.inf
@@ -53,8 +52,8 @@ def decimate(t: Array, values: Array, begin: float, end: float, n_intervals: int
     values
         Values of the samples, shape (n,). Samples without a finite value are left out.
     begin, end
-        Shown interval [s], both ends included. The nearest sample on each side of it is added, so that a line reaches
-        the edge of the screen.
+        Shown interval [s], both ends included. The nearest sample on each side of it is added, if its value is finite,
+        so that a line reaches the edge of the screen.
     n_intervals
         Number of equal intervals of time, at least 1: about one for each pixel.
     longest
@@ -63,9 +62,9 @@ def decimate(t: Array, values: Array, begin: float, end: float, n_intervals: int
     Returns
     -------
     Curve
-        All samples, if there are at most two for each interval. Otherwise the smallest and the largest sample in each
-        interval that has samples. Each gap is one point with the value NaN. With decimation, a gap shorter than an
-        interval is not shown.
+        All samples, if there are at most 2 * `n_intervals` in all. Otherwise the first smallest and the first largest
+        sample in each interval that has samples. An interval is also divided at a gap. Each gap is one point with the
+        value NaN in its middle. With decimation, a gap shorter than an interval is not shown.
     """
     first = max(int(np.searchsorted(t, begin)) - 1, 0)
     last = int(np.searchsorted(t, end, side="right")) + 1

@@ -93,7 +93,7 @@ def _yield_to_the_recording() -> None:
 
 
 def _end_with_parent() -> None:
-    """Wait until standard input is closed, and end this process."""
+    """Wait until standard input is closed, and then end this process at once, with all its threads."""
     with contextlib.suppress(OSError):
         while sys.stdin.buffer.read(4096):
             pass

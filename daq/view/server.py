@@ -124,7 +124,7 @@ class PageServer(ThreadingHTTPServer):
 
 
 class _RefusedError(Exception):
-    """Error of a request that is not answered: its HTTP status and a reason."""
+    """Error of a request that is refused: HTTP status and reason, which are sent as the answer."""
 
     def __init__(self, status: HTTPStatus, reason: str) -> None:
         """Store the status and the reason."""
@@ -140,7 +140,10 @@ class _PageRequest(BaseHTTPRequestHandler):
     timeout = REQUEST_S
 
     def do_GET(self) -> None:
-        """Answer a GET request: a file of the page, or data of a log."""
+        """Answer a GET request: a file of the page, or data of a log.
+
+        A refused request, or an error of reading the log, is answered by its HTTP status and one line of text.
+        """
         try:
             content, kind = self._answer()
             status = HTTPStatus.OK
@@ -162,7 +165,8 @@ class _PageRequest(BaseHTTPRequestHandler):
     def _answer(self) -> tuple[bytes, str]:
         """Return the content and the type of the answer to a GET request.
 
-        Raise _RefusedError if host or token are wrong, or the request is invalid.
+        Raise _RefusedError if host or token are wrong, if there is no such page, or if a parameter is invalid. Errors
+        of reading the log are passed on.
         """
         hosts = self.headers.get_all("Host", [])
         if len(hosts) != 1 or hosts[0] not in self.server.hosts:
@@ -183,7 +187,10 @@ class _PageRequest(BaseHTTPRequestHandler):
         return msgspec.json.encode(answer(query)), "application/json"
 
     def _send(self, status: HTTPStatus, kind: str, content: bytes, more: dict[str, str] | None = None) -> None:
-        """Send an answer with the headers that protect it, and close the connection."""
+        """Send an answer with the headers that protect the page (SECURITY) and the headers `more`.
+
+        `kind` is the type of the content. HEAD requests get no content. The connection is closed afterwards (HTTP 1.0).
+        """
         self.send_response(status)
         headers = {**SECURITY, **(more or {}), "Content-Type": kind, "Content-Length": str(len(content))}
         for name, value in headers.items():
@@ -193,7 +200,10 @@ class _PageRequest(BaseHTTPRequestHandler):
             self.wfile.write(content)
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
-        """Send the answer to a request that is no valid HTTP."""
+        """Send the answer to a request that is no valid HTTP: the status `code` and its standard text.
+
+        `message` and `explain` are not used.
+        """
         self._send(HTTPStatus(code), "text/plain; charset=utf-8", f"{HTTPStatus(code).phrase}\n".encode())
 
     def log_message(self, format: str, *args: Any) -> None:
@@ -202,15 +212,18 @@ class _PageRequest(BaseHTTPRequestHandler):
 
 @cache
 def _page_file(name: str) -> bytes:
-    """Return the content of a file of the page."""
+    """Return the content of a file of the page. Each file is read once."""
     return (Path(__file__).parent / "page" / name).read_bytes()
 
 
 class _Query:
-    """Checked parameters of a request."""
+    """Checked parameters of a request. Each method raises _RefusedError (400) if its parameter is wrong."""
 
     def __init__(self, text: str, logs: Sequence[ViewedLog]) -> None:
-        """Parse the part of an address after the question mark. Raise _RefusedError if it has too many parts."""
+        """Parse the part of an address after the question mark.
+
+        Raise _RefusedError if this part is not a list of NAME=VALUE, or if it has more than 264 values.
+        """
         try:
             self._values = parse_qs(text, max_num_fields=MAX_SIGNALS + MAX_INTERVALS, strict_parsing=bool(text))
         except ValueError as error:
@@ -223,14 +236,17 @@ class _Query:
         return _RefusedError(HTTPStatus.BAD_REQUEST, reason)
 
     def log(self) -> ViewedLog:
-        """Return the log whose number is the parameter `log`."""
+        """Return the log whose number, from 0, is the parameter `log`; the first log without this parameter.
+
+        Raise _RefusedError if there is no such log.
+        """
         text = self._values.get("log", ["0"])[0]
         if not (text.isascii() and text.isdecimal() and len(text) < 5 and int(text) < len(self.logs)):
             raise self._wrong("log: no such log")
         return self.logs[int(text)]
 
     def number(self, name: str) -> float:
-        """Return a parameter that is a finite number."""
+        """Return a parameter that is a finite number. Raise _RefusedError if it is missing or is no such number."""
         try:
             value = float(self._values[name][0])
         except (KeyError, ValueError) as error:
@@ -240,18 +256,21 @@ class _Query:
         return value
 
     def points(self) -> int:
-        """Return the parameter `points`, a number of intervals or points, from 1 to 4000."""
+        """Return the parameter `points`, a number of intervals or points, as a whole number.
+
+        A number below 1 becomes 1, and one above 4000 becomes 4000. Raise _RefusedError if it is missing or no number.
+        """
         return min(max(int(self.number("points")), 1), MAX_POINTS)
 
     def window(self) -> tuple[float, float]:
-        """Return the parameters `from` and `to` [s of the log]."""
+        """Return the parameters `from` and `to` [s of the log]. Raise _RefusedError unless `from` is before `to`."""
         begin, end = self.number("from"), self.number("to")
         if not begin < end:
             raise self._wrong("to: must be later than from")
         return begin, end
 
     def texts(self, name: str, most: int) -> list[str]:
-        """Return all values of a parameter, at most so many."""
+        """Return all values of a parameter; none if it is missing. Raise _RefusedError for more than `most` values."""
         values = self._values.get(name, [])
         if len(values) > most:
             raise self._wrong(f"{name}: at most {most}")
@@ -259,14 +278,14 @@ class _Query:
 
 
 class Points(msgspec.Struct):
-    """Points of one signal to draw: times [s of the log] and values; a value of null is a gap."""
+    """Points of one signal to draw: times [s of the log] and values. NaN, which becomes null in JSON, is a gap."""
 
     t: list[float]
     value: list[float]
 
 
 def _logs(query: _Query) -> list[str]:
-    """Return the names of the logs."""
+    """Return the file names of the logs, in the order of their numbers. The parameters of the request are not used."""
     return [log.path.name for log in query.logs]
 
 
@@ -282,7 +301,10 @@ def _data(query: _Query) -> dict[str, Points]:
 
 
 def _track(query: _Query) -> Any:
-    """Return the points of the track whose name is the parameter `track`."""
+    """Return the points of the track whose name is the parameter `track`.
+
+    Raise _RefusedError (404) if there is no such track.
+    """
     (name,) = query.texts("track", 1) or [""]
     try:
         return query.log().track(name, *query.window(), query.points())
@@ -291,7 +313,10 @@ def _track(query: _Query) -> Any:
 
 
 def _cut(query: _Query) -> Any:
-    """Return the intervals of the request, the parameters `interval` as BEGIN:END, as texts for other commands."""
+    """Return the intervals of the request, the parameters `interval` as BEGIN:END, as texts for other commands.
+
+    Raise _RefusedError (400) if a parameter has another form, or if an interval is empty or begins before 0.
+    """
     intervals = []
     for text in query.texts("interval", MAX_INTERVALS):
         try:

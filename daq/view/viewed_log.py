@@ -63,7 +63,10 @@ class ViewedLog:
     """
 
     def __init__(self, path: Path, wait: bool = False) -> None:
-        """Read the log, if it exists."""
+        """Read the log. With `wait`, nothing is read if the file does not exist yet.
+
+        Raise SeatrialError if the file is no log, or without `wait` if it does not exist.
+        """
         self.path, self._wait = path, wait
         self._lock = threading.Lock()
         self._log: Log | None = None
@@ -74,7 +77,7 @@ class ViewedLog:
             self._look()
 
     def content(self) -> Content:
-        """Return the content of the log as it is now. A growing log is read on, at most twice a second."""
+        """Return the content of the log as it is now. A growing log is read on, at most twice a second (`_look`)."""
         with self._lock:
             self._look()
             return self._content
@@ -82,7 +85,9 @@ class ViewedLog:
     def curve(self, signal: str, begin: float, end: float, n_intervals: int) -> Curve:
         """Return the points to draw of a signal between two times [s of the log].
 
-        Raise KeyError if there is no such signal. The parameters are those of `decimate`.
+        `signal` is the id of the signal (`SignalRow`); the other parameters are those of `decimate`. The last value of
+        a held signal is drawn on to `end`, but not beyond the end of the log. Raise KeyError if there is no such
+        signal.
         """
         topic, _, name = signal.rpartition(":")
         with self._lock:
@@ -96,9 +101,9 @@ class ViewedLog:
         return Curve(found.t - zero, found.value)
 
     def track(self, name: str, begin: float, end: float, n_points: int) -> Track:
-        """Return the points of a track between two times [s of the log], at most about `n_points`.
+        """Return the points of a track between two times [s of the log], without the end, at most `n_points`.
 
-        Raise KeyError if there is no such track.
+        If there are more points, every second, third, ... one is returned. Raise KeyError if there is no such track.
         """
         with self._lock:
             t, east, north = self._position(name)
@@ -110,7 +115,7 @@ class ViewedLog:
     def findings(self) -> list[FindingRow] | None:
         """Return the findings of the device checks, worst first; None while the log does not exist or still grows.
 
-        They are computed by the first call. An error of the checks becomes a finding.
+        They are computed by the first call after the log was opened. An error of the checks becomes a finding.
         """
         if self.content().state in (WAITING, LIVE):
             return None
@@ -124,9 +129,9 @@ class ViewedLog:
         return self._findings
 
     def cut(self, intervals: Sequence[tuple[float, float]]) -> CutText:
-        """Return intervals (begin, end) [s of the log] as texts that other commands accept, in ms.
+        """Return intervals (begin, end) [s of the log] as texts that other commands accept.
 
-        Raise ValueError if an interval is empty or begins before 0.
+        The times in the texts are in s, rounded to ms. Raise ValueError if an interval is empty or begins before 0.
         """
         if any(not 0.0 <= begin < round(end, 3) or begin >= end for begin, end in intervals):
             raise ValueError("an interval must begin at 0 s or later, and end after its begin")
@@ -161,7 +166,7 @@ class ViewedLog:
         return None
 
     def _clear(self) -> None:
-        """Forget all samples and events."""
+        """Forget all samples, events, counters and time zero. The state of the content becomes WAITING."""
         self._tables: dict[str, Columns] = {}
         self._events: list[tuple[float, str, str]] = []
         self._ports: dict[str, PortHealth] = {}
@@ -171,7 +176,11 @@ class ViewedLog:
         self._content = Content(self.path.name, str(self.path), WAITING)
 
     def _look(self) -> None:
-        """Read what is new in the log, unless this was done less than 0.5 s ago."""
+        """Read what is new in the log, unless this was done less than 0.5 s ago.
+
+        A file that now exists is opened. A growing log is read on. It is opened and read again when it has its end, or
+        has not grown for 10 s. A log that does not grow is opened again if a recorder continues it (`_has_continued`).
+        """
         now = time.monotonic()
         if now - self._looked < REFRESH_S:
             return
@@ -210,7 +219,10 @@ class ViewedLog:
             return False
 
     def _open(self, growing: bool) -> None:
-        """Open the log and read everything again. With `growing`, it is LIVE if it has no end and is being written."""
+        """Open the log and read everything again. With `growing`, it is LIVE if it has no end and is being written.
+
+        Otherwise its state is WHOLE if it has its end, and CUT if not.
+        """
         log = open_log(self.path, growing=growing)
         live = growing and not log.complete and self._is_written(log)
         if growing and not log.complete and not live:
@@ -268,7 +280,7 @@ class ViewedLog:
         return None
 
     def _thrusters(self) -> tuple[Thruster, ...]:
-        """Return the thrusters of the rig of the log; none if the log has no rig."""
+        """Return the thrusters of the rig of the log; none if the log has no rig, or one that cannot be read."""
         rig = self._rig()
         return tuple(rig.thrusters) if rig else ()
 
@@ -281,7 +293,7 @@ class ViewedLog:
                 table.drop_before(self._shown_from)
 
     def _describe(self, log: Log) -> None:
-        """Store the content of the log for the page."""
+        """Store the content of the log for the page. Time zero is set once, as soon as there is a sample for it."""
         if not self._has_zero:
             self._zero, self._has_zero = self._first_time(log)
         zero, end, rig = self._zero, log.end, self._rig()
@@ -308,7 +320,8 @@ class ViewedLog:
     def _expected_rate(self, table: Columns, rig: Rig | None) -> float:
         """Return the rate of a table by the rig [Hz], which the controllers of a device share; NaN if it is unknown.
 
-        Of an autopilot or a ship's bus, the rate in the rig applies to the attitudes only.
+        Of an autopilot or a ship's bus, the rate in the rig applies to tables of class `Ahrs` only; other tables have
+        NaN. Commands have NaN too.
         """
         device = next((d for d in rig.devices if d.name == table.device), None) if rig else None
         if device is None or table.kind is Command or (device.sends_many_kinds and table.kind is not Ahrs):
@@ -330,14 +343,15 @@ class ViewedLog:
         return min(firsts, default=log.start), bool(firsts)
 
     def _track_names(self) -> list[str]:
-        """Return the names of the tracks: GNSS receivers with a position, and "x, y" for imported positions."""
+        """Return the names of the tracks: topics of GNSS receivers with a position, "x, y" for imported positions."""
         names = [t.topic for t in self._tables.values() if t.kind is Gnss and np.isfinite(t.values("lat")).any()]
         return [*names, "x, y"] if {"/signal/x", "/signal/y"} <= set(self._tables) else names
 
     def _position(self, name: str) -> tuple[Array, Array, Array]:
-        """Return the times [s since 1970] of a track and its positions [m] east and north of its first point.
+        """Return the times [s since 1970] of a track and its positions [m] east and north.
 
-        Raise KeyError if there is no such track.
+        Positions of a GNSS receiver count from its first position. Imported positions are returned as they are: east is
+        y, interpolated to the times of x, and north is x. Raise KeyError if there is no such track.
         """
         if name not in self._content.tracks:
             raise KeyError(name)
