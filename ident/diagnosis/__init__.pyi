@@ -11,6 +11,7 @@ from .findings import ValidationMismatch as ValidationMismatch
 from .model_uncertainty import ModelUncertainty as ModelUncertainty
 from .model_uncertainty import with_model_uncertainty as with_model_uncertainty
 from .policy import SearchPolicy as SearchPolicy
+from .power import detectable_sizes as detectable_sizes
 from .search import DiagnosisEvaluation as DiagnosisEvaluation
 from .search import ModelAssessment as ModelAssessment
 from .search import assess_model as assess_model

@@ -160,6 +160,9 @@ class Score:
     tolerance
         Share of the information that the fitted parameters do not explain, without priors, 0 to 1 (1 / variance
         inflation factor). It is the largest share among the parameters of the candidate.
+    information
+        Information of each parameter of ``step`` that the fitted parameters do not explain, with the other parameters
+        of the candidate at zero [1/unit²].
     """
 
     name: str
@@ -173,6 +176,7 @@ class Score:
     threshold: float = float("nan")
     blocks: float = float("inf")
     tolerance: float = 1.0
+    information: dict[str, float] = field(default_factory=dict)
 
     def least_blocks(self, policy: SearchPolicy = DEFAULT_POLICY) -> int:
         """Return the smallest number of blocks of time with which the block-robust test can pass.
@@ -604,6 +608,7 @@ def _candidate_score(
         candidate.kind,
         candidate.curve,
         blocks=len(blocks),
+        information=dict(zip(names.tolist(), np.diag(info).tolist(), strict=True)),
     )
 
 

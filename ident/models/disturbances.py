@@ -46,8 +46,12 @@ def adder(name: str) -> Callable[[Signals, Any], None]:
 
 
 HULL = tuple(
-    DisturbanceChannel(name, unit, f"b_{name}", scale, f"the force {name}", adder(name), requires=("hull",))
-    for name, unit, scale in (("X", "N", 10.0), ("Y", "N", 10.0), ("N", "N m", 2.0))
+    DisturbanceChannel(name, unit, f"b_{name}", scale, f"the {quantity} {name}", adder(name), requires=("hull",))
+    for name, quantity, unit, scale in (
+        ("X", "surge force", "N", 10.0),
+        ("Y", "sway force", "N", 10.0),
+        ("N", "yaw moment", "N m", 2.0),
+    )
 )
 
 

@@ -49,6 +49,23 @@ def chi2_ppf(p: Any, df: Any) -> Any:
     return 2.0 * special.gammaincinv(0.5 * np.asarray(df), p)
 
 
+def noncentrality(limit: float, df: float, power: float) -> float:
+    """Return the noncentrality with which a noncentral chi-squared variable exceeds a limit with a given probability.
+
+    Parameters
+    ----------
+    limit : float
+        Limit, positive.
+    df : float
+        Degrees of freedom.
+    power : float
+        Probability, 0 to 1. If the central variable exceeds the limit more often, the result is NaN.
+    """
+    from scipy import special
+
+    return float(special.chndtrinc(limit, df, 1.0 - power))
+
+
 def student_ppf(p: Any, df: Any) -> Any:
     """Return the quantile p (0 to 1) of Student's t distribution with ``df`` degrees of freedom."""
     from scipy import special

@@ -48,6 +48,7 @@ from .parts import CommonErrorsRow as CommonErrorsRow
 from .parts import Correlation as Correlation
 from .parts import CorrelationTest as CorrelationTest
 from .parts import CrossCorrelationRow as CrossCorrelationRow
+from .parts import DetectableEffect as DetectableEffect
 from .parts import DiagnosisResult as DiagnosisResult
 from .parts import EffectParameter as EffectParameter
 from .parts import EffectRow as EffectRow

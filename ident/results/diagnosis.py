@@ -18,6 +18,7 @@ from seatrial.ident.diagnosis import (
     Round,
     SearchPolicy,
     ValidationMismatch,
+    detectable_sizes,
     is_immaterial,
     recommended_experiment,
 )
@@ -149,6 +150,7 @@ def diagnosis_result(
         remaining_candidates=tuple(
             parts.RemainingCandidate(name=s.name, lm=s.lm, df=s.df, p=s.p) for s in diagnosis.remaining
         ),
+        detectable=_detectable_rows(diagnosis, reported),
         nonparametric_effects=tuple(
             parts.NonparametricCurve(
                 force=s.force,
@@ -560,6 +562,29 @@ def _name_probability(diagnosis: Diagnosis, attribution: str) -> float | None:
     """
     record = NAME_RECORDS.get(attribution) if diagnosis.after.model.kind is ModelKind.VEHICLE else None
     return None if record is None else record.probability
+
+
+def _detectable_rows(diagnosis: Diagnosis, reported: ReportedEstimates) -> tuple[parts.DetectableEffect, ...]:
+    """Return the smallest sizes of the catalogue effects that the last model lacks, one row for each effect by name.
+
+    Sizes are in reported units. Of a parameter with its own value in each run, the largest of the sizes is given, that
+    of the run that shows the effect worst. Effects outside the catalogue are left out.
+    """
+    n, effects = sum(v.record.n_rows for v in diagnosis.after.estimation), catalogue()
+    added, rows = {r.effect.name for r in diagnosis.effects}, []
+    for found in sorted(detectable_sizes(diagnosis.scores, n, diagnosis.policy), key=lambda d: d.effect):
+        effect = effects.get(found.effect)
+        if effect is None or effect.name in added:
+            continue
+        sizes = []
+        for p in effect.parameters:
+            own = [size for name, size in found.sizes.items() if name.partition("@")[0] == p.name]
+            if own:
+                name, unit = reported.scale.name(p.name, p.unit), reported.scale.unit(p.unit)
+                size = reported.factor(p.unit) * max(own)
+                sizes.append(parts.DetectableSize(name=name, meaning=p.meaning, unit=unit, size=size))
+        rows.append(parts.DetectableEffect(name=effect.name, title=effect.title, sizes=tuple(sizes)))
+    return tuple(rows)
 
 
 def _parameter_change_rows(diagnosis: Diagnosis) -> tuple[parts.ParameterChange, ...]:

@@ -738,6 +738,26 @@ class Candidate(Part, frozen=True, kw_only=True):
     passed: Annotated[bool, Meta(description="whether the candidate passed the score test")]
 
 
+class DetectableSize(Part, frozen=True, kw_only=True):
+    """Smallest size of one parameter of an effect that the score test finds with a probability of 80 %."""
+
+    name: Annotated[str, Meta(description="name of the parameter")]
+    meaning: Annotated[str, Meta(description="meaning of the parameter")]
+    unit: Annotated[str, Meta(description="unit")]
+    size: Annotated[float, Meta(description="smallest size, with the other parameters of the effect at zero")]
+
+
+class DetectableEffect(Part, frozen=True, kw_only=True):
+    """Catalogue effect that the last model lacks, with the smallest size that the data would have shown."""
+
+    name: Annotated[str, Meta(description="name of the effect")]
+    title: Annotated[str, Meta(description="title for readers")]
+    sizes: Annotated[
+        tuple[DetectableSize, ...],
+        Meta(description="one for each parameter; empty if the estimated parameters explain the effect at any size"),
+    ]
+
+
 class RefitRow(Part, frozen=True, kw_only=True):
     """Refit in a round of the search: the model with one more effect, all parameters estimated again.
 
@@ -985,6 +1005,13 @@ class DiagnosisResult(FitResult, frozen=True, kw_only=True, tag_field="kind", ta
     effects: Annotated[tuple[EffectRow, ...], Meta(description="added effects, the most important first")] = ()
     remaining_candidates: Annotated[
         tuple[RemainingCandidate, ...], Meta(description="candidates that still pass the score test, best first")
+    ] = ()
+    detectable: Annotated[
+        tuple[DetectableEffect, ...],
+        Meta(
+            description="catalogue effects that the last model lacks: the smallest sizes that these data would have "
+            "shown with a probability of 80 %, by the information of the score tests"
+        ),
     ] = ()
     nonparametric_effects: Annotated[
         tuple[NonparametricCurve, ...],

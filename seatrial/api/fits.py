@@ -494,6 +494,15 @@ class FittedDiagnosis(FittedResult):
         return {e.name: e.probability for e in self.result.effects if e.probability is not None}
 
     @property
+    def detectable(self) -> dict[str, dict[str, float]]:
+        """Smallest size that the data would have shown with a probability of 80 %, by effect and parameter.
+
+        The effects are those of the catalogue that the model lacks. Sizes are in the units of the result. An effect
+        that the estimated parameters explain at any size has an empty dictionary.
+        """
+        return {e.name: {p.name: p.size for p in e.sizes} for e in self.result.detectable}
+
+    @property
     def recommended_experiment(self) -> str | None:
         """Experiments that would show which effect is missing, as sentences, with a command line where there is one.
 

@@ -16,6 +16,7 @@ from seatrial.ident.report.record_tabs import RecordTab, of_record, record_tabs,
 from seatrial.ident.report.sections.parameters import common_errors_blocks
 from seatrial.ident.results import (
     Candidate,
+    DetectableEffect,
     DiagnosisResult,
     NonparametricCurve,
     RefitRow,
@@ -38,7 +39,8 @@ OUTCOMES = {
 def section(canvas: Canvas, result: DiagnosisResult) -> Section:
     """Return the section of the search for missing effects.
 
-    It has the common errors, a tab for each round of the search, the residual forces and the nonparametric curves.
+    It has the common errors, a tab for each round of the search, the residual forces, the nonparametric curves, and the
+    smallest sizes of other effects that the data would have shown.
 
     Parameters
     ----------
@@ -51,11 +53,39 @@ def section(canvas: Canvas, result: DiagnosisResult) -> Section:
     rounds = [(_round_title(i, row, removed), _round_blocks(row, removed)) for i, row in enumerate(found, 1)]
     blocks: list[Any] = common_errors_blocks(result.common_errors) + tabbed(rounds)
     blocks += _residual_force_blocks(canvas, result) + _curve_blocks(canvas, result.nonparametric_effects)
+    blocks += _detectable_blocks(result.detectable)
     lead = (
         "Each round tests all candidates (effects that the model may lack) on the residuals by score tests, and refits "
         "the model with the best of them. The validation data decide whether an effect is added."
     )
     return Section("search", "Search for missing effects", blocks, lead if found else "")
+
+
+def _detectable_blocks(detectable: Sequence[DetectableEffect]) -> list[Any]:
+    """Return heading and table of the smallest sizes of other effects that the data would have shown.
+
+    An effect that the estimated parameters explain has one row without a size. The list is empty without effects.
+    """
+    rows: list[list[Cell | str]] = []
+    for effect in detectable:
+        title: Cell | str = effect.title
+        if not effect.sizes:
+            rows.append([title, "explained by the estimated parameters at any size", Cell("–", "num"), ""])
+        for row in effect.sizes:
+            factor, unit = formatting.degrees_for(row.unit)
+            size = Cell(formatting.plain(factor * row.size), "num")
+            rows.append([title, f"{row.name}: {row.meaning}" if row.meaning else row.name, size, unit])
+            title = ""
+    if not rows:
+        return []
+    caption = (
+        "The score test of each effect that the model lacks would have passed with a probability of 80 % at this size, "
+        "with its other parameters at zero. The size follows from the information of the data that the estimated "
+        "parameters do not explain. Differences between model and boat are left out. An effect that is not found is "
+        "smaller than this, or resembles others."
+    )
+    columns = (("effect", ""), ("parameter", ""), ("smallest size", "num"), ("unit", ""))
+    return [Heading("What these data would have shown"), Table(columns, rows, caption)]
 
 
 def _round_title(i: int, row: RoundRow, removed: Collection[str]) -> str:

@@ -1,0 +1,70 @@
+"""Power of the score tests: the smallest size of each effect that the data of a diagnosis would have shown.
+
+The statistic of a score test is noncentral chi-squared if the effect has a small size s. Its noncentrality is s² times
+the information that the fitted parameters do not explain (Engle 1984). An effect is found if the statistic exceeds the
+critical value of the test and the penalty of the BIC criterion. The size at which this happens with a probability of
+80 % is computed for one parameter at a time, with the others at zero. The differences between the model and the boat
+are left out, so that an effect of this size may still be found to be ambiguous.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
+from seatrial.ident.diagnosis.score_test import Score, score_threshold
+from seatrial.ident.model import EffectKind
+from seatrial.ident.numerics import noncentrality
+
+POWER = 0.8  # the usual power of a planned test
+
+
+@dataclass(frozen=True)
+class DetectableSizes:
+    """Smallest sizes of an effect that its score test finds with a probability of 80 %.
+
+    Attributes
+    ----------
+    effect
+        Name of the effect.
+    sizes
+        Smallest size of each parameter by its full name (``NAME@i`` in record i), in the unit of the parameter. Empty
+        if the estimated parameters of the model explain the effect, so that no size can be found.
+    """
+
+    effect: str
+    sizes: dict[str, float]
+
+
+def detectable_sizes(
+    scores: Sequence[Score], n: int, policy: SearchPolicy = DEFAULT_POLICY
+) -> tuple[DetectableSizes, ...]:
+    """Return the smallest size of each catalogue effect that its score test finds with a probability of 80 %.
+
+    Parameters
+    ----------
+    scores
+        Scores of all candidates on one model. Nonparametric candidates are left out of the result.
+    n
+        Number of rows of the estimation data, for the penalty ``df ln n``.
+    policy
+        Thresholds of the score tests.
+
+    Returns
+    -------
+    tuple of DetectableSizes
+        One for each catalogue effect, in the order of the scores.
+    """
+    found = []
+    for score in scores:
+        if score.kind is not EffectKind.CATALOGUE:
+            continue
+        sizes: dict[str, float] = {}
+        if score.tolerance >= policy.min_tolerance:
+            limit = max(score_threshold(score, scores, policy), score.df * math.log(n))
+            needed = noncentrality(limit, score.df, POWER)
+            sizes = {name: math.sqrt(needed / info) for name, info in score.information.items() if info > 0}
+        found.append(DetectableSizes(score.name, sizes))
+    return tuple(found)
