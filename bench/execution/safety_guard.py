@@ -517,7 +517,8 @@ class History:
 class OutputCheck:
     """Comparison of an autopilot's output for one thruster (SERVO_OUTPUT_RAW) with the commands to this thruster.
 
-    A deviation reveals a parameter of the autopilot that changes, blocks or exchanges commands.
+    Causes of a deviation are a parameter that changes, blocks or exchanges commands, a disarmed autopilot, or a link
+    that is late.
     """
 
     def __init__(self, thruster: Thruster, speed: float) -> None:

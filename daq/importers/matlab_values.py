@@ -211,7 +211,7 @@ def _row_times(value: Any, n_rows: int) -> NDArray[np.float64] | None:
 
 
 def _single_number(value: Any) -> float | None:
-    """Return the number in a MATLAB array of one element; None for any other value."""
+    """Return the number in a MATLAB array of one real number or logical (true is 1); None for any other value."""
     ok = isinstance(value, np.ndarray) and value.size == 1 and value.dtype.kind in "biuf"
     return float(value.flat[0]) if ok else None
 
@@ -382,8 +382,9 @@ class Hdf5Variables:
     def _struct_value(self, group: Any, depth: int) -> Any:
         """Convert an HDF5 group of a MATLAB file: a struct to a dict by field, and a struct array to a list of dicts.
 
-        A group is a struct array if all its fields are arrays of references. The array has as many structs as its
-        shortest field. `depth` is the number of structs around it.
+        A group is a struct array if all its fields are arrays of references without a MATLAB class. (A cell is an array
+        of references too, but has the class "cell".) The struct array has as many structs as its shortest field has
+        references. `depth` is the number of structs, cells and objects around the group.
         """
         is_array = [part.dtype.kind == "O" and "MATLAB_class" not in part.attrs for part in _datasets_of_group(group)]
         if not is_array or not all(is_array) or len(is_array) < len(group):

@@ -177,9 +177,12 @@ def _shaft_findings(name: str, command: Channel, shaft: Channel) -> Iterator[Fin
 def _scale_findings(name: str, found: Response) -> Iterator[Finding]:
     """Yield at most one finding: the shaft hardly follows its command, or follows it in another unit or direction.
 
-    The first of these: ``shaft-does-not-follow`` (warning) for an R2 below 0.5, ``shaft-speed-in-rad-per-s`` (fault)
-    for a factor of rad/s per rev/min or its inverse, ``shaft-speed-scale`` (fault) outside 0.4 to 2.5,
-    ``shaft-sign-reversed`` (fault) for a negative factor.
+    The factor is shaft speed over command. Its size is its absolute value. The first finding that applies is yielded:
+
+    - ``shaft-does-not-follow`` (warning): R2 is below 0.5.
+    - ``shaft-speed-in-rad-per-s`` (fault): the size is pi / 30 (rad/s per rev/min) or its inverse, within 10 %.
+    - ``shaft-speed-scale`` (fault): the size is outside 0.4 to 2.5.
+    - ``shaft-sign-reversed`` (fault): the factor is negative.
     """
     size = abs(found.scale)
     if found.r2 < 0.5:

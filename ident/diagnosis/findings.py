@@ -161,8 +161,9 @@ class CommonErrorsFit:
 class UntestedCandidate:
     """Candidate effect that could not be tested, with the reason.
 
-    Either the candidate passed the score test and could not be fitted from any initial values, or it could not have a
-    score test. The latter is reported for user-defined effects and for effects at a fixed point only.
+    Either the candidate passed the score test, but no fit with it succeeded from any of its initial values; or it could
+    not have a score test. The latter is reported only for user-defined effects, and for effects that act at a point
+    fixed over ground (``Effect.fixed_point``) if the logs are too far apart for one origin of the positions.
 
     Attributes
     ----------

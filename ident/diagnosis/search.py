@@ -722,9 +722,12 @@ class _Search:
         The search ends after ``max_effects`` rounds, after a round without an added effect (unless two effects at once
         are accepted then: `_look_ahead`), or if no score that passes may be tried. After a nonparametric effect, only
         parametric effects are tried, with a criterion of the score above ``policy.min_gain_ratio_after_curve`` of the
-        largest criterion of an added effect. With the common errors, the criterion must also exceed
-        ``policy.max_remaining_criterion``. The common errors are added before a round if they explain more than any
-        single effect, and under the other conditions of `add_common_errors`. The attributes of the search are updated.
+        largest criterion of an added effect. The attributes of the search are updated.
+
+        Common errors are small errors that every craft has: timing and mounting of its sensors, and hull form. They are
+        added together before a round, if no other parametric effect that passes explains more than all of them, and
+        under the other conditions of `add_common_errors`. If the model has them, an effect is tried only if the
+        criterion of its score also exceeds ``policy.max_remaining_criterion``.
 
         Parameters
         ----------

@@ -67,12 +67,14 @@ class HomogeneityTest:
         by chi-squared; p is 1 if df is 0.
     scatter
         Standard deviation between the records, beyond their standard errors. Only records whose standard error shows
-        information from the data count (`homogeneity_test`). NaN with fewer than two such records.
+        information from the data count (`homogeneity_test`), so that a record whose value is at its bound does not
+        count. NaN with fewer than two such records.
     mean, mean_error, interval
         Mean of the values of these records with that scatter, its standard error, and its 95 % interval. The interval
         uses Student's t, with the number of these records minus one.
     left_out
-        Names of the records without enough information about the parameter. ``df`` does not count them.
+        Names of the records without enough information about the parameter. A record whose value is at its bound is
+        informative and not left out. ``df`` is the number of the other records minus one, at least 0.
     """
 
     name: str

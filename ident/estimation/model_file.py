@@ -558,7 +558,10 @@ def _effect_by_name(name: str, model: Model, curves: Mapping[str, Any]) -> Effec
     Raises
     ------
     ValueError
-        If there is no effect of this name.
+        If there is no effect of this name, or if the model cannot have the disturbance or nonparametric effect.
+    KeyError
+        If the model lacks the parameter of a between-run effect, or if the table of a nonparametric effect lacks an
+        entry.
     """
     if name == "disturbance":
         return disturbance_of(model)

@@ -102,7 +102,11 @@ class Experiments:
         process_noise: bool = True,
         threads: int = 2,
     ) -> None:
-        """Compile the simulations (kernels) of the model, and compute sensor mask, intervals and parameter values."""
+        """Set up the attributes of the class: sensor mask, intervals between the rows, and parameter values.
+
+        The simulations (kernels) of the model are not compiled here, but when they are used for the first time.
+        ``every`` is the number of rows from one sample to the next, by sensor; None: each sensor has one in each row.
+        """
         from seatrial.ident.engine import batch_for, extremes
 
         self.model, self.free, self.t, self.threads = model, tuple(free), t, threads
@@ -133,9 +137,11 @@ class Experiments:
         q, k = len(self.free), len(self.extremes)
 
         def work(lanes: slice) -> tuple[Array, Array, Array]:
-            """Return information (upper triangles), minima and maxima, one row for each experiment of a slice.
+            """Return three arrays, with one row for each experiment of a slice.
 
-            The last rows may repeat the last experiment, to fill up its group.
+            They are the Fisher information about the parameters ``free`` (upper triangle of the matrix), and the
+            minimum and the maximum over time of the quantities ``extremes`` (states and squared speed). The last rows
+            may repeat the last experiment, to fill up its group.
             """
             arguments = self._arguments(u, values, lanes)
             if self._batch.covariance:

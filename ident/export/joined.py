@@ -349,7 +349,7 @@ def _with_thrust(model: Model, thrust: Any) -> Model:
         """Return the stage ``thrust`` of the model, followed by the other thrusts."""
 
         def run(s: Signals) -> None:
-            """Run the stage, and set the thrusts ``s.f``."""
+            """Run the stage ``thrust`` of the model, then replace its thrusts ``s.f`` [N] by the other thrusts."""
             stage(s)
             s.f = thrust(s)
 

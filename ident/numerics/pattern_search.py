@@ -143,9 +143,10 @@ class PatternSearch:
         Label of each coordinate. Coordinates with the same label are moved together in random moves, for example the
         levels and the duration of one step. By default each coordinate has its own label.
     above
-        ``above(z, least)``: a cheaper evaluation. For points whose merit does not exceed ``least`` it may return any
-        value and violation with a merit that does not exceed it. The result of the search is the same. By default
-        ``evaluate`` is used.
+        ``above(z, least) -> value (n,), violation (n,)``: a cheaper evaluation. The merit of a point is its value, or a
+        large negative number if the point violates a constraint (`penalised_objective`). For points whose merit does
+        not exceed ``least``, it may return any value and violation with a merit that does not exceed ``least`` either.
+        The result of the search is the same. By default ``evaluate`` is used.
     """
 
     def __init__(
