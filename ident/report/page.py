@@ -17,7 +17,7 @@ from markupsafe import Markup
 from seatrial.daq.files import write_output
 from seatrial.ident.report import formatting, sections
 from seatrial.ident.report.blocks import Canvas, Grid, Section
-from seatrial.ident.report.drawing import TEMPLATE, Budget, Figure
+from seatrial.ident.report.drawing import DARK, TEMPLATE, Budget, Figure, compact
 from seatrial.ident.results import Result
 
 PLOTLY = "plotly-cartesian.min.js"  # the bundle with lines, heat maps and bars (docs/decisions/0036-vendored-plotly.md)
@@ -139,7 +139,11 @@ def compose(
             style=Markup(_template_file("style.css")),
             scripts=[Markup(script) for script in scripts],
             policy=_content_security_policy(scripts),
-            figures=Markup(_script_safe_json({"template": TEMPLATE, "figures": figures})),
+            figures=Markup(
+                _script_safe_json(
+                    {"template": TEMPLATE, "dark": DARK, "figures": {k: compact(f) for k, f in figures.items()}}
+                )
+            ),
         )
     )
 

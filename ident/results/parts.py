@@ -15,7 +15,7 @@ from seatrial.ident.data import FrameOrigin
 from seatrial.ident.estimation import FailedRun
 from seatrial.ident.numerics import Array
 
-FORMAT = "seatrial-result 2"
+FORMAT = "seatrial-result 3"
 Role = Literal["estimation", "validation"]
 Verdict = Literal["right", "overconfident", "underconfident", "insufficient_data"]
 
@@ -136,10 +136,17 @@ class ResultWarning(Part, frozen=True, kw_only=True):
     text: Annotated[str, Meta(description="one line for the reader")]
 
 
+class CurvesFile(Part, frozen=True, kw_only=True):
+    """Parquet file beside result.json, with the numbers of the curves of the result."""
+
+    file: Annotated[str, Meta(description="name of the file, in the folder of result.json")]
+    sha256: Annotated[str, Meta(description="SHA-256 of the file")]
+
+
 class Result(Provenance, frozen=True, kw_only=True):
     """Keys that the results of all commands have in common."""  # subclasses add tag_field="kind" and their kind as tag
 
-    format: Literal["seatrial-result 2"] = "seatrial-result 2"
+    format: Literal["seatrial-result 3"] = "seatrial-result 3"
     answer: Annotated[
         str, Meta(description="the answer in one or two sentences; if the fit did not converge, only that statement")
     ]
@@ -154,6 +161,13 @@ class Result(Provenance, frozen=True, kw_only=True):
             "in each channel"
         ),
     ] = ()
+    curves_file: Annotated[
+        CurvesFile | None,
+        Meta(
+            description='file with the numbers of all arrays that are `{"parquet": n}` here; null: there is none, '
+            "and in a result that was read"
+        ),
+    ] = None
 
     def __repr__(self) -> str:
         """Return ``<TYPE: answer>`` in place of all fields, whose curves would be megabytes of text."""

@@ -221,7 +221,7 @@ COLUMNS = (
     ("error / predicted s.d.", "num"),
     ("95 %", "num"),
     ("independent samples", "num"),
-    ("", ""),
+    ("verdict", ""),
 )
 VERDICTS: dict[Verdict, Cell] = {
     "right": Cell("✓ calibrated", "good"),
