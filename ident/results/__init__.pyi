@@ -48,7 +48,9 @@ from .parts import CommonErrorsRow as CommonErrorsRow
 from .parts import Correlation as Correlation
 from .parts import CorrelationTest as CorrelationTest
 from .parts import CrossCorrelationRow as CrossCorrelationRow
+from .parts import CurvesFile as CurvesFile
 from .parts import DiagnosisResult as DiagnosisResult
+from .parts import Dynamics as Dynamics
 from .parts import EffectParameter as EffectParameter
 from .parts import EffectRow as EffectRow
 from .parts import ErrorComparison as ErrorComparison
@@ -60,6 +62,7 @@ from .parts import ForceScale as ForceScale
 from .parts import InputTrace as InputTrace
 from .parts import LogSummary as LogSummary
 from .parts import NonparametricCurve as NonparametricCurve
+from .parts import OperatingPoint as OperatingPoint
 from .parts import ParameterChange as ParameterChange
 from .parts import ParameterRow as ParameterRow
 from .parts import Part as Part
@@ -73,6 +76,8 @@ from .parts import Result as Result
 from .parts import ResultWarning as ResultWarning
 from .parts import RoundRow as RoundRow
 from .parts import StaticForce as StaticForce
+from .parts import SteadyCurve as SteadyCurve
+from .parts import StepResponse as StepResponse
 from .parts import ThrustCurveResult as ThrustCurveResult
 from .parts import ThrusterResult as ThrusterResult
 from .parts import Trace as Trace

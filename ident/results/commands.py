@@ -35,6 +35,7 @@ from seatrial.ident.results.answers import (
 )
 from seatrial.ident.results.parts import (
     Calibrations,
+    Dynamics,
     InputTrace,
     Part,
     Provenance,
@@ -81,6 +82,8 @@ class FitContext:
     assessment
         Result of the score tests of the model: the common errors that were added, and the shifts of the estimates by
         other missing effects. None if the model was not tested.
+    dynamics
+        Steady motion, poles and step responses of the fitted model; None if it has none.
     """
 
     start: Mapping[str, float]
@@ -88,6 +91,7 @@ class FitContext:
     unused: Sequence[UnusedSignal] = ()
     length: float | None = None
     assessment: ModelAssessment | None = None
+    dynamics: Dynamics | None = None
 
 
 def vehicle_result(
@@ -143,6 +147,7 @@ def vehicle_result(
             *_notes(posed.notes, evaluation, calibration),
         ),
         common_errors=common_errors_row(common, fitted, evaluation.headline_set),
+        dynamics=posed.dynamics,
         fit=fit_summary(fitted.fit, posed.start),
         failed_runs=fitted.failed,
         horizon_seconds=evaluation.horizon,

@@ -699,6 +699,72 @@ class CommonErrorsRow(Part, frozen=True, kw_only=True):
     parameters: Annotated[tuple[EffectParameter, ...], Meta(description="their estimates in the last model")]
 
 
+class SteadyCurve(Part, frozen=True, kw_only=True):
+    """Steady motion of the boat in still water over a constant command, from the model, within the fitted commands.
+
+    Where the model has no stable steady motion, the value is null.
+    """
+
+    motion: Annotated[
+        Literal["straight", "turn"],
+        Meta(description="`straight`: both sides have the command, and yaw rate and sway are held at zero; `turn`"),
+    ]
+    quantity: Annotated[str, Meta(description="`u` or `r`")]
+    unit: Annotated[str, Meta(description="unit of `value`, SI and radians")]
+    inputs: Annotated[tuple[str, ...], Meta(description="names of the inputs that have the command")]
+    mean: Annotated[
+        float,
+        Meta(description="turn: mean of both sides; the left side has mean + command, the right side mean - command"),
+    ] = 0.0
+    command: Annotated[Array, Meta(description="command, in the unit of the inputs")]
+    value: Annotated[Array, Meta(description="steady value")]
+    sd: Annotated[Array, Meta(description="standard error of `value`; null: unknown")]
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if the arrays of the curve differ in length."""
+        same_length(self, "command", "value", "sd")
+
+
+class OperatingPoint(Part, frozen=True, kw_only=True):
+    """Linearisation of the model about straight motion at a speed: its inputs and its poles."""
+
+    speed: Annotated[float, Meta(description="forward speed [m/s]")]
+    inputs: Annotated[dict[str, float], Meta(description="inputs that keep the speed, by name")]
+    real: Annotated[Array, Meta(description="real parts of the poles, the slowest first [1/s]")]
+    imaginary: Annotated[Array, Meta(description="imaginary parts of the poles [rad/s]")]
+    stable: Annotated[bool, Meta(description="whether all real parts are negative")]
+
+
+class StepResponse(Part, frozen=True, kw_only=True):
+    """Response of the linear model to a step of the command at time zero, without the dead time of the command."""
+
+    speed: Annotated[float, Meta(description="speed of the operating point [m/s]")]
+    motion: Annotated[
+        Literal["straight", "turn"],
+        Meta(description="`straight`: both sides step up; `turn`: the left side steps up and the right side down"),
+    ]
+    step: Annotated[float, Meta(description="size of the step, in the unit of the inputs")]
+    quantity: Annotated[str, Meta(description="name of the state")]
+    unit: Annotated[str, Meta(description="unit of `value`, SI and radians")]
+    t: Annotated[Array, Meta(description="[s]")]
+    value: Annotated[Array, Meta(description="change of the state since the step")]
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if times and values of the response differ in length."""
+        same_length(self, "t", "value")
+
+
+class Dynamics(Part, frozen=True, kw_only=True):
+    """Steady motion, poles and step responses of a fitted model in still water."""
+
+    steady: Annotated[tuple[SteadyCurve, ...], Meta(description="steady speed and turn rate over the command")] = ()
+    points: Annotated[tuple[OperatingPoint, ...], Meta(description="linear models, at several speeds")] = ()
+    steps: Annotated[tuple[StepResponse, ...], Meta(description="step responses at one speed")] = ()
+    delays: Annotated[dict[str, float], Meta(description="dead time of each input that has one [s]")] = msgspec.field(
+        default_factory=dict
+    )
+
+
 class VehicleResult(FitResult, frozen=True, kw_only=True, tag_field="kind", tag="vehicle"):
     """Result of `seatrial ident vehicle`: the fit of a model of a vehicle."""
 
@@ -712,6 +778,9 @@ class VehicleResult(FitResult, frozen=True, kw_only=True, tag_field="kind", tag=
     common_errors: Annotated[
         CommonErrorsRow | None,
         Meta(description="small errors that every craft has, estimated together with the model; null: not added"),
+    ] = None
+    dynamics: Annotated[
+        Dynamics | None, Meta(description="null: the model has no speed or turn rate, or the fit did not converge")
     ] = None
 
 
@@ -994,6 +1063,10 @@ class DiagnosisResult(FitResult, frozen=True, kw_only=True, tag_field="kind", ta
     parameters_before_after: Annotated[
         tuple[ParameterChange, ...], Meta(description="shared free parameters of the model without effects")
     ] = ()
+    dynamics: Annotated[
+        Dynamics | None,
+        Meta(description="of the model with the effects; null: no vehicle, or a fit did not converge"),
+    ] = None
     recommended_experiment: Annotated[
         str | None, Meta(description="experiment that would distinguish the competing models")
     ] = None

@@ -342,7 +342,12 @@ def test_navigated_states_are_those_of_the_files(logs: list[Path], fit: st.Fitte
     assert set(frame["log"]) == {"run3"}
     assert len(frame) == states["t"].size
     done.save(tmp_path / "out")
-    assert {p.name for p in (tmp_path / "out").iterdir()} == {"run3.csv", "result.json", "report.html"}
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {
+        "run3.csv",
+        "result.json",
+        "result.parquet",
+        "report.html",
+    }
     assert "30" in done.answer or "20" in done.answer
     assert repr(done).startswith("<Navigated: run3>")
 

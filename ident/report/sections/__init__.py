@@ -3,7 +3,17 @@
 from __future__ import annotations
 
 from seatrial.ident.report.blocks import Canvas, Section
-from seatrial.ident.report.sections import answer, navigation, noise, parameters, predictions, residuals, runs, search
+from seatrial.ident.report.sections import (
+    answer,
+    dynamics,
+    navigation,
+    noise,
+    parameters,
+    predictions,
+    residuals,
+    runs,
+    search,
+)
 from seatrial.ident.results import (
     DiagnosisResult,
     FitResult,
@@ -79,6 +89,7 @@ def _fit(canvas: Canvas, result: FitResult) -> list[Section]:
         predictions.errors_section(result.errors, result.horizon_seconds),
         runs.traces_section(canvas, result),
         runs.run_section(canvas, result.logs, result.inputs),
+        dynamics.section(canvas, result.dynamics if isinstance(result, VehicleResult | DiagnosisResult) else None),
         parameters.parameters_section(canvas, result.fit, changes, common),
         parameters.profiles_section(canvas, profiled),
         residuals.section(canvas, result),
