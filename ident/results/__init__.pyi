@@ -12,6 +12,7 @@ from .commands import APART as APART
 from .commands import BIAS as BIAS
 from .commands import COVERAGE as COVERAGE
 from .commands import VARIANCE as VARIANCE
+from .commands import AllanCurve as AllanCurve
 from .commands import Baseline as Baseline
 from .commands import ChannelNoise as ChannelNoise
 from .commands import CommandTrace as CommandTrace
@@ -75,7 +76,9 @@ from .parts import ResidualTests as ResidualTests
 from .parts import Result as Result
 from .parts import ResultWarning as ResultWarning
 from .parts import RoundRow as RoundRow
+from .parts import ShaftResponse as ShaftResponse
 from .parts import StaticForce as StaticForce
+from .parts import SteadyBench as SteadyBench
 from .parts import SteadyCurve as SteadyCurve
 from .parts import StepResponse as StepResponse
 from .parts import ThrustCurveResult as ThrustCurveResult

@@ -40,10 +40,13 @@ from seatrial.ident.results.parts import (
     Part,
     Provenance,
     Result,
+    ShaftResponse,
     StaticForce,
+    SteadyBench,
     ThrusterResult,
     UnusedSignal,
     VehicleResult,
+    same_length,
 )
 from seatrial.ident.results.tables import (
     all_inputs,
@@ -172,6 +175,8 @@ def thruster_result(
     static: StaticForce | None,
     posed: FitContext,
     calibration: float | None,
+    steady: SteadyBench | None = None,
+    response: ShaftResponse | None = None,
 ) -> ThrusterResult:
     """Return the result of `seatrial ident thruster` for logs with a shaft speed, from a fit and its evaluation.
 
@@ -194,6 +199,10 @@ def thruster_result(
     calibration : float or None
         Relative standard uncertainty of the load cell's force, which the standard errors of forces then include. None
         if the rig does not give it.
+    steady : SteadyBench, optional
+        Steady-state table; None if no command was held.
+    response : ShaftResponse, optional
+        Frequency response of the shaft; None if it is unknown.
     """
     bands, ways = calibration_tables(evaluation), directions(fitted.records)
     return ThrusterResult(
@@ -221,6 +230,8 @@ def thruster_result(
         residuals=residual_rows(evaluation),
         cross=cross_correlations(evaluation),
         static=static,
+        steady=steady,
+        shaft_response=response,
         profiles=tuple(profile_curve(p, ReportedEstimates(fitted.fit)) for p in profiles),
     )
 
@@ -386,6 +397,26 @@ class SpectrumBands(Part, frozen=True, kw_only=True):
     high: Annotated[Array, Meta(description="upper end of the 95 % interval of the true density [unit^2/Hz]")]
 
 
+class AllanCurve(Part, frozen=True, kw_only=True):
+    """Overlapping Allan deviation of a channel over the averaging time, and the numbers of a data sheet."""
+
+    tau: Annotated[Array, Meta(description="averaging times [s]")]
+    deviation: Annotated[Array, Meta(description="Allan deviation [unit]")]
+    error: Annotated[Array, Meta(description="standard error of `deviation` [unit]")]
+    density: Annotated[
+        float, Meta(description="white noise of the fitted model as a density: `white` sqrt(sample interval)")
+    ]
+    bias_instability: Annotated[float, Meta(description="smallest deviation / 0.664 [unit]")]
+    bias_tau: Annotated[float, Meta(description="averaging time of the smallest deviation [s]")]
+    is_limit: Annotated[
+        bool, Meta(description="`bias_instability` is an upper limit: the deviation still falls at the longest time")
+    ]
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if the arrays over the averaging time differ in length."""
+        same_length(self, "tau", "deviation", "error")
+
+
 class ChannelNoise(Part, frozen=True, kw_only=True):
     """Noise model of a channel of a sensor at rest: white noise plus a random walk, and the test of this model."""
 
@@ -413,6 +444,9 @@ class ChannelNoise(Part, frozen=True, kw_only=True):
     psd_model: Annotated[Array, Meta(description="power spectral density of the fitted model [unit^2/Hz]")]
     bands: Annotated[
         SpectrumBands | None, Meta(description="measured density averaged over bands, with its interval")
+    ] = None
+    allan: Annotated[
+        AllanCurve | None, Meta(description="null: the channel is too short, or in files of older versions")
     ] = None
 
 

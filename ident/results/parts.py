@@ -784,10 +784,52 @@ class VehicleResult(FitResult, frozen=True, kw_only=True, tag_field="kind", tag=
     ] = None
 
 
+class SteadyBench(Part, frozen=True, kw_only=True):
+    """Steady-state table of the bench logs: means over the last 0.6 s of each command that was held for 1.6 s.
+
+    A quantity that was not measured is null in every row. `steady.csv` has the same rows.
+    """
+
+    log: Annotated[tuple[str, ...], Meta(description="name of the log of each row")]
+    command: Annotated[Array, Meta(description="command, as a part of full")]
+    n: Annotated[Array, Meta(description="shaft speed, as a part of full")]
+    force: Annotated[Array, Meta(description="force without the offset of the load cell [N]")]
+    force_se: Annotated[Array, Meta(description="standard error of `force` [N]")]
+    voltage: Annotated[Array, Meta(description="voltage of the supply [V]")]
+    current: Annotated[Array, Meta(description="current of the supply [A]")]
+    power: Annotated[Array, Meta(description="electrical power [W]")]
+    torque: Annotated[Array, Meta(description="torque of the shaft [N m]")]
+    power_formula: Annotated[str, Meta(description="formula of `power` in words; empty: not measured")] = ""
+    rpm_max: Annotated[float | None, Meta(description="full shaft speed [rev/min]; null: unknown")] = None
+    expo: Annotated[float | None, Meta(description="ArduPilot's MOT_THST_EXPO; null: too few forward commands")] = None
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if the columns of the table differ in length."""
+        same_length(self, "command", "n", "force", "force_se", "voltage", "current", "power", "torque")
+
+
+class ShaftResponse(Part, frozen=True, kw_only=True):
+    """Frequency response of the shaft speed to its command: that of the model, and the measured one."""
+
+    frequency: Annotated[Array, Meta(description="frequencies of the model's response [Hz]")]
+    gain: Annotated[Array, Meta(description="gain of the model")]
+    phase: Annotated[Array, Meta(description="phase of the model, with its dead time [rad]")]
+    frequency_measured: Annotated[Array, Meta(description="frequencies at which the data determine it [Hz]")]
+    gain_measured: Annotated[Array, Meta(description="measured gain")]
+    phase_measured: Annotated[Array, Meta(description="measured phase [rad]")]
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if the arrays of the model's or of the measured response differ in length."""
+        same_length(self, "frequency", "gain", "phase")
+        same_length(self, "frequency_measured", "gain_measured", "phase_measured")
+
+
 class ThrusterResult(FitResult, frozen=True, kw_only=True, tag_field="kind", tag="thruster"):
     """Result of `seatrial ident thruster` for logs with a measured shaft speed: the fit of a thruster model."""
 
     static: Annotated[StaticForce | None, Meta(description="null: there was no load cell")] = None
+    steady: Annotated[SteadyBench | None, Meta(description="null: no command was held for 1.6 s")] = None
+    shaft_response: Annotated[ShaftResponse | None, Meta(description="null: only in files of older versions")] = None
     profiles: Annotated[tuple[ProfileCurve, ...], Meta(description="with `--profile`: one for each parameter")] = ()
 
 

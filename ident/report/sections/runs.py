@@ -144,9 +144,11 @@ def traces_section(canvas: Canvas, result: FitResult) -> Section:
     if not any(blocks for _, blocks in tabs):
         return Section("traces", "", [])
     compared = any(row.before is not None for row in result.traces)
+    moves = bool(result.track) or any(row.channel in ("psi", "x", "y") for row in result.traces)
+    errors = ", so that small errors of speed and heading accumulate in the position" if moves else ""
     lead = (
-        "After the first 15 s, the simulation uses the inputs alone, so that small errors of speed and heading "
-        "accumulate in the position. The fit in the panel titles is over all records with the same role."
+        f"After the first 15 s, the simulation uses the inputs alone{errors}. The fit in the panel titles is over all "
+        "records with the same role."
     )
     return Section("traces", "Simulated against measured", [_legend("simulated", compared), *tabbed(tabs)], lead)
 
