@@ -1,4 +1,3 @@
-from .allan import AllanDeviation as AllanDeviation
 from .allan import allan_deviation as allan_deviation
 from .cell_zero import zero_drift as zero_drift
 from .sensor_noise import NoiseFit as NoiseFit

@@ -255,7 +255,8 @@ ident.add_command(information)
 def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
     """Estimate white noise and random walk of each channel from LOGS of sensors at rest.
 
-    The report has them in units of data sheets too, with the Allan deviation and the bias instability. The results are noise.toml, result.json and report.html in the folder --out.
+    The report has them in units of data sheets too, with the Allan deviation and the bias instability. The results are
+    noise.toml, result.json and report.html in the folder --out.
 
     \b
     Example:

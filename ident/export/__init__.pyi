@@ -1,5 +1,4 @@
 from .formats import export as export
 from .linearisation import Linearisation as Linearisation
 from .linearisation import linearise as linearise
-from .steady_motion import SteadyMotion as SteadyMotion
 from .steady_motion import steady_motion as steady_motion

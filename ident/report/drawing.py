@@ -92,7 +92,9 @@ class Budget:
 
     @classmethod
     def for_traces(cls, n_traces: int, total: int = 200_000) -> Budget:
-        """Return the limit for a page of about ``total`` points: ``total / n_traces``, but at least 200, at most 3000.
+        """Return the limit for a page of about ``total`` points: ``total / n_traces``, at least ``total / 1000``.
+
+        It is at most 3000.
 
         Parameters
         ----------
@@ -101,7 +103,7 @@ class Budget:
         total
             Number of points that all traces of the page together should have.
         """
-        return cls(int(np.clip(total / max(n_traces, 1), 200, 3000)))
+        return cls(int(np.clip(total / max(n_traces, 1), total / 1000, 3000)))
 
 
 def drawable(y: Array | None) -> Array | None:

@@ -14,6 +14,7 @@ from .commands import COVERAGE as COVERAGE
 from .commands import VARIANCE as VARIANCE
 from .commands import AllanCurve as AllanCurve
 from .commands import Baseline as Baseline
+from .commands import BenchTables as BenchTables
 from .commands import ChannelNoise as ChannelNoise
 from .commands import CommandTrace as CommandTrace
 from .commands import DesignedParameter as DesignedParameter

@@ -167,16 +167,33 @@ def vehicle_result(
     )
 
 
+@dataclass(frozen=True)
+class BenchTables:
+    """Tables of a thruster on the bench that are reported with its fit.
+
+    Attributes
+    ----------
+    static
+        Measured and fitted static thrust; None if the logs have no measured force.
+    steady
+        Steady-state table; None if no command was held.
+    response
+        Frequency response of the shaft; None if it is unknown.
+    """
+
+    static: StaticForce | None = None
+    steady: SteadyBench | None = None
+    response: ShaftResponse | None = None
+
+
 def thruster_result(
     fitted: FittedModel,
     evaluation: PredictionEvaluation,
     made: Provenance,
     profiles: Sequence[Profile],
-    static: StaticForce | None,
+    bench: BenchTables,
     posed: FitContext,
     calibration: float | None,
-    steady: SteadyBench | None = None,
-    response: ShaftResponse | None = None,
 ) -> ThrusterResult:
     """Return the result of `seatrial ident thruster` for logs with a shaft speed, from a fit and its evaluation.
 
@@ -192,18 +209,15 @@ def thruster_result(
         Logs, command line, time and software version.
     profiles : sequence of Profile
         Profile likelihoods; empty without `--profile`.
-    static : StaticForce or None
-        Measured and fitted static thrust; None if the logs have no measured force.
+    bench : BenchTables
+        Static thrust, steady-state table and frequency response.
     posed : FitContext
         Initial values and notes; its other fields are not used.
     calibration : float or None
         Relative standard uncertainty of the load cell's force, which the standard errors of forces then include. None
         if the rig does not give it.
-    steady : SteadyBench, optional
-        Steady-state table; None if no command was held.
-    response : ShaftResponse, optional
-        Frequency response of the shaft; None if it is unknown.
     """
+    static = bench.static
     bands, ways = calibration_tables(evaluation), directions(fitted.records)
     return ThrusterResult(
         **msgspec.structs.asdict(made),
@@ -230,8 +244,8 @@ def thruster_result(
         residuals=residual_rows(evaluation),
         cross=cross_correlations(evaluation),
         static=static,
-        steady=steady,
-        shaft_response=response,
+        steady=bench.steady,
+        shaft_response=bench.response,
         profiles=tuple(profile_curve(p, ReportedEstimates(fitted.fit)) for p in profiles),
     )
 

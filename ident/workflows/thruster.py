@@ -52,6 +52,7 @@ from seatrial.ident.numerics import Array
 from seatrial.ident.report import write_report
 from seatrial.ident.reporter import Reporter
 from seatrial.ident.results import (
+    BenchTables,
     FitContext,
     ShaftResponse,
     StaticForce,
@@ -181,11 +182,11 @@ def characterise(request: ThrusterRequest, command: str, reporter: Reporter) -> 
         evaluation,
         provenance(loaded, command),
         [profile(fit, records, p) for p in profiles],
-        _static_force(fit, records, steady) if has_force else None,
+        BenchTables(
+            _static_force(fit, records, steady) if has_force else None, steady, _shaft_response(fit, loaded, name)
+        ),
         FitContext(model.values, [*notes, *fitted.outlier_notes]),
         calibration,
-        steady,
-        _shaft_response(fit, loaded, name),
     )
     ranges = {"n_cmd": _value_range(np.concatenate([r.u[:, 0] for r in records]))}
     write_all(request.out, result, fit, ranges, calibration=calibration)

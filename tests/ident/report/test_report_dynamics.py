@@ -111,3 +111,27 @@ def test_wide_interval_says_where_and_why() -> None:
     assert why == "the channel has no samples from 40 to 52 s"
     _, why = wide_band(trace(channel="u"), row.t, row.sd, None) or ("", "")
     assert "disturbance forces" in why
+
+
+def test_signals_with_one_reason_and_equal_warnings_are_said_once() -> None:
+    content = KINDS["diagnosis"]()
+    same = {"logs": ["a"], "code": "not-in-model", "reason": "the model does not use it"}
+    content["unused_signals"] = [{"signal": n, **same} for n in ("p", "q", "voltage_left")]
+    content["warnings"] = 2 * [{"code": "arm-unknown", "text": "The arm is unknown."}]
+    words = Page(page.render(loaded(content))).words
+    assert "p, q, voltage_left: the model does not use it" in words
+    assert words.count("the model does not use it") == 1
+    assert words.count("The arm is unknown.") == 1
+
+
+def test_page_of_many_records_is_below_three_megabytes() -> None:
+    """The curves of ten records of 20 minutes get fewer points."""
+    whole = loaded(KINDS["diagnosis"]())
+    tables = ("traces", "track", "inputs", "residuals", "cross", "residual_forces")
+    many = {
+        key: tuple(
+            msgspec.structs.replace(row, record=f"{row.record}{k}") for k in range(5) for row in getattr(whole, key)
+        )
+        for key in tables
+    }
+    assert len(page.render(msgspec.structs.replace(whole, **many)).encode()) < 3_000_000
