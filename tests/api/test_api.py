@@ -317,8 +317,10 @@ def test_the_page_runs_as_written(
     assert "<Log other.mcap: 59.9 s, 4 signals" in printed
     assert "scale: measured" in printed
     assert (tmp_path / "next.toml").exists()
-    assert {p.name for p in (tmp_path / "thruster").iterdir()} == {"model.toml", "result.json", "report.html"}
-    assert {p.name for p in (tmp_path / "vehicle").iterdir()} == {"model.toml", "result.json", "report.html"}
+    names = {"model.toml", "result.json", "result.parquet", "report.html"}
+    tables = {"steady.csv", "lookup.csv", "ardupilot.param"}
+    assert {p.name for p in (tmp_path / "thruster").iterdir()} == names | tables
+    assert {p.name for p in (tmp_path / "vehicle").iterdir()} == names
 
 
 def test_the_reference_is_up_to_date() -> None:
