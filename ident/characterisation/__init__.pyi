@@ -1,9 +1,14 @@
+from .allan import allan_deviation as allan_deviation
 from .cell_zero import zero_drift as zero_drift
 from .sensor_noise import NoiseFit as NoiseFit
 from .sensor_noise import band_spectrum as band_spectrum
 from .sensor_noise import estimate_noise as estimate_noise
 from .sensor_noise import noise_model as noise_model
 from .sensor_noise import welch as welch
+from .steady_bench import SteadyRow as SteadyRow
+from .steady_bench import measured_response as measured_response
+from .steady_bench import steady_rows as steady_rows
+from .steady_bench import thrust_expo as thrust_expo
 from .thrust_curve import REVERSED_LOAD_CELL as REVERSED_LOAD_CELL
 from .thrust_curve import Curve as Curve
 from .thrust_curve import Levels as Levels

@@ -245,6 +245,12 @@ def _parts(t: Array, y: Array) -> list[slice]:
     return [slice(a, b) for a, b in pairwise(edges)]
 
 
+def longest_part(channel: Channel) -> Channel:
+    """Return the longest part of a channel between its gaps (longer than 60 s and than ten usual intervals)."""
+    longest = max(_parts(channel.t, channel.value), key=lambda part: part.stop - part.start)
+    return Channel(channel.t[longest], channel.value[longest], channel.unit, channel.source)
+
+
 def _differences(y: Array, parts: Sequence[slice]) -> Array:
     """Return the differences of neighbouring samples of y (n,) within each of the ``parts``, joined to one array.
 
@@ -408,9 +414,8 @@ def welch(channel: Channel, n_segments: int = N_SEGMENTS) -> tuple[Array, Array]
     tuple of Array (n,)
         Frequencies [Hz] and density [unit^2/Hz], without frequency zero.
     """
-    longest = max(_parts(channel.t, channel.value), key=lambda part: part.stop - part.start)
-    t, value = channel.t[longest], channel.value[longest]
-    dt = float(np.median(np.diff(t)))
+    part = longest_part(channel)
+    value, dt = part.value, float(np.median(np.diff(part.t)))
     length = max(16, int(2 * value.size / (n_segments + 1)))
     from scipy import signal  # imported here: it takes more than a second
 

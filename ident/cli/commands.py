@@ -69,7 +69,9 @@ def thruster(logs: tuple[Path, ...], out: Path, **how: Any) -> None:
     """Fit shaft dynamics and thrust curve to bench LOGS of one thruster.
 
     A log of force and command without shaft speed gives only the static thrust curve, as a table. The results are
-    model.toml, result.json and report.html in the folder --out.
+    model.toml, result.json and report.html in the folder --out. With a shaft speed there are also steady.csv (steady
+    states, with the electrical power if it was logged), and with a force lookup.csv (command for each force) and
+    ardupilot.param (MOT_THST_EXPO).
 
     \b
     Example:
@@ -278,7 +280,8 @@ ident.add_command(information)
 def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
     """Estimate white noise and random walk of each channel from LOGS of sensors at rest.
 
-    The results are noise.toml, result.json and report.html in the folder --out.
+    The report has them in units of data sheets too, with the Allan deviation and the bias instability. The results are
+    noise.toml, result.json and report.html in the folder --out.
 
     \b
     Example:

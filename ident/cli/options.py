@@ -247,10 +247,11 @@ def check_output(context: click.Context, _parameter: click.Parameter, out: Path 
     ------
     SeatrialError
         If ``out`` is a file, or a folder with a result.json, and ``--force`` is not given. With or without ``--force``:
-        if ``out``, or a model.toml, result.json or report.html in it, is a symbolic link to a file or to nothing.
+        if ``out``, or a model.toml, result.json, result.parquet or report.html in it, is a symbolic link to a file or
+        to nothing.
     """
     if out is not None:
-        for path in (out, *(out / name for name in ("model.toml", "result.json", "report.html"))):
+        for path in (out, *(out / name for name in ("model.toml", "result.json", "result.parquet", "report.html"))):
             if path.is_symlink() and not path.is_dir():
                 raise SeatrialError(
                     f"{path}: is a symbolic link, which outputs do not follow; remove it, or give another name"

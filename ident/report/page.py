@@ -17,10 +17,12 @@ from markupsafe import Markup
 from seatrial.daq.files import write_output
 from seatrial.ident.report import formatting, sections
 from seatrial.ident.report.blocks import Canvas, Grid, Section
-from seatrial.ident.report.drawing import TEMPLATE, Budget, Figure
+from seatrial.ident.report.drawing import DARK, TEMPLATE, Budget, Figure, compact
 from seatrial.ident.results import Result
 
 PLOTLY = "plotly-cartesian.min.js"  # the bundle with lines, heat maps and bars (docs/decisions/0036-vendored-plotly.md)
+LARGEST_PAGE = 3_000_000  # bytes: mail and version control take it, and a phone opens it at once
+TOTAL_POINTS = (200_000, 120_000, 70_000)  # points of all curves of a page, from the first that is small enough
 KINDS = {
     "thruster": "Thruster identification",
     "thrust_curve": "Thruster identification",
@@ -59,12 +61,25 @@ def write_report(result: Result, path: Path) -> None:
 def render(result: Result) -> str:
     """Return the HTML text of the page of a result, with all figures embedded.
 
+    The figures have fewer points if the page would otherwise be larger than 3 MB. A page with dozens of records is
+    larger all the same, because a curve keeps at least 70 points.
+
     Raises
     ------
     TypeError
         If there is no page for this type of result (designs and studies have their own pages).
     """
-    canvas = Canvas(Budget.for_traces(_count_traces(result)))
+    page = ""
+    for total in TOTAL_POINTS:
+        page = _page(result, Budget.for_traces(_count_traces(result), total))
+        if len(page.encode()) <= LARGEST_PAGE:
+            break
+    return page
+
+
+def _page(result: Result, budget: Budget) -> str:
+    """Return the HTML text of the page of a result, whose curves have at most the points of the ``budget``."""
+    canvas = Canvas(budget)
     opening, body = sections.opening(result), sections.body(canvas, result)
     return compose(
         KINDS[str(type(result).__struct_config__.tag)],
@@ -74,7 +89,7 @@ def render(result: Result) -> str:
         canvas.figures,
         version=result.seatrial,
         created=result.created,
-        warnings=[warning.text for warning in result.warnings],
+        warnings=list(dict.fromkeys(warning.text for warning in result.warnings)),
     )
 
 
@@ -139,7 +154,11 @@ def compose(
             style=Markup(_template_file("style.css")),
             scripts=[Markup(script) for script in scripts],
             policy=_content_security_policy(scripts),
-            figures=Markup(_script_safe_json({"template": TEMPLATE, "figures": figures})),
+            figures=Markup(
+                _script_safe_json(
+                    {"template": TEMPLATE, "dark": DARK, "figures": {k: compact(f) for k, f in figures.items()}}
+                )
+            ),
         )
     )
 

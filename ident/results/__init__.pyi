@@ -12,7 +12,9 @@ from .commands import APART as APART
 from .commands import BIAS as BIAS
 from .commands import COVERAGE as COVERAGE
 from .commands import VARIANCE as VARIANCE
+from .commands import AllanCurve as AllanCurve
 from .commands import Baseline as Baseline
+from .commands import BenchTables as BenchTables
 from .commands import ChannelNoise as ChannelNoise
 from .commands import CommandTrace as CommandTrace
 from .commands import DesignedParameter as DesignedParameter
@@ -48,8 +50,10 @@ from .parts import CommonErrorsRow as CommonErrorsRow
 from .parts import Correlation as Correlation
 from .parts import CorrelationTest as CorrelationTest
 from .parts import CrossCorrelationRow as CrossCorrelationRow
+from .parts import CurvesFile as CurvesFile
 from .parts import DetectableEffect as DetectableEffect
 from .parts import DiagnosisResult as DiagnosisResult
+from .parts import Dynamics as Dynamics
 from .parts import EffectParameter as EffectParameter
 from .parts import EffectRow as EffectRow
 from .parts import ErrorComparison as ErrorComparison
@@ -61,6 +65,7 @@ from .parts import ForceScale as ForceScale
 from .parts import InputTrace as InputTrace
 from .parts import LogSummary as LogSummary
 from .parts import NonparametricCurve as NonparametricCurve
+from .parts import OperatingPoint as OperatingPoint
 from .parts import ParameterChange as ParameterChange
 from .parts import ParameterRow as ParameterRow
 from .parts import Part as Part
@@ -73,7 +78,11 @@ from .parts import ResidualTests as ResidualTests
 from .parts import Result as Result
 from .parts import ResultWarning as ResultWarning
 from .parts import RoundRow as RoundRow
+from .parts import ShaftResponse as ShaftResponse
 from .parts import StaticForce as StaticForce
+from .parts import SteadyBench as SteadyBench
+from .parts import SteadyCurve as SteadyCurve
+from .parts import StepResponse as StepResponse
 from .parts import ThrustCurveResult as ThrustCurveResult
 from .parts import ThrusterResult as ThrusterResult
 from .parts import Trace as Trace
@@ -84,6 +93,7 @@ from .parts import Verdict as Verdict
 from .parts import WhitenessTests as WhitenessTests
 from .result_file import AnyResult as AnyResult
 from .result_file import read_result as read_result
+from .result_file import to_json as to_json
 from .result_file import write_result as write_result
 from .tables import finite as finite
 from .tables import format_number as format_number

@@ -404,10 +404,10 @@ def scale_warnings(scale: ThrustScale) -> list[ResultWarning]:
 
 
 def outlier_lines(residuals: Sequence[ChannelResiduals], model: Model) -> list[str]:
-    """Return one sentence with advice for each record and channel that has outliers among its innovations.
+    """Return a note with the channels of each record that have outliers among their innovations, and advice.
 
     An outlier is beyond six standard deviations. Channels that are already estimated robustly, with outliers as part of
-    their density, have no sentence.
+    their density, are left out. The list is empty if no channel is left.
 
     Parameters
     ----------
@@ -417,15 +417,18 @@ def outlier_lines(residuals: Sequence[ChannelResiduals], model: Model) -> list[s
         Model; each of its outputs is marked as estimated robustly or not.
     """
     robust = {o.name for o in model.outputs if o.robust}
-    lines = []
+    by_record: dict[str, list[str]] = {}
     for r in residuals:
         if r.tests.outliers and r.channel not in robust:
-            lines.append(
-                f"{r.record}: {r.tests.outliers} of {r.e.size} innovations of {r.channel} are beyond {OUTLIER_SDS:g} "
-                f"standard deviations, the largest at {r.tests.largest:.2g}: outliers, or an event that the model "
-                "lacks. Look at them in the report; --robust gives outliers little weight."
-            )
-    return lines
+            words = f"{r.channel} {r.tests.outliers} of {r.e.size} (the largest at {r.tests.largest:.2g})"
+            by_record.setdefault(r.record, []).append(words)
+    if not by_record:
+        return []
+    places = "; ".join(f"{record}: {', '.join(words)}" for record, words in by_record.items())
+    return [
+        f"Some innovations are beyond {OUTLIER_SDS:g} standard deviations: outliers, or an event that the model lacks. "
+        f"Look at them in the report; --robust gives outliers little weight. {places}."
+    ]
 
 
 def faults_first(made: Provenance) -> str:

@@ -35,14 +35,18 @@ from seatrial.ident.results.answers import (
 )
 from seatrial.ident.results.parts import (
     Calibrations,
+    Dynamics,
     InputTrace,
     Part,
     Provenance,
     Result,
+    ShaftResponse,
     StaticForce,
+    SteadyBench,
     ThrusterResult,
     UnusedSignal,
     VehicleResult,
+    same_length,
 )
 from seatrial.ident.results.tables import (
     all_inputs,
@@ -81,6 +85,8 @@ class FitContext:
     assessment
         Result of the score tests of the model: the common errors that were added, and the shifts of the estimates by
         other missing effects. None if the model was not tested.
+    dynamics
+        Steady motion, poles and step responses of the fitted model; None if it has none.
     """
 
     start: Mapping[str, float]
@@ -88,6 +94,7 @@ class FitContext:
     unused: Sequence[UnusedSignal] = ()
     length: float | None = None
     assessment: ModelAssessment | None = None
+    dynamics: Dynamics | None = None
 
 
 def vehicle_result(
@@ -143,6 +150,7 @@ def vehicle_result(
             *_notes(posed.notes, evaluation, calibration),
         ),
         common_errors=common_errors_row(common, fitted, evaluation.headline_set),
+        dynamics=posed.dynamics,
         fit=fit_summary(fitted.fit, posed.start),
         failed_runs=fitted.failed,
         horizon_seconds=evaluation.horizon,
@@ -159,12 +167,31 @@ def vehicle_result(
     )
 
 
+@dataclass(frozen=True)
+class BenchTables:
+    """Tables of a thruster on the bench that are reported with its fit.
+
+    Attributes
+    ----------
+    static
+        Measured and fitted static thrust; None if the logs have no measured force.
+    steady
+        Steady-state table; None if no command was held.
+    response
+        Frequency response of the shaft; None if it is unknown.
+    """
+
+    static: StaticForce | None = None
+    steady: SteadyBench | None = None
+    response: ShaftResponse | None = None
+
+
 def thruster_result(
     fitted: FittedModel,
     evaluation: PredictionEvaluation,
     made: Provenance,
     profiles: Sequence[Profile],
-    static: StaticForce | None,
+    bench: BenchTables,
     posed: FitContext,
     calibration: float | None,
 ) -> ThrusterResult:
@@ -182,14 +209,15 @@ def thruster_result(
         Logs, command line, time and software version.
     profiles : sequence of Profile
         Profile likelihoods; empty without `--profile`.
-    static : StaticForce or None
-        Measured and fitted static thrust; None if the logs have no measured force.
+    bench : BenchTables
+        Static thrust, steady-state table and frequency response.
     posed : FitContext
         Initial values and notes; its other fields are not used.
     calibration : float or None
         Relative standard uncertainty of the load cell's force, which the standard errors of forces then include. None
         if the rig does not give it.
     """
+    static = bench.static
     bands, ways = calibration_tables(evaluation), directions(fitted.records)
     return ThrusterResult(
         **msgspec.structs.asdict(made),
@@ -216,6 +244,8 @@ def thruster_result(
         residuals=residual_rows(evaluation),
         cross=cross_correlations(evaluation),
         static=static,
+        steady=bench.steady,
+        shaft_response=bench.response,
         profiles=tuple(profile_curve(p, ReportedEstimates(fitted.fit)) for p in profiles),
     )
 
@@ -381,6 +411,26 @@ class SpectrumBands(Part, frozen=True, kw_only=True):
     high: Annotated[Array, Meta(description="upper end of the 95 % interval of the true density [unit^2/Hz]")]
 
 
+class AllanCurve(Part, frozen=True, kw_only=True):
+    """Overlapping Allan deviation of a channel over the averaging time, and the numbers of a data sheet."""
+
+    tau: Annotated[Array, Meta(description="averaging times [s]")]
+    deviation: Annotated[Array, Meta(description="Allan deviation [unit]")]
+    error: Annotated[Array, Meta(description="standard error of `deviation` [unit]")]
+    density: Annotated[
+        float, Meta(description="white noise of the fitted model as a density: `white` sqrt(sample interval)")
+    ]
+    bias_instability: Annotated[float, Meta(description="smallest deviation / 0.664 [unit]")]
+    bias_tau: Annotated[float, Meta(description="averaging time of the smallest deviation [s]")]
+    is_limit: Annotated[
+        bool, Meta(description="`bias_instability` is an upper limit: the deviation still falls at the longest time")
+    ]
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if the arrays over the averaging time differ in length."""
+        same_length(self, "tau", "deviation", "error")
+
+
 class ChannelNoise(Part, frozen=True, kw_only=True):
     """Noise model of a channel of a sensor at rest: white noise plus a random walk, and the test of this model."""
 
@@ -408,6 +458,9 @@ class ChannelNoise(Part, frozen=True, kw_only=True):
     psd_model: Annotated[Array, Meta(description="power spectral density of the fitted model [unit^2/Hz]")]
     bands: Annotated[
         SpectrumBands | None, Meta(description="measured density averaged over bands, with its interval")
+    ] = None
+    allan: Annotated[
+        AllanCurve | None, Meta(description="null: the channel is too short, or in files of older versions")
     ] = None
 
 

@@ -68,6 +68,7 @@ def diagnosis_result(
     notes: Sequence[str],
     model_path: str,
     unused: Sequence[parts.UnusedSignal] = (),
+    dynamics: parts.Dynamics | None = None,
 ) -> DiagnosisResult:
     """Return the result of a diagnosis from its findings and its evaluation.
 
@@ -90,6 +91,8 @@ def diagnosis_result(
         File of the diagnosed model, which replaces MODEL in the command of the recommended experiment.
     unused : sequence of UnusedSignal
         Signals of the logs that the model does not use.
+    dynamics : Dynamics, optional
+        Steady motion, poles and step responses of the model with the effects; None if it has none.
     """
     before, after = evaluation.before, evaluation.after
     with_effects, reported = after if diagnosis.effects else None, ReportedEstimates(diagnosis.after.fit)
@@ -134,6 +137,7 @@ def diagnosis_result(
             )
             for r in diagnosis.removed
         ),
+        dynamics=dynamics,
         horizon_seconds=after.horizon,
         errors=errors,
         calibration=calibration,

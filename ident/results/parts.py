@@ -15,7 +15,7 @@ from seatrial.ident.data import FrameOrigin
 from seatrial.ident.estimation import FailedRun
 from seatrial.ident.numerics import Array
 
-FORMAT = "seatrial-result 2"
+FORMAT = "seatrial-result 3"
 Role = Literal["estimation", "validation"]
 Verdict = Literal["right", "overconfident", "underconfident", "insufficient_data"]
 
@@ -136,10 +136,17 @@ class ResultWarning(Part, frozen=True, kw_only=True):
     text: Annotated[str, Meta(description="one line for the reader")]
 
 
+class CurvesFile(Part, frozen=True, kw_only=True):
+    """Parquet file beside result.json, with the numbers of the curves of the result."""
+
+    file: Annotated[str, Meta(description="name of the file, in the folder of result.json")]
+    sha256: Annotated[str, Meta(description="SHA-256 of the file")]
+
+
 class Result(Provenance, frozen=True, kw_only=True):
     """Keys that the results of all commands have in common."""  # subclasses add tag_field="kind" and their kind as tag
 
-    format: Literal["seatrial-result 2"] = "seatrial-result 2"
+    format: Literal["seatrial-result 3"] = "seatrial-result 3"
     answer: Annotated[
         str, Meta(description="the answer in one or two sentences; if the fit did not converge, only that statement")
     ]
@@ -154,6 +161,13 @@ class Result(Provenance, frozen=True, kw_only=True):
             "in each channel"
         ),
     ] = ()
+    curves_file: Annotated[
+        CurvesFile | None,
+        Meta(
+            description='file with the numbers of all arrays that are `{"parquet": n}` here; null: there is none, '
+            "and in a result that was read"
+        ),
+    ] = None
 
     def __repr__(self) -> str:
         """Return ``<TYPE: answer>`` in place of all fields, whose curves would be megabytes of text."""
@@ -692,6 +706,72 @@ class CommonErrorsRow(Part, frozen=True, kw_only=True):
     parameters: Annotated[tuple[EffectParameter, ...], Meta(description="their estimates in the last model")]
 
 
+class SteadyCurve(Part, frozen=True, kw_only=True):
+    """Steady motion of the boat in still water over a constant command, from the model, within the fitted commands.
+
+    Where the model has no stable steady motion, the value is null.
+    """
+
+    motion: Annotated[
+        Literal["straight", "turn"],
+        Meta(description="`straight`: both sides have the command, and yaw rate and sway are held at zero; `turn`"),
+    ]
+    quantity: Annotated[str, Meta(description="`u` or `r`")]
+    unit: Annotated[str, Meta(description="unit of `value`, SI and radians")]
+    inputs: Annotated[tuple[str, ...], Meta(description="names of the inputs that have the command")]
+    mean: Annotated[
+        float,
+        Meta(description="turn: mean of both sides; the left side has mean + command, the right side mean - command"),
+    ] = 0.0
+    command: Annotated[Array, Meta(description="command, in the unit of the inputs")]
+    value: Annotated[Array, Meta(description="steady value")]
+    sd: Annotated[Array, Meta(description="standard error of `value`; null: unknown")]
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if the arrays of the curve differ in length."""
+        same_length(self, "command", "value", "sd")
+
+
+class OperatingPoint(Part, frozen=True, kw_only=True):
+    """Linearisation of the model about straight motion at a speed: its inputs and its poles."""
+
+    speed: Annotated[float, Meta(description="forward speed [m/s]")]
+    inputs: Annotated[dict[str, float], Meta(description="inputs that keep the speed, by name")]
+    real: Annotated[Array, Meta(description="real parts of the poles, the slowest first [1/s]")]
+    imaginary: Annotated[Array, Meta(description="imaginary parts of the poles [rad/s]")]
+    stable: Annotated[bool, Meta(description="whether all real parts are negative")]
+
+
+class StepResponse(Part, frozen=True, kw_only=True):
+    """Response of the linear model to a step of the command at time zero, without the dead time of the command."""
+
+    speed: Annotated[float, Meta(description="speed of the operating point [m/s]")]
+    motion: Annotated[
+        Literal["straight", "turn"],
+        Meta(description="`straight`: both sides step up; `turn`: the left side steps up and the right side down"),
+    ]
+    step: Annotated[float, Meta(description="size of the step, in the unit of the inputs")]
+    quantity: Annotated[str, Meta(description="name of the state")]
+    unit: Annotated[str, Meta(description="unit of `value`, SI and radians")]
+    t: Annotated[Array, Meta(description="[s]")]
+    value: Annotated[Array, Meta(description="change of the state since the step")]
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if times and values of the response differ in length."""
+        same_length(self, "t", "value")
+
+
+class Dynamics(Part, frozen=True, kw_only=True):
+    """Steady motion, poles and step responses of a fitted model in still water."""
+
+    steady: Annotated[tuple[SteadyCurve, ...], Meta(description="steady speed and turn rate over the command")] = ()
+    points: Annotated[tuple[OperatingPoint, ...], Meta(description="linear models, at several speeds")] = ()
+    steps: Annotated[tuple[StepResponse, ...], Meta(description="step responses at one speed")] = ()
+    delays: Annotated[dict[str, float], Meta(description="dead time of each input that has one [s]")] = msgspec.field(
+        default_factory=dict
+    )
+
+
 class VehicleResult(FitResult, frozen=True, kw_only=True, tag_field="kind", tag="vehicle"):
     """Result of `seatrial ident vehicle`: the fit of a model of a vehicle."""
 
@@ -706,12 +786,57 @@ class VehicleResult(FitResult, frozen=True, kw_only=True, tag_field="kind", tag=
         CommonErrorsRow | None,
         Meta(description="small errors that every craft has, estimated together with the model; null: not added"),
     ] = None
+    dynamics: Annotated[
+        Dynamics | None, Meta(description="null: the model has no speed or turn rate, or the fit did not converge")
+    ] = None
+
+
+class SteadyBench(Part, frozen=True, kw_only=True):
+    """Steady-state table of the bench logs: means over the last 0.6 s of each command that was held for 1.6 s.
+
+    A quantity that was not measured is null in every row. `steady.csv` has the same rows.
+    """
+
+    log: Annotated[tuple[str, ...], Meta(description="name of the log of each row")]
+    command: Annotated[Array, Meta(description="command, as a part of full")]
+    n: Annotated[Array, Meta(description="shaft speed, as a part of full")]
+    force: Annotated[Array, Meta(description="force without the offset of the load cell [N]")]
+    force_se: Annotated[Array, Meta(description="standard error of `force` [N]")]
+    voltage: Annotated[Array, Meta(description="voltage of the supply [V]")]
+    current: Annotated[Array, Meta(description="current of the supply [A]")]
+    power: Annotated[Array, Meta(description="electrical power [W]")]
+    torque: Annotated[Array, Meta(description="torque of the shaft [N m]")]
+    power_formula: Annotated[str, Meta(description="formula of `power` in words; empty: not measured")] = ""
+    rpm_max: Annotated[float | None, Meta(description="full shaft speed [rev/min]; null: unknown")] = None
+    expo: Annotated[float | None, Meta(description="ArduPilot's MOT_THST_EXPO; null: too few forward commands")] = None
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if the columns of the table differ in length."""
+        same_length(self, "command", "n", "force", "force_se", "voltage", "current", "power", "torque")
+
+
+class ShaftResponse(Part, frozen=True, kw_only=True):
+    """Frequency response of the shaft speed to its command: that of the model, and the measured one."""
+
+    frequency: Annotated[Array, Meta(description="frequencies of the model's response [Hz]")]
+    gain: Annotated[Array, Meta(description="gain of the model")]
+    phase: Annotated[Array, Meta(description="phase of the model, with its dead time [rad]")]
+    frequency_measured: Annotated[Array, Meta(description="frequencies at which the data determine it [Hz]")]
+    gain_measured: Annotated[Array, Meta(description="measured gain")]
+    phase_measured: Annotated[Array, Meta(description="measured phase [rad]")]
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if the arrays of the model's or of the measured response differ in length."""
+        same_length(self, "frequency", "gain", "phase")
+        same_length(self, "frequency_measured", "gain_measured", "phase_measured")
 
 
 class ThrusterResult(FitResult, frozen=True, kw_only=True, tag_field="kind", tag="thruster"):
     """Result of `seatrial ident thruster` for logs with a measured shaft speed: the fit of a thruster model."""
 
     static: Annotated[StaticForce | None, Meta(description="null: there was no load cell")] = None
+    steady: Annotated[SteadyBench | None, Meta(description="null: no command was held for 1.6 s")] = None
+    shaft_response: Annotated[ShaftResponse | None, Meta(description="null: only in files of older versions")] = None
     profiles: Annotated[tuple[ProfileCurve, ...], Meta(description="with `--profile`: one for each parameter")] = ()
 
 
@@ -1021,6 +1146,10 @@ class DiagnosisResult(FitResult, frozen=True, kw_only=True, tag_field="kind", ta
     parameters_before_after: Annotated[
         tuple[ParameterChange, ...], Meta(description="shared free parameters of the model without effects")
     ] = ()
+    dynamics: Annotated[
+        Dynamics | None,
+        Meta(description="of the model with the effects; null: no vehicle, or a fit did not converge"),
+    ] = None
     recommended_experiment: Annotated[
         str | None, Meta(description="experiment that would distinguish the competing models")
     ] = None

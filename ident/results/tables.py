@@ -690,11 +690,14 @@ def common_errors_notes(found: CommonErrorsFit | None, beside: str) -> list[str]
     return [f"Small errors that every craft has are estimated together with {beside}: {titles} ({support})."]
 
 
+LEAST_GROWTH = 1.05  # smallest factor of a standard error that a note lists
+
+
 def model_uncertainty_notes(found: ModelUncertainty | None, fit: Fit) -> list[str]:
     """Return a note on standard errors that include the uncertainty of the model.
 
-    Missing effects (candidates) that still pass the score tests would shift the estimates. The note has the factor by
-    which this multiplies the standard errors of the first three parameters concerned, usually those of the hull.
+    Missing effects (candidates) that still pass the score tests would shift the estimates. The note ends with the three
+    parameters whose standard errors this increases most, by 5 % or more, with the factors.
 
     Parameters
     ----------
@@ -706,16 +709,18 @@ def model_uncertainty_notes(found: ModelUncertainty | None, fit: Fit) -> list[st
     if found is None:
         return []
     variance = dict(zip(found.parameters, np.diag(found.covariance), strict=True))
-    grown = [
-        f"{name} {error / np.sqrt(error**2 - variance[name]):.2g}"
+    grown = {
+        name: float(error / np.sqrt(error**2 - variance[name]))
         for name, error in zip(fit.names, fit.errors, strict=True)
         if name in variance and error**2 > variance[name]
-    ]
+    }
     if not grown:
         return []
+    most = sorted((name for name, factor in grown.items() if factor >= LEAST_GROWTH), key=lambda n: -grown[n])
+    factors = ", ".join(f"{name} {grown[name]:.2g}" for name in most[:3])
     return [
-        "The standard errors include the uncertainty of the model: "
         f"{counted(len(found.candidates), 'possible effect')} still pass{'es' * (len(found.candidates) == 1)} the "
-        "score tests, and each would shift the estimates. The standard errors are larger by these factors: "
-        f"{', '.join(grown[:3])}. `seatrial ident diagnose` searches for missing effects."
+        "score tests, and each would shift the estimates: `seatrial ident diagnose` searches for missing effects. The "
+        "standard errors include this uncertainty of the model"
+        + (f"; most by these factors: {factors}." if factors else ", which increases none of them by 5 %.")
     ]

@@ -17,6 +17,7 @@ from seatrial.ident.models import effects_for
 from seatrial.ident.reporter import Reporter
 from seatrial.ident.results import DiagnosisResult, diagnosis_result, estimation_warnings, provenance
 from seatrial.ident.workflows.check import check_first, with_noise_floors
+from seatrial.ident.workflows.dynamics import dynamics_of
 from seatrial.ident.workflows.model_inputs import (
     check_horizon,
     hold_lines,
@@ -191,5 +192,6 @@ def diagnose_model(request: DiagnosisRequest, command: str, reporter: Reporter) 
         notes=[*floors, *considered_notes(found.after.fit.model), *found.after.outlier_notes],
         model_path=str(request.model),
         unused=unused,
+        dynamics=dynamics_of(found.after),
     )
     return DiagnosedModel(found, result, effects_file or saved.effects_file)

@@ -17,11 +17,19 @@ from seatrial.daq.errors import SeatrialError, counted
 from seatrial.daq.files import write_output
 from seatrial.daq.log import open_log
 from seatrial.daq.samples import Ahrs
-from seatrial.ident.characterisation import NoiseFit, band_spectrum, estimate_noise, welch
+from seatrial.ident.characterisation import NoiseFit, allan_deviation, band_spectrum, estimate_noise, welch
 from seatrial.ident.data import Channel, LoadedLog, ahrs_channels, load_runs, silent_times
 from seatrial.ident.report import write_report
 from seatrial.ident.reporter import Reporter
-from seatrial.ident.results import ChannelNoise, NoiseResult, SpectrumBands, finite, provenance, write_result
+from seatrial.ident.results import (
+    AllanCurve,
+    ChannelNoise,
+    NoiseResult,
+    SpectrumBands,
+    finite,
+    provenance,
+    write_result,
+)
 from seatrial.ident.validation import OUTLIER_SDS
 
 FORMAT = "seatrial-noise 2"
@@ -245,7 +253,19 @@ def _channel_noise(estimate: NoiseEstimate) -> ChannelNoise:
         psd=density,
         psd_model=f.psd(frequency),
         bands=SpectrumBands(**vars(averaged)),
+        allan=_allan_curve(estimate),
     )
+
+
+def _allan_curve(estimate: NoiseEstimate) -> AllanCurve | None:
+    """Return the Allan deviation of a channel for the result, with the density of the fitted white noise.
+
+    Return None if the channel is too short.
+    """
+    found = allan_deviation(estimate.channel)
+    if found is None:
+        return None
+    return AllanCurve(density=estimate.fit.white * math.sqrt(estimate.fit.interval), **vars(found))
 
 
 def _noise_answer(found: Sequence[NoiseEstimate]) -> str:

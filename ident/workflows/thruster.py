@@ -14,12 +14,14 @@ import msgspec
 import numpy as np
 
 from seatrial.daq.errors import SeatrialError, counted
+from seatrial.daq.files import write_output
 from seatrial.ident.characterisation import (
     REVERSED_LOAD_CELL,
     THRUSTER_RATE,
     Curve,
     Levels,
     Quadratic,
+    SteadyRow,
     ThrustCurve,
     adequate,
     check_signs,
@@ -31,9 +33,12 @@ from seatrial.ident.characterisation import (
     fit_quadratic,
     fit_with_delay_on_grid,
     hold_advice,
+    measured_response,
     save_curve,
     shaft_guess,
+    steady_rows,
     steady_thrust,
+    thrust_expo,
     thruster_channels,
     thruster_name,
     zero_drift,
@@ -43,12 +48,15 @@ from seatrial.ident.data import Channel, LoadedLog, Record, build_record, load_r
 from seatrial.ident.estimation import EstimationOptions, Fit, FittedModel, RecordEvaluation, profile
 from seatrial.ident.model import Model, command_of, commanded_thrusters, shaft_speed_of
 from seatrial.ident.models import thruster_model
-from seatrial.ident.numerics import Array, mean_error, steady_segments
+from seatrial.ident.numerics import Array
 from seatrial.ident.report import write_report
 from seatrial.ident.reporter import Reporter
 from seatrial.ident.results import (
+    BenchTables,
     FitContext,
+    ShaftResponse,
     StaticForce,
+    SteadyBench,
     ThrustCurveResult,
     ThrusterResult,
     check_warnings,
@@ -62,12 +70,14 @@ from seatrial.ident.results import (
 )
 from seatrial.ident.validation import evaluate
 from seatrial.ident.workflows.check import with_findings
+from seatrial.ident.workflows.electrical import electrical_channels
 from seatrial.ident.workflows.model_inputs import check_horizon, check_names
 from seatrial.ident.workflows.output import write_all
 
-# s, for the steady points of a plot: time that is left out after a change of command, and time before the next change
-# over which the measurements are averaged
-SETTLED_S, AVERAGED_S = 1.0, 0.6
+GRAMS_PER_NEWTON = 1000.0 / 9.80665
+BODE_HZ = (0.02, 10.0)  # range of the frequency response of the shaft
+BODE_POINTS = 200
+LOOKUP_ROWS = 101  # of lookup.csv
 
 
 @dataclass(frozen=True)
@@ -107,7 +117,7 @@ def characterise(request: ThrusterRequest, command: str, reporter: Reporter) -> 
 
     The model has a thrust only if all logs have a measured force.
 
-    The files are model.toml, result.json and report.html in the folder ``request.out``.
+    The files are model.toml, result.json, report.html and those of `write_tables` in the folder ``request.out``.
 
     Parameters
     ----------
@@ -166,18 +176,145 @@ def characterise(request: ThrusterRequest, command: str, reporter: Reporter) -> 
     if profiles:
         reporter.progress(f"profile likelihood of {', '.join(profiles)}")
     calibration = _calibration(loaded)
+    steady = _steady_table(fit, records, loaded, request.logs, name)
     result = thruster_result(
         fitted,
         evaluation,
         provenance(loaded, command),
         [profile(fit, records, p) for p in profiles],
-        _static_force(fit, records, loaded, name) if has_force else None,
+        BenchTables(
+            _static_force(fit, records, steady) if has_force else None, steady, _shaft_response(fit, loaded, name)
+        ),
         FitContext(model.values, [*notes, *fitted.outlier_notes]),
         calibration,
     )
     ranges = {"n_cmd": _value_range(np.concatenate([r.u[:, 0] for r in records]))}
     write_all(request.out, result, fit, ranges, calibration=calibration)
+    write_tables(request.out, result)
     return result
+
+
+def write_tables(out: Path, result: ThrusterResult) -> None:
+    """Write the tables of a thruster for other programs: steady.csv, and with a force lookup.csv and ardupilot.param.
+
+    steady.csv has a row for each steady command, with empty cells for what was not measured. lookup.csv has the command
+    and the shaft speed for evenly spaced forces, by the fitted curve; inside the dead zone the command is zero.
+    ardupilot.param has MOT_THST_EXPO of the steady forward commands. Existing files are replaced.
+
+    Parameters
+    ----------
+    out : Path
+        Folder, which exists.
+    result : ThrusterResult
+        The result. Without a steady-state table nothing is written.
+    """
+    table = result.steady
+    if table is None:
+        return
+    full = np.nan if table.rpm_max is None else table.rpm_max
+    with np.errstate(divide="ignore", invalid="ignore"):
+        per_watt = np.where(table.power > 0.0, np.abs(table.force) / table.power, np.nan)
+    columns = {
+        "command": table.command,
+        "n": table.n,
+        "rpm": table.n * full,
+        "force_N": table.force,
+        "force_se_N": table.force_se,
+        "voltage_V": table.voltage,
+        "current_A": table.current,
+        "power_W": table.power,
+        "efficiency_N_per_W": per_watt,
+        "efficiency_g_per_W": per_watt * GRAMS_PER_NEWTON,
+        "torque_Nm": table.torque,
+    }
+    write_output(out / "steady.csv", _as_csv(columns))
+    if result.static is None:
+        return
+    write_output(out / "lookup.csv", _as_csv(_lookup(result, full)))
+    if table.expo is not None:
+        lines = [
+            "# Thrust curve of the bench logs by seatrial: thrust = (1 - expo) throttle + expo throttle^2",
+            "# of the forward commands; both are parts of their largest values. Copter, Sub and Rover read it.",
+            f"MOT_THST_EXPO,{table.expo:.3f}",
+        ]
+        write_output(out / "ardupilot.param", "\n".join(lines) + "\n")
+
+
+def _lookup(result: ThrusterResult, full: float) -> dict[str, Array]:
+    """Return command and shaft speed for evenly spaced forces [N] from the smallest to the largest of the fitted curve.
+
+    ``full``: full shaft speed [rev/min], NaN if it is unknown. Where the fitted curve is not monotone, the running
+    maximum of the force counts. A command inside the dead zone has no thrust and is zero.
+    """
+    assert result.static is not None
+    n, force = result.static.n_model, np.maximum.accumulate(result.static.force_model)
+    asked = np.union1d(np.linspace(force[0], force[-1], LOOKUP_ROWS), [0.0])
+    keep = np.concatenate([[True], np.diff(force) > 0.0])
+    command = np.interp(asked, force[keep], n[keep])
+    dead = next((p.value for p in result.fit.parameters if p.name == "d"), 0.0)
+    command = np.where((np.abs(command) < dead) | (asked == 0.0), 0.0, command)
+    return {"force_N": asked, "command": command, "rpm": command * full}
+
+
+def _as_csv(columns: Mapping[str, Array]) -> str:
+    """Return columns of equal length as CSV with a header. A value that is not finite is an empty cell."""
+    lines = [",".join(columns)]
+    for row in zip(*columns.values(), strict=True):
+        lines.append(",".join(f"{v:.6g}" if np.isfinite(v) else "" for v in row))
+    return "\n".join(lines) + "\n"
+
+
+def _steady_table(
+    fitted: Fit, records: Sequence[Record], loaded: Sequence[LoadedLog], logs: Sequence[Path], name: str
+) -> SteadyBench | None:
+    """Return the steady-state table of bench logs, with electrical power and torque where they were measured.
+
+    ``fitted``: fit of the thruster model to ``records``, which belong to the logs ``loaded`` and the files ``logs``.
+    ``name``: name of the thruster. The fitted offset of the load cell is subtracted from the forces. Return None if no
+    command was held.
+    """
+    has_force = "bias" in fitted.model.values
+    rows, names, formula = list[SteadyRow](), list[str](), ""
+    for i, (x, record) in enumerate(zip(loaded, records, strict=True)):
+        files = [path for path in logs if path.name == x.about["path"]]  # two logs may have the same name
+        electrical, words = electrical_channels(files[0], x, name) if len(files) == 1 else ({}, "")
+        formula = formula or words
+        bias = fitted.estimate("bias", i)[0] if has_force else 0.0
+        channels = {**x.run.channels, **electrical}
+        found = steady_rows(channels, command_of(name), shaft_speed_of(name), bias)
+        rows += found
+        names += [record.name] * len(found)
+    if not rows:
+        return None
+    columns = {key: np.array([getattr(row, key) for row in rows]) for key in SteadyRow.__dataclass_fields__}
+    thrusters = [t for x in loaded if x.rig for t in x.rig.thrusters if t.name == name and np.isfinite(t.rpm_max)]
+    expo = thrust_expo(columns["command"], columns["force"])
+    return SteadyBench(
+        log=tuple(names),
+        power_formula=formula,
+        rpm_max=thrusters[0].rpm_max if thrusters else None,
+        expo=expo if np.isfinite(expo) else None,
+        **columns,
+    )
+
+
+def _shaft_response(fitted: Fit, loaded: Sequence[LoadedLog], name: str) -> ShaftResponse:
+    """Return the frequency response of the shaft by the model, ``a exp(-j w tau) / (j w + a)``, and as measured.
+
+    The measured response is that of the longest of the logs ``loaded``. ``name``: name of the thruster.
+    """
+    f = np.geomspace(*BODE_HZ, BODE_POINTS)
+    w, (a, _), (tau, _) = 2.0 * np.pi * f, fitted.estimate("a"), fitted.estimate("tau")
+    longest = max(loaded, key=lambda x: float(x.about["duration"])).run.channels
+    at, gain, phase = measured_response(longest[command_of(name)], longest[shaft_speed_of(name)], THRUSTER_RATE)
+    return ShaftResponse(
+        frequency=f,
+        gain=a / np.hypot(a, w),
+        phase=-np.arctan2(w, a) - w * tau,
+        frequency_measured=at,
+        gain_measured=gain,
+        phase_measured=phase,
+    )
 
 
 def _without_zero_drift(
@@ -233,37 +370,19 @@ def _thruster_record(model: Model, loaded: LoadedLog, name: str) -> Record:
     return build_record(model, channels, name=loaded.run.name, rate=THRUSTER_RATE)
 
 
-def _static_force(fitted: Fit, records: Sequence[Record], loaded: Sequence[LoadedLog], name: str) -> StaticForce:
+def _static_force(fitted: Fit, records: Sequence[Record], steady: SteadyBench | None) -> StaticForce:
     """Return the measured steady thrust, and that of the fitted model with its standard error, for the result.
 
-    ``fitted``: fit of the thruster model to ``records``, which belong to the logs ``loaded``. ``name``: name of the
-    thruster. The model's thrust is given at 81 shaft speeds, from 0 to full speed in each direction in which the shaft
-    turned. The fitted offset of the load cell is subtracted from the measurements.
+    ``fitted``: fit of the thruster model to ``records``. ``steady``: steady-state table of their logs. The model's
+    thrust is given at 81 shaft speeds, from 0 to full speed in each direction in which the shaft turned.
     """
-    points = [p for i, x in enumerate(loaded) for p in _steady_points(x, name, fitted.estimate("bias", i)[0])]
-    n, force, sd = np.array(points).reshape(-1, 3).T
+    n, force, sd = (np.empty(0),) * 3 if steady is None else (steady.n, steady.force, steady.force_se)
+    good = np.isfinite(force)
+    n, force, sd = n[good], force[good], sd[good]
     ends = (0.0, *directions(records))
     grid = np.linspace(min(ends), max(ends), 81)
     force_model, force_sd = steady_thrust(fitted, grid)
     return StaticForce(n=n, force=force, sd=sd, n_model=grid, force_model=force_model, force_sd=force_sd)
-
-
-def _steady_points(loaded: LoadedLog, name: str, bias: float) -> list[tuple[float, float, float]]:
-    """Return the steady points of a bench log for a plot: one for each command that was held for 1.6 s or longer.
-
-    A point has the normalised shaft speed, the force [N] and the standard error of the force [N], averaged over the
-    last 0.6 s of the command. A command with three or fewer samples of a signal in that time is left out. ``name``:
-    name of the thruster. ``bias``: offset of the load cell [N], which is subtracted from the force.
-    """
-    command, n, f = (loaded.run.channels[c] for c in (command_of(name), shaft_speed_of(name), "force"))
-    points = []
-    for steady in steady_segments(command.t, command.value, float(command.t[-1])):
-        if steady.duration < SETTLED_S + AVERAGED_S:
-            continue
-        speed, force = (c.value[(c.t > steady.end - AVERAGED_S) & (c.t <= steady.end)] for c in (n, f))
-        if speed.size > 3 and force.size > 3:
-            points.append((float(speed.mean()), float(force.mean() - bias), mean_error(force)[0]))
-    return points
 
 
 def _value_range(z: Array) -> tuple[float, float]:

@@ -15,6 +15,7 @@ from seatrial.ident.reporter import Reporter
 from seatrial.ident.results import FitContext, VehicleResult, provenance, vehicle_result
 from seatrial.ident.validation import evaluate
 from seatrial.ident.workflows.check import check_first
+from seatrial.ident.workflows.dynamics import dynamics_of
 from seatrial.ident.workflows.model_inputs import unused_lines
 from seatrial.ident.workflows.output import sensor_rates, validity, write_all
 from seatrial.ident.workflows.vehicle_model import VehicleProblem, VehicleRequest, vehicle_problem
@@ -134,6 +135,7 @@ def fit_vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Ve
             problem.unused,
             loaded[0].vehicle.get("length"),
             tested,
+            dynamics_of(fitted),
         ),
     )
     return VehicleFit(fitted, result)

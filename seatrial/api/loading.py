@@ -15,9 +15,11 @@ from seatrial.api import tables
 from seatrial.api.fits import FittedDiagnosis, FittedVehicle, Series, known_options, model_path
 from seatrial.api.logs import PathLike
 from seatrial.api.messages import errors_of_users
+from seatrial.api.plots import prediction_figure
 from seatrial.daq.errors import SeatrialError, SeatrialWarning
 
 if TYPE_CHECKING:
+    from seatrial.api.figures import Figure
     from seatrial.ident.estimation import SavedModel
     from seatrial.ident.export import Linearisation
     from seatrial.ident.model import Model
@@ -123,6 +125,23 @@ class Saved:
             return self.answer
         errors = self.standard_errors
         return "\n".join(f"{n} = {v:.6g} ± {errors.get(n, np.nan):.2g}" for n, v in self.params.items())
+
+    def plot(self, *channels: str) -> Figure:
+        """Return a figure of measured and predicted channels over the horizon, as that of a fit of this process.
+
+        Parameters
+        ----------
+        *channels : str
+            Names of the channels to draw, such as ``"psi"``; without names all are drawn.
+
+        Raises
+        ------
+        SeatrialError
+            If no result of a fit was loaded, or if it has no channel with one of the names.
+        """
+        if not hasattr(self.result, "traces"):
+            raise SeatrialError(f"{self.path}: no {RESULT} of a fit was loaded; load the folder that contains it")
+        return prediction_figure(self.result, channels)
 
     def _saved_model(self) -> SavedModel:
         """Return the loaded content of model.toml; SeatrialError if no model.toml was loaded."""

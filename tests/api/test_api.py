@@ -346,8 +346,10 @@ def test_the_page_runs_as_written(
     assert "<Log other.mcap: 59.9 s, 4 signals" in printed
     assert "scale: measured" in printed
     assert (tmp_path / "next.toml").exists()
-    assert {p.name for p in (tmp_path / "thruster").iterdir()} == {"model.toml", "result.json", "report.html"}
-    assert {p.name for p in (tmp_path / "vehicle").iterdir()} == {"model.toml", "result.json", "report.html"}
+    names = {"model.toml", "result.json", "result.parquet", "report.html"}
+    tables = {"steady.csv", "lookup.csv", "ardupilot.param"}
+    assert {p.name for p in (tmp_path / "thruster").iterdir()} == names | tables
+    assert {p.name for p in (tmp_path / "vehicle").iterdir()} == names
 
 
 def test_the_reference_is_up_to_date() -> None:
@@ -371,7 +373,12 @@ def test_navigated_states_are_those_of_the_files(logs: list[Path], fit: st.Fitte
     assert set(frame["log"]) == {"run3"}
     assert len(frame) == states["t"].size
     done.save(tmp_path / "out")
-    assert {p.name for p in (tmp_path / "out").iterdir()} == {"run3.csv", "result.json", "report.html"}
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {
+        "run3.csv",
+        "result.json",
+        "result.parquet",
+        "report.html",
+    }
     assert "30" in done.answer or "20" in done.answer
     assert repr(done).startswith("<Navigated: run3>")
 

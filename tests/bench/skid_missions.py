@@ -29,6 +29,7 @@ import numpy as np
 
 from seatrial.daq.log import open_log
 from seatrial.ident.data import channels
+from seatrial.ident.results import read_result, to_json
 from tests.bench.simulator_delays import delays
 from tests.daq.ardurover import MISSING, PROGRAM, Rover
 
@@ -136,7 +137,7 @@ def identified(source: str, folder: Path, missions: int, out: str, *words: str) 
         logs = (*(f"{source}{k}.mcap" for k in range(1, missions)), "--validate", f"{source}{missions}.mcap")
         # a busy machine now and then delays the simulator, which appears as a jump of its clock
         command("ident", *words, *logs, "--despite-faults", "--out", out, "--force", cwd=folder)
-    result: dict[str, Any] = msgspec.json.decode((folder / out / "result.json").read_bytes())
+    result: dict[str, Any] = msgspec.json.decode(to_json(read_result(folder / out / "result.json")))
     return result
 
 

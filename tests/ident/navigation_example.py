@@ -88,7 +88,7 @@ def navigation(seed: int = 4) -> NavigationResult:
         for n, unit, meaning, turns in STATES
     ]
     content = {
-        "format": "seatrial-result 2",
+        "format": "seatrial-result 3",
         "kind": "navigation",
         "answer": "2 GNSS outages, the worst of 30 s: at its end the position may be 1.2 m off (95 %).",
         "created": "2026-02-03T04:05:06+00:00",

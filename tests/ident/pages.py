@@ -110,8 +110,14 @@ def printed(content: dict[str, Any]) -> str:
 
 
 def numbers(packed: Any) -> Any:
-    """Return the values of an array in a figure."""
-    return np.frombuffer(base64.b64decode(packed["bdata"]), "<f4") if isinstance(packed, dict) else packed
+    """Return the values of an array in a figure. A gap of an array in 16 bits is NaN."""
+    if not isinstance(packed, dict):
+        return packed
+    if "bdata" in packed:
+        return np.frombuffer(base64.b64decode(packed["bdata"]), "<f4")
+    levels = np.frombuffer(base64.b64decode(packed["q"]), "<u2")
+    step = (packed["high"] - packed["low"]) / 65534
+    return np.where(levels == 65535, np.nan, packed["low"] + step * levels)
 
 
 def check(path: Path) -> None:

@@ -298,5 +298,5 @@ def fit(rng: Any, table: list[dict[str, Any]] | None = None) -> dict[str, Any]:
 
 
 def base(kind: str, answer: str) -> dict[str, Any]:
-    common = {"format": "seatrial-result 2", "kind": kind, "answer": answer, "created": "2025-05-06T07:08:09Z"}
+    common = {"format": "seatrial-result 3", "kind": kind, "answer": answer, "created": "2025-05-06T07:08:09Z"}
     return {**common, "seatrial": "0.1.0", "command": f"seatrial ident {kind} morning.mcap --validate afternoon.mcap"}

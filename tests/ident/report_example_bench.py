@@ -65,5 +65,5 @@ def noise() -> NoiseResult:
         bands = vars(band_spectrum(frequency, psd))
         row |= {"bands": {key: listed(a) for key, a in bands.items()}}
         channels.append(row | {key: listed(a) for key, a in curves.items()})
-    content |= {"logs": [log("quay", "estimation", 3600.0)], "noise": channels, "format": "seatrial-result 2"}
+    content |= {"logs": [log("quay", "estimation", 3600.0)], "noise": channels, "format": "seatrial-result 3"}
     return msgspec.convert(content, NoiseResult, dec_hook=arrays)

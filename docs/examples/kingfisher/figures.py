@@ -14,6 +14,8 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from seatrial.ident.results import read_result, to_json
+
 MEASURED, MODEL, POOR, PLAIN = "#202020", "#0072b2", "#d55e00", "#8a93a0"  # colours of Okabe and Ito, and grey
 SOURCE = (40.4, 82.2, 62.6)  # kg, estimates of the data's authors from single steps; their fit of the fourth failed
 STEPS = ("step 1", "step 2", "step 3", "step 4")
@@ -21,8 +23,8 @@ RUNS = {"run01": "0.1", "after2": "0.3, then none", "run05": "0.5", "run06": "0.
 
 
 def load(folder: Path, name: str) -> dict[str, Any]:
-    """Return the content of a result file."""
-    found: dict[str, Any] = json.loads((folder / name / "result.json").read_text(encoding="utf-8"))
+    """Return the content of a result file with its curves."""
+    found: dict[str, Any] = json.loads(to_json(read_result(folder / name / "result.json")))
     return found
 
 

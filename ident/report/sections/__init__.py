@@ -3,7 +3,18 @@
 from __future__ import annotations
 
 from seatrial.ident.report.blocks import Canvas, Section
-from seatrial.ident.report.sections import answer, navigation, noise, parameters, predictions, residuals, runs, search
+from seatrial.ident.report.sections import (
+    answer,
+    dynamics,
+    navigation,
+    noise,
+    parameters,
+    predictions,
+    residuals,
+    runs,
+    search,
+    thruster,
+)
 from seatrial.ident.results import (
     DiagnosisResult,
     FitResult,
@@ -68,17 +79,21 @@ def _fit(canvas: Canvas, result: FitResult) -> list[Section]:
 
     Figures are added to ``canvas``.
     """
-    static = result.static if isinstance(result, ThrusterResult) else None
+    bench = result if isinstance(result, ThrusterResult) else None
+    static = None if bench is None else bench.static
+    rpm_max = None if bench is None or bench.steady is None else bench.steady.rpm_max
     profiled = result.profiles if isinstance(result, VehicleResult | ThrusterResult) else ()
     diagnosis = result if isinstance(result, DiagnosisResult) else None
     changes = diagnosis.parameters_before_after if diagnosis else ()
     common = result.common_errors if isinstance(result, VehicleResult) else None
     return [
-        *([answer.static_section(canvas, static)] if static else []),
+        *([answer.static_section(canvas, static, rpm_max)] if static else []),
+        *([thruster.steady_section(canvas, bench), thruster.shaft_section(canvas, bench)] if bench else []),
         runs.prediction_section(canvas, result),
         predictions.errors_section(result.errors, result.horizon_seconds),
         runs.traces_section(canvas, result),
         runs.run_section(canvas, result.logs, result.inputs),
+        dynamics.section(canvas, result.dynamics if isinstance(result, VehicleResult | DiagnosisResult) else None),
         parameters.parameters_section(canvas, result.fit, changes, common),
         parameters.profiles_section(canvas, profiled),
         residuals.section(canvas, result),

@@ -233,7 +233,7 @@ def _symbol_and_value(row: ParameterRow, value: float, se: float, unit: str) -> 
     return f"{row.name} = {formatting.with_error(value, se, unit)}"
 
 
-def static_section(canvas: Canvas, static: StaticForce) -> Section:
+def static_section(canvas: Canvas, static: StaticForce, rpm_max: float | None = None) -> Section:
     """Return the section with the figure of a thruster's static thrust curve, measured and fitted.
 
     The curve is the steady force [N] over the shaft speed or the command, as a fraction of full speed or command.
@@ -244,13 +244,16 @@ def static_section(canvas: Canvas, static: StaticForce) -> Section:
         Collector of the figures, to which the figure is added.
     static
         Measured points and fitted curve.
+    rpm_max
+        Full shaft speed [rev/min], by which the axis is in rev/min. None: it is a fraction of full.
     """
+    full = 1.0 if rpm_max is None else rpm_max
     traces = [
-        drawing.band(static.n_model, static.force_model, drawing.Z95 * static.force_sd, 600),
-        drawing.line_trace(static.n_model, static.force_model, "model", 600),
+        drawing.band(full * static.n_model, static.force_model, drawing.Z95 * static.force_sd, 600),
+        drawing.line_trace(full * static.n_model, static.force_model, "model", 600),
     ]
     if static.n.size:
-        coordinates = {"x": drawing.packed(static.n), "y": drawing.packed(static.force)}
+        coordinates = {"x": drawing.packed(full * static.n), "y": drawing.packed(static.force)}
         points = {"type": "scatter", "mode": "markers", **coordinates}
         marker = {"color": "#ffffff", "size": 8, "line": {"color": drawing.INK, "width": 1.5}}
         bars = {"type": "data", "array": drawing.packed(drawing.Z95 * static.sd), "thickness": 1.2, "width": 0}
@@ -262,10 +265,11 @@ def static_section(canvas: Canvas, static: StaticForce) -> Section:
         "not included."
     )
     if static.force_quadratic is not None:
-        n, force = static.n_model, static.force_quadratic
+        n, force = full * static.n_model, static.force_quadratic
         traces.append(drawing.line_trace(n, force, "quadratic", 600, color=drawing.BEFORE, dash="dash"))
         lead += " Dashed: c1 n|n| + c2 n²."
-    figure = drawing.single(traces, f"{static.abscissa}, fraction of full", "force [N]", hovermode="closest")
     abscissa = static.abscissa.removesuffix(" n")
+    axis = f"{static.abscissa}, fraction of full" if rpm_max is None else f"{abscissa} [rev/min]"
+    figure = drawing.single(traces, axis, "force [N]", hovermode="closest")
     plot = canvas.plot(figure, 380, f"Steady force against {abscissa}")
     return Section("static", f"Force against {abscissa}", [Grid([plot], 320)], lead)

@@ -34,7 +34,7 @@ def outages_section(result: NavigationResult) -> Section:
         ("95 % radius", "num"),
         ("error", "num"),
         ("allowed", "num"),
-        ("", ""),
+        ("verdict", ""),
     ]
     if withheld:
         columns += [("rms error, prediction", "num"), ("rms error, best estimate", "num")]

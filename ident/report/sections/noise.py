@@ -8,8 +8,8 @@ import numpy as np
 
 from seatrial.ident.numerics import Array
 from seatrial.ident.report import drawing, formatting
-from seatrial.ident.report.blocks import Canvas, Cell, Grid, Key, Plot, Section, Table
-from seatrial.ident.results import ChannelNoise, NoiseResult, SpectrumBands
+from seatrial.ident.report.blocks import Canvas, Cell, Grid, Heading, Key, Plot, Prose, Section, Table
+from seatrial.ident.results import AllanCurve, ChannelNoise, NoiseResult, SpectrumBands
 
 
 def section(canvas: Canvas, result: NoiseResult) -> Section:
@@ -37,7 +37,90 @@ def section(canvas: Canvas, result: NoiseResult) -> Section:
     if plots:
         lines = [("measured", "measured power spectral density, with averages over bands and their 95 % intervals")]
         blocks += [Key([*lines, ("after", "power spectral density of the fitted model")]), Grid(plots, 320)]
+    blocks += _allan_blocks(canvas, result)
     return Section("noise", "Noise of each channel", blocks)
+
+
+ROOT_HOUR, HOUR = 60.0, 3600.0  # square root of an hour, and an hour, in s
+STANDARD_GRAVITY = 9.80665  # m/s2
+
+
+def data_sheet(c: ChannelNoise) -> tuple[tuple[float, str], tuple[float, str], tuple[float, str]]:
+    """Return the factors and units in which a data sheet gives noise density, bias instability and random walk.
+
+    The factors are from the units of the result (unit sqrt(s), unit, unit/sqrt(s)). A yaw rate is in deg/√h (angle
+    random walk), deg/h and deg/h/√h. An acceleration is in m/s/√h (velocity random walk), µg and µg/√h. Other channels
+    keep their unit, with the density per √Hz.
+    """
+    if c.unit == "rad/s":
+        degrees = formatting.DEGREES
+        walk = degrees * HOUR * ROOT_HOUR
+        return (degrees * ROOT_HOUR, "deg/√h"), (degrees * HOUR, "deg/h"), (walk, "deg/h/√h")
+    if c.unit in ("m/s2", "m/s^2"):
+        micro_g = 1e6 / STANDARD_GRAVITY
+        return (ROOT_HOUR, "m/s/√h"), (micro_g, "µg"), (micro_g * ROOT_HOUR, "µg/√h")
+    factor, unit = formatting.degrees_for(c.unit)
+    return (factor, f"{unit or '1'}/√Hz"), (factor, unit), (factor, f"{unit or '1'}/√s")
+
+
+def _allan_blocks(canvas: Canvas, result: NoiseResult) -> list[Any]:
+    """Return heading, table in the units of data sheets, and plots of the Allan deviation; empty without any.
+
+    The plots are added to ``canvas``.
+    """
+    known = [(c, c.allan) for c in result.noise if c.allan is not None]
+    if not known:
+        return []
+    columns = (
+        ("channel", ""), ("white noise", "num"), ("bias instability", "num"), ("at", "num"), ("random walk", "num")
+    )  # fmt: skip
+    rows = [_data_sheet_cells(c, allan) for c, allan in known]
+    words = (
+        "White noise and random walk are those of the fitted model. The bias instability is the smallest Allan "
+        "deviation / 0.664; ‘<’: the deviation still falls at the longest averaging time, so a longer record is needed."
+    )
+    key = Key([("measured", "Allan deviation, with its standard error"), ("after", "that of the fitted model")])
+    plots = [_allan_plot(canvas, c, allan) for c, allan in known]
+    return [Heading("In units of data sheets"), Table(columns, rows), Prose(words, "caption"),
+            Heading("Allan deviation"), key, Grid(plots, 320)]  # fmt: skip
+
+
+def _data_sheet_cells(c: ChannelNoise, allan: AllanCurve) -> list[Cell | str]:
+    """Return the table cells of one channel in the units of data sheets. A noise that was not found has its limit."""
+    (density, density_unit), (bias, bias_unit), (walk, walk_unit) = data_sheet(c)
+    scale = allan.density / c.white if c.white > 0.0 else 0.0  # square root of the sample interval
+    instability = formatting.plain(bias * allan.bias_instability, 2)
+    return [
+        formatting.named(c.channel),
+        Cell(formatting.noise_level(c.white, c.se_white, c.white_limit, density * scale, density_unit), "num"),
+        Cell(f"{'< ' * allan.is_limit}{instability} {bias_unit}".strip(), "num"),
+        Cell(f"{formatting.plain(allan.bias_tau, 2)} s", "num"),
+        Cell(formatting.noise_level(c.random_walk, c.se_random_walk, c.random_walk_limit, walk, walk_unit), "num"),
+    ]
+
+
+def _allan_plot(canvas: Canvas, c: ChannelNoise, allan: AllanCurve) -> Plot:
+    """Return the plot of the Allan deviation of a channel, and of that of white noise plus a random walk.
+
+    The variance of the model is ``N^2 / tau + K^2 tau / 3`` with the density N and the intensity K of the random walk.
+    The plot is added to ``canvas``.
+    """
+    factor, unit = formatting.degrees_for(c.unit)
+    model = np.sqrt(allan.density**2 / allan.tau + c.random_walk**2 * allan.tau / 3.0)
+    error = drawing.packed(factor * np.minimum(allan.error, 0.9 * allan.deviation))
+    bars = {"type": "data", "array": error, "thickness": 1, "width": 0, "color": drawing.MEASURED}
+    points = {"x": drawing.packed(allan.tau), "y": drawing.packed(factor * allan.deviation), "name": "measured"}
+    marker = {"color": drawing.MEASURED, "size": 4}
+    traces = [
+        {"type": "scatter", "mode": "markers", **points, "marker": marker, "error_y": bars},
+        drawing.line_trace(allan.tau, factor * model, "model", canvas.budget.points),
+    ]
+    log = {"type": "log", "exponentformat": "power", "dtick": 1}
+    if allan.deviation.max() < 300.0 * allan.deviation.min():
+        log["dtick"] = "D2"  # labels at 1, 2 and 5 too
+    figure = drawing.single(traces, "averaging time [s]", xaxis={"type": "log", "dtick": 1}, yaxis=log)
+    title = formatting.named(c.channel)
+    return canvas.plot(figure, 230, f"Allan deviation of {title}", f"{title}{formatting.bracket(unit)}")
 
 
 def _noise_cells(c: ChannelNoise) -> list[Cell | str]:

@@ -40,7 +40,8 @@ def parameters_section(
 ) -> Section:
     """Return the section of estimates: facts and table of the fit, changes by effects, and correlation.
 
-    The table has columns for the share of the prior, the record and a note only if a parameter has such an entry.
+    The table has columns for the share of the prior and the record only if a parameter has such an entry. A problem of
+    an estimate follows its meaning.
 
     Parameters
     ----------
@@ -57,11 +58,17 @@ def parameters_section(
     table = fit.parameters
     if table:
         error = "± s.e. (statistical only)" if fit.scale.statistical_only else "± s.e."
-        columns = [("parameter", ""), ("value", "num"), (error, "num"), ("unit", ""), ("meaning", "")]
-        extra = (("prior_share", "from prior", "num"), ("record", "record", ""), ("flag", "note", ""))
+        columns = [("parameter", ""), ("value", "num"), (error, "num"), ("95 %", "num"), ("t", "num"), ("unit", "")]
+        columns += [("SNAME", "")] if any(map(_sname, table)) else []
+        columns += [("origin", ""), ("meaning", "")]
+        extra = (("prior_share", "from prior", "num"), ("record", "record", ""))
         used = [item for item in extra if any(getattr(row, item[0]) is not None for row in table)]
         columns += [(title, style) for _, title, style in used]
-        blocks.append(Table(columns, [_parameter_cells(row, [key for key, _, _ in used]) for row in table]))
+        blocks.append(
+            Table(
+                columns, [_parameter_cells(row, [t for t, _ in columns], [key for key, _, _ in used]) for row in table]
+            )
+        )
     blocks += (
         common_errors_blocks(common_errors) + _change_blocks(changes) + _correlation_blocks(canvas, fit.correlation)
     )
@@ -119,27 +126,62 @@ def _fit_facts(fit: FitSummary) -> list[Any]:
     return [Facts(found)] if found else []
 
 
-def _parameter_cells(row: ParameterRow, extra: list[str]) -> list[Cell | str]:
-    """Return the table cells of one parameter: name, value, standard error, unit, meaning, and those of ``extra``.
+# The derivatives of SNAME (1950) and Fossen (2011) that the parameters of the vehicle models stand for.
+SNAME = {
+    "m_u": "m − X_u̇",
+    "m_v": "m − Y_v̇",
+    "m_r": "I_z − N_ṙ",
+    "d_u": "−X_u",
+    "d_v": "−Y_v",
+    "d_r": "−N_r",
+    "d_uu": "−X_|u|u",
+    "d_vv": "−Y_|v|v",
+    "d_rr": "−N_|r|r",
+}
 
-    ``extra`` has the names of further columns of the table: ``prior_share``, ``record``, ``flag``. In place of a
-    missing standard error, a fixed parameter has the provenance of its value, for example ``given``, and any other a
-    dash.
+
+def _sname(row: ParameterRow) -> str:
+    """Return the derivative of SNAME that a parameter stands for, also of a ratio to the thrust; empty without one."""
+    name, _, divisor = row.name.partition("/")
+    return f"{SNAME[name]}{' / ' * bool(divisor)}{divisor}" if name in SNAME else ""
+
+
+def _parameter_cells(row: ParameterRow, titles: Sequence[str], extra: Sequence[str]) -> list[Cell | str]:
+    """Return the table cells of one parameter: value, standard error, 95 % interval, t, origin and others.
+
+    A missing standard error, interval or t is a dash. The interval is the value ± 1.96 standard errors.
+
+    Parameters
+    ----------
+    row
+        The parameter.
+    titles
+        Titles of the columns, of which ``SNAME`` may be missing.
+    extra
+        Names of further columns: ``prior_share``, ``record``.
     """
     factor, unit = formatting.degrees_for(row.unit)
     value, se = formatting.scaled(factor, row.value, row.se)
     shown, error = formatting.pair(value, se)
+    ends = "–"
+    if value is not None and se is not None and error:
+        low, high = (formatting.pair(value + k * drawing.Z95 * se, se)[0] for k in (-1.0, 1.0))
+        ends = f"{low} to {high}"
+    t = "–" if value is None or not se else formatting.plain(value / se, 2)
     cells: list[Cell | str] = [
         Cell(row.name, "symbol"),
         Cell(shown, "num"),
-        Cell(error or ("–" if row.free else row.origin), "num" if error else "num quiet"),
+        Cell(error or "–", "num" if error else "num quiet"),
+        Cell(ends, "num"),
+        Cell(t, "num"),
         Cell(unit, "nowrap"),
-        Cell(row.meaning, "wide"),
     ]
+    cells += [Cell(_sname(row), "nowrap")] if "SNAME" in titles else []
+    cells.append(Cell(row.origin, "nowrap quiet" if row.free else "nowrap"))
+    cells.append(Cell(f"{row.meaning} ⚠ {row.flag}", "wide bad") if row.flag else Cell(row.meaning, "wide"))
     more: dict[str, Cell | str] = {
         "prior_share": Cell(formatting.percent(row.prior_share), "num"),
         "record": row.record or Cell("all", "quiet"),
-        "flag": Cell(f"⚠ {row.flag}", "bad") if row.flag else "",
     }
     return cells + [more[key] for key in extra]
 

@@ -200,7 +200,11 @@ def notes_section(lines: Sequence[str], unused: Sequence[UnusedSignal] = ()) -> 
     """
     blocks: list[Any] = [Lines(list(lines))] if lines else []
     if unused:
-        blocks += [Heading("Signals that are not used", ""), Lines([f"{s.signal}: {s.reason}" for s in unused])]
+        by_reason: dict[str, list[str]] = {}
+        for signal in unused:
+            by_reason.setdefault(signal.reason, []).append(signal.signal)
+        lines = [f"{', '.join(names)}: {reason}" for reason, names in by_reason.items()]
+        blocks += [Heading("Signals that are not used", ""), Lines(lines)]
     return Section("notes", "Notes", blocks)
 
 
@@ -222,7 +226,7 @@ COLUMNS = (
     ("95 %", "num"),
     ("independent samples", "num"),
     ("widened by", "num"),
-    ("", ""),
+    ("verdict", ""),
 )
 VERDICTS: dict[Verdict, Cell] = {
     "right": Cell("✓ calibrated", "good"),

@@ -144,9 +144,11 @@ def traces_section(canvas: Canvas, result: FitResult) -> Section:
     if not any(blocks for _, blocks in tabs):
         return Section("traces", "", [])
     compared = any(row.before is not None for row in result.traces)
+    moves = bool(result.track) or any(row.channel in ("psi", "x", "y") for row in result.traces)
+    errors = ", so that small errors of speed and heading accumulate in the position" if moves else ""
     lead = (
-        "After the first 15 s, the simulation uses the inputs alone, so that small errors of speed and heading "
-        "accumulate in the position. The fit in the panel titles is over all records with the same role."
+        f"After the first 15 s, the simulation uses the inputs alone{errors}. The fit in the panel titles is over all "
+        "records with the same role."
     )
     return Section("traces", "Simulated against measured", [_legend("simulated", compared), *tabbed(tabs)], lead)
 
@@ -196,7 +198,9 @@ def _prediction_blocks(canvas: Canvas, result: FitResult, rows: Sequence[Trace],
         note = _fit_note(_errors_of(result, row.role).horizon.get(row.channel))
         if panel := _channel_panel(canvas, row, curves, note):
             panels.append(panel)
-    return _stacked(canvas, panels, f"Measured and predicted {result.horizon_seconds:g} s ahead, {tab.title}")
+    found = _stacked(canvas, panels, f"Measured and predicted {result.horizon_seconds:g} s ahead, {tab.title}")
+    wide = [(row, row.t_horizon, row.sd_horizon) for row in rows]
+    return [*found, *_wide_bands(wide, result.horizon_seconds), *_predicted_track(canvas, result, rows, tab)]
 
 
 def _simulation_blocks(canvas: Canvas, result: FitResult, rows: Sequence[Trace], tab: RecordTab) -> list[Any]:
@@ -215,7 +219,95 @@ def _simulation_blocks(canvas: Canvas, result: FitResult, rows: Sequence[Trace],
             model, sd = (np.where(row.t < row.diverged, curve, np.nan) for curve in (model, sd))
         if panel := _channel_panel(canvas, row, _Curves(row.t, model, sd, row.before), note):
             panels.append(panel)
-    return _stacked(canvas, panels, f"Measured and simulated over time, {tab.title}")
+    found = _stacked(canvas, panels, f"Measured and simulated over time, {tab.title}")
+    return [*found, *_wide_bands([(row, row.t, row.sd) for row in rows if row.diverged is None], None)]
+
+
+# Why the interval of a channel grows if no measurement corrects it
+REASONS = {
+    "x": "the position is the integral of the velocity, whose errors add up without a fix",
+    "y": "the position is the integral of the velocity, whose errors add up without a fix",
+    "psi": "the heading is the integral of the yaw rate, whose errors add up without a measured heading",
+    "vx": "an error of the heading turns the velocity over ground",
+    "vy": "an error of the heading turns the velocity over ground",
+}
+WIDE = 0.5  # an interval is wide if half of its width exceeds this part of the range of the measured values
+GAP = 5.0  # a gap is longer than this many median intervals of the samples
+
+
+def _wide_bands(found: Sequence[tuple[Trace, Array, Array]], horizon: float | None) -> list[Any]:
+    """Return the sentences on wide intervals, one for each reason, as a list of one block; empty without any.
+
+    ``found`` has the arguments of `wide_band` for each channel, and ``horizon`` is that of `wide_band`.
+    """
+    by_reason: dict[str, list[str]] = {}
+    for row, t, sd in found:
+        if (wide := wide_band(row, t, sd, horizon)) is not None:
+            by_reason.setdefault(wide[1], []).append(wide[0])
+    lines = [f"Wide interval of {', '.join(places)}: {why}." for why, places in by_reason.items()]
+    return [Lines(lines, "quiet")] if lines else []
+
+
+def wide_band(row: Trace, t: Array, sd: Array, horizon: float | None) -> tuple[str, str] | None:
+    """Return where and why the 95 % interval of a channel is wide, as two texts; None if it is nowhere wide.
+
+    Parameters
+    ----------
+    row
+        Channel of a record with its measurements.
+    t, sd
+        Times [s] (n,) and standard deviations (n,) of the predictions or of the simulation.
+    horizon
+        Prediction horizon [s]; None for a simulation.
+
+    Notes
+    -----
+    The reason is a gap in the samples of the channel just before the prediction starts, if there is one. Otherwise it
+    is that of the channel (`REASONS`), or the disturbance forces, which cannot be known in advance.
+    """
+    seen = np.isfinite(row.measured)
+    good = np.isfinite(sd)
+    if not good.any() or seen.sum() < 2:
+        return None
+    factor, unit = formatting.degrees_for(row.unit)
+    half = drawing.Z95 * np.where(good, sd, 0.0)
+    k = int(np.argmax(half))
+    spread = 2.0 * np.pi if row.angle else float(np.ptp(row.measured[seen]))
+    if not half[k] > WIDE * spread:
+        return None
+    why = REASONS.get(row.channel, "the disturbance forces of that time cannot be known in advance")
+    if horizon is not None:
+        samples, start = row.t[seen], t[k] - horizon
+        before = samples[samples <= start]
+        last = float(before[-1]) if before.size else float(samples[0])
+        if start - last > GAP * float(np.median(np.diff(samples))):
+            why = f"the channel has no samples from {last:.0f} to {start:.0f} s"
+    width = formatting.plain(float(factor * half[k]), 2)
+    return f"{formatting.named(row.channel)} (widest at {t[k]:.0f} s, ± {width} {unit})", why
+
+
+def _predicted_track(canvas: Canvas, result: FitResult, rows: Sequence[Trace], tab: RecordTab) -> list[Any]:
+    """Return the figure of the track measured and predicted over the horizon, as a list of one block.
+
+    The list is empty if the record has no positions with predictions. ``rows`` has the channels of the record, and
+    ``tab`` its title. The figure is added to ``canvas``.
+    """
+    found = {row.channel: row for row in rows}
+    if not {"x", "y"} <= set(found):
+        return []
+    x, y, origin = found["x"], found["y"], origin_words(result.logs, tab.name)
+    if x.t.size != y.t.size or x.t_horizon.size != y.t_horizon.size:
+        return []
+    traces = _path_traces("measured", x.measured, y.measured, canvas.budget.points)
+    traces += _path_traces("before", x.horizon_before, y.horizon_before, canvas.budget.points)
+    predicted = _path_traces("model", x.horizon, y.horizon, canvas.budget.points)
+    if not predicted:
+        return []
+    equal = {"scaleanchor": "x", "scaleratio": 1, "nticks": 7}
+    axes = (f"east{origin} [m]", f"north{origin} [m]")
+    figure = drawing.single([*traces, *predicted], *axes, hovermode="closest", yaxis=equal)
+    title = f"Track measured and predicted {result.horizon_seconds:g} s ahead"
+    return [Grid([canvas.plot(figure, 420, f"{title}, {tab.title}", f"{title}, north up")], 320, "narrow")]
 
 
 def _errors_of(result: FitResult, role: str) -> ErrorTable:

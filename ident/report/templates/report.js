@@ -9,17 +9,51 @@
     displayModeBar: touch ? false : "hover",
     modeBarButtons: [["zoom2d", "pan2d", "resetScale2d", "toImage"]],
   };
+  // figures have the colours of the reader's theme; printed pages are light
+  const dark = window.matchMedia("(prefers-color-scheme: dark)");
+  let night = dark.matches;
+  function coloured(value) {
+    let text = JSON.stringify(value);
+    if (night) for (const [light, other] of Object.entries(page.dark)) text = text.split(light).join(other);
+    return unpacked(JSON.parse(text));
+  }
+  // {q, low, high}: whole numbers of 16 bits in base64, 0 is low, 65534 is high, 65535 a gap (drawing.py)
+  function unpacked(value) {
+    if (Array.isArray(value)) return value.map(unpacked);
+    if (value === null || typeof value !== "object") return value;
+    if (value.q === undefined) {
+      return Object.fromEntries(Object.entries(value).map(([key, item]) => [key, unpacked(item)]));
+    }
+    const bytes = atob(value.q);
+    const numbers = new Float64Array(bytes.length / 2);
+    const step = (value.high - value.low) / 65534;
+    for (let i = 0; i < numbers.length; i++) {
+      const level = bytes.charCodeAt(2 * i) + 256 * bytes.charCodeAt(2 * i + 1);
+      numbers[i] = level === 65535 ? NaN : value.low + step * level;
+    }
+    return numbers;
+  }
   const places = Array.from(document.querySelectorAll(".plot")).filter((place) => page.figures[place.id]);
 
   function draw(place) {
     if (place.dataset.drawn) return;
     place.dataset.drawn = "yes";
-    const figure = page.figures[place.id];
-    const layout = Object.assign({ template: page.template }, figure.layout);
+    const figure = coloured({ template: page.template, ...page.figures[place.id] });
+    const layout = Object.assign({ template: figure.template }, figure.layout);
     // a finger must be able to scroll the page across a figure
     if (touch) layout.dragmode = false;
-    Plotly.newPlot(place, figure.data, layout, config);
+    Plotly.react(place, figure.data, layout, config);
   }
+  function theme(isNight) {
+    if (night === isNight) return;
+    night = isNight;
+    places.filter((place) => place.dataset.drawn).forEach((place) => {
+      delete place.dataset.drawn;
+      if (place.offsetParent) draw(place);
+      else watcher.observe(place);
+    });
+  }
+  dark.addEventListener("change", () => theme(dark.matches));
 
   // figures are drawn shortly before they come into view; those in hidden tabs when their tab opens
   const watcher = new IntersectionObserver(
@@ -69,11 +103,13 @@
     const hidden = Array.from(document.querySelectorAll(".away"));
     hidden.forEach((panel) => panel.classList.remove("away"));
     document.body.classList.add("printing");
+    theme(false);
     places.forEach(draw);
     resize(document);
     window.addEventListener("afterprint", () => {
       hidden.forEach((panel) => panel.classList.add("away"));
       document.body.classList.remove("printing");
+      theme(dark.matches);
       resize(document);
     }, { once: true });
   });

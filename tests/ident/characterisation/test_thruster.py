@@ -13,11 +13,12 @@ import pytest
 
 from seatrial import command_line
 from seatrial.daq.errors import SeatrialError
+from seatrial.ident.characterisation.steady_bench import steady_rows
 from seatrial.ident.characterisation.thruster import steady_thrust
+from seatrial.ident.data.record import Channel
 from seatrial.ident.estimation.prior_knowledge import fix_parameters
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.results.answers import thruster_answer
-from seatrial.ident.workflows.thruster import _steady_points
 
 MAP = """
 format = "seatrial-import 1"
@@ -136,8 +137,32 @@ def test_errors_of_steady_points_include_autocorrelation() -> None:
     noise = np.zeros(t.size)
     for k in range(1, t.size):
         noise[k] = 0.95 * noise[k - 1] + rng.standard_normal()
-    channel = lambda value: SimpleNamespace(t=t, value=value)  # noqa: E731
-    channels = {"n_cmd_a": channel(np.full(t.size, 0.5)), "n_a": channel(np.full(t.size, 0.5)), "force": channel(noise)}
-    ((_, _, sd),) = _steady_points(SimpleNamespace(run=SimpleNamespace(channels=channels)), "a", 0.0)  # type: ignore[arg-type]
+    half = Channel(t, np.full(t.size, 0.5))
+    (row,) = steady_rows({"n_cmd_a": half, "n_a": half, "force": Channel(t, noise)}, "n_cmd_a", "n_a")
+    sd = row.force_se
     last = noise[t > t[-1] - 0.6]
     assert sd > 2 * last.std() / np.sqrt(last.size)
+
+
+def test_tables_for_other_programs_are_written(tmp_path: Path) -> None:
+    """The thrust is a square of the shaft speed, so the exponent of ArduPilot is one."""
+    run("ident", "thruster", write_bench(tmp_path, BOTH), "--out", str(tmp_path / "t"))
+    steady = np.genfromtxt(tmp_path / "t/steady.csv", delimiter=",", names=True)
+    held = steady["command"] == 0.6
+    assert steady["n"][held] == pytest.approx(0.6, abs=0.01)
+    assert steady["force_N"][held] == pytest.approx(41.1 * 0.36, abs=0.5)
+    assert np.isnan(steady["power_W"]).all()  # the log has no current
+    table = np.genfromtxt(tmp_path / "t/lookup.csv", delimiter=",", names=True)
+    assert np.all(np.diff(table["force_N"]) > 0.0)
+    assert np.all(np.diff(table["command"]) >= 0.0)
+    wanted = np.interp(41.1 * 0.49, table["force_N"], table["command"])
+    assert wanted == pytest.approx(0.7, abs=0.02)
+    (line,) = [x for x in (tmp_path / "t/ardupilot.param").read_text().splitlines() if not x.startswith("#")]
+    name, _, value = line.partition(",")
+    assert name == "MOT_THST_EXPO"
+    assert float(value) == pytest.approx(1.0, abs=0.05)
+    page = (tmp_path / "t/report.html").read_text(encoding="utf-8")
+    assert "Bode plot" in page
+    assert "Force against command" in page
+    assert "MOT_THST_EXPO = " in page
+    assert "heading accumulate" not in page

@@ -11,6 +11,7 @@ from click.testing import CliRunner, Result
 
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.cli.commands import ident
+from seatrial.ident.results import read_result, to_json
 from tests.missions import boat_log, boat_with
 
 
@@ -48,7 +49,7 @@ def test_thruster_option_gives_the_model_its_thrust_input_again(folder: Path) ->
     assert done.exit_code == 0, done.output
     thrusts = []
     for made in ("vehicle", "diagnosis"):
-        result = json.loads((folder / made / "result.json").read_text(encoding="utf-8"))
+        result = json.loads(to_json(read_result(folder / made / "result.json")))
         assert result["kind"] == made
         thrusts.append(next(i["value"] for i in result["inputs"] if i["name"] == "f_left"))
     assert np.ptp(thrusts[0]) > 10.0

@@ -23,6 +23,7 @@ from seatrial.ident.estimation.parameter_covariance import ParameterCovariance
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.navigation.navigator import Navigation, navigate, navigator
 from seatrial.ident.navigation.outages import circular_error, ellipse, gnss_outages
+from seatrial.ident.results import read_result, to_json
 from seatrial.ident.workflows.navigate import navigation_answer
 from seatrial.mocks.offline_simulation import Truth
 from tests.missions import boat_log, boat_with, channels_of, sail
@@ -259,7 +260,7 @@ def test_navigate_command_writes_a_table_a_result_and_a_report(logs: Path) -> No
     assert table["t"][0] == pytest.approx(20.0, abs=0.05)
     assert table["t"][-1] == pytest.approx(140.0, abs=0.05)
     assert set(np.unique(table["gnss"])) == {-1.0, 0.0, 1.0}
-    result = json.loads((logs / "out/result.json").read_text())
+    result = json.loads(to_json(read_result(logs / "out/result.json")))
     (outage,), (part,) = result["outages"], result["navigation"]
     assert (outage["withheld"], outage["open"]) == (True, False)
     assert outage["start"] == pytest.approx(60.0, abs=0.25)

@@ -334,7 +334,8 @@ def test_outliers_are_reported() -> None:
     assert spikes[model.outputs[1].name] == (3, 16.0)
     assert sum(n for n, _ in spikes.values()) == 3
     (line,) = outlier_lines(found, model)
-    assert line.startswith(f"run: 3 of 300 innovations of {model.outputs[1].name} are beyond 6")
+    assert line.startswith("Some innovations are beyond 6 standard deviations")
+    assert f" run: {model.outputs[1].name} 3 of 300 (the largest at" in line
     assert outlier_lines(found, with_outlier_model(model)) == []
 
 

@@ -20,6 +20,7 @@ from seatrial.ident.estimation.likelihood import Likelihood
 from seatrial.ident.estimation.stochastic_simulation import simulate_stochastic
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.models.thruster import thruster_model
+from seatrial.ident.results import read_result, to_json
 from seatrial.ident.results.answers import calibration_notes
 from seatrial.ident.results.parts import CalibrationRow, Calibrations, CalibrationTable
 from seatrial.ident.studies.cases import make_case
@@ -39,7 +40,7 @@ def done(*words: object) -> Result:
 
 
 def result_of(folder: Path) -> dict[str, Any]:
-    result: dict[str, Any] = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    result: dict[str, Any] = json.loads(to_json(read_result(folder / "result.json")))
     return result
 
 

@@ -16,6 +16,7 @@ from seatrial.ident.estimation.fitted_model import nominal_model
 from seatrial.ident.estimation.model_file import load_model
 from seatrial.ident.models.catalogue import make_model
 from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.results import read_result, to_json
 
 MASS, LINEAR, SQUARE, DELAY = 40.0, 4.0, 12.0, 0.4
 CURVE = """
@@ -65,7 +66,7 @@ def run(*words: object, status: int = 0) -> None:
 
 
 def result(folder: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((folder / "result.json").read_text())
+    found: dict[str, Any] = json.loads(to_json(read_result(folder / "result.json")))
     return found
 
 

@@ -1,0 +1,142 @@
+"""Section of steady motion, poles and step responses of a vehicle model in a report page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from seatrial.ident.report import drawing, formatting
+from seatrial.ident.report.blocks import Canvas, Cell, Grid, Heading, Plot, Prose, Section, Table
+from seatrial.ident.results import Dynamics, OperatingPoint, SteadyCurve, StepResponse
+
+POINTS = 600  # largest number of points of a curve
+DOUBLING = np.log(2.0)  # time in which an unstable motion doubles, in time constants
+
+
+def section(canvas: Canvas, dynamics: Dynamics | None) -> Section:
+    """Return the section of steady curves, poles and step responses; empty if ``dynamics`` is None.
+
+    Parameters
+    ----------
+    canvas
+        Collector of the figures, to which the figures are added.
+    dynamics
+        Steady motion, poles and step responses of the model.
+    """
+    if dynamics is None:
+        return Section("dynamics", "", [])
+    curves = [_straight_plot(canvas, c) for c in dynamics.steady if c.motion == "straight"]
+    turns = [c for c in dynamics.steady if c.motion == "turn"]
+    curves += [_turn_plot(canvas, turns)] if turns else []
+    blocks: list[Any] = [Grid(curves, 320)] if curves else []
+    blocks += _pole_blocks(dynamics.points) + _step_blocks(canvas, dynamics)
+    lead = (
+        "Computed from the model for still water, without disturbances and within the commands of the data. Bands are "
+        "95 % intervals from the standard errors of the parameters."
+    )
+    return Section("dynamics", "Steady motion and dynamics", blocks, lead)
+
+
+def _command(curve: SteadyCurve) -> str:
+    """Return the title of the axis of a steady curve's command, with the names of its inputs."""
+    unit = "N" if curve.inputs and curve.inputs[0].startswith("f_") else ""
+    names = formatting.bracket(unit) or ", part of full"
+    if curve.motion == "turn":
+        return f"half the difference of both sides{names}"
+    return f"command of {'both sides' if len(curve.inputs) > 1 else 'the drive'}{names}"
+
+
+def _straight_plot(canvas: Canvas, curve: SteadyCurve) -> Plot:
+    """Return the plot of the steady speed on a straight course over the command."""
+    traces = [
+        drawing.band(curve.command, curve.value, drawing.Z95 * np.nan_to_num(curve.sd), POINTS),
+        drawing.line_trace(curve.command, curve.value, "speed", POINTS),
+    ]
+    figure = drawing.single(traces, _command(curve), "speed [m/s]", hovermode="closest")
+    return canvas.plot(figure, 320, "Steady speed against command", "Steady speed on a straight course")
+
+
+def _turn_plot(canvas: Canvas, curves: Sequence[SteadyCurve]) -> Plot:
+    """Return the plot of the steady turn rate over the difference of the commands, a line for each mean command."""
+    traces = []
+    for i, curve in enumerate(curves):
+        factor, _ = formatting.degrees_for(curve.unit)
+        value, half = factor * curve.value, drawing.Z95 * factor * np.nan_to_num(curve.sd)
+        color = drawing.LINES[i % len(drawing.LINES)]
+        traces.append({**drawing.band(curve.command, value, half, POINTS, color=color), "showlegend": False})
+        name = f"mean command {formatting.plain(curve.mean, 2)}"
+        dash = drawing.DASHES[i % len(drawing.DASHES)]
+        traces.append(drawing.line_trace(curve.command, value, name, POINTS, color=color, dash=dash))
+    figure = drawing.single(
+        traces,
+        _command(curves[0]),
+        "turn rate [deg/s]",
+        hovermode="closest",
+        showlegend=len(curves) > 1,
+        legend={"orientation": "h", "y": 1.0, "yanchor": "bottom", "x": 0.0},
+    )
+    return canvas.plot(figure, 320, "Steady turn rate against difference of the commands", "Steady turn rate")
+
+
+def _pole_blocks(points: Sequence[OperatingPoint]) -> list[Any]:
+    """Return heading, table of the poles at each speed, and a sentence on instability; empty without linear models."""
+    if not points:
+        return []
+    rows: list[list[Cell | str]] = []
+    for point in points:
+        for k, (real, imaginary) in enumerate(zip(point.real, point.imaginary, strict=True)):
+            if imaginary < 0.0:
+                continue  # of a pair, the pole with the positive imaginary part is shown
+            pole = formatting.plain(float(real)) + (f" ± {formatting.plain(float(imaginary))} j" if imaginary else "")
+            constant = f"{formatting.plain(float(-1.0 / real))} s" if real < 0.0 else "–"
+            grows = f"unstable: doubles in {formatting.plain(float(DOUBLING / real), 2)} s" if real > 0.0 else ""
+            command = _inputs_in_words(point)
+            head = [Cell(f"{point.speed:g} m/s", "num"), Cell(command, "num")] if k == 0 else ["", ""]
+            rows.append([*head, Cell(pole, "num"), Cell(constant, "num"), Cell(grows, "bad nowrap")])
+    columns = (("speed", "num"), ("command", "num"), ("pole [1/s]", "num"), ("time constant", "num"), ("stability", ""))
+    blocks: list[Any] = [Heading("Poles on a straight course", "of the model linearised at each speed")]
+    blocks.append(Table(columns, rows))
+    if not all(p.stable for p in points):
+        slowest = min(p.speed for p in points if not p.stable)
+        blocks.append(
+            Prose(
+                f"From {slowest:g} m/s on, the boat does not hold a straight course without a heading controller: a "
+                "small yaw rate grows until the boat turns.",
+                "callout",
+            )
+        )
+    return blocks
+
+
+def _inputs_in_words(point: OperatingPoint) -> str:
+    """Return the inputs that keep a speed as text: one number if they are equal, otherwise ``n_left 0.25, ...``."""
+    shown = {name: formatting.plain(value) for name, value in point.inputs.items()}
+    if len(set(shown.values())) == 1:
+        return next(iter(shown.values()))
+    return ", ".join(f"{name} {value}" for name, value in shown.items())
+
+
+def _step_blocks(canvas: Canvas, dynamics: Dynamics) -> list[Any]:
+    """Return heading and plots of the step responses, and the dead times; an empty list without responses."""
+    plots = [_step_plot(canvas, step) for step in dynamics.steps]
+    if not plots:
+        return []
+    step = dynamics.steps[0]
+    note = f"linear model at {step.speed:g} m/s, step of {formatting.plain(step.step, 2)} of the command"
+    blocks: list[Any] = [Heading("Step responses", note), Grid(plots, 240)]
+    if dynamics.delays:
+        words = ", ".join(f"{1e3 * v:.0f} ms of {n}" for n, v in dynamics.delays.items())
+        blocks.append(Prose(f"Without the dead time: {words}.", "caption"))
+    return blocks
+
+
+def _step_plot(canvas: Canvas, step: StepResponse) -> Plot:
+    """Return the plot of a step response."""
+    factor, unit = formatting.degrees_for(step.unit)
+    what = "both sides up" if step.motion == "straight" else "left up, right down"
+    title = f"{formatting.titled(step.quantity)} [{unit}] · {what}"
+    trace = drawing.line_trace(step.t, factor * step.value, "response", POINTS)
+    figure = drawing.single([trace], "time [s]", yaxis={"rangemode": "tozero"})
+    return canvas.plot(figure, 220, f"Step response, {title}", title)

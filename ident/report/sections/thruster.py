@@ -1,0 +1,178 @@
+"""Sections of a thruster's report page: steady-state table, efficiency, steps of the shaft, and its Bode plot."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from seatrial.ident.numerics import Array
+from seatrial.ident.report import drawing, formatting
+from seatrial.ident.report.blocks import Canvas, Cell, Grid, Heading, Lines, Plot, Prose, Section, Table
+from seatrial.ident.results import ShaftResponse, SteadyBench, ThrusterResult, Trace
+
+GRAMS_PER_NEWTON = 1000.0 / 9.80665
+LEAST_W = 1.0  # smallest electrical power at which the efficiency is shown [W]
+STEPS, BEFORE_S, AFTER_S = 6, 0.5, 2.5  # number of enlarged steps, and time shown before and after each [s]
+HELD_S = 1.5  # least time after an enlarged step in which the command is constant [s]
+LEAST_STEP = 0.1  # smallest step of the command that is enlarged, as a part of full
+
+
+def steady_section(canvas: Canvas, result: ThrusterResult) -> Section:
+    """Return the section of the steady states: force and power over the command, efficiency, and the table.
+
+    The section is empty if no command was held. The plots are added to ``canvas``.
+    """
+    table = result.steady
+    if table is None:
+        return Section("steady", "", [])
+    command = ("command, part of full", table.command)
+    plots = []
+    if np.isfinite(table.force).any():
+        plots.append(_points(canvas, *command, table.force, "force [N]", "Force against command"))
+    shown = ("shaft speed n, part of full", table.n)
+    if table.rpm_max is not None:
+        shown = ("shaft speed [rev/min]", table.rpm_max * table.n)
+    plots.append(_points(canvas, *command, shown[1], shown[0], "Shaft speed against command"))
+    if np.isfinite(table.power).any():
+        plots.append(_points(canvas, *shown, table.power, "electrical power [W]", "Electrical power"))
+        grams = GRAMS_PER_NEWTON * _newtons_per_watt(table)
+        if np.isfinite(grams).any():
+            plots.append(_points(canvas, *shown, grams, "thrust / power [g/W]", "Efficiency"))
+    if np.isfinite(table.torque).any():
+        plots.append(_points(canvas, *shown, table.torque, "torque [N m]", "Torque"))
+    notes = [f"Electrical power: {table.power_formula}."] if table.power_formula else []
+    if table.expo is not None:
+        notes.append(
+            f"ArduPilot: MOT_THST_EXPO = {table.expo:.2f} (ardupilot.param), from the steady forward commands."
+        )
+    notes.append(
+        "For other programs: steady.csv has this table"
+        + (", and lookup.csv the command for each force." if result.static is not None else ".")
+    )
+    lead = "Means over the last 0.6 s of each command that was held for 1.6 s or longer."
+    blocks = [Grid(plots, 260), _steady_table(table), Lines(notes, "quiet")]
+    return Section("steady", "Steady states", blocks, lead)
+
+
+def _newtons_per_watt(table: SteadyBench) -> Array:
+    """Return the force over the electrical power of each row [N/W]; NaN below 1 W or if one of both is unknown."""
+    found: Array = np.where(table.power >= LEAST_W, np.abs(table.force) / np.maximum(table.power, LEAST_W), np.nan)
+    return found
+
+
+def _points(canvas: Canvas, x_title: str, x: Array, y: Array, y_title: str, title: str) -> Plot:
+    """Return the plot of the steady values ``y`` over ``x`` as circles, and add it to ``canvas``."""
+    good = np.isfinite(x) & np.isfinite(y)
+    marker = {"color": "#ffffff", "size": 7, "line": {"color": drawing.MODEL, "width": 1.6}}
+    points = {"x": drawing.packed(x[good]), "y": drawing.packed(y[good]), "name": title, "marker": marker}
+    trace = {"type": "scatter", "mode": "markers", **points}
+    figure = drawing.single([trace], x_title, y_title, hovermode="closest")
+    return canvas.plot(figure, 260, title, title)
+
+
+def _steady_table(table: SteadyBench) -> Table:
+    """Return the steady-state table. Columns of quantities that were not measured are left out."""
+    newtons = _newtons_per_watt(table)
+    columns: list[tuple[str, Array, int]] = [("command", table.command, 3), ("shaft speed n", table.n, 3)]
+    if table.rpm_max is not None:
+        columns.append(("rev/min", table.rpm_max * table.n, 4))
+    columns += [("force [N]", table.force, 4), ("± s.e.", table.force_se, 2), ("voltage [V]", table.voltage, 4)]
+    columns += [("current [A]", table.current, 3), ("power [W]", table.power, 3), ("N/W", newtons, 3)]
+    columns += [("g/W", GRAMS_PER_NEWTON * newtons, 3), ("torque [N m]", table.torque, 3)]
+    used = [column for column in columns if np.isfinite(column[1]).any()]
+    rows = [
+        [Cell(formatting.plain(float(values[i]), digits), "num") for _, values, digits in used]
+        for i in range(table.command.size)
+    ]
+    return Table([(title, "num") for title, _, _ in used], rows)
+
+
+def shaft_section(canvas: Canvas, result: ThrusterResult) -> Section:
+    """Return the section of the shaft's dynamics: its largest steps, enlarged, and its Bode plot.
+
+    The section is empty without both. The plots are added to ``canvas``.
+    """
+    blocks: list[Any] = []
+    steps = _step_plots(canvas, result)
+    if steps:
+        blocks += [
+            Heading("Steps", "the largest steps of the command; grey: measured, blue: simulated, dotted: command")
+        ]
+        blocks.append(Grid(steps, 240))
+    if result.shaft_response is not None:
+        blocks += [Heading("Bode plot", "shaft speed against command")]
+        blocks.append(Grid(_bode_plots(canvas, result.shaft_response), 320))
+        if result.shaft_response.frequency_measured.size:
+            blocks.append(
+                Prose("Line: model with its dead time. Circles: measured, where the log determines it.", "caption")
+            )
+    return Section("shaft", "Dynamics of the shaft", blocks)
+
+
+def _step_plots(canvas: Canvas, result: ThrusterResult) -> list[Plot]:
+    """Return plots of the largest steps of the command, with the measured and simulated shaft speed.
+
+    They are at most six, in the order of time, and at least three seconds apart. The command is constant for 0.5 s
+    before and for 1.5 s after each.
+    """
+    plots = []
+    for row in result.traces:
+        command = next((i for i in result.inputs if i.record == row.record and i.name.startswith("n_cmd")), None)
+        if row.channel != "n" or command is None or command.t.size < 2 or not row.t.size:
+            continue
+        size = np.abs(np.diff(command.value))
+        chosen: list[int] = []
+        for k in np.argsort(-size, kind="stable"):
+            if len(chosen) == STEPS or size[k] < LEAST_STEP:
+                break
+            at = command.t[k + 1]
+            moved = command.t[1:][size > 0.0]
+            if ((moved > at - BEFORE_S) & (moved < at + HELD_S) & (moved != at)).any():
+                continue
+            if row.t[0] + BEFORE_S <= at <= row.t[-1] - AFTER_S and all(
+                abs(at - command.t[j + 1]) > BEFORE_S + AFTER_S for j in chosen
+            ):
+                chosen.append(int(k))
+        plots += [_step_plot(canvas, row, command.t, command.value, k) for k in sorted(chosen)]
+    return plots[:STEPS]
+
+
+def _step_plot(canvas: Canvas, row: Trace, t: Array, command: Array, k: int) -> Plot:
+    """Return the plot of the step of the command after its sample ``k``, with the shaft speed of the trace ``row``.
+
+    ``t`` and ``command`` (n,) are the times [s] and values of the command, which holds until the next sample.
+    """
+    start = float(t[k + 1])
+    window = (row.t >= start - BEFORE_S) & (row.t <= start + AFTER_S)
+    edges = np.union1d(row.t[window], t[(t >= start - BEFORE_S) & (t <= start + AFTER_S)])
+    held = command[np.clip(np.searchsorted(t, edges, side="right") - 1, 0, None)]
+    line = drawing.line_trace(edges - start, held, "command", 1000, color=drawing.FAINT, dash="dot")
+    line["line"]["shape"] = "hv"
+    traces = [
+        line,
+        drawing.dots(row.t[window] - start, row.measured[window], "measured", 1000),
+        drawing.line_trace(row.t[window] - start, row.model[window], "simulated", 1000),
+    ]
+    figure = drawing.single(traces, "time after the step [s]", xaxis={"range": [-BEFORE_S, AFTER_S]})
+    title = f"{formatting.plain(float(command[k]), 2)} → {formatting.plain(float(command[k + 1]), 2)} at {start:.1f} s"
+    return canvas.plot(figure, 220, f"Step of the command, {title}", title)
+
+
+def _bode_plots(canvas: Canvas, response: ShaftResponse) -> list[Plot]:
+    """Return the plots of gain [dB] and phase [deg] over the frequency [Hz] of the shaft's response."""
+    plots = []
+    decibel = 20.0 / np.log(10.0)
+    for title, unit, values, measured in (
+        ("Gain", "dB", decibel * np.log(response.gain), decibel * np.log(np.maximum(response.gain_measured, 1e-12))),
+        ("Phase", "deg", np.degrees(response.phase), np.degrees(response.phase_measured)),
+    ):
+        traces = [drawing.line_trace(response.frequency, values, "model", 600)]
+        if measured.size:
+            marker = {"color": "#ffffff", "size": 6, "line": {"color": drawing.INK, "width": 1.2}}
+            points = {"x": drawing.packed(response.frequency_measured), "y": drawing.packed(measured)}
+            traces.append({"type": "scatter", "mode": "markers", **points, "name": "measured", "marker": marker})
+        axis = {"type": "log", "dtick": 1, "minor": {"ticks": "inside"}}
+        figure = drawing.single(traces, "frequency [Hz]", f"{title.lower()} [{unit}]", xaxis=axis, hovermode="closest")
+        plots.append(canvas.plot(figure, 260, f"Bode plot, {title.lower()}", title))
+    return plots

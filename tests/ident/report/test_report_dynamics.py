@@ -1,0 +1,137 @@
+"""Tests of a vehicle's report: its parameters by SNAME, its steady motion and poles, and reasons of wide intervals."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from seatrial.ident.report import page
+from seatrial.ident.report.sections.runs import wide_band
+from seatrial.ident.results import Dynamics, OperatingPoint, SteadyCurve, StepResponse, Trace
+from tests.ident.pages import KINDS, Page, loaded, numbers
+
+
+def dynamics() -> Dynamics:
+    """Return the dynamics of a boat that is unstable on a straight course at its higher speed."""
+    n = np.linspace(-0.5, 0.5, 81)
+    t = np.linspace(0.0, 6.0, 100)
+    both: dict[str, Any] = {"inputs": ("n_left", "n_right"), "command": n}
+    steady = (
+        SteadyCurve(motion="straight", quantity="u", unit="m/s", value=2 * n, sd=0.1 + 0 * n, **both),
+        SteadyCurve(motion="turn", quantity="r", unit="rad/s", value=n, sd=np.nan * n, **both),
+    )
+    pair, rise = np.array([-0.5, -0.5]), np.array([0.1, -2.0])
+    slow, fast = {"n_left": 0.25, "n_right": 0.25}, {"n_left": 0.5, "n_right": 0.51}
+    points = (
+        OperatingPoint(speed=0.5, inputs=slow, real=pair, imaginary=np.array([2.0, -2.0]), stable=True),
+        OperatingPoint(speed=1.0, inputs=fast, real=rise, imaginary=np.zeros(2), stable=False),
+    )
+    step = StepResponse(speed=1.0, motion="turn", step=0.1, quantity="r", unit="rad/s", t=t, value=t)
+    return Dynamics(steady=steady, points=points, steps=(step,), delays={"n_left": 0.12})
+
+
+@pytest.fixture(scope="module")
+def shown() -> Page:
+    result = msgspec.structs.replace(loaded(KINDS["diagnosis"]()), dynamics=dynamics())
+    return Page(page.render(result))
+
+
+def test_steady_curves_have_their_units_and_bands(shown: Page) -> None:
+    place = next(a for _, a in shown.tags if a.get("aria-label") == "Steady speed against command")
+    band, speed = shown.figures()[str(place["id"])]["data"]
+    np.testing.assert_allclose(numbers(speed["y"]), np.linspace(-1.0, 1.0, 81), atol=1e-3)
+    assert np.nanmax(numbers(band["y"])) == pytest.approx(1.0 + 0.196, abs=1e-3)
+    place = next(a for _, a in shown.tags if str(a.get("aria-label")).startswith("Steady turn rate"))
+    assert np.nanmax(numbers(shown.figures()[str(place["id"])]["data"][1]["y"])) == pytest.approx(
+        np.degrees(0.5), abs=0.01
+    )
+
+
+def test_poles_are_in_words(shown: Page) -> None:
+    words = " ".join(shown.words.split())
+    assert "0.5 m/s 0.250 −0.500 ± 2.00 j 2.00 s" in words
+    assert "1 m/s n_left 0.500, n_right 0.510 0.100 – unstable: doubles in 6.9 s" in words
+    assert "From 1 m/s on, the boat does not hold a straight course" in words
+    assert "Without the dead time: 120 ms of n_left" in words
+
+
+def test_table_has_interval_t_sname_and_origin() -> None:
+    content = KINDS["diagnosis"]()
+    row = {"name": "d_uu", "meaning": "quadratic surge damping", "unit": "kg/m", "value": 24.0, "se": 2.0, "free": True}
+    fixed = {
+        "name": "y_left",
+        "meaning": "arm",
+        "unit": "m",
+        "value": -0.15,
+        "se": None,
+        "free": False,
+        "origin": "given",
+    }
+    ratio = row | {"name": "m_u/T", "flag": "at its bound"}
+    content["fit"]["parameters"] = [row, fixed, ratio]
+    cells = re.findall(r"<td[^>]*>(.*?)</td>", page.render(loaded(content)).split('id="parameters"')[1], re.DOTALL)
+    names = [" ".join(c.split()) for c in cells[:27]]
+    assert names[:9] == [
+        "d_uu",
+        "24.0",
+        "2.0",
+        "20.1 to 27.9",
+        "12",
+        "kg/m",
+        "−X_|u|u",
+        "estimated",
+        "quadratic surge damping",
+    ]
+    assert names[9:17] == ["y_left", "−0.15", "–", "–", "–", "m", "", "given"]
+    assert names[24:] == ["m − X_u̇ / T", "estimated", "quadratic surge damping ⚠ at its bound"]
+
+
+def trace(**more: Any) -> Trace:
+    t = np.arange(0.0, 100.0, 0.5)
+    given = {"record": "a", "role": "estimation", "channel": "x", "unit": "m", "angle": False, "t": t}
+    given |= {"measured": np.sin(t / 10.0), "model": np.sin(t / 10.0), "sd": 0.01 * t}
+    given |= {"t_horizon": t, "horizon": np.sin(t / 10.0), "sd_horizon": 0.1 + 0.0 * t}
+    return Trace(**(given | more))
+
+
+def test_wide_interval_says_where_and_why() -> None:
+    row = trace()
+    where, why = wide_band(row, row.t, row.sd, None) or ("", "")
+    assert where == "position north x (widest at 100 s, ± 2.0 m)"
+    assert "integral of the velocity" in why
+    assert wide_band(row, row.t_horizon, row.sd_horizon, 10.0) is None
+    seen = np.where((row.t > 40.0) & (row.t < 60.0), np.nan, row.measured)
+    sd = np.where(row.t == 62.0, 3.0, 0.1)
+    gap = trace(measured=seen, sd_horizon=sd)
+    _, why = wide_band(gap, gap.t_horizon, gap.sd_horizon, 10.0) or ("", "")
+    assert why == "the channel has no samples from 40 to 52 s"
+    _, why = wide_band(trace(channel="u"), row.t, row.sd, None) or ("", "")
+    assert "disturbance forces" in why
+
+
+def test_signals_with_one_reason_and_equal_warnings_are_said_once() -> None:
+    content = KINDS["diagnosis"]()
+    same = {"logs": ["a"], "code": "not-in-model", "reason": "the model does not use it"}
+    content["unused_signals"] = [{"signal": n, **same} for n in ("p", "q", "voltage_left")]
+    content["warnings"] = 2 * [{"code": "arm-unknown", "text": "The arm is unknown."}]
+    words = Page(page.render(loaded(content))).words
+    assert "p, q, voltage_left: the model does not use it" in words
+    assert words.count("the model does not use it") == 1
+    assert words.count("The arm is unknown.") == 1
+
+
+def test_page_of_many_records_is_below_three_megabytes() -> None:
+    """The curves of ten records of 20 minutes get fewer points."""
+    whole = loaded(KINDS["diagnosis"]())
+    tables = ("traces", "track", "inputs", "residuals", "cross", "residual_forces")
+    many = {
+        key: tuple(
+            msgspec.structs.replace(row, record=f"{row.record}{k}") for k in range(5) for row in getattr(whole, key)
+        )
+        for key in tables
+    }
+    assert len(page.render(msgspec.structs.replace(whole, **many)).encode()) < 3_000_000
