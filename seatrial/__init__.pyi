@@ -7,6 +7,8 @@ from .api.fits import Prediction as Prediction
 from .api.fits import Series as Series
 from .api.fits import diagnose as diagnose
 from .api.fits import fit as fit
+from .api.fleet import FittedFleet as FittedFleet
+from .api.fleet import fit_many as fit_many
 from .api.loading import Saved as Saved
 from .api.loading import linearise as linearise
 from .api.loading import load as load

@@ -19,7 +19,14 @@ from seatrial.daq.errors import SeatrialError
 from seatrial.daq.files import write_output
 from seatrial.ident.data import FrameOrigin
 from seatrial.ident.numerics import Array
-from seatrial.ident.results.commands import DesignResult, InformationResult, NavigationResult, NoiseResult, StudyResult
+from seatrial.ident.results.commands import (
+    DesignResult,
+    FleetResult,
+    InformationResult,
+    NavigationResult,
+    NoiseResult,
+    StudyResult,
+)
 from seatrial.ident.results.parts import DiagnosisResult, Part, ThrustCurveResult, ThrusterResult, VehicleResult
 
 DIGITS = 7  # significant digits of a number in a file
@@ -36,6 +43,7 @@ AnyResult = (
     | InformationResult
     | DesignResult
     | StudyResult
+    | FleetResult
 )
 
 

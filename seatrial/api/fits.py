@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from seatrial.ident.results import DiagnosisResult, FitResult, VehicleResult
     from seatrial.ident.workflows.diagnose import DiagnosedModel
     from seatrial.ident.workflows.vehicle import VehicleFit
+    from seatrial.ident.workflows.vehicle_model import VehicleRequest
 
 Logs = PathLike | Log | Sequence[PathLike | Log]
 Role = Literal["estimation", "validation"]
@@ -529,8 +530,36 @@ def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[
     >>> fit = st.fit("run1.mcap", validate="run3.mcap", priors={"c1": (40.0, 2.0)}, fixed={"c2": 1.1})
     >>> fit.params["m_u"], fit.standard_errors["m_u"]
     """
-    from seatrial.ident.estimation import EstimationOptions
     from seatrial.ident.workflows.vehicle import fit_vehicle
+
+    with errors_of_users():
+        request, progress = vehicle_request(as_paths(logs), _paths_or_none(validate), model, window_of(logs), options)
+        done: VehicleFit = fit_vehicle(request, python_call("fit", request.logs, model=model), Messages(progress))
+    return FittedVehicle(done.result, done.fitted)
+
+
+def vehicle_request(
+    logs: Sequence[Path], validation: Sequence[Path], model: str, window: Any, options: Mapping[str, Any]
+) -> tuple[VehicleRequest, bool]:
+    """Return the request of a vehicle fit from the options of the user, and whether progress is printed.
+
+    Parameters
+    ----------
+    logs, validation : sequence of Path
+        Estimation and validation logs.
+    model : str
+        Name of the structure.
+    window : TimeWindows
+        Interval of time of the estimation logs.
+    options : mapping
+        Options by name (`FitOptions`).
+
+    Raises
+    ------
+    SeatrialError
+        If there is no option of a name, or if a prior is no pair of numbers.
+    """
+    from seatrial.ident.estimation import EstimationOptions
     from seatrial.ident.workflows.vehicle_model import VehicleRequest
 
     given = known_options(options, FitOptions)
@@ -541,18 +570,8 @@ def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[
     estimation = {n: given.pop(n) for n in ("outlier_model", "reml", "mean_order", "horizon") if n in given}
     if "thruster" in given:
         given["thruster"] = Path(given["thruster"])
-    with errors_of_users():
-        request = VehicleRequest(
-            as_paths(logs),
-            _paths_or_none(validate),
-            Path(),
-            replace(EstimationOptions(reml=True, mean_order=2), **estimation),
-            model,
-            window=window_of(logs),
-            **given,
-        )
-        done: VehicleFit = fit_vehicle(request, python_call("fit", request.logs, model=model), Messages(progress))
-    return FittedVehicle(done.result, done.fitted)
+    how = replace(EstimationOptions(reml=True, mean_order=2), **estimation)
+    return VehicleRequest(logs, validation, Path(), how, model, window=window, **given), progress
 
 
 def diagnose(

@@ -17,6 +17,7 @@ ARGUMENTS = {
     "--thruster": "thruster", "--robust": "outlier_model", "--profile": "profiles", "--settle": "settle",
     "--force": "force=True", "--despite-faults": "despite_faults=True", "--no-reml": "reml=False",
     "--second-order": "mean_order=2", "--no-second-order": "mean_order=1", "--no-score-tests": "score_tests=False",
+    "--backend": "backend", "--scheduler": "scheduler", "--out": "out",
     "--from": "start of st.open_log", "--to": "end of st.open_log", "--out-dir": "out_dir",
 }  # fmt: skip
 
