@@ -19,6 +19,7 @@ from .api.logs import Signal as Signal
 from .api.logs import check as check
 from .api.logs import import_log as import_log
 from .api.logs import open_log as open_log
+from .api.mock_logs import mock_log as mock_log
 from .api.runs import FittedThruster as FittedThruster
 from .api.runs import Navigated as Navigated
 from .api.runs import ThrustCurve as ThrustCurve

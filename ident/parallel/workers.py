@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import logging
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -190,7 +191,7 @@ def _ray_cluster(workers: Workers, reporter: Reporter) -> Iterator[None]:
     SeatrialError is raised if Ray is missing, or if there is no cluster at the address.
     """
     ray = _import_backend("ray", "ray")
-    how: dict[str, Any] = {"log_to_driver": False}
+    how: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
     if workers.scheduler:
         how["address"] = workers.scheduler
     else:

@@ -8,6 +8,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
+import resource
+import socket
+import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
@@ -54,6 +58,8 @@ COLUMNS: dict[str, type] = {
     "warnings": int,
     "answer": str,
     "cpu": float,  # s
+    "memory": float,  # bytes, the largest so far of the process
+    "worker": str,  # host:process
     "seatrial": str,
     "error": str,  # None: the log has a fit
 }
@@ -162,7 +168,7 @@ def fit_fleet(request: FleetRequest, command: str, reporter: Reporter) -> FleetF
         for n, outcome in enumerate(run_many(todo, partial(_fit_log, vehicle), request.workers, reporter), 1):
             table.add(_rows_of(outcome))
             left = (time.monotonic() - began) / n * (len(todo) - n)
-            end = f"failed: {outcome.error}" if outcome.error else "fitted"
+            end = f"failed: {_reason(outcome)}" if outcome.error else "fitted"
             reporter.progress(f"{n} of {len(todo)}: {outcome.task.name} {end} ({_duration(left)} to go)")
         table.sort("log")
     rows = _rows_of_logs(table.table(), logs)
@@ -255,6 +261,8 @@ def _fit_log(vehicle: VehicleRequest, log: FleetLog) -> list[Row]:
         "warnings": len(result.warnings),
         "answer": result.answer,
         "cpu": time.process_time() - began,
+        "memory": _peak_memory(),
+        "worker": f"{socket.gethostname()}:{os.getpid()}",
         "seatrial": result.seatrial,
     }
     parts, own = _prior_parts(done), {p.name for p in done.fitted.model.parameters if p.per_record}
@@ -262,6 +270,16 @@ def _fit_log(vehicle: VehicleRequest, log: FleetLog) -> list[Row]:
         of_log | {"per_log": row.name in own} | _row_of_parameter(row, parts.get(row.name, {}))
         for row in result.fit.parameters
     ]
+
+
+def _peak_memory() -> float:
+    """Return the largest resident memory of this process so far [bytes]."""
+    status = Path("/proc/self/status")
+    if status.exists():  # on Linux, getrusage begins with the memory of the parent process
+        (line,) = (x for x in status.read_text(encoding="ascii").splitlines() if x.startswith("VmHWM:"))
+        return 1024.0 * int(line.split()[1])
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return float(peak if sys.platform == "darwin" else 1024 * peak)  # macOS alone gives bytes
 
 
 def _prior_parts(done: VehicleFit) -> dict[str, dict[str, float]]:
@@ -316,8 +334,13 @@ def _rows_of(outcome: Outcome[FleetLog, list[Row]]) -> list[Row]:
     """Return the rows of the table for the outcome of one log: those of its parameters, or one with the reason."""
     log: Row = {"log": outcome.task.name, "sha256": outcome.task.sha256}
     if outcome.value is None:
-        return [log | {"error": outcome.error}]
+        return [log | {"error": _reason(outcome)}]
     return [log | row for row in outcome.value]
+
+
+def _reason(outcome: Outcome[FleetLog, list[Row]]) -> str:
+    """Return the reason why the fit to a log failed, without the path of the log, which stands beside it."""
+    return outcome.error.replace(str(outcome.task.path), outcome.task.name).removeprefix(f"{outcome.task.name}: ")
 
 
 def _rows_of_logs(table: Any, logs: Sequence[FleetLog]) -> Any:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import atexit
 import difflib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -642,7 +643,8 @@ def model_path(model: PathLike | FittedResult | Saved) -> Iterator[Path]:
     """Yield the path of a model.toml: of the file itself, of the one in a folder, or of a temporary file.
 
     Of a `Saved`, it is the file from which it was loaded, or that beside its result.json. A fitted model is written to
-    a temporary folder, which is deleted after the `with` block.
+    a temporary folder, which is deleted after the `with` block. With a Python file of the user, the folder stays until
+    the end of the process, because a model that is read from it names the copy of the file there.
 
     Raises
     ------
@@ -650,7 +652,12 @@ def model_path(model: PathLike | FittedResult | Saved) -> Iterator[Path]:
         If the path does not exist.
     """
     if isinstance(model, FittedVehicle | FittedDiagnosis):
-        with TemporaryDirectory() as folder:
+        from seatrial.ident.models import is_own_model
+
+        with ExitStack() as stack:
+            folder = stack.enter_context(TemporaryDirectory())
+            if is_own_model(model.fitted.model.source):
+                atexit.register(stack.pop_all().close)
             yield model.save(folder) / "model.toml"
         return
     from seatrial.api.loading import RESULT, Saved

@@ -84,7 +84,9 @@ class FittedFleet:
         from seatrial.ident.report import print_result
 
         text = StringIO()
-        print_result(self.result, Console(file=text, width=100, highlight=False, color_system=None))
+        print_result(
+            self.result, Console(file=text, width=100, highlight=False, color_system=None, force_jupyter=False)
+        )
         return "\n".join(line.rstrip() for line in text.getvalue().strip("\n").splitlines())
 
     def __repr__(self) -> str:

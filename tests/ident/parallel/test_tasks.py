@@ -117,6 +117,17 @@ def test_dask_task_of_a_killed_worker_is_run_again(cluster: Any, tmp_path: Path)
     assert sorted(o.value or "" for o in found) == sorted(m.name for m in marks)
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="ray is not installed")
+def test_ray_task_of_a_killed_process_is_run_again(tmp_path: Path) -> None:
+    marks = [tmp_path / f"{'victim' if k == 1 else 'other'}{k}" for k in range(6)]
+    reporter = Kept()
+    found = list(run_many(marks, chores.die_once, Workers(2, "ray"), reporter))
+    assert sorted(o.value or "" for o in found) == sorted(m.name for m in marks)
+    assert reporter.steps == ["Ray cluster of 2 cores"]
+    assert len(reporter.warnings) == 1
+
+
 def test_any_joblib_backend_is_used_if_none_is_named() -> None:
     """The backend multiprocessing returns no result before all tasks are done."""
     for backend in ("threading", "multiprocessing"):

@@ -4,13 +4,16 @@ command.
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import re
 import subprocess
 import sys
 import time
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -23,7 +26,7 @@ from seatrial.ident.estimation.output_error import simulate
 from seatrial.ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
 from seatrial.ident.model.parameter import INF, Parameter
 from seatrial.ident.model.structure import Input, Model, Output, Sensor, State, plain_model
-from seatrial.ident.parallel import Workers
+from seatrial.ident.parallel import Outcome, Workers
 from seatrial.ident.report.study_page import study_as_text
 from seatrial.ident.reporter import QUIET
 from seatrial.ident.studies.cases import CASES, make_case
@@ -330,6 +333,36 @@ def test_study_runs_on_any_joblib_backend(backend: str, tmp_path: Path) -> None:
         rows = study.run_study(case, 3, 2, tmp_path / "a.jsonl")
     alone = study.run_study(case, 3, 2, tmp_path / "b.jsonl", workers=Workers(1))
     assert [r["d"] for r in rows] == [r["d"] for r in alone]
+
+
+@pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="dask is not installed")
+def test_study_on_a_dask_cluster_gives_the_numbers_of_one_process(tmp_path: Path) -> None:
+    from distributed import LocalCluster
+
+    case = make_case("surge", seconds=30.0)
+    alone = study.run_study(case, 6, 2, tmp_path / "b.jsonl", workers=Workers(1))
+    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
+        workers = Workers(backend="dask", scheduler=cluster.scheduler_address)
+        rows = study.run_study(case, 6, 2, tmp_path / "a.jsonl", workers=workers)
+    assert [r["d"] for r in rows] == [r["d"] for r in alone]
+
+
+def test_replicates_of_a_dead_process_are_failures_that_the_next_run_repeats(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    case, run_many = make_case("surge", seconds=30.0), study.run_many
+
+    def dying(tasks: Iterable[Sequence[int]], *rest: Any) -> Iterator[Outcome[Any, Any]]:
+        for outcome in run_many(tasks, *rest):
+            yield Outcome(outcome.task, None, "its process died 3 times") if 0 in outcome.task else outcome
+
+    monkeypatch.setattr(study, "run_many", dying)
+    rows = study.run_study(case, 3, 2, tmp_path / "a.jsonl", workers=Workers(1))
+    assert [r["k"] for r in rows if r.get("error") == "its process died 3 times"] == [0]
+    assert count_replicates(rows).failed == 1
+    monkeypatch.setattr(study, "run_many", run_many)
+    again = study.run_study(case, 3, 2, tmp_path / "a.jsonl", workers=Workers(1))
+    assert count_replicates(again).failed == 0
 
 
 def test_cases_and_their_options() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -41,7 +42,7 @@ VEHICLE = VehicleRequest(
     priors={"c1": (40.0, 2.0)},
     score_tests=False,
 )
-VARIES = ("cpu",)  # columns that differ from run to run
+VARIES = ("cpu", "memory", "worker")  # columns that differ from run to run
 
 
 class Kept:
@@ -239,6 +240,26 @@ def test_part_of_a_prior_is_the_change_by_its_mean(logs: list[Path]) -> None:
     for name in ("m_u", "m_v", "m_r", "c1", "d_uu"):
         assert parts[name]["c1"] * 0.25 == pytest.approx(moved[name], rel=0.1), name
     assert below.values("se").iloc[0]["m_u"] > abs(parts["m_u"]["c1"])
+
+
+@pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")
+def test_the_page_runs_as_written(
+    logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = (ROOT / "docs/how-to/many-logs.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"^```python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    assert len(blocks) == 2
+    (tmp_path / "logs").mkdir()
+    for log in logs[:2]:
+        shutil.copy(log, tmp_path / "logs")
+    monkeypatch.chdir(tmp_path)
+    space: dict[str, Any] = {"__name__": "page"}
+    for block in blocks:
+        exec(compile(block, "many-logs.md", "exec"), space)
+    assert space["masses"].shape == space["errors"].shape == (2, 2)
+    assert "fitted to 2 of 2 logs" in capsys.readouterr().out
+    listed = set(re.findall(r"`(\w+)`", "".join(re.findall(r"^\| (`.*?) \|", page, re.MULTILINE))))
+    assert set(fleet.COLUMNS) <= listed
 
 
 def made(values: Array, own: float, common: float = 0.0, **more: Any) -> Any:
