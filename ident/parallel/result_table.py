@@ -75,10 +75,13 @@ class ResultTable:
             raise SeatrialError(f"{path}: cannot be read as Parquet ({problem}); {advice}") from problem
         if not table.schema.equals(self._schema):
             raise SeatrialError(f"{path}: is not a table of this command; {advice}")
+        finished = table.filter(self._arrow.compute.is_null(table[error]))
+        if not finished.num_rows:
+            return self._schema.empty_table()
         before, now = (json.loads((s.metadata or {}).get(SETTINGS, b"{}")) for s in (table.schema, self._schema))
         if different := [name for name in {**before, **now} if before.get(name) != now.get(name)]:
             raise SeatrialError(f"{path}: its rows were made with other options ({', '.join(different)}); {advice}")
-        return table.filter(self._arrow.compute.is_null(table[error]))
+        return finished
 
     @property
     def keys(self) -> set[str]:
@@ -111,11 +114,10 @@ class ResultTable:
         self._table = self._table.take(sorted(range(len(values)), key=values.__getitem__))
 
     def write(self) -> None:
-        """Replace the file by one with all rows. A table without a file does nothing."""
-        if self.path is None:
+        """Replace the file by one with all rows. Nothing is written without a file or without rows."""
+        began, table = time.monotonic(), self.table()
+        if self.path is None or not table.num_rows:
             return
-        began = time.monotonic()
-        table = self.table()
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with new_file(self.path) as scratch:
             self._parquet.write_table(table, scratch)

@@ -128,6 +128,9 @@ def _dask_client(workers: Workers, reporter: Reporter) -> Iterator[Any]:
     address = workers.scheduler
     if address:
         try:
+            scheme, place = distributed.comm.parse_address(address)
+            if scheme in ("tcp", "tls"):
+                distributed.comm.parse_host_port(place)  # raises ValueError before the client starts its threads
             client = distributed.Client(address, timeout=REACH_S, set_as_default=False)
         except (OSError, ValueError, TimeoutError) as problem:
             raise SeatrialError(
@@ -141,7 +144,7 @@ def _dask_client(workers: Workers, reporter: Reporter) -> Iterator[Any]:
                 n_workers=local_processes(workers.jobs),
                 threads_per_worker=1,
                 processes=True,
-                dashboard_address=None,
+                dashboard_address="127.0.0.1:0",
                 set_as_default=False,
             )
     with client:

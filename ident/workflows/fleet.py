@@ -16,6 +16,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -199,7 +200,7 @@ def settings_of(vehicle: VehicleRequest) -> dict[str, Any]:
     Values are those of JSON. Only options that differ from the defaults are included, so that a new option does not
     change the settings of older tables.
     """
-    found: dict[str, Any] = {"code": estimator_code_hash()}
+    found: dict[str, Any] = {"seatrial": version("seatrial"), "code": estimator_code_hash()}
     default = VehicleRequest((), (), Path())
     for option in fields(vehicle):
         value = getattr(vehicle, option.name)

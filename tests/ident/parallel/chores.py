@@ -50,3 +50,10 @@ def slow(mark: Path) -> str:
     with mark.open("a") as calls:
         calls.write("x")
     return mark.name
+
+
+def span(number: int) -> tuple[float, float]:
+    """Return the times at which a task began and ended [s]."""
+    began = time.time()
+    time.sleep(0.1)
+    return began, time.time()

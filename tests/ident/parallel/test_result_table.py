@@ -64,7 +64,14 @@ def test_file_is_replaced_from_time_to_time(tmp_path: Path, monkeypatch: pytest.
 
 def test_table_of_other_options_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "fits.parquet"
-    open_table(path, model="surge", rate=10.0).write()
+    with open_table(path, model="surge", rate=10.0):
+        pass
+    assert not path.exists()  # a run without results leaves no file that could refuse the next one
+    with open_table(path, model="surge", rate=10.0) as table:
+        table.add([{"task": "a", "error": "no signal"}])
+    assert not open_table(path, model="yaw").keys
+    with open_table(path, model="surge", rate=10.0) as table:
+        table.add([{"task": "a", "value": 1.0}])
     with pytest.raises(SeatrialError, match=r"fits\.parquet: its rows were made with other options \(model, seed\)"):
         open_table(path, model="yaw", rate=10.0, seed=1)
 

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +44,7 @@ def cluster() -> Iterator[Any]:
     """Start a local Dask cluster of two workers, each a process of its own."""
     from distributed import LocalCluster
 
-    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as running:
+    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0") as running:
         yield running
 
 
@@ -174,10 +175,33 @@ def test_workers_that_do_not_exist(arguments: tuple[Any, ...], says: str) -> Non
 
 
 @needs_dask
-def test_scheduler_that_does_not_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nowhere"])
+def test_scheduler_that_does_not_answer(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("seatrial.ident.parallel.workers.REACH_S", 0.5)
     with pytest.raises(SeatrialError, match=r"no Dask scheduler answers there; start one with `dask scheduler`"):
-        list(run_many(range(2), chores.square, Workers(backend="dask", scheduler="tcp://127.0.0.1:9")))
+        list(run_many(range(2), chores.square, Workers(backend="dask", scheduler=address)))
+
+
+@needs_dask
+def test_workers_with_another_version_are_refused(cluster: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("seatrial.ident.parallel.workers.version", lambda name: "9.9")
+    says = r"worker tcp://\S+ has seatrial \S+, and this computer has 9\.9: pip install 'seatrial\[ident,dask\]==9\.9'"
+    with pytest.raises(SeatrialError, match=says):
+        list(run_many(range(2), chores.square, Workers(backend="dask", scheduler=cluster.scheduler_address)))
+
+
+@needs_dask
+def test_tasks_of_a_worker_with_threads_take_turns() -> None:
+    from distributed import LocalCluster
+
+    reporter = Kept()
+    with LocalCluster(n_workers=1, threads_per_worker=2, processes=True, dashboard_address="127.0.0.1:0") as running:
+        workers = Workers(backend="dask", scheduler=running.scheduler_address)
+        outcomes = list(run_many(range(4), chores.span, workers, reporter))
+    spans = sorted(o.value for o in outcomes if o.value)
+    assert len(spans) == 4
+    assert all(before[1] <= after[0] for before, after in pairwise(spans))
+    assert "has 2 threads, but the tasks of one process take turns" in reporter.warnings[0]
 
 
 @pytest.mark.parametrize(("backend", "module"), [("dask", "distributed"), ("ray", "ray")])

@@ -94,7 +94,7 @@ def test_dask_cluster_gives_the_numbers_of_one_process(
 ) -> None:
     from distributed import LocalCluster
 
-    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
+    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0") as cluster:
         where = ("--backend", "dask", "--scheduler", cluster.scheduler_address)
         run("ident", "fleet", *logs, *QUICK, *where, "--out", tmp_path / "fleet")
     assert same(pyarrow.parquet.read_table(tmp_path / "fleet/fits.parquet")).equals(same(alone.table))
