@@ -1,6 +1,6 @@
 """Run the benchmarks and print their figures.
 
-python -m benchmarks [--seed S] [--only sde,speed,diagnosis,long,logging,acquisition,codecs] [--json FILE]
+python -m benchmarks [--seed S] [--only sde,speed,diagnosis,long,fleet,logging,acquisition,codecs] [--json FILE]
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import importlib  # noqa: E402
 
 from benchmarks.measure import Figure, table  # noqa: E402
 
-PARTS = ("sde", "speed", "diagnosis", "long", "logging", "acquisition", "codecs")
+PARTS = ("sde", "speed", "diagnosis", "long", "fleet", "logging", "acquisition", "codecs")
 
 
 def main() -> int:

@@ -7,6 +7,8 @@ from .api.fits import Prediction as Prediction
 from .api.fits import Series as Series
 from .api.fits import diagnose as diagnose
 from .api.fits import fit as fit
+from .api.fleet import FittedFleet as FittedFleet
+from .api.fleet import fit_many as fit_many
 from .api.loading import Saved as Saved
 from .api.loading import export as export
 from .api.loading import linearise as linearise
@@ -18,6 +20,7 @@ from .api.logs import Signal as Signal
 from .api.logs import check as check
 from .api.logs import import_log as import_log
 from .api.logs import open_log as open_log
+from .api.mock_logs import mock_log as mock_log
 from .api.runs import FittedThruster as FittedThruster
 from .api.runs import Navigated as Navigated
 from .api.runs import ThrustCurve as ThrustCurve

@@ -19,16 +19,15 @@ from seatrial.ident.cli.options import (
     MODEL,
     Lines,
     LiveLine,
-    check_jobs,
     check_output,
     command_line,
     despite_option,
     force_option,
     horizon_option,
     mean_order_option,
+    model_options,
     out_option,
     parse_names,
-    parse_priors,
     parse_rates,
     parse_thruster_files,
     parse_values,
@@ -40,6 +39,7 @@ from seatrial.ident.cli.options import (
     validate_option,
     window_option,
     with_estimation_options,
+    workers_options,
 )
 
 
@@ -296,36 +296,7 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
 
 @ident.command(short_help="Fit a model of the boat to logs and validate it on others.")
 @click.argument("logs", nargs=-1, required=True, type=LOG)
-@click.option(
-    "--model",
-    default="auto",
-    show_default=True,
-    help="horizontal:shaft, horizontal:command (held commands; shafts are states), horizontal:force, "
-    "horizontal:general (each also with :no-current, or :random-walk-current), nomoto (no sideslip; the yaw rate "
-    "follows the difference of the sides; :sampled if the times of the outputs are uncertain, which is chosen "
-    "automatically for an autopilot's outputs; and the same two options for the current), "
-    "kinematic:shaft|force (measured attitude; :yaw adds the yaw equation; and the same two options for the current), "
-    "surge:force|shaft:position|speed|both, yaw:rate|both, or FILE.py:NAME for your own.",
-)
-@click.option(
-    "--thruster", type=LOG, help="model.toml of the bench: c1 and c2, or the static curve from command to thrust."
-)
-@click.option(
-    "--fix", "fixed", multiple=True, callback=parse_values, help="NAME=VALUE: fix a known parameter; may be repeated."
-)
-@click.option(
-    "--initial",
-    multiple=True,
-    callback=parse_values,
-    help="NAME=VALUE: initial value of a parameter; may be repeated.",
-)
-@click.option(
-    "--prior",
-    "priors",
-    multiple=True,
-    callback=parse_priors,
-    help="NAME=MEAN:SD: prior of a parameter (mean, standard deviation); may be repeated.",
-)
+@model_options
 @click.option(
     "--test-homogeneity",
     "homogeneity",
@@ -334,20 +305,6 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
     help="Likelihood-ratio test: do the logs agree on this parameter?",
 )
 @click.option("--profile", "profiles", multiple=True, metavar="NAME", help="Profile likelihood of this parameter.")
-@click.option(
-    "--effect",
-    "effects",
-    multiple=True,
-    metavar="EFFECT",
-    help="Add an effect of the catalogue with free parameters (lever-arm, mount, ...); may be repeated.",
-)
-@click.option(
-    "--score-tests/--no-score-tests",
-    default=True,
-    show_default=True,
-    help="Test the fit for missing effects: add the small errors of sensors and hull form if the logs show at least "
-    "four, and widen the standard errors by what remains unexplained.",
-)
 @robust_option
 @reml_option()
 @mean_order_option()
@@ -373,6 +330,51 @@ def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how
 
     request = VehicleRequest(logs, validate, out, **with_estimation_options(how))
     run_workflow(lambda reporter: vehicle(request, command_line(), reporter), out)
+
+
+@ident.command(short_help="Fit a model of the boat to each of many logs.")
+@click.argument("logs", nargs=-1, required=True, type=LOG)
+@model_options
+@robust_option
+@reml_option()
+@mean_order_option()
+@despite_option
+@window_option
+@horizon_option
+@rate_option
+@workers_options
+@click.option(
+    "--out",
+    type=FOLDER,
+    default=Path("fleet"),
+    show_default=True,
+    help="Folder for the results; a run that was interrupted continues there.",
+)
+@click.option("--force", is_flag=True, help="Start again: replace the results in --out.")
+def fleet(logs: tuple[Path, ...], out: Path, workers: Any, force: bool, **how: Any) -> None:
+    """Fit one model of the boat to each of LOGS separately, and compare the estimates of the logs.
+
+    A log that fails does not end the others. The results in the folder --out are fits.parquet, with a row for each log
+    and parameter, and result.json, with the differences between the logs. An interrupted run continues there, and only
+    logs without a fit are fitted. The exit status is 1 if no log could be fitted.
+
+    \b
+    Example:
+      seatrial ident fleet logs/*.mcap --thruster thruster/model.toml --out fleet
+      seatrial ident fleet logs/*.mcap --backend dask --scheduler tcp://192.168.1.5:8786 --out fleet
+    """
+    from rich.console import Console
+
+    from seatrial.ident.report import print_result
+    from seatrial.ident.workflows.fleet import FleetRequest, fit_fleet
+    from seatrial.ident.workflows.vehicle_model import VehicleRequest
+
+    request = FleetRequest(logs, VehicleRequest((), (), out, **with_estimation_options(how)), out, workers, force)
+    result = fit_fleet(request, command_line(), Lines(err=True)).result
+    print_result(result, Console(highlight=False))
+    click.echo(f"table: {result.table}")
+    if not result.fitted:
+        raise click.exceptions.Exit(1)
 
 
 @ident.command(short_help="Find effects that a model lacks; errors before and after.")
@@ -438,9 +440,7 @@ def diagnose(model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], ou
     show_default=True,
     help="Seed; the same seed gives the same missions and noise.",
 )
-@click.option(
-    "--jobs", type=int, default=-1, callback=check_jobs, help="Number of processes.  [default: -1, one for each core]"
-)
+@workers_options
 @click.option(
     "--method",
     type=click.Choice(("pe", "oe")),

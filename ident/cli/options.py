@@ -149,6 +149,34 @@ def check_jobs(_context: click.Context, _parameter: click.Parameter, number: int
     return number
 
 
+def workers_options(f: Callable[..., Any]) -> Callable[..., Any]:
+    """Decorate a command with ``--jobs``, ``--backend`` and ``--scheduler``: the processes that run its tasks.
+
+    The command receives them as one argument ``workers`` (`Workers`).
+    """
+
+    @wraps(f)
+    def command(*args: Any, jobs: int, backend: Any, scheduler: str, **rest: Any) -> Any:
+        """Call the decorated command with ``workers`` in place of the three options."""
+        from seatrial.ident.parallel import Workers
+
+        return f(*args, workers=Workers(jobs, backend, scheduler), **rest)
+
+    where = (
+        "Address of the scheduler of a Dask cluster, or of the head of a Ray cluster, whose workers then do the work."
+    )
+    command = click.option("--scheduler", default="", metavar="ADDRESS", help=where)(command)
+    command = click.option(
+        "--backend",
+        type=click.Choice(("loky", "dask", "ray")),
+        default="loky",
+        show_default=True,
+        help="Processes of this computer, or a Dask or Ray cluster.",
+    )(command)
+    words = "Number of processes on this computer.  [default: -1, one for each core]"
+    return click.option("--jobs", type=int, default=-1, callback=check_jobs, help=words)(command)
+
+
 def parse_names(_context: click.Context, _parameter: click.Parameter, text: str | None) -> tuple[str, ...]:
     """Parse the value ``NAME,NAME`` of an option to a tuple of names (click callback).
 
@@ -397,6 +425,66 @@ def _parse_mean_order(
     return None if second is None else 2 if second else 1
 
 
+def model_options(f: Callable[..., Any]) -> Callable[..., Any]:
+    """Decorate a command with the options of the model of a boat and of its fit.
+
+    The command receives ``model``, ``thruster``, ``fixed``, ``initial``, ``priors``, ``effects`` and ``score_tests``.
+    """
+    for option in reversed(MODEL_OPTIONS):
+        f = option(f)
+    return f
+
+
+MODEL_OPTIONS = (
+    click.option(
+        "--model",
+        default="auto",
+        show_default=True,
+        help="horizontal:shaft, horizontal:command (held commands; shafts are states), horizontal:force, "
+        "horizontal:general (each also with :no-current, or :random-walk-current), nomoto (no sideslip; the yaw rate "
+        "follows the difference of the sides; :sampled if the times of the outputs are uncertain, which is chosen "
+        "automatically for an autopilot's outputs; and the same two options for the current), "
+        "kinematic:shaft|force (measured attitude; :yaw adds the yaw equation; and the same two options for the "
+        "current), surge:force|shaft:position|speed|both, yaw:rate|both, or FILE.py:NAME for your own.",
+    ),
+    click.option(
+        "--thruster", type=LOG, help="model.toml of the bench: c1 and c2, or the static curve from command to thrust."
+    ),
+    click.option(
+        "--fix",
+        "fixed",
+        multiple=True,
+        callback=parse_values,
+        help="NAME=VALUE: fix a known parameter; may be repeated.",
+    ),
+    click.option(
+        "--initial",
+        multiple=True,
+        callback=parse_values,
+        help="NAME=VALUE: initial value of a parameter; may be repeated.",
+    ),
+    click.option(
+        "--prior",
+        "priors",
+        multiple=True,
+        callback=parse_priors,
+        help="NAME=MEAN:SD: prior of a parameter (mean, standard deviation); may be repeated.",
+    ),
+    click.option(
+        "--effect",
+        "effects",
+        multiple=True,
+        metavar="EFFECT",
+        help="Add an effect of the catalogue with free parameters (lever-arm, mount, ...); may be repeated.",
+    ),
+    click.option(
+        "--score-tests/--no-score-tests",
+        default=True,
+        show_default=True,
+        help="Test the fit for missing effects: add the small errors of sensors and hull form if the logs show at "
+        "least four, and widen the standard errors by what remains unexplained.",
+    ),
+)
 ESTIMATION = ("outlier_model", "reml", "mean_order", "method", "horizon")  # options of ``EstimationOptions``
 
 

@@ -23,6 +23,7 @@ from .fitted_model import without_absent_sensors as without_absent_sensors
 from .fitted_model import without_unknown_noise as without_unknown_noise
 from .homogeneity import HomogeneityTest as HomogeneityTest
 from .homogeneity import ParameterShift as ParameterShift
+from .homogeneity import between_log_variance as between_log_variance
 from .homogeneity import between_runs as between_runs
 from .homogeneity import homogeneity_test as homogeneity_test
 from .homogeneity import parameter_shift as parameter_shift

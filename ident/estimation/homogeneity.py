@@ -234,8 +234,9 @@ def between_log_variance(values: Array, covariance: Array) -> tuple[float, float
     ----------
     values : Array (k,)
         Estimate of one parameter from each log.
-    covariance : Array (k, k)
-        Covariance of these estimates. Values with a NaN variance are left out.
+    covariance : Array (k, k) or (k,)
+        Covariance of these estimates, or their variances if they are independent. Values with a NaN variance are left
+        out.
 
     Returns
     -------
@@ -243,20 +244,26 @@ def between_log_variance(values: Array, covariance: Array) -> tuple[float, float
         Standard deviation between the logs (0 if the covariance explains the differences), the mean with that scatter,
         and the standard error of the mean. All are NaN if fewer than two values remain.
     """
-    known = np.isfinite(np.diag(covariance))
-    m, V = values[known], covariance[np.ix_(known, known)]
+    variances = covariance if covariance.ndim == 1 else np.diag(covariance)
+    known = np.isfinite(variances)
+    m, ones = values[known], np.ones(int(known.sum()))
     if m.size < 2:
         return float("nan"), float("nan"), float("nan")
+    # In the axes of V, all matrices below are diagonal.
+    eigenvalues, rotated, sums = variances[known], m, ones
+    if covariance.ndim == 2:
+        eigenvalues, axes = np.linalg.eigh(covariance[np.ix_(known, known)])
+        rotated, sums = axes.T @ m, axes.T @ ones
 
     def mean_of(tau: float) -> tuple[float, float, float]:
         """Return the mean, its information (1 / variance) and twice the restricted log-likelihood for a scatter tau."""
-        W = np.linalg.inv(V + tau**2 * np.eye(m.size))
-        information = float(W.sum())
-        mean = float(W.sum(axis=0) @ m) / information
-        e = m - mean
-        return mean, information, float(np.linalg.slogdet(W)[1] - np.log(information) - e @ W @ e)
+        w = 1.0 / (eigenvalues + tau**2)
+        information = float(sums**2 @ w)
+        mean = float((sums * rotated) @ w) / information
+        e = rotated - mean * sums
+        return mean, information, float(np.log(w).sum() - np.log(information) - e**2 @ w)
 
-    top = 10.0 * float(m.std() + np.sqrt(np.diag(V)).max())
+    top = 10.0 * float(m.std() + np.sqrt(variances[known]).max())
     grid = np.append(0.0, np.geomspace(1e-4 * top, top, 200))
     from scipy import optimize  # imported here: it takes half a second, and only this test needs it
 

@@ -22,6 +22,7 @@ from seatrial.ident.results import (
     Errors,
     FitResult,
     FitSummary,
+    FleetResult,
     ForceScale,
     InformationResult,
     NavigationResult,
@@ -35,6 +36,7 @@ from seatrial.ident.results import (
 
 MAX_OUTAGES, MAX_SEGMENTS, MAX_NOISE_CHANNELS = 8, 24, 12  # largest numbers of rows of a table
 MAX_PARAMETERS, MAX_CANDIDATES, MAX_ERROR_CHANNELS = 9, 6, 8
+MAX_FAILED = 8  # largest number of rows of a table of failed logs
 MIN_GROWTH = 1.05  # a standard error that grows by a smaller factor does not depend on the segment
 
 
@@ -48,7 +50,7 @@ def titled_table(title: str) -> Table:
 
 
 def tables_of(result: Result) -> list[Table]:
-    """Return the tables for the terminal of a result that is not a fit: of sensor noise, navigation or information.
+    """Return the tables for the terminal of a result that is not a fit: of noise, navigation, information or a fleet.
 
     A result of information has two tables: parameters and segments of the logs. The list is empty for other results
     and for a navigation without GNSS outages.
@@ -59,6 +61,8 @@ def tables_of(result: Result) -> list[Table]:
         return [outage_table(result)] if result.outages else []
     if isinstance(result, InformationResult):
         return [parameter_table(result), segment_table(result)]
+    if isinstance(result, FleetResult):
+        return [*([fleet_table(result)] if result.parameters else []), *failed_tables(result)]
     return []
 
 
@@ -152,6 +156,48 @@ def segment_table(result: InformationResult) -> Table:
         cells = [Text(_growth_text(v), style="dim" if v < MIN_GROWTH else "bold green") for v in values]
         table.add_row(Text(segment_in_words(row)), *cells)
     return table
+
+
+def fleet_table(result: FleetResult) -> Table:
+    """Return the table of the values of each parameter from many logs: mean, and differences between the logs.
+
+    A scatter that the standard errors do not explain is yellow, except that of parameters such as the current, which
+    differ from log to log. Noise parameters are left out, as in the table of a fit.
+    """
+    shown = [p for p in result.parameters if "noise" not in p.meaning]
+    left = len(result.parameters) - len(shown)
+    table = titled_table(f"Between the logs{f' ({left} noise parameters in result.json)' if left else ''}")
+    table.padding = (0, 1, 0, 0)
+    table.add_column("", no_wrap=True)
+    for title in ("logs", "mean ± s.e.", "sd", "s.e. of a log", "scatter", "p"):
+        table.add_column(Text(title), justify="right", no_wrap=True)
+    table.add_column("", no_wrap=True)
+    for p in shown:
+        factor, unit = formatting.degrees_for(p.unit)
+        mean = formatting.with_error(factor * p.mean, factor * p.se_mean)
+        sd, error, scatter = (formatting.plain(factor * v, 2) for v in (p.sd, p.se_own, p.scatter))
+        cells = [Text(w) for w in (str(p.n), mean, sd, error)]
+        style = "" if p.agree or p.per_log else "bold yellow"
+        table.add_row(Text(p.name, "bold"), *cells, Text(scatter, style), Text(f"{p.p:.2g}", style), Text(unit))
+    return table
+
+
+def failed_tables(result: FleetResult) -> list[Table]:
+    """Return the tables of logs without a fit, and of logs whose fit did not converge, with the reasons.
+
+    Each has at most eight rows. A table without rows is left out.
+    """
+    tables = []
+    for title, rows in (("Failed", result.failed), ("Not converged", result.unconverged)):
+        if rows:
+            more = f" (first {MAX_FAILED} of {len(rows)}; all in result.json)" if len(rows) > MAX_FAILED else ""
+            table = titled_table(f"{title}{more}")
+            table.add_column("", style="bold", overflow="ellipsis", max_width=36, no_wrap=True)
+            table.add_column("")
+            for row in rows[:MAX_FAILED]:
+                table.add_row(Text(row.log), Text(row.reason))
+            tables.append(table)
+    return tables
 
 
 def _growth_text(factor: float) -> str:

@@ -21,7 +21,10 @@ from .commands import DesignedParameter as DesignedParameter
 from .commands import DesignResult as DesignResult
 from .commands import DesignTrack as DesignTrack
 from .commands import Discrimination as Discrimination
+from .commands import FailedLog as FailedLog
 from .commands import FitContext as FitContext
+from .commands import FleetParameter as FleetParameter
+from .commands import FleetResult as FleetResult
 from .commands import GnssFixes as GnssFixes
 from .commands import GnssOutage as GnssOutage
 from .commands import Information as Information

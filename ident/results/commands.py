@@ -1,6 +1,6 @@
 """Types of the results that are not fits, and builders of the results of a vehicle or thruster fit.
 
-The types are those of information in logs, navigation, sensor noise, mission design and Monte Carlo study.
+The types are those of information in logs, navigation, sensor noise, mission design, Monte Carlo study and fleet.
 """
 
 from __future__ import annotations
@@ -642,3 +642,46 @@ class StudyResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="stud
 
     seed: Annotated[int, Meta(description="seed of the random numbers")]
     studies: Annotated[tuple[ModelStudy, ...], Meta(description="one for each model")]
+
+
+class FleetParameter(Part, frozen=True, kw_only=True):
+    """Values of one parameter from separate fits of the same model to several logs.
+
+    Logs in which the parameter has no standard error, or whose fit did not converge, are left out. The errors from
+    priors are the same in all logs.
+    """
+
+    name: Annotated[str, Meta(description="name of the parameter")]
+    meaning: Annotated[str, Meta(description="meaning in words")]
+    unit: Annotated[str, Meta(description="unit of the values, SI and radians; empty: none")]
+    n: Annotated[int, Meta(description="number of logs that determine the parameter")]
+    mean: Annotated[float, Meta(description="mean over the logs, weighted with `scatter` and the standard errors")]
+    se_mean: Annotated[float, Meta(description="standard error of `mean`, with the errors from priors")]
+    sd: Annotated[float, Meta(description="standard deviation between the logs")]
+    se: Annotated[float, Meta(description="typical standard error of a log: root mean square")]
+    se_own: Annotated[float, Meta(description="the same without the errors from priors; to be compared with `sd`")]
+    scatter: Annotated[float, Meta(description="standard deviation between the logs beyond their standard errors")]
+    p: Annotated[float, Meta(description="p value of one true value for all logs (Cochran's Q)")]
+    agree: Annotated[
+        bool, Meta(description="verdict: the logs agree in one value, `p` is above 0.01 / number of parameters")
+    ]
+    per_log: Annotated[bool, Meta(description="the true value differs from log to log, as that of the current")]
+
+
+class FailedLog(Part, frozen=True, kw_only=True):
+    """Log to which the model could not be fitted, or whose fit did not converge."""
+
+    log: Annotated[str, Meta(description="path of the log")]
+    reason: Annotated[str, Meta(description="reason in one line")]
+
+
+class FleetResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="fleet"):
+    """Result of `seatrial ident fleet`: one model fitted to each of many logs, and the differences between the logs."""
+
+    model: Annotated[str, Meta(description="name of the model as given; `auto`: chosen for each log")]
+    table: Annotated[str, Meta(description="file of all estimates; empty: no file was written")]
+    n_logs: Annotated[int, Meta(description="number of logs")]
+    fitted: Annotated[int, Meta(description="number of logs whose fit converged")]
+    failed: Annotated[tuple[FailedLog, ...], Meta(description="logs without a fit")]
+    unconverged: Annotated[tuple[FailedLog, ...], Meta(description="logs whose fit did not converge")]
+    parameters: Annotated[tuple[FleetParameter, ...], Meta(description="parameters with values of two logs or more")]

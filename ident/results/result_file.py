@@ -21,7 +21,14 @@ from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from seatrial.daq.files import write_output
 from seatrial.ident.data import FrameOrigin
 from seatrial.ident.numerics import Array
-from seatrial.ident.results.commands import DesignResult, InformationResult, NavigationResult, NoiseResult, StudyResult
+from seatrial.ident.results.commands import (
+    DesignResult,
+    FleetResult,
+    InformationResult,
+    NavigationResult,
+    NoiseResult,
+    StudyResult,
+)
 from seatrial.ident.results.curves import moved_fields, read_parquet, stub, to_parquet, with_curves
 from seatrial.ident.results.parts import (
     FORMAT,
@@ -49,6 +56,7 @@ AnyResult = (
     | InformationResult
     | DesignResult
     | StudyResult
+    | FleetResult
 )
 
 

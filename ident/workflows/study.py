@@ -11,15 +11,14 @@ import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import islice
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
-
-import joblib
 
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.files import append_to
 from seatrial.ident.estimation import Method
+from seatrial.ident.parallel import Workers, run_many
 from seatrial.ident.report import write_study_docs
 from seatrial.ident.reporter import QUIET, Reporter
 from seatrial.ident.results import ModelStudy, ParameterStudy, StudyResult, finite, provenance, write_result
@@ -38,6 +37,7 @@ from seatrial.ident.studies import (
 BATCH = 25  # largest number of replicates in a task, which are simulated together
 TASK_S = 10.0  # s: aim for the CPU time of a task; its replicates are lost if the study is stopped before its end
 ROWS = 3  # version of the content of a line of JSON
+ANY_WORKERS = Workers()  # those of ``joblib.parallel_config``
 
 
 def run_study(
@@ -47,7 +47,7 @@ def run_study(
     out: Path | str,
     *,
     method: Method = "prediction-error",
-    jobs: int | None = None,
+    workers: Workers = ANY_WORKERS,
     reporter: Reporter = QUIET,
 ) -> list[Row]:
     """Run the replicates of a Monte Carlo case that are missing in the file ``out``, and return all replicates.
@@ -68,8 +68,9 @@ def run_study(
         other studies in the file stay there and are not used.
     method : str
         ``prediction-error`` or ``output-error``.
-    jobs : int, optional
-        Number of processes; None: that of ``joblib.parallel_config``. Any backend of joblib works.
+    workers : Workers, optional
+        Processes that run the replicates; by default those of ``joblib.parallel_config``. The numbers do not depend on
+        them.
     reporter : Reporter
         Receives progress, and a warning if used replicates of ``out`` come from another version of the code.
 
@@ -90,7 +91,7 @@ def run_study(
             )
     out.parent.mkdir(parents=True, exist_ok=True)
     with append_to(out) as file:
-        for rows in _rows_by_task(case, todo, seed, method, jobs):
+        for rows in _rows_by_task(case, todo, seed, method, workers, reporter):
             for row in rows:
                 done[row["k"]] = row | {"key": key, "code": estimator_code_hash()}
                 file.write(json.dumps(done[row["k"]]) + "\n")
@@ -99,24 +100,21 @@ def run_study(
     return [done[k] for k in sorted(done)]
 
 
-def _rows_by_task(case: Case, todo: Sequence[int], seed: int, method: Method, jobs: int | None) -> Iterator[list[Row]]:
+def _rows_by_task(
+    case: Case, todo: Sequence[int], seed: int, method: Method, workers: Workers, reporter: Reporter
+) -> Iterator[list[Row]]:
     """Run the replicates of a study in parallel tasks, and yield the rows of each task as soon as it is done.
 
-    A row is the dictionary of one replicate. Tasks end in any order. ``todo``: numbers of the replicates. ``jobs``:
-    number of processes, or None for that of joblib. Some backends of joblib return no result before all tasks are done.
-    With these, the tasks are run in waves of one task per process.
+    A row is the dictionary of one replicate. Tasks end in any order. ``todo``: numbers of the replicates. The
+    replicates of a task that failed as a whole, for example because its process died, have the key ``error``.
     """
     pace = _TaskSize(todo)
-    calls = (joblib.delayed(_run_timed)(case, task, seed, method) for task in pace.tasks())
-    try:
-        run = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered", pre_dispatch="n_jobs", batch_size=1)
-    except ValueError:  # Dask's and Ray's, for example
-        run = joblib.Parallel(n_jobs=jobs)
-        wave = joblib.effective_n_jobs(-1 if jobs is None else jobs)
-        found = (done for first in calls for done in run([first, *islice(calls, wave - 1)]))
-    else:
-        found = run(calls)
-    for seconds, rows in found:
+    run = partial(_run_timed, case, seed=seed, method=method)
+    for outcome in run_many(pace.tasks(), run, workers, reporter):
+        if outcome.value is None:
+            yield [{"k": k, "simulation": 0.0, "error": outcome.error} for k in outcome.task]
+            continue
+        seconds, rows = outcome.value
         pace.adapt(rows, seconds)
         yield rows
 
@@ -165,7 +163,7 @@ class _TaskSize:
         self.size = int(min(max(max(TASK_S - simulation, simulation) / each, 1), 2 * len(rows), BATCH))
 
 
-def _run_timed(case: Case, numbers: Sequence[int], seed: int, method: Method) -> tuple[float, list[Row]]:
+def _run_timed(case: Case, numbers: Sequence[int], *, seed: int, method: Method) -> tuple[float, list[Row]]:
     """Run the replicates ``numbers`` of a case in one task; return its CPU time [s] and one row for each replicate."""
     began = time.process_time()
     rows = run_replicates(case, numbers, seed, method)
@@ -199,8 +197,8 @@ class StudyRequest:
         Length of the mission [s]; None: that of the case.
     bounded
         Whether parameters keep their bounds, for example zero as the lower bound of damping.
-    jobs
-        Number of processes; None: that of ``joblib.parallel_config``.
+    workers
+        Processes that run the replicates.
     """
 
     models: Sequence[str]
@@ -214,7 +212,7 @@ class StudyRequest:
     free: Sequence[str] = ()
     seconds: float | None = None
     bounded: bool = True
-    jobs: int | None = None
+    workers: Workers = ANY_WORKERS
 
     def cases(self) -> list[Case]:
         """Return the case (mission, model and true values) of each model, in the order of ``models``, repeats left out.
@@ -275,7 +273,7 @@ def run_studies(request: StudyRequest, command: str, reporter: Reporter) -> Stud
             request.seed,
             out / f"{case.name}.jsonl",
             method=method,
-            jobs=request.jobs,
+            workers=request.workers,
             reporter=reporter,
         )
         parts.append(model_study(case, rows, method))

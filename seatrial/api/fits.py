@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import atexit
 import difflib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from seatrial.ident.validation import RecordPrediction
     from seatrial.ident.workflows.diagnose import DiagnosedModel
     from seatrial.ident.workflows.vehicle import VehicleFit
+    from seatrial.ident.workflows.vehicle_model import VehicleRequest
 
 Logs = PathLike | Log | Sequence[PathLike | Log]
 Role = Literal["estimation", "validation"]
@@ -559,8 +561,36 @@ def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[
     >>> fit = st.fit("run1.mcap", validate="run3.mcap", priors={"c1": (40.0, 2.0)}, fixed={"c2": 1.1})
     >>> fit.params["m_u"], fit.standard_errors["m_u"]
     """
-    from seatrial.ident.estimation import EstimationOptions
     from seatrial.ident.workflows.vehicle import fit_vehicle
+
+    with errors_of_users():
+        request, progress = vehicle_request(as_paths(logs), _paths_or_none(validate), model, window_of(logs), options)
+        done: VehicleFit = fit_vehicle(request, python_call("fit", request.logs, model=model), Messages(progress))
+    return FittedVehicle(done.result, done.fitted)
+
+
+def vehicle_request(
+    logs: Sequence[Path], validation: Sequence[Path], model: str, window: Any, options: Mapping[str, Any]
+) -> tuple[VehicleRequest, bool]:
+    """Return the request of a vehicle fit from the options of the user, and whether progress is printed.
+
+    Parameters
+    ----------
+    logs, validation : sequence of Path
+        Estimation and validation logs.
+    model : str
+        Name of the structure.
+    window : TimeWindows
+        Interval of time of the estimation logs.
+    options : mapping
+        Options by name (`FitOptions`).
+
+    Raises
+    ------
+    SeatrialError
+        If there is no option of a name, or if a prior is no pair of numbers.
+    """
+    from seatrial.ident.estimation import EstimationOptions
     from seatrial.ident.workflows.vehicle_model import VehicleRequest
 
     given = known_options(options, FitOptions)
@@ -571,18 +601,8 @@ def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[
     estimation = {n: given.pop(n) for n in ("outlier_model", "reml", "mean_order", "horizon") if n in given}
     if "thruster" in given:
         given["thruster"] = Path(given["thruster"])
-    with errors_of_users():
-        request = VehicleRequest(
-            as_paths(logs),
-            _paths_or_none(validate),
-            Path(),
-            replace(EstimationOptions(reml=True, mean_order=2), **estimation),
-            model,
-            window=window_of(logs),
-            **given,
-        )
-        done: VehicleFit = fit_vehicle(request, python_call("fit", request.logs, model=model), Messages(progress))
-    return FittedVehicle(done.result, done.fitted)
+    how = replace(EstimationOptions(reml=True, mean_order=2), **estimation)
+    return VehicleRequest(logs, validation, Path(), how, model, window=window, **given), progress
 
 
 def diagnose(
@@ -653,7 +673,8 @@ def model_path(model: PathLike | FittedResult | Saved) -> Iterator[Path]:
     """Yield the path of a model.toml: of the file itself, of the one in a folder, or of a temporary file.
 
     Of a `Saved`, it is the file from which it was loaded, or that beside its result.json. A fitted model is written to
-    a temporary folder, which is deleted after the `with` block.
+    a temporary folder, which is deleted after the `with` block. With a Python file of the user, the folder stays until
+    the end of the process, because a model that is read from it names the copy of the file there.
 
     Raises
     ------
@@ -661,7 +682,12 @@ def model_path(model: PathLike | FittedResult | Saved) -> Iterator[Path]:
         If the path does not exist.
     """
     if isinstance(model, FittedVehicle | FittedDiagnosis):
-        with TemporaryDirectory() as folder:
+        from seatrial.ident.models import is_own_model
+
+        with ExitStack() as stack:
+            folder = stack.enter_context(TemporaryDirectory())
+            if is_own_model(model.fitted.model.source):
+                atexit.register(stack.pop_all().close)
             yield model.save(folder) / "model.toml"
         return
     from seatrial.api.loading import RESULT, Saved

@@ -18,8 +18,8 @@ ARGUMENTS = {
     "--force": "force=True", "--despite-faults": "despite_faults=True", "--no-reml": "reml=False",
     "--second-order": "mean_order=2", "--no-second-order": "mean_order=1", "--no-score-tests": "score_tests=False",
     "--thrust-curve": "thrust_curve", "--thrust-input": "thrust_input", "--source-only": "source_only=True",
-    "--mass": "mass", "--inertia": "inertia", "--from": "start of st.open_log",
-    "--to": "end of st.open_log", "--out-dir": "out_dir",
+    "--mass": "mass", "--inertia": "inertia", "--backend": "backend", "--scheduler": "scheduler", "--out": "out",
+    "--from": "start of st.open_log", "--to": "end of st.open_log", "--out-dir": "out_dir",
 }  # fmt: skip
 
 

@@ -100,6 +100,22 @@ def test_signals_of_a_log(logs: list[Path]) -> None:
         log["yaw"]
 
 
+def test_mock_log_is_that_of_the_packaged_boat(tmp_path: Path) -> None:
+    log = st.mock_log(tmp_path / "mock.mcap", 20.0, boat=5, mission=3, effect="mismatch")
+    same = st.open_log(boat_log(tmp_path / "same.mcap", boat_with("mismatch", 5), 20.0, 3, 3))
+    assert list(log.signals) == list(same.signals)
+    for name, signal in log.signals.items():
+        np.testing.assert_array_equal(signal.value, same[name].value)
+    with pytest.raises(SeatrialError, match="exists already; force=True replaces it"):
+        st.mock_log(tmp_path / "mock.mcap", 20.0)
+    st.mock_log(tmp_path / "mock.mcap", 15.0, force=True)
+    assert st.open_log(tmp_path / "mock.mcap").duration == pytest.approx(15.0, abs=0.1)
+    with pytest.raises(SeatrialError, match="there is no hidden effect 'winds'"):
+        st.mock_log(tmp_path / "other.mcap", effect="winds")
+    with pytest.raises(SeatrialError, match="seconds=10: a mission lasts more than 10 s"):
+        st.mock_log(tmp_path / "other.mcap", 10.0)
+
+
 def test_findings_are_those_of_the_command(logs: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
     found = st.check(logs[:2])
     run("check", "--json", logs[0], logs[1])

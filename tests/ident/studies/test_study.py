@@ -4,13 +4,16 @@ command.
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import re
 import subprocess
 import sys
 import time
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -23,6 +26,7 @@ from seatrial.ident.estimation.output_error import simulate
 from seatrial.ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
 from seatrial.ident.model.parameter import INF, Parameter
 from seatrial.ident.model.structure import Input, Model, Output, Sensor, State, plain_model
+from seatrial.ident.parallel import Outcome, Workers
 from seatrial.ident.report.study_page import study_as_text
 from seatrial.ident.reporter import QUIET
 from seatrial.ident.studies.cases import CASES, make_case
@@ -155,7 +159,9 @@ def made_up(d: np.ndarray, se: float, bound: float = 1.0) -> list[Row]:
 @pytest.mark.study
 def test_output_error_covers_without_process_noise(tmp_path: Path) -> None:
     """If the first sample was taken as the exact start, three of four intervals missed the truth."""
-    request = study.StudyRequest(["surge"], 60, 1, tmp_path, "output-error", truth={"s_u": 1e-9, "d_u": 8.4}, jobs=1)
+    request = study.StudyRequest(
+        ["surge"], 60, 1, tmp_path, "output-error", truth={"s_u": 1e-9, "d_u": 8.4}, workers=Workers(1)
+    )
     result = study.run_studies(request, "test", QUIET)
     (part,) = result.studies
     assert [p.name for p in part.parameters] == ["m_u", "d_u", "d_uu", "e_x"]
@@ -260,7 +266,7 @@ def test_least_variance_near_a_bound_is_that_of_a_clipped_normal() -> None:
 @pytest.mark.study
 def test_interrupted_study_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     case, out = make_case("surge", seconds=60.0), tmp_path / "surge.jsonl"
-    first = study.run_study(case, 4, 2, out, jobs=1)
+    first = study.run_study(case, 4, 2, out, workers=Workers(1))
     lines = out.read_text().splitlines()
     out.write_text("\n".join([lines[0], lines[1], json.dumps({**json.loads(lines[2]), "error": "x"}), lines[3][:50]]))
     done: list[int] = []
@@ -270,12 +276,12 @@ def test_interrupted_study_is_resumed(tmp_path: Path, monkeypatch: pytest.Monkey
         lambda case, numbers, *rest: done.extend(numbers) or run_replicates(case, numbers, *rest),
     )
     out.write_text(out.read_text() + "\n")
-    again = study.run_study(case, 4, 2, out, jobs=1)
+    again = study.run_study(case, 4, 2, out, workers=Workers(1))
     assert done == [2, 3]
     for a, b in zip(first, again, strict=True):
         assert a["d"] == pytest.approx(b["d"], abs=1e-9)
     done.clear()
-    study.run_study(case, 4, 3, out, jobs=1)  # Another seed is another study.
+    study.run_study(case, 4, 3, out, workers=Workers(1))  # Another seed is another study.
     assert done == [0, 1, 2, 3]
 
 
@@ -297,7 +303,7 @@ def test_killed_study_keeps_finished_replicates(tmp_path: Path) -> None:
     assert 1 <= len(found) < 20
     assert [r["k"] for r in found] == list(range(len(found)))
     reporter = Kept()
-    study.run_study(make_case("yaw"), len(found), 1, out, jobs=1, reporter=reporter)
+    study.run_study(make_case("yaw"), len(found), 1, out, workers=Workers(1), reporter=reporter)
     assert reporter.lines == [f"yaw: {len(found)} replicates exist already"]
 
 
@@ -325,8 +331,38 @@ def test_study_runs_on_any_joblib_backend(backend: str, tmp_path: Path) -> None:
     case = make_case("surge", seconds=30.0)
     with joblib.parallel_config(backend=backend, n_jobs=2):
         rows = study.run_study(case, 3, 2, tmp_path / "a.jsonl")
-    alone = study.run_study(case, 3, 2, tmp_path / "b.jsonl", jobs=1)
+    alone = study.run_study(case, 3, 2, tmp_path / "b.jsonl", workers=Workers(1))
     assert [r["d"] for r in rows] == [r["d"] for r in alone]
+
+
+@pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="dask is not installed")
+def test_study_on_a_dask_cluster_gives_the_numbers_of_one_process(tmp_path: Path) -> None:
+    from distributed import LocalCluster
+
+    case = make_case("surge", seconds=30.0)
+    alone = study.run_study(case, 6, 2, tmp_path / "b.jsonl", workers=Workers(1))
+    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0") as cluster:
+        workers = Workers(backend="dask", scheduler=cluster.scheduler_address)
+        rows = study.run_study(case, 6, 2, tmp_path / "a.jsonl", workers=workers)
+    assert [r["d"] for r in rows] == [r["d"] for r in alone]
+
+
+def test_replicates_of_a_dead_process_are_failures_that_the_next_run_repeats(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    case, run_many = make_case("surge", seconds=30.0), study.run_many
+
+    def dying(tasks: Iterable[Sequence[int]], *rest: Any) -> Iterator[Outcome[Any, Any]]:
+        for outcome in run_many(tasks, *rest):
+            yield Outcome(outcome.task, None, "its process died 3 times") if 0 in outcome.task else outcome
+
+    monkeypatch.setattr(study, "run_many", dying)
+    rows = study.run_study(case, 3, 2, tmp_path / "a.jsonl", workers=Workers(1))
+    assert [r["k"] for r in rows if r.get("error") == "its process died 3 times"] == [0]
+    assert count_replicates(rows).failed == 1
+    monkeypatch.setattr(study, "run_many", run_many)
+    again = study.run_study(case, 3, 2, tmp_path / "a.jsonl", workers=Workers(1))
+    assert count_replicates(again).failed == 0
 
 
 def test_cases_and_their_options() -> None:
@@ -349,7 +385,9 @@ def test_study_uses_the_estimator_of_the_commands_by_default(tmp_path: Path) -> 
     assert not noise.model.second_order
     how = {"first": {"mean_order": 1}, "both": {}, "plain": {"reml": False, "mean_order": 1}}
     cases = {name: make_case("surge", seconds=60.0, **flags) for name, flags in how.items()}
-    done = {name: study.run_study(case, 3, 1, tmp_path / "one.jsonl", jobs=1) for name, case in cases.items()}
+    done = {
+        name: study.run_study(case, 3, 1, tmp_path / "one.jsonl", workers=Workers(1)) for name, case in cases.items()
+    }
     assert len((tmp_path / "one.jsonl").read_text().splitlines()) == 9  # No study was resumed as another.
     s_u = {name: [r["d"]["s_u"] for r in rows] for name, rows in done.items()}
     assert all(a > b + 0.01 for a, b in zip(s_u["first"], s_u["plain"], strict=True))
@@ -446,7 +484,7 @@ def test_number_of_processes_is_positive_or_minus_one(
     assert leaving.value.code == 2
     assert "is not a number of processes; give 1 or more, or -1" in capsys.readouterr().err
     asked: list[int] = []
-    monkeypatch.setattr(study, "run_study", lambda *args, jobs, **more: asked.append(jobs) or [])
+    monkeypatch.setattr(study, "run_study", lambda *args, workers, **more: asked.append(workers.jobs) or [])
     for words in ([], ["--jobs", "-1"], ["--jobs", "3"]):
         with pytest.raises(SystemExit):
             command_line.main(["ident", "study", "surge", *words, "--out", str(tmp_path)])
@@ -454,16 +492,15 @@ def test_number_of_processes_is_positive_or_minus_one(
 
 
 def test_snippet_of_the_how_to_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The snippet runs on threads instead of a cluster, and with fewer replicates."""
+    """The snippet runs in this process instead of on a cluster, and with fewer replicates."""
     text = (Path(__file__).parents[3] / "docs/how-to/study.md").read_text(encoding="utf-8")
     own, block = re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
     file = (Path(__file__).parents[3] / "docs/examples/own_study.py").read_text(encoding="utf-8")
     assert own.split() == re.sub("  # .*", "", file.partition('"""\n')[2]).split()
     assert make_case("docs/examples/own_study.py:calm").name == "calm"
-    lines = [line for line in block.splitlines() if "distributed" not in line and "Client(" not in line]
-    code = "\n".join(lines).replace('"dask", n_jobs=32', '"threading", n_jobs=1')
+    code = block.replace('Workers(backend="dask", scheduler="tcp://192.168.1.5:8786")', "Workers(1)")
     code = code.replace("study(case, 500", "study(case, 4")
-    assert code.count("threading") == code.count("study(case, 4") == 1
+    assert code.count("Workers(1)") == code.count("study(case, 4") == 1
     monkeypatch.chdir(tmp_path)
     found: dict[str, object] = {}
     exec(compile(code, "study.md", "exec"), found)

@@ -13,6 +13,7 @@ from seatrial.ident.estimation.model_file import SavedModel, save_model
 from seatrial.ident.estimation.stochastic_simulation import simulate_stochastic
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.models.surge import surge_model
+from seatrial.ident.parallel import Workers
 from seatrial.ident.studies import cases
 from seatrial.ident.studies.cases import make_case, surge_case
 from seatrial.ident.studies.monte_carlo import make_record, run_replicates
@@ -107,7 +108,7 @@ def test_changed_file_is_another_study(tmp_path: Path) -> None:
     for text, resumed in ((OWN, False), (OWN, True), (OWN + "# changed\n", False)):
         file.write_text(text, encoding="utf-8")
         reporter = Kept()
-        result = study.run_studies(study.StudyRequest([f"{file}:mine"], 3, 1, out, jobs=1), "", reporter)
+        result = study.run_studies(study.StudyRequest([f"{file}:mine"], 3, 1, out, workers=Workers(1)), "", reporter)
         assert any("exist already" in line for line in reporter.lines) is resumed
     (part,) = result.studies
     assert part.model == "mine"

@@ -1,0 +1,450 @@
+"""Workflow of `seatrial ident fleet`: one vehicle model fitted to each of many logs, in parallel processes.
+
+The estimates of all logs are one Parquet table with a row for each log and parameter. An interrupted run continues from
+it. The summary compares the logs: the scatter of each parameter, and what its standard errors explain of it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import resource
+import socket
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.log import open_log
+from seatrial.ident.estimation import between_log_variance
+from seatrial.ident.models import is_own_model
+from seatrial.ident.numerics import Array, chi2_sf
+from seatrial.ident.parallel import Outcome, ResultTable, Workers, run_many
+from seatrial.ident.reporter import Reporter
+from seatrial.ident.results import FailedLog, FleetParameter, FleetResult, ParameterRow, provenance, write_result
+from seatrial.ident.studies import estimator_code_hash
+from seatrial.ident.workflows.vehicle import VehicleFit, fit_vehicle
+from seatrial.ident.workflows.vehicle_model import VehicleRequest
+
+TABLE = "fits.parquet"
+LEAST_OWN = 1e-6  # least share of the variance of an estimate that does not come from priors, against rounding
+LEVEL = 0.01  # significance level of all parameters together that the logs differ
+COLUMNS: dict[str, type] = {
+    "log": str,  # path as given
+    "sha256": str,
+    "parameter": str,  # None: the log has no fit
+    "value": float,
+    "se": float,
+    "prior_parts": str,  # JSON: part of the standard error by name of the parameter whose prior it comes from
+    "unit": str,
+    "meaning": str,
+    "free": bool,
+    "per_log": bool,  # the true value differs from log to log, as that of the current
+    "origin": str,
+    "flag": str,
+    "model": str,
+    "converged": bool,
+    "message": str,
+    "log_likelihood": float,
+    "duration": float,  # s
+    "warnings": int,
+    "answer": str,
+    "cpu": float,  # s
+    "memory": float,  # bytes, the largest so far of the process
+    "worker": str,  # host:process
+    "seatrial": str,
+    "error": str,  # None: the log has a fit
+}
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class FleetRequest:
+    """Options of `seatrial ident fleet`.
+
+    Attributes
+    ----------
+    logs
+        Logs, to each of which the model is fitted. A log that occurs twice, also as a copy, is fitted once.
+    vehicle
+        Options of each fit. Its logs and its folder are not used.
+    out
+        Folder for the results; None: no file is written.
+    workers
+        Processes that run the fits.
+    force
+        Whether to start again if the folder has results. Otherwise the fits in it are used.
+    """
+
+    logs: Sequence[Path]
+    vehicle: VehicleRequest
+    out: Path | None
+    workers: Workers = field(default_factory=Workers)
+    force: bool = False
+
+
+@dataclass(frozen=True)
+class FleetFits:
+    """Fits of one model to many logs.
+
+    Attributes
+    ----------
+    result
+        Content of result.json.
+    table
+        All estimates as a ``pyarrow.Table``: the rows of fits.parquet.
+    """
+
+    result: FleetResult
+    table: Any
+
+
+@dataclass(frozen=True)
+class FleetLog:
+    """Log of a fleet as a task for a worker.
+
+    Attributes
+    ----------
+    name
+        Path as given.
+    path
+        Absolute path, which the workers of a cluster must have, too.
+    sha256
+        Hash of the log; empty if it cannot be read.
+    """
+
+    name: str
+    path: Path
+    sha256: str
+
+
+def fit_fleet(request: FleetRequest, command: str, reporter: Reporter) -> FleetFits:
+    """Fit a vehicle model to each of many logs in parallel, and compare the estimates of the logs.
+
+    With a folder ``request.out``, fits.parquet is written there while the fits are running, and result.json at the end.
+    Fits that fits.parquet has already are not repeated, but failed ones are.
+
+    Parameters
+    ----------
+    request : FleetRequest
+        Logs, options of a fit, folder and workers.
+    command : str
+        Command line, for the provenance.
+    reporter : Reporter
+        Receives progress and warnings.
+
+    Returns
+    -------
+    FleetFits
+        Table of all estimates, and the differences between the logs. A log whose fit fails is in the table with the
+        reason.
+
+    Raises
+    ------
+    SeatrialError
+        If fits.parquet has fits with other options, if a library is missing, or if a cluster cannot be used.
+    """
+    path = None if request.out is None else request.out / TABLE
+    if request.out is not None and request.out.exists() and not request.out.is_dir():
+        raise SeatrialError(f"{request.out}: is a file; give a folder with --out")
+    if path is not None and request.force:
+        path.unlink(missing_ok=True)
+    vehicle = _portable(request.vehicle)
+    with ResultTable(path, COLUMNS, "sha256", "error", settings_of(vehicle)) as table:
+        logs = _hashed(request.logs, reporter)
+        finished = table.keys
+        todo = [log for log in logs if log.sha256 not in finished]
+        if len(todo) < len(logs):
+            reporter.progress(f"{len(logs) - len(todo)} of {len(logs)} logs have a fit already")
+        began = time.monotonic()
+        for n, outcome in enumerate(run_many(todo, partial(_fit_log, vehicle), request.workers, reporter), 1):
+            table.add(_rows_of(outcome))
+            left = (time.monotonic() - began) / n * (len(todo) - n)
+            end = f"failed: {_reason(outcome)}" if outcome.error else "fitted"
+            reporter.progress(f"{n} of {len(todo)}: {outcome.task.name} {end} ({_duration(left)} to go)")
+        table.sort("log")
+    rows = _rows_of_logs(table.table(), logs)
+    result = fleet_result(rows, len(logs), vehicle.model, "" if path is None else str(path), command)
+    if request.out is not None:
+        write_result(result, request.out / "result.json")
+    return FleetFits(result, rows)
+
+
+def _duration(seconds: float) -> str:
+    """Return a duration as text: ``40 s`` or ``3 min``."""
+    return f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
+
+
+def _portable(vehicle: VehicleRequest) -> VehicleRequest:
+    """Return the options of a fit with absolute paths, so that processes with another working folder find the files."""
+    model = vehicle.model
+    if is_own_model(model):
+        file, _, name = model.rpartition(":")
+        model = f"{Path(file).absolute()}:{name}"
+    thruster = None if vehicle.thruster is None else vehicle.thruster.absolute()
+    return replace(vehicle, model=model, thruster=thruster, out=Path())
+
+
+def settings_of(vehicle: VehicleRequest) -> dict[str, Any]:
+    """Return what the estimates of a log depend on besides the log: options, contents of files, and code, by name.
+
+    Values are those of JSON. Only options that differ from the defaults are included, so that a new option does not
+    change the settings of older tables.
+    """
+    found: dict[str, Any] = {"seatrial": version("seatrial"), "code": estimator_code_hash()}
+    default = VehicleRequest((), (), Path())
+    for option in fields(vehicle):
+        value = getattr(vehicle, option.name)
+        if value != getattr(default, option.name):
+            plain = {f.name: getattr(value, f.name) for f in fields(value)} if is_dataclass(value) else value
+            found[option.name] = msgspec.to_builtins(plain, enc_hook=str)
+    files = {"thruster": vehicle.thruster}
+    if is_own_model(vehicle.model):
+        files["model"] = Path(vehicle.model.rpartition(":")[0])
+    for name, path in files.items():
+        if path is not None:
+            try:
+                found[name] = f"{path.name} sha256:{hashlib.sha256(path.read_bytes()).hexdigest()}"
+            except OSError as problem:
+                raise SeatrialError(f"{path}: {problem.strerror}; give the path of an existing file") from problem
+    return found
+
+
+def _hashed(paths: Sequence[Path], reporter: Reporter) -> list[FleetLog]:
+    """Return the logs with their hashes, each once. A copy of another log is left out with a warning.
+
+    A log that cannot be read has its path as hash. Its fit fails with the reason.
+    """
+    reporter.progress(f"reading the hashes of {len(paths)} logs")
+    found = dict[str, FleetLog]()
+    for path in dict.fromkeys(paths):
+        try:
+            digest = open_log(path).sha256
+        except (SeatrialError, OSError):
+            digest = str(path)
+        if digest in found:
+            reporter.warning(f"{path}: is a copy of {found[digest].name}, and is left out")
+        else:
+            found[digest] = FleetLog(str(path), path.absolute(), digest)
+    return list(found.values())
+
+
+class _Ignored:
+    """Reporter for the fits of a fleet, whose messages would have no place: the warnings are in the results."""
+
+    def progress(self, text: str) -> None:
+        """Ignore the text."""
+
+    def warning(self, text: str) -> None:
+        """Ignore the text."""
+
+
+def _fit_log(vehicle: VehicleRequest, log: FleetLog) -> list[Row]:
+    """Fit the model to one log in a worker process, and return a row of the table for each parameter."""
+    began = time.process_time()
+    done: VehicleFit = fit_vehicle(replace(vehicle, logs=[log.path]), "", _Ignored())
+    result = done.result
+    of_log: Row = {
+        "model": result.fit.model,
+        "converged": result.converged,
+        "message": result.fit.message,
+        "log_likelihood": result.fit.log_likelihood,
+        "duration": sum(x.duration for x in result.logs),
+        "warnings": len(result.warnings),
+        "answer": result.answer,
+        "cpu": time.process_time() - began,
+        "memory": _peak_memory(),
+        "worker": f"{socket.gethostname()}:{os.getpid()}",
+        "seatrial": result.seatrial,
+    }
+    parts, own = _prior_parts(done), {p.name for p in done.fitted.model.parameters if p.per_record}
+    return [
+        of_log | {"per_log": row.name in own} | _row_of_parameter(row, parts.get(row.name, {}))
+        for row in result.fit.parameters
+    ]
+
+
+def _peak_memory() -> float:
+    """Return the largest resident memory of this process so far [bytes]."""
+    status = Path("/proc/self/status")
+    if status.exists():  # on Linux, getrusage begins with the memory of the parent process
+        (line,) = (x for x in status.read_text(encoding="ascii").splitlines() if x.startswith("VmHWM:"))
+        return 1024.0 * int(line.split()[1])
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return float(peak if sys.platform == "darwin" else 1024 * peak)  # macOS alone gives bytes
+
+
+def _prior_parts(done: VehicleFit) -> dict[str, dict[str, float]]:
+    """Return the parts of each parameter's standard error that come from priors, by name of the prior's parameter.
+
+    A prior that is too large by one of its standard deviations changes the estimate by this part, in the parameter's
+    unit and with its sign. The priors of noise, and of per-record parameters such as the current, are left out: their
+    true values differ from log to log.
+
+    Notes
+    -----
+    With the covariance C of the estimates and a prior of standard deviation s on parameter c, the derivative of the
+    estimates with respect to the mean of the prior is C[:, c] / s**2. The share of the information of c that comes from
+    the prior is C[c, c] / s**2.
+    """
+    fit, summary = done.fitted.fit, done.result.fit
+    errors = np.array(
+        [{r.name: r.se or 0.0 for r in summary.parameters}.get(n, 0.0) for n in summary.correlation.names]
+    )
+    own = {p.name for p in fit.model.parameters if p.per_record} | set(fit.model.noise_parameters)
+    found: dict[str, dict[str, float]] = {}
+    for k, p in enumerate(fit.parameters):
+        share = float(fit.prior_weight[k])
+        shared = p.segment is None and p.name not in own
+        if shared and p.prior is not None and errors[k] > 0.0 and share > 0.0:
+            parts = summary.correlation.matrix[:, k] * errors * min(share, 1.0) ** 0.5
+            for name, part in zip(summary.correlation.names, parts.tolist(), strict=True):
+                if np.isfinite(part) and part != 0.0:
+                    found.setdefault(name, {})[summary.correlation.names[k]] = part
+    return found
+
+
+def _row_of_parameter(row: ParameterRow, prior_parts: Mapping[str, float]) -> Row:
+    """Return the columns of the table that belong to one parameter of a fit.
+
+    A parameter with its own value in each part of a log that was cut at gaps is ``NAME@PART``.
+    """
+    return {
+        "parameter": row.name if row.record is None else f"{row.name}@{row.record}",
+        "value": row.value,
+        "se": row.se,
+        "prior_parts": json.dumps(prior_parts),
+        "unit": row.unit,
+        "meaning": row.meaning,
+        "free": row.free,
+        "origin": row.origin,
+        "flag": row.flag,
+    }
+
+
+def _rows_of(outcome: Outcome[FleetLog, list[Row]]) -> list[Row]:
+    """Return the rows of the table for the outcome of one log: those of its parameters, or one with the reason."""
+    log: Row = {"log": outcome.task.name, "sha256": outcome.task.sha256}
+    if outcome.value is None:
+        return [log | {"error": _reason(outcome)}]
+    return [log | row for row in outcome.value]
+
+
+def _reason(outcome: Outcome[FleetLog, list[Row]]) -> str:
+    """Return the reason why the fit to a log failed, without the path of the log, which stands beside it."""
+    return outcome.error.replace(str(outcome.task.path), outcome.task.name).removeprefix(f"{outcome.task.name}: ")
+
+
+def _rows_of_logs(table: Any, logs: Sequence[FleetLog]) -> Any:
+    """Return the rows of the table (``pyarrow.Table``) that belong to the given logs, with the paths as given now.
+
+    The table may also have logs of earlier runs, or logs that have been moved since.
+    """
+    import pyarrow
+
+    names = {log.sha256: log.name for log in logs}
+    digests = table["sha256"].to_pylist()
+    kept = [k for k, digest in enumerate(digests) if digest in names]
+    column = pyarrow.array([names[digests[k]] for k in kept], pyarrow.string())
+    chosen = table.take(pyarrow.array(kept, pyarrow.int64()))
+    return chosen.set_column(chosen.schema.get_field_index("log"), "log", column)
+
+
+def fleet_result(table: Any, n_logs: int, model: str, file: str, command: str) -> FleetResult:
+    """Return the summary of the fits of many logs as a result.
+
+    Parameters
+    ----------
+    table : pyarrow.Table
+        Rows of the fits: one for each log and parameter, and one for each failed log.
+    n_logs : int
+        Number of logs.
+    model : str
+        Name of the model as given.
+    file : str
+        Path of the table; empty if it was not written.
+    command : str
+        Command line, for the provenance.
+    """
+    rows = table.to_pylist()
+    failed = tuple(FailedLog(log=r["log"], reason=r["error"]) for r in rows if r["error"] is not None)
+    bad = {r["log"]: r["message"] for r in rows if r["converged"] is False}
+    fitted = {r["log"] for r in rows if r["converged"]}
+    by_name: dict[str, list[Row]] = {}
+    for row in rows:
+        if row["converged"] and row["free"] and row["se"] is not None:
+            by_name.setdefault(row["parameter"], []).append(row)
+    compared = {name: found for name, found in by_name.items() if len(found) > 1}
+    level = LEVEL / max(len(compared), 1)  # Bonferroni: one of twenty parameters is below 0.05 by chance
+    parameters = tuple(_between_logs(name, found, level) for name, found in compared.items())
+    made = provenance([], command)
+    return FleetResult(
+        created=made.created, seatrial=made.seatrial, command=made.command,
+        answer=_answer(n_logs, len(fitted), failed, len(bad), parameters),
+        model=model, table=file, n_logs=n_logs, fitted=len(fitted), failed=failed,
+        unconverged=tuple(FailedLog(log=log, reason=reason) for log, reason in bad.items()),
+        parameters=parameters,
+    )  # fmt: skip
+
+
+def _between_logs(name: str, rows: Sequence[Mapping[str, Any]], level: float) -> FleetParameter:
+    """Return the summary of one parameter from its rows of two logs or more, each with a standard error.
+
+    The errors from a prior are the same in all logs, so they are a common part of the covariance: they do not hide
+    differences between the logs, and they do not become smaller in the mean. The p value is that of Cochran's Q with
+    this covariance, by chi-squared. The logs agree if it is above ``level``.
+    """
+    values, errors = (np.array([r[key] for r in rows], dtype=float) for key in ("value", "se"))
+    parts = [json.loads(r["prior_parts"]) for r in rows]
+    common = np.array([[p.get(prior, 0.0) for prior in sorted({n for p in parts for n in p})] for p in parts])
+    own = np.maximum(errors**2 - (common**2).sum(axis=1), LEAST_OWN * errors**2)
+    covariance = np.diag(own) + common @ common.T if common.size else own
+    scatter, mean, error = between_log_variance(values, covariance)
+    p = float(chi2_sf(_cochran_q(values, np.diag(own) + common @ common.T), len(rows) - 1))
+    return FleetParameter(
+        name=name,
+        meaning=rows[0]["meaning"],
+        unit=rows[0]["unit"],
+        n=len(rows),
+        mean=mean,
+        se_mean=error,
+        sd=float(values.std(ddof=1)),
+        se=float(np.sqrt((errors**2).mean())),
+        se_own=float(np.sqrt(own.mean())),
+        scatter=scatter,
+        p=p,
+        agree=p > level,
+        per_log=rows[0]["per_log"],
+    )
+
+
+def _cochran_q(values: Array, covariance: Array) -> float:
+    """Return Cochran's Q of values (k,) with their covariance (k, k): the weighted sum of squares about their mean."""
+    weighted, weights = np.linalg.solve(covariance, np.column_stack([values, np.ones(values.size)])).T
+    mean = weighted.sum() / weights.sum()
+    return float((values - mean) @ (weighted - mean * weights))
+
+
+def _answer(
+    n_logs: int, fitted: int, failed: Sequence[FailedLog], unconverged: int, parameters: Sequence[FleetParameter]
+) -> str:
+    """Return the conclusion of a fleet in one or two sentences: numbers of fits, and parameters that differ."""
+    words = [f"The model was fitted to {fitted} of {n_logs} logs"]
+    words += [f"{len(failed)} failed"] if failed else []
+    words += [f"{unconverged} did not converge"] if unconverged else []
+    first = ", ".join(words) + "."
+    if not parameters:
+        return f"{first} A comparison needs two fits."
+    differ = [p.name for p in parameters if not p.agree and not p.per_log]
+    if not differ:
+        return f"{first} The logs agree in all parameters within the standard errors."
+    return f"{first} The logs differ by more than the standard errors in {', '.join(differ)}."

@@ -1,0 +1,163 @@
+"""Fits of one model to many logs, for the Python interface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Unpack
+
+from seatrial.api.fits import FitOptions, Logs, vehicle_request, window_of
+from seatrial.api.logs import PathLike, as_paths
+from seatrial.api.messages import Messages, errors_of_users
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.log import import_library
+
+if TYPE_CHECKING:
+    from seatrial.ident.results import FleetResult
+
+
+@dataclass(frozen=True, repr=False)
+class FittedFleet:
+    """One model that was fitted to each of many logs. `fit_many` returns it.
+
+    Attributes
+    ----------
+    result : FleetResult
+        Content of result.json: for each parameter the mean over the logs, and the differences between the logs.
+    table : pyarrow.Table
+        All estimates: a row for each log and parameter, and one for each failed log, with the columns of fits.parquet.
+    """
+
+    result: FleetResult
+    table: Any
+
+    @property
+    def answer(self) -> str:
+        """Number of fits, and the parameters that differ between the logs, in one or two sentences."""
+        return self.result.answer
+
+    @property
+    def failed(self) -> dict[str, str]:
+        """Reason by log of each log without a fit, in one line; empty if the model was fitted to all logs."""
+        return {row.log: row.reason for row in self.result.failed}
+
+    def to_pandas(self) -> Any:
+        """Return all estimates as a ``pandas.DataFrame`` with a row for each log and parameter.
+
+        The columns are those of fits.parquet, such as log, parameter, value, se, unit, flag, converged and error.
+
+        Raises
+        ------
+        SeatrialError
+            If pandas is not installed.
+        """
+        import_library("pandas")
+        return self.table.to_pandas()
+
+    def values(self, column: str = "value") -> Any:
+        """Return one column of the estimates as a ``pandas.DataFrame`` with a row for each log, a column for each name.
+
+        Logs without a fit are left out.
+
+        Parameters
+        ----------
+        column : str
+            Column of `to_pandas`, such as ``value`` or ``se``.
+
+        Raises
+        ------
+        SeatrialError
+            If pandas is not installed, or if there is no such column.
+        """
+        if column not in self.table.column_names:
+            raise SeatrialError(f"there is no column {column!r}; choose one of {', '.join(self.table.column_names)}")
+        rows = self.to_pandas().dropna(subset=["parameter"])
+        wide = rows.pivot(index="log", columns="parameter", values=column)
+        return wide[list(dict.fromkeys(rows["parameter"]))]
+
+    def summary(self) -> str:
+        """Return the answer, the differences between the logs and the failed logs as text, as the command does."""
+        from io import StringIO
+
+        from rich.console import Console
+
+        from seatrial.ident.report import print_result
+
+        text = StringIO()
+        print_result(
+            self.result, Console(file=text, width=100, highlight=False, color_system=None, force_jupyter=False)
+        )
+        return "\n".join(line.rstrip() for line in text.getvalue().strip("\n").splitlines())
+
+    def __repr__(self) -> str:
+        """Return a short text for the interpreter: number of logs, and `answer`."""
+        return (
+            f"<FittedFleet: {self.result.n_logs} logs>\n{self.answer}\nsummary() has the differences between the logs."
+        )
+
+
+def fit_many(
+    logs: Logs,
+    model: str = "auto",
+    out: PathLike | None = None,
+    backend: Literal["loky", "dask", "ray"] = "loky",
+    scheduler: str = "",
+    jobs: int = -1,
+    force: bool = False,
+    **options: Unpack[FitOptions],
+) -> FittedFleet:
+    """Fit a model of the boat to each of many logs in parallel, as ``seatrial ident fleet``.
+
+    Parameters
+    ----------
+    logs : path, `Log` or sequence of them
+        Logs, to each of which the model is fitted. All windows of `Log` have to be the same.
+    model : str
+        Name of the structure, as in `fit`.
+    out : path, optional
+        Folder for fits.parquet and result.json. A run that was interrupted continues there. Without it, no file is
+        written.
+    backend : ``loky``, ``dask`` or ``ray``
+        Processes of this computer, or a Dask or Ray cluster.
+    scheduler : str
+        Address of the scheduler of a Dask cluster, or of the head of a Ray cluster; empty: one is started on this
+        computer.
+    jobs : int
+        Number of processes on this computer; -1: one for each core.
+    force : bool
+        Whether to start again if ``out`` has fits.
+    **options
+        `FitOptions` of each fit, except ``profiles``. With ``progress``, a line is printed for each log.
+
+    Returns
+    -------
+    FittedFleet
+        Estimates of all logs and the differences between them. A log that fails is listed with the reason.
+
+    Raises
+    ------
+    SeatrialError
+        If ``out`` has fits with other options, if a library is missing, if the cluster cannot be used, or if an option
+        is unknown.
+
+    Examples
+    --------
+    >>> fleet = st.fit_many(sorted(Path("logs").glob("*.mcap")), thruster="thruster/model.toml", out="fleet")
+    >>> fleet.values()["m_u"].plot()
+    >>> st.fit_many(logs, backend="dask", scheduler="tcp://192.168.1.5:8786", out="fleet").answer
+    """
+    from seatrial.ident.data import TimeWindow
+    from seatrial.ident.parallel import Workers
+    from seatrial.ident.workflows.fleet import FleetRequest, fit_fleet
+
+    if "profiles" in options:
+        raise SeatrialError("profiles: the table of many logs has no profile likelihoods; compute them by st.fit")
+    window = window_of(logs)
+    if not isinstance(window, TimeWindow):
+        raise SeatrialError("the logs have different windows: open all of them with the same start and end")
+    with errors_of_users():
+        vehicle, progress = vehicle_request((), (), model, window, options)
+        paths, folder = as_paths(logs), None if out is None else Path(out)
+        request = FleetRequest(paths, vehicle, folder, Workers(jobs, backend, scheduler), force)
+        done = fit_fleet(request, f"seatrial.fit_many({len(paths)} logs, model={model!r})", Messages(progress))
+    return FittedFleet(done.result, done.table)
