@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, final
 import click
 
 from seatrial.daq.bounds import bounded
-from seatrial.daq.errors import SeatrialError, counted, printable
+from seatrial.daq.errors import SeatrialError, closest_name, counted, printable
 from seatrial.daq.options import FiniteRange
 
 if TYPE_CHECKING:
@@ -209,9 +209,12 @@ class _ImportGroup(click.Group):
         """Parse the arguments, after `map` was put before them if the first one is no sub-command and no help option.
 
         Return the arguments that are left for the sub-command, as the method of click does. Without arguments the help
-        text is printed.
+        text is printed. A first argument that is no file, and is spelt like a sub-command, is a usage error.
         """
         if args and args[0] not in (*self.commands, "-h", "--help"):
+            near = closest_name(args[0], self.commands)
+            if near and not Path(args[0]).exists():
+                raise click.UsageError(f"No such file or command {args[0]!r}. Did you mean {near!r}?", ctx)
             args = [self.default, *args]
         return super().parse_args(ctx, args)
 
