@@ -17,7 +17,7 @@ import click
 
 from seatrial.daq.bounds import bounded
 from seatrial.daq.errors import SeatrialError, closest_name, counted, printable
-from seatrial.daq.options import FiniteRange
+from seatrial.daq.options import FiniteRange, output_option
 
 if TYPE_CHECKING:
     from seatrial.daq.tools import DiscoveredDevice
@@ -85,14 +85,7 @@ def _stop_signal() -> Iterator[threading.Event]:
     metavar="S",
     help="Duration in run seconds [default: until Ctrl-C].",
 )
-@click.option(
-    "-o",
-    "--out",
-    "output",
-    type=click.Path(dir_okay=False, path_type=Path),
-    metavar="FILE",
-    help="The log to write [default: named after rig and date].",
-)
+@output_option(_NEW, "The log to write [default: named after rig and date].", metavar="FILE")
 @click.option(
     "--request-rates",
     "ask",
@@ -101,7 +94,7 @@ def _stop_signal() -> Iterator[threading.Event]:
 )
 @click.option("--live", "serve", is_flag=True, help="Also serve the samples to Foxglove (see [live] in the rig).")
 @click.option("--ros2", is_flag=True, help="Also publish the samples to ROS 2 (see [ros2] in the rig).")
-def log(rig: Path, duration: float | None, output: Path | None, ask: bool, serve: bool, ros2: bool) -> None:
+def log(rig: Path, duration: float | None, out: Path | None, ask: bool, serve: bool, ros2: bool) -> None:
     """Record every device of RIG until Ctrl-C, with a live table.
 
     Devices may be plugged in and out meanwhile; missing and silent devices are reported. The command commands no thrust
@@ -116,7 +109,7 @@ def log(rig: Path, duration: float | None, output: Path | None, ask: bool, serve
     from seatrial.daq.tools import default_log_path, log_summary, watch
 
     loaded = load_rig(rig)
-    path = output or default_log_path(loaded)
+    path = out or default_log_path(loaded)
     if path.exists():
         raise SeatrialError(f"{path} exists, and a log is never overwritten; give another name with -o")
     clock = RunClock(loaded.speed)
@@ -176,7 +169,7 @@ def info(log: Path) -> None:
 
 @click.command()
 @click.argument("log", type=LOG)
-@click.option("-o", "--out", type=_NEW, help="The log to write (default: LOG with -recovered in its name).")
+@output_option(_NEW, "The log to write (default: LOG with -recovered in its name).")
 @click.option("--force", is_flag=True, help="Replace OUT if it exists.")
 @bounded("log")
 def recover(log: Path, out: Path | None, force: bool) -> None:
@@ -239,7 +232,7 @@ def import_() -> None:
 @click.argument("sources", metavar="MAP SOURCE...", type=_SOURCE, nargs=-1, required=True)
 @click.option("--guess", is_flag=True, help="Write a map of SOURCE, to the screen or to -o, with its caveats.")
 @click.option("--dbc", type=_EXISTING, help="With --guess: the DBC file that describes the frames of a CAN log.")
-@click.option("-o", "--out", type=_NEW, help="The log (or the map) to write, if it is a single one.")
+@output_option(_NEW, "The log (or the map) to write, if it is a single one.")
 @click.option("--out-dir", type=_FOLDER, help="Folder for the logs, named after the sources (default: here).")
 @click.option("--force", is_flag=True, help="Replace files that exist.")
 @bounded("sources", "dbc")
@@ -300,7 +293,7 @@ def _write_guessed_map(sources: tuple[Path, ...], dbc: Path | None, out: Path | 
 @import_.command("can", short_help="A CAN log (candump, .asc, .blf), decoded as if the rig had recorded it.")
 @click.argument("rig", type=_EXISTING)
 @click.argument("file", type=_EXISTING)
-@click.option("-o", "--out", type=_NEW, help="The log to write (default: named after FILE, here).")
+@output_option(_NEW, "The log to write (default: named after FILE, here).")
 @click.option("--force", is_flag=True, help="Replace the log if it exists.")
 @bounded("rig", "file")
 def import_can(rig: Path, file: Path, out: Path | None, force: bool) -> None:
@@ -322,7 +315,7 @@ def import_can(rig: Path, file: Path, out: Path | None, force: bool) -> None:
 @click.argument("file", type=_EXISTING)
 @click.option("--rig", "rig_path", type=_EXISTING, help="Names the thrusters and scales their outputs.")
 @click.option("--system", type=click.IntRange(1, 255), help="System id of the autopilot (default: the first one).")
-@click.option("-o", "--out", type=_NEW, help="The log to write (default: named after FILE, here).")
+@output_option(_NEW, "The log to write (default: named after FILE, here).")
 @click.option("--force", is_flag=True, help="Replace the log if it exists.")
 @bounded("file", "rig_path")
 def import_mavlink(file: Path, rig_path: Path | None, system: int | None, out: Path | None, force: bool) -> None:
@@ -358,7 +351,7 @@ def _serial_protocol(context: click.Context, parameter: click.Parameter, name: s
 @click.option(
     "--rate", type=FiniteRange(min=0.0, min_open=True), help="Samples per second, from which the times are computed."
 )
-@click.option("-o", "--out", type=_NEW, help="The log to write (default: named after FILE, here).")
+@output_option(_NEW, "The log to write (default: named after FILE, here).")
 @click.option("--force", is_flag=True, help="Replace the log if it exists.")
 @bounded("file")
 def import_raw(protocol: str, file: Path, rate: float | None, out: Path | None, force: bool) -> None:
@@ -525,7 +518,7 @@ def replay(log: Path, folder: Path, names: tuple[str, ...], speed: float) -> Non
 @click.command()
 @click.argument("form", type=click.Choice(["csv", "parquet", "mat", "netcdf", "ros"]))
 @click.argument("log", type=LOG)
-@click.option("-o", "--out", type=_FOLDER, required=True, help="Folder for the files; made if it does not exist.")
+@output_option(_FOLDER, "Folder for the files; made if it does not exist.", required=True)
 @click.option("--force", is_flag=True, help="Replace files that exist.")
 @click.option(
     "--rate",

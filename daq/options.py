@@ -3,9 +3,27 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any, final
 
 import click
+
+
+def output_option(kind: click.ParamType[Any], words: str, **attributes: Any) -> Callable[..., Any]:
+    """Return a decorator that adds the option for the output of a command: `-o`, `--out` or `--output`.
+
+    The command receives the value as `out`; None without the option and without a default.
+
+    Parameters
+    ----------
+    kind
+        Type of the value: a file or a folder.
+    words
+        Help text.
+    attributes
+        Further arguments of `click.option`, such as `required` or `callback`.
+    """
+    return click.option("-o", "--out", "--output", "out", type=kind, help=words, **attributes)
 
 
 @final

@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from seatrial.daq.errors import SeatrialError
-from seatrial.daq.options import FiniteRange
+from seatrial.daq.options import FiniteRange, output_option
 from seatrial.ident.cli.options import (
     FILE,
     FOLDER,
@@ -172,14 +172,7 @@ ident.add_command(navigate)
     required=True,
     help="Target language or format.",
 )
-@click.option(
-    "-o",
-    "--out",
-    "output",
-    type=click.Path(dir_okay=False, path_type=Path),
-    callback=check_output,
-    help="File to write; without it, the text is printed.",
-)
+@output_option(FILE, "File to write; without it, the text is printed.", callback=check_output)
 @force_option
 @click.option("--name", help="Prefix of the functions, or name of the node; default: name of the model.")
 @click.option(
@@ -189,7 +182,7 @@ ident.add_command(navigate)
     help="Keep disturbance forces and sensor biases as states.",
 )
 @trust_option
-def export(model: Path, target: str, output: Path | None, name: str | None, with_nuisance: bool) -> None:
+def export(model: Path, target: str, out: Path | None, name: str | None, with_nuisance: bool) -> None:
     """Export the fitted MODEL for other programs: equations, parameters, noise, names and units.
 
     The text is printed, or written to the file --out, which must not exist without --force.
@@ -207,11 +200,11 @@ def export(model: Path, target: str, output: Path | None, name: str | None, with
         text = written(load_model(model), target, name=name, nuisance=with_nuisance)
     except ValueError as problem:
         raise SeatrialError(f"{model}: {problem}") from problem
-    if output is None:
+    if out is None:
         click.echo(text, nl=False)
     else:
-        write_output(output, text)
-        click.echo(f"wrote {printable(str(output))}")
+        write_output(out, text)
+        click.echo(f"wrote {printable(str(out))}")
 
 
 ident.add_command(export)
@@ -430,12 +423,11 @@ def diagnose(model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], ou
 @mean_order_option(None)
 @click.option("--docs", type=FILE, help="Also write the page of tables to this file, with its pictures.")
 @trust_option
-@click.option(
-    "--out",
-    type=FOLDER,
+@output_option(
+    FOLDER,
+    "Folder for the results; a study that was interrupted continues there.",
     default=Path("study"),
     show_default=True,
-    help="Folder for the results; a study that was interrupted continues there.",
 )
 def study(models: tuple[str, ...], method: str, unbounded: bool, docs: Path | None, out: Path, **how: Any) -> None:
     """Test the estimator by Monte Carlo: simulate missions of each MODEL, fit them, and compare with the true values.
@@ -585,13 +577,11 @@ def _parse_area(_context: click.Context, _parameter: click.Parameter, text: str 
 @click.option(
     "--thrusters", metavar="NAMES", callback=parse_names, help="Names in the rig file, by default left,right."
 )
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(dir_okay=False, path_type=Path),
+@output_option(
+    FILE,
+    "The mission to write; it must not exist. A page and its numbers are written beside it.",
     default=Path("mission.toml"),
     show_default=True,
-    help="The mission to write; it must not exist. A page and its numbers are written beside it.",
 )
 @trust_option
 def design(

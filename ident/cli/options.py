@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from seatrial.daq.errors import SeatrialError
-from seatrial.daq.options import FiniteRange
+from seatrial.daq.options import FiniteRange, output_option
 from seatrial.ident.reporter import Reporter
 
 if TYPE_CHECKING:
@@ -243,8 +243,8 @@ def out_option(default: str) -> Callable[..., Any]:
         Name of the folder if ``--out`` is not given.
     """
     words = "Folder for the results."
-    how: dict[str, Any] = {"type": FOLDER, "default": Path(default), "show_default": True, "help": words}
-    return lambda f: click.option("--out", callback=check_output, **how)(force_option(f))
+    option = output_option(FOLDER, words, default=Path(default), show_default=True, callback=check_output)
+    return lambda f: option(force_option(f))
 
 
 def _trust_files(context: click.Context, _parameter: click.Parameter, trusted: bool) -> None:
