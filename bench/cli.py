@@ -18,7 +18,7 @@ from seatrial.bench.mission_text import describe_mission
 from seatrial.daq.config import Mission, load_mission, load_rig, save_mission
 from seatrial.daq.errors import SeatrialError, counted
 from seatrial.daq.options import FiniteRange, output_option
-from seatrial.daq.rig import Rig
+from seatrial.daq.rig import LOAD_CELLS, Rig
 
 if TYPE_CHECKING:
     from seatrial.daq.tools import Ros2Node
@@ -179,7 +179,6 @@ def next_command(plan: Mission, rig: Rig, log: Path) -> str:
         seatrial ident vehicle LOG", with "--model nomoto" at the end if a thruster of the rig is connected to an
         autopilot. LOG is the path of the log, quoted for a shell.
     """
-    from seatrial.bench.execution import LOAD_CELLS
 
     name = shlex.quote(str(log))
     if len(plan.thrusters) == 1 and any(device.protocol in LOAD_CELLS for device in rig.devices):

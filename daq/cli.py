@@ -9,7 +9,7 @@ import contextlib
 import math
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, final
 
@@ -442,12 +442,9 @@ def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml
     if not found:
         raise SeatrialError("this computer has no serial port and no CAN bus; plug the device in, or name its port")
     if toml:
-        click.echo('format = "seatrial-rig 1"\nname = "boat"\n')
-    alone = sum(device.protocol == "mavlink" for device in found) < 2
-    for k, device in enumerate(found, start=1):
-        if toml and device.protocol in _rig_protocols():
-            click.echo(device.toml(f"{device.protocol}{k}", alone))
-        elif not toml:
+        click.echo(_rig_of(found), nl=False)
+    for device in found:
+        if not toml:
             speed = f" at {device.baud} baud" * bool(device.baud)
             rate = f", {device.rate:.4g}/s" if math.isfinite(device.rate) else ""
             protocol = f"{device.protocol}{speed}{rate}" if device.protocol else "-"
@@ -455,8 +452,6 @@ def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml
             click.echo(f"{device.port}{about}: {protocol}: {device.says}")
         if device.hint:
             click.echo(f"hint: {device.port}: {device.hint}", err=True)
-    if toml:
-        click.echo(_LIMITS)
     if any("latency_timer" in device.hint for device in found):
         click.echo(f"hint: to make it permanent, put this into a file in /etc/udev/rules.d: {UDEV_RULE}", err=True)
     if not any(device.protocol or device.port.startswith("socketcan:") for device in found):
@@ -466,24 +461,16 @@ def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml
         )
 
 
-# Text after the devices in a new rig file. Without limits no measured value ends a run.
-_LIMITS = """\
-# Uncomment these lines and put in your own values. A run ends at zero thrust when a limit is passed. Each limit needs a
-# device that reports its quantity.
-# [limits]
-# n_max = 0.6            # largest command, 1 is full forward
-# radius_m = 100.0       # m from the start; needs a GNSS receiver
-# voltage_min_v = 14.0   # V; needs a speed controller or an autopilot that reports it
-# current_a = 30.0       # A of each motor; needs a speed controller that reports it
-# temperature_c = 80.0   # deg C of each speed controller
-# force_n = 100.0        # N of a load cell, on a bench"""
-
-
-def _rig_protocols() -> tuple[str, ...]:
-    """Return the names of the protocols that a device of a rig file can have, built in or of other packages."""
+def _rig_of(found: Sequence[DiscoveredDevice]) -> str:
+    """Return the text of a rig file with the discovered devices that have a protocol of a rig file."""
+    from seatrial.daq.new_rig import RigDraft, Value, device_of, name_devices, rig_text
     from seatrial.daq.protocol import DEVICES
 
-    return tuple(DEVICES)
+    known = [device for device in found if device.protocol in DEVICES]
+    alone = sum(device.protocol == "mavlink" for device in known) < 2
+    names = name_devices([device.protocol for device in known])
+    devices = [device_of(device, name, alone) for device, name in zip(known, names, strict=True)]
+    return rig_text(RigDraft(Value("boat", False), devices))
 
 
 @click.command()

@@ -39,3 +39,21 @@ class FiniteRange(click.FloatRange):
         if not math.isfinite(number):
             self.fail(f"{value} is not a finite number", param, ctx)
         return number
+
+
+def parsed_by(parse: Callable[[str], Any]) -> Callable[[click.Context, click.Parameter, Any], Any]:
+    """Return a callback that parses the text of an option, or each text of an option that may be repeated.
+
+    An option that is not given stays None, or empty. A ValueError of `parse` is a usage error with its message.
+    """
+
+    def callback(context: click.Context, parameter: click.Parameter, value: Any) -> Any:
+        """Return the parsed text or texts (click callback)."""
+        if value is None:
+            return None
+        try:
+            return [parse(text) for text in value] if parameter.multiple else parse(value)
+        except ValueError as error:
+            raise click.BadParameter(str(error), context, parameter) from None
+
+    return callback

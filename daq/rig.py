@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")  # name of a device, thruster or signal; use it with fullmatch
 MANY_KINDS = ("mavlink", "nmea2000")  # protocols with several kinds of samples over one port
 DRIVES = ("vesc", "dronecan", "mavlink")  # protocols that drive thrusters
+LOAD_CELLS = ("loadcell", "openscale", "mantracourt")  # protocols of load cells
 DEFAULT_PATTERN = r"^(?P<counts>-?\d+)$"  # of a load cell that sends lines of text
 OWN_NODE = 100  # our node on a DroneCAN bus; usually 10 is an autopilot, and 126 and 127 are for tools
 DEFAULT_QUERY = "!001:SYS?"  # request of a Mantracourt converter

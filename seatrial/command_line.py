@@ -63,6 +63,7 @@ class Row(NamedTuple):
 
 COMMANDS = {
     "demo": Row("seatrial.bench.demo:demo", "Run the whole workflow on simulated devices."),
+    "init": Row("seatrial.daq.new_rig.cli:init", "Write a rig file and a checklist for a boat or bench."),
     "devices": Row("seatrial.daq.cli:devices", "Find ports and identify the devices there."),
     "log": Row("seatrial.daq.cli:log", "Acquire until Ctrl-C, with a live table."),
     "check": Row("seatrial.bench.preflight.cli:check", "Check a rig before a run, or check a log."),

@@ -8,7 +8,6 @@ from .operator_interface import PlainDisplay as PlainDisplay
 from .operator_interface import make_display as make_display
 from .runner import run_link_test as run_link_test
 from .runner import run_mission as run_mission
-from .safety_guard import LOAD_CELLS as LOAD_CELLS
 from .safety_guard import TELEMETRY as TELEMETRY
 from .safety_guard import SafetyGuard as SafetyGuard
 from .sequencer import follow_plan as follow_plan

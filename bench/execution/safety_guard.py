@@ -36,11 +36,10 @@ from seatrial.bench.execution.link_test import NEUTRAL
 from seatrial.daq.acquisition import NO_STATUS_S, Source, Status, count_senders
 from seatrial.daq.drivers import LinkStatus
 from seatrial.daq.errors import SafetyStop, counted
-from seatrial.daq.rig import Rig, Thruster
+from seatrial.daq.rig import LOAD_CELLS, Rig, Thruster
 from seatrial.daq.samples import NAN, Ahrs, Battery, Esc, Gnss, LoadCell, Sample, Servo
 
 Row = tuple[float, Mapping[str, float]]  # run time, n_cmd by thruster
-LOAD_CELLS = ("loadcell", "openscale", "mantracourt")  # protocols
 SATURATED, SPIKE = 1, 2  # LoadCell.flags
 # How long a device may be silent: STALE_PERIODS of its `rate_hz`, within these bounds.
 STALE_PERIODS = 5.0

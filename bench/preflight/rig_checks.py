@@ -7,13 +7,13 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-from seatrial.bench.execution import LOAD_CELLS, TELEMETRY, SafetyGuard, silent_devices
+from seatrial.bench.execution import TELEMETRY, SafetyGuard, silent_devices
 from seatrial.daq.acquisition import Acquisition, PortStatus, Status
 from seatrial.daq.checks import FAULT, OK, WARNING, Finding
 from seatrial.daq.clock import RunClock
 from seatrial.daq.drivers import LinkStatus, check_parameters
 from seatrial.daq.protocol import EKF_POSITION, EKF_STANDS, ROVER
-from seatrial.daq.rig import Device, Rig
+from seatrial.daq.rig import LOAD_CELLS, Device, Rig
 
 ARMED = "autopilot-armed"  # code of the finding that is also printed as the last line
 STILL_WALL_S = 1.0  # wall s of silence that a busy machine alone can cause
