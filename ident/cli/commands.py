@@ -17,6 +17,7 @@ from seatrial.ident.cli.options import (
     FOLDER,
     LOG,
     MODEL,
+    MODEL_SOURCE,
     Lines,
     LiveLine,
     check_jobs,
@@ -139,7 +140,7 @@ def compare(models: tuple[Path, ...], logs: tuple[Path, ...], **how: Any) -> Non
     help="Withhold GNSS in this interval [s of the log]; may be repeated.",
 )
 @window_option
-@click.option("--thruster", type=LOG, help="The static curve from command to thrust that the model was fitted with.")
+@click.option("--thruster", type=MODEL, help="The static curve from command to thrust that the model was fitted with.")
 @rate_option
 @trust_option
 @out_option("navigation")
@@ -216,7 +217,7 @@ ident.add_command(export)
 @click.option("--seconds", type=FiniteRange(2.0), default=30.0, show_default=True, help="Length of a segment [s].")
 @click.option("--parameters", "chosen", metavar="NAMES", callback=parse_names, help="Only these parameters: d_v,m_v.")
 @window_option
-@click.option("--thruster", type=LOG, help="The static curve from command to thrust that the model was fitted with.")
+@click.option("--thruster", type=MODEL, help="The static curve from command to thrust that the model was fitted with.")
 @rate_option
 @trust_option
 @out_option("information")
@@ -273,7 +274,9 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
     "surge:force|shaft:position|speed|both, yaw:rate|both, or FILE.py:NAME for your own.",
 )
 @click.option(
-    "--thruster", type=LOG, help="model.toml of the bench: c1 and c2, or the static curve from command to thrust."
+    "--thruster",
+    type=MODEL,
+    help="model.toml of the bench, or its folder: c1 and c2, or the static curve from command to thrust.",
 )
 @click.option(
     "--fix", "fixed", multiple=True, callback=parse_values, help="NAME=VALUE: fix a known parameter; may be repeated."
@@ -388,7 +391,7 @@ def diagnose(model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], ou
 
 
 @ident.command(short_help="Monte Carlo of the estimator: bias, variance, coverage.")
-@click.argument("models", metavar="MODEL...", nargs=-1, required=True)
+@click.argument("models", metavar="MODEL...", nargs=-1, required=True, type=MODEL_SOURCE)
 @click.option(
     "--replicates",
     type=click.IntRange(3),
@@ -479,7 +482,7 @@ def _parse_area(_context: click.Context, _parameter: click.Parameter, text: str 
     epilog="Example: seatrial mission design vehicle/model.toml --duration 600 --criterion Ds --parameters d_v,m_v "
     "--area 60x60 --out mission.toml",
 )
-@click.argument("source", metavar="MODEL")
+@click.argument("source", metavar="MODEL", type=MODEL_SOURCE)
 @click.option(
     "--duration",
     type=FiniteRange(10.0, 7200.0),

@@ -27,13 +27,13 @@ FILE = click.Path(dir_okay=False, path_type=Path)
 
 
 class ModelPath(click.Path):
-    """Type of a command-line argument: a fitted model, given as a model.toml or as the folder that contains it."""
+    """Type of an argument: a fitted model, given as model.toml, as its folder, or as the result.json beside it."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
-        """Return the path of the model.toml: the path itself or, for a folder, that of the model.toml in it.
+        """Return the path of the model.toml: the path itself, the one in a folder, or the one beside a result.json.
 
-        A folder without a model.toml is returned unchanged, so that the reader of the model reports it. A path that
-        does not exist fails with click.BadParameter.
+        A folder or result.json without a model.toml is returned unchanged, so that the reader of the model reports it.
+        A path that does not exist fails with click.BadParameter.
         """
         from seatrial.ident.estimation import model_file
 
@@ -41,6 +41,30 @@ class ModelPath(click.Path):
 
 
 MODEL = ModelPath(exists=True, path_type=Path)
+
+
+class ModelSource(click.ParamType[str]):
+    """Type of an argument: a fitted model as for `ModelPath`, the name of a built-in model, or FILE.py:NAME."""
+
+    name = "model"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Return the text unchanged, or the path of the model.toml if the text is a folder or a result.json of a fit.
+
+        The name of a built-in model or case stands for itself, even if there is a folder of this name; `./NAME` is the
+        folder.
+        """
+        text = str(value)
+        if not Path(text).exists():
+            return text
+        from seatrial.ident.estimation import model_file
+        from seatrial.ident.models import BUILT_IN
+        from seatrial.ident.studies import CASES
+
+        return text if text in (*BUILT_IN, *CASES) else str(model_file(Path(text)))
+
+
+MODEL_SOURCE = ModelSource()
 
 
 def _parse_finite(text: str) -> float:
