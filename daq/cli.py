@@ -6,6 +6,7 @@ The argument LOG of a command is a file, or a folder that contains exactly one l
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import math
 import signal
 import threading
@@ -17,7 +18,7 @@ import click
 
 from seatrial.daq.bounds import bounded
 from seatrial.daq.errors import SeatrialError, closest_name, counted, printable
-from seatrial.daq.options import FiniteRange, output_option
+from seatrial.daq.options import FiniteRange, json_option, output_option, print_json
 
 if TYPE_CHECKING:
     from seatrial.daq.tools import DiscoveredDevice
@@ -145,8 +146,9 @@ def log(rig: Path, duration: float | None, out: Path | None, ask: bool, serve: b
 
 @click.command()
 @click.argument("log", type=LOG)
+@json_option()
 @bounded("log")
-def info(log: Path) -> None:
+def info(log: Path, as_json: bool) -> None:
     """Show the content of a LOG with all its segments: topics and rates, health counters, events, warnings.
 
     LOG may also be the folder of a single log.
@@ -158,21 +160,26 @@ def info(log: Path) -> None:
     from rich.console import Console
 
     from seatrial.daq.log import open_log
-    from seatrial.daq.tools import show_log
+    from seatrial.daq.tools import log_content, show_log
 
+    if as_json:
+        with open_log(log) as opened:
+            print_json(log_content(opened))
+        return
     console = Console(highlight=False)
     if not console.is_terminal:
         console.width = 140  # a pipe has no width
     with open_log(log) as opened:
-        show_log(opened, console)
+        show_log(log_content(opened), console)
 
 
 @click.command()
 @click.argument("log", type=LOG)
 @output_option(_NEW, "The log to write (default: LOG with -recovered in its name).")
 @click.option("--force", is_flag=True, help="Replace OUT if it exists.")
+@json_option()
 @bounded("log")
-def recover(log: Path, out: Path | None, force: bool) -> None:
+def recover(log: Path, out: Path | None, force: bool, as_json: bool) -> None:
     """Recover the LOG of a killed run or a damaged disk, with all its segments, into one complete file.
 
     All other commands can open an incomplete log; this command is for tools that cannot. LOG itself is not changed.
@@ -188,6 +195,9 @@ def recover(log: Path, out: Path | None, force: bool) -> None:
     done = run(log, target, force)
     for warning in done.warnings:
         click.echo(f"warning: {log}: {warning}", err=True)
+    if as_json:
+        print_json({"format": "seatrial-recover 1", "log": log, "out": target, **done._asdict()})
+        return
     pieces = f" of {done.files} segments" if done.files > 1 else ""
     condition = "" if done.warnings else "; nothing was wrong with it"
     click.echo(f"{target}: {counted(done.messages, 'message')}{pieces}{condition}")
@@ -404,7 +414,8 @@ def _check_addresses(_context: click.Context, _parameter: click.Parameter, ports
     help="How long to listen at each baud rate [s].",
 )
 @click.option("--toml", is_flag=True, help="Print a rig file with its [[device]] tables.")
-def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml: bool) -> None:
+@json_option()
+def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml: bool, as_json: bool) -> None:
     """Find the serial ports and CAN buses of this machine, or of PORTs, and identify the protocol of each device.
 
     The command only listens, at one baud rate after the other. PORT may be the address of an autopilot on a network, as
@@ -418,6 +429,8 @@ def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml
       seatrial devices /dev/ttyUSB0 --toml
       seatrial devices udp:127.0.0.1:14550 --toml > autopilot.toml
     """
+    if toml and as_json:
+        raise click.UsageError("give --toml or --json, not both")
     from seatrial.daq.rig import NET_KINDS
     from seatrial.daq.tools import discover_devices, identify_autopilot, identify_protocol
     from seatrial.daq.transport import UDEV_RULE
@@ -443,8 +456,10 @@ def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml
         raise SeatrialError("this computer has no serial port and no CAN bus; plug the device in, or name its port")
     if toml:
         click.echo(_rig_of(found), nl=False)
+    if as_json:
+        print_json({"format": "seatrial-devices 1", "devices": [dataclasses.asdict(device) for device in found]})
     for device in found:
-        if not toml:
+        if not (toml or as_json):
             speed = f" at {device.baud} baud" * bool(device.baud)
             rate = f", {device.rate:.4g}/s" if math.isfinite(device.rate) else ""
             protocol = f"{device.protocol}{speed}{rate}" if device.protocol else "-"

@@ -1,4 +1,4 @@
-"""Types of command-line options that several commands share."""
+"""Options that several commands share: their types, the output option, and --json with its output."""
 
 from __future__ import annotations
 
@@ -24,6 +24,27 @@ def output_option(kind: click.ParamType[Any], words: str, **attributes: Any) -> 
         Further arguments of `click.option`, such as `required` or `callback`.
     """
     return click.option("-o", "--out", "--output", "out", type=kind, help=words, **attributes)
+
+
+def json_option(words: str = "Print the result as JSON, and everything else on stderr.") -> Callable[..., Any]:
+    """Return a decorator that adds the flag `--json`. The command receives it as `as_json`.
+
+    With the flag a command prints one JSON document on stdout and nothing else; progress, warnings and the paths of
+    written files go to stderr. `words` is the help text.
+    """
+    return click.option("--json", "as_json", is_flag=True, help=words)
+
+
+def print_json(value: Any) -> None:
+    """Print a value as one JSON document on stdout, indented.
+
+    Dataclasses and mappings become objects, sequences become lists, and paths become texts. NaN and infinity become
+    null. Text or bytes are a document that is already written.
+    """
+    import msgspec
+
+    written = value if isinstance(value, str | bytes) else msgspec.json.encode(value, enc_hook=str)
+    click.echo(msgspec.json.format(written, indent=2))
 
 
 @final

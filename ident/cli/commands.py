@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from seatrial.daq.errors import SeatrialError
-from seatrial.daq.options import FiniteRange, output_option
+from seatrial.daq.options import FiniteRange, json_option, output_option, print_json
 from seatrial.ident.cli.options import (
     FILE,
     FOLDER,
@@ -32,6 +32,7 @@ from seatrial.ident.cli.options import (
     parse_priors,
     parse_rates,
     parse_values,
+    print_result_json,
     rate_option,
     reml_option,
     robust_option,
@@ -65,7 +66,8 @@ def ident() -> None:
 @reml_option()
 @despite_option
 @out_option("thruster")
-def thruster(logs: tuple[Path, ...], out: Path, **how: Any) -> None:
+@json_option()
+def thruster(logs: tuple[Path, ...], out: Path, as_json: bool, **how: Any) -> None:
     """Fit shaft dynamics and thrust curve to bench LOGS of one thruster.
 
     A log of force and command without shaft speed gives only the static thrust curve, as a table. The results are
@@ -78,7 +80,7 @@ def thruster(logs: tuple[Path, ...], out: Path, **how: Any) -> None:
     from seatrial.ident.workflows.thruster import ThrusterRequest, characterise
 
     request = ThrusterRequest(logs, out, **with_estimation_options(how))
-    run_workflow(lambda reporter: characterise(request, command_line(), reporter), out)
+    run_workflow(lambda reporter: characterise(request, command_line(), reporter), out, as_json)
 
 
 def _parse_intervals(
@@ -102,7 +104,8 @@ def _parse_intervals(
 @despite_option
 @window_option
 @trust_option
-def compare(models: tuple[Path, ...], logs: tuple[Path, ...], **how: Any) -> None:
+@json_option()
+def compare(models: tuple[Path, ...], logs: tuple[Path, ...], as_json: bool, **how: Any) -> None:
     """Predict the same logs by several fitted MODELS, compare each model with the first one, and print the comparison.
 
     Give at least two models, and logs that no model was fitted to.
@@ -111,12 +114,15 @@ def compare(models: tuple[Path, ...], logs: tuple[Path, ...], **how: Any) -> Non
     Example:
       seatrial ident compare vehicle/model.toml diagnosis/model.toml --on run4.mcap
     """
-    from seatrial.ident.workflows.compare import CompareRequest, compare_models, comparison_lines
+    from seatrial.ident.workflows.compare import CompareRequest, compare_models, comparison_lines, comparison_table
 
     try:
         found = compare_models(CompareRequest(models, logs, **how), Lines(err=True))
     except (ValueError, KeyError) as problem:
         raise SeatrialError(str(problem).strip("'\"")) from problem
+    if as_json:
+        print_json(comparison_table(found))
+        return
     for line in comparison_lines(found):
         click.echo(line)
 
@@ -144,7 +150,8 @@ def compare(models: tuple[Path, ...], logs: tuple[Path, ...], **how: Any) -> Non
 @rate_option
 @trust_option
 @out_option("navigation")
-def navigate(model: Path, logs: tuple[Path, ...], out: Path, **how: Any) -> None:
+@json_option()
+def navigate(model: Path, logs: tuple[Path, ...], out: Path, as_json: bool, **how: Any) -> None:
     """Estimate position, heading, speeds, current and disturbance forces along LOGS with a fitted MODEL.
 
     GNSS outages are listed with the 95 % radius of the position at their end. LOGS should not be those that MODEL was
@@ -158,7 +165,7 @@ def navigate(model: Path, logs: tuple[Path, ...], out: Path, **how: Any) -> None
     from seatrial.ident.workflows.navigate import NavigationRequest, navigate_logs
 
     request = NavigationRequest(model, logs, out, **how)
-    run_workflow(lambda reporter: navigate_logs(request, command_line(), reporter), out)
+    run_workflow(lambda reporter: navigate_logs(request, command_line(), reporter), out, as_json)
 
 
 ident.add_command(navigate)
@@ -221,7 +228,8 @@ ident.add_command(export)
 @rate_option
 @trust_option
 @out_option("information")
-def information(model: Path, logs: tuple[Path, ...], out: Path, **how: Any) -> None:
+@json_option()
+def information(model: Path, logs: tuple[Path, ...], out: Path, as_json: bool, **how: Any) -> None:
     """Compute the Fisher information of each segment of LOGS about each parameter of a fitted MODEL.
 
     It shows which segment a parameter depends on, and about which parameters the logs contain no information. The
@@ -234,7 +242,7 @@ def information(model: Path, logs: tuple[Path, ...], out: Path, **how: Any) -> N
     from seatrial.ident.workflows import information
 
     request = information.InformationRequest(model, logs, out, **how)
-    run_workflow(lambda reporter: information.information(request, command_line(), reporter), out)
+    run_workflow(lambda reporter: information.information(request, command_line(), reporter), out, as_json)
 
 
 ident.add_command(information)
@@ -244,7 +252,8 @@ ident.add_command(information)
 @click.argument("logs", nargs=-1, required=True, type=LOG)
 @click.option("--signal", "signals", multiple=True, metavar="NAME", help="Only this signal; may be repeated.")
 @out_option("noise")
-def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
+@json_option()
+def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path, as_json: bool) -> None:
     """Estimate white noise and random walk of each channel from LOGS of sensors at rest.
 
     The results are noise.toml, result.json and report.html in the folder --out.
@@ -256,7 +265,9 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
     from seatrial.ident.workflows import noise
 
     run_workflow(
-        lambda reporter: noise.noise(logs, out, signals=signals, command=command_line(), reporter=reporter), out
+        lambda reporter: noise.noise(logs, out, signals=signals, command=command_line(), reporter=reporter),
+        out,
+        as_json,
     )
 
 
@@ -326,7 +337,8 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
 @rate_option
 @trust_option
 @out_option("vehicle")
-def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how: Any) -> None:
+@json_option()
+def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, as_json: bool, **how: Any) -> None:
     """Fit a model of the boat to LOGS and validate it on others.
 
     The results are model.toml, result.json and report.html in the folder --out. The exit status is 1 if the fit did not
@@ -340,7 +352,7 @@ def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how
     from seatrial.ident.workflows.vehicle_model import VehicleRequest
 
     request = VehicleRequest(logs, validate, out, **with_estimation_options(how))
-    run_workflow(lambda reporter: vehicle(request, command_line(), reporter), out)
+    run_workflow(lambda reporter: vehicle(request, command_line(), reporter), out, as_json)
 
 
 @ident.command(short_help="Find effects that a model lacks; errors before and after.")
@@ -372,7 +384,10 @@ def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how
 )
 @trust_option
 @out_option("diagnosis")
-def diagnose(model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how: Any) -> None:
+@json_option()
+def diagnose(
+    model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, as_json: bool, **how: Any
+) -> None:
     """Find effects that MODEL lacks to explain LOGS, add them, and compare prediction errors before and after.
 
     MODEL is that of a boat, or that of a thruster, with bench logs. The results are model.toml with the found effects,
@@ -387,7 +402,7 @@ def diagnose(model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], ou
     from seatrial.ident.workflows.diagnose import DiagnosisRequest, diagnosis
 
     request = DiagnosisRequest(model, logs, validate, out, **with_estimation_options(how))
-    run_workflow(lambda reporter: diagnosis(request, command_line(), reporter), out)
+    run_workflow(lambda reporter: diagnosis(request, command_line(), reporter), out, as_json)
 
 
 @ident.command(short_help="Monte Carlo of the estimator: bias, variance, coverage.")
@@ -432,7 +447,10 @@ def diagnose(model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], ou
     default=Path("study"),
     show_default=True,
 )
-def study(models: tuple[str, ...], method: str, unbounded: bool, docs: Path | None, out: Path, **how: Any) -> None:
+@json_option()
+def study(
+    models: tuple[str, ...], method: str, unbounded: bool, docs: Path | None, out: Path, as_json: bool, **how: Any
+) -> None:
     """Test the estimator by Monte Carlo: simulate missions of each MODEL, fit them, and compare with the true values.
 
     MODEL is surge, yaw, horizontal, kinematic, thruster, noise or designed; a fitted model.toml; or FILE.py:NAME, a
@@ -452,11 +470,14 @@ def study(models: tuple[str, ...], method: str, unbounded: bool, docs: Path | No
     request = StudyRequest(models, out=out, method=estimator, bounded=not unbounded, **how)
     result = run_studies(request, command_line(), Lines(err=True))
     write_study_page(result, AIMS, out / "report.html")
-    click.echo(study_as_text(result), nl=False)
+    if as_json:
+        print_result_json(result)
+    else:
+        click.echo(study_as_text(result), nl=False)
     if docs is not None:
         write_study_docs(result, docs)
-        click.echo(f"written: {docs}")
-    click.echo(f"report: {out / 'report.html'}")
+        click.echo(f"written: {docs}", err=as_json)
+    click.echo(f"report: {out / 'report.html'}", err=as_json)
 
 
 def _parse_area(_context: click.Context, _parameter: click.Parameter, text: str | None) -> tuple[float, float] | None:
@@ -587,9 +608,11 @@ def _parse_area(_context: click.Context, _parameter: click.Parameter, text: str 
     show_default=True,
 )
 @trust_option
+@json_option()
 def design(
     source: str,
     out: Path,
+    as_json: bool,
     min_step: float,
     area: tuple[float, float] | None,
     max_speed: float | None,
@@ -633,9 +656,12 @@ def design(
         result = _with_live_progress(lambda reporter: make_design(source, request, out, command_line(), reporter))
     except (ValueError, KeyError) as problem:
         raise SeatrialError(f"{source}: {str(problem).strip(chr(39) + chr(34))}") from problem
-    for line in design_summary(result):
-        click.echo(line)
-    click.echo(f"{out}; report: {out.with_suffix('.html')}")
+    if as_json:
+        print_result_json(result)
+    else:
+        for line in design_summary(result):
+            click.echo(line)
+    click.echo(f"{out}; report: {out.with_suffix('.html')}", err=as_json)
 
 
 def _with_live_progress(work: Any) -> Any:

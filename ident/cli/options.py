@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from seatrial.daq.errors import SeatrialError
-from seatrial.daq.options import FiniteRange, output_option
+from seatrial.daq.options import FiniteRange, output_option, print_json
 from seatrial.ident.reporter import Reporter
 
 if TYPE_CHECKING:
@@ -459,7 +459,7 @@ class LiveLine:
         self.console.print(f"  {text}", markup=False)
 
 
-def run_workflow(work: Callable[[Reporter], Result], out: Path) -> None:
+def run_workflow(work: Callable[[Reporter], Result], out: Path, as_json: bool) -> None:
     """Run the computation of a command with a display of its progress, then print its result.
 
     The progress is a live line on a terminal, and otherwise one line per step on standard output. The path of the
@@ -471,6 +471,8 @@ def run_workflow(work: Callable[[Reporter], Result], out: Path) -> None:
         Function of a reporter that computes, writes the files of the result, and returns the result.
     out : Path
         Folder with report.html, for the message.
+    as_json : bool
+        Whether to print the result as JSON without its traces, and progress and message on standard error.
 
     Raises
     ------
@@ -481,22 +483,33 @@ def run_workflow(work: Callable[[Reporter], Result], out: Path) -> None:
     """
     from rich.console import Console
 
-    console = Console(highlight=False)
+    console = Console(highlight=False, stderr=as_json)
     try:
         if console.is_terminal:
             with console.status("reading logs") as status:
                 result = work(LiveLine(console, status))
         else:
-            result = work(Lines())
+            result = work(Lines(err=as_json))
     except (ValueError, KeyError) as problem:
         raise SeatrialError(str(problem).strip("'\"")) from problem
-    from seatrial.ident.report import print_result
     from seatrial.ident.results import FitResult
 
-    print_result(result, console)
-    click.echo(f"report: {out / 'report.html'}")
+    if as_json:
+        print_result_json(result)
+    else:
+        from seatrial.ident.report import print_result
+
+        print_result(result, console)
+    click.echo(f"report: {out / 'report.html'}", err=as_json)
     if isinstance(result, FitResult) and not result.converged:
         raise click.exceptions.Exit(1)
+
+
+def print_result_json(result: Result) -> None:
+    """Print a result as JSON on standard output: the document of result.json without its traces."""
+    from seatrial.ident.results import to_json
+
+    print_json(to_json(result, traces=False))
 
 
 def command_line() -> str:

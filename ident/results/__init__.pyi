@@ -83,6 +83,7 @@ from .parts import Verdict as Verdict
 from .parts import WhitenessTests as WhitenessTests
 from .result_file import AnyResult as AnyResult
 from .result_file import read_result as read_result
+from .result_file import to_json as to_json
 from .result_file import write_result as write_result
 from .tables import finite as finite
 from .tables import format_number as format_number

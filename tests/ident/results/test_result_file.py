@@ -59,6 +59,19 @@ def test_result_is_read_as_written(kind: str, tmp_path: Path) -> None:
     assert next(iter(json.loads(to_json(result)))) == "kind"
 
 
+@pytest.mark.parametrize("kind", EXAMPLES)
+def test_a_result_without_traces_keeps_all_but_its_curves(kind: str) -> None:
+    result = from_json(json.dumps(EXAMPLES[kind]()).encode())
+    whole, short = json.loads(to_json(result)), json.loads(to_json(result, traces=False))
+    assert list(short) == list(whole)
+    for key in ("answer", "warnings", "logs"):
+        assert short[key] == whole[key]
+    # The correlation matrix stays: it is a table of the estimates, not a curve.
+    assert short["fit"] == whole["fit"]
+    for before, after in zip(whole["traces"], short["traces"], strict=True):
+        assert after == {k: v for k, v in before.items() if not isinstance(v, list)}
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
