@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, final
 import click
 
 from seatrial.daq.bounds import bounded
+from seatrial.daq.console import make_console
 from seatrial.daq.errors import SeatrialError, closest_name, counted, printable
 from seatrial.daq.options import FiniteRange, json_option, output_option, print_json
 
@@ -102,8 +103,6 @@ def log(rig: Path, duration: float | None, out: Path | None, ask: bool, serve: b
     and sends no heartbeat to an autopilot, so that the failsafes still depend on its own ground station. A log that
     exists is never overwritten. Exit status 1: no device has sent any data.
     """
-    from rich.console import Console
-
     from seatrial.daq.acquisition import Acquisition
     from seatrial.daq.clock import RunClock
     from seatrial.daq.config import load_rig
@@ -114,7 +113,7 @@ def log(rig: Path, duration: float | None, out: Path | None, ask: bool, serve: b
     if path.exists():
         raise SeatrialError(f"{path} exists, and a log is never overwritten; give another name with -o")
     clock = RunClock(loaded.speed)
-    console = Console(highlight=False)
+    console = make_console()
     with (
         _stop_signal() as stop,
         contextlib.ExitStack() as outer,  # for what may end slowly, after the log is closed
@@ -157,8 +156,6 @@ def info(log: Path, as_json: bool) -> None:
     Example:
       seatrial info logs/run.mcap
     """
-    from rich.console import Console
-
     from seatrial.daq.log import open_log
     from seatrial.daq.tools import log_content, show_log
 
@@ -166,11 +163,8 @@ def info(log: Path, as_json: bool) -> None:
         with open_log(log) as opened:
             print_json(log_content(opened))
         return
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console.width = 140  # a pipe has no width
     with open_log(log) as opened:
-        show_log(log_content(opened), console)
+        show_log(log_content(opened), make_console())
 
 
 @click.command()

@@ -12,6 +12,7 @@ from rich import markup
 from rich.console import Console
 from rich.table import Table
 
+from seatrial.daq.console import print_table
 from seatrial.daq.errors import SeatrialError, counted
 from seatrial.daq.log import Log, first_segment_of, schema
 from seatrial.daq.samples import PortHealth, Scalar
@@ -211,9 +212,9 @@ def show_log(content: LogContent, console: Console) -> None:
     for name, size in content.attachments.items():
         console.print(f"  attached: {escape(name)} ({counted(size, 'byte')})")
     if content.topics:
-        console.print(_topic_table(content.topics))
+        print_table(console, _topic_table(content.topics))
     if content.ports:
-        console.print(_port_table(content.ports))
+        print_table(console, _port_table(content.ports))
     _print_events(content.events, console)
     for warning in content.warnings:
         console.print(f"[bold]warning:[/] {escape(warning)}")

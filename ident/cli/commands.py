@@ -10,6 +10,7 @@ from typing import Any
 
 import click
 
+from seatrial.daq.console import make_console
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.options import FiniteRange, json_option, output_option, print_json
 from seatrial.ident.cli.options import (
@@ -670,9 +671,7 @@ def _with_live_progress(work: Any) -> Any:
     ``work`` is a function of a reporter, which receives the lines of progress and the warnings. Its errors are not
     caught.
     """
-    from rich.console import Console
-
-    console = Console(highlight=False, stderr=True)
+    console = make_console(stderr=True)
     with console.status("compiling") as status:
         return work(LiveLine(console, status))
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
+from seatrial.daq.console import make_console
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.options import FiniteRange, output_option, print_json
 from seatrial.ident.reporter import Reporter
@@ -481,9 +482,7 @@ def run_workflow(work: Callable[[Reporter], Result], out: Path, as_json: bool) -
     click.exceptions.Exit
         With the exit status 1, after printing, if the result is a fit that did not converge.
     """
-    from rich.console import Console
-
-    console = Console(highlight=False, stderr=as_json)
+    console = make_console(stderr=as_json)
     try:
         if console.is_terminal:
             with console.status("reading logs") as status:
