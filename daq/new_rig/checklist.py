@@ -129,6 +129,7 @@ def _first_turns(rig: Rig, name: str, kind: str) -> list[str]:
             'The thrust ends within the time-out when the plug of the bus is pulled at low thrust (page "Your own '
             'boat", At the jetty).'
         )
+    steps.append("A thruster that stays at rest has a dead band: repeat its step with twice the command.")
     steps.append("Set `reversed = true` for a thruster that turns the wrong way, and repeat this part.")
     return steps
 

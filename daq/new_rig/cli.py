@@ -141,7 +141,7 @@ def init(folder: Path, yes: bool, force: bool, **options: Any) -> None:
 
     rig_path, list_path = folder / RIG, folder / CHECKLIST
     for path in (rig_path, list_path):
-        require_new(path, force, "another FOLDER")
+        require_new(path, force, "FOLDER")
     interview = Interview(not yes and sys.stdin.isatty() and sys.stderr.isatty())
     if not (interview.at_terminal or options["devices"] or options["search"]):
         raise click.UsageError("without a terminal, give the devices with --devices, --from-found or both")

@@ -243,11 +243,17 @@ def usual_baud(protocol: str, port: str) -> int | None:
     return bauds[0] if bauds else 115200
 
 
-def usual_port(protocol: str, number: int) -> str:
-    """Return a port for a device whose port is not given. `number` counts the serial ports that are in use already."""
+def usual_port(protocol: str, number: int, buses: Sequence[str] = ()) -> str:
+    """Return a port for a device whose port is not given.
+
+    `number` counts the USB serial ports that are in use already. `buses` are the CAN buses that were found; the first
+    one is the port of a device on a CAN bus, and can0 if there is none.
+    """
     if protocol == "mavlink":
         return "udp:127.0.0.1:14550"
-    return "socketcan:can0" if DEVICES[protocol].bus == CAN else f"/dev/ttyUSB{number}"
+    if DEVICES[protocol].bus == CAN:
+        return buses[0] if buses else "socketcan:can0"
+    return f"/dev/ttyUSB{number}"
 
 
 def drivers_of(devices: Sequence[DeviceDraft]) -> list[DeviceDraft]:

@@ -33,7 +33,7 @@ from seatrial.daq.new_rig.draft import (
 )
 from seatrial.daq.protocol import DEVICES
 from seatrial.daq.rig import LOAD_CELLS, NAME
-from seatrial.daq.tools import DiscoveredDevice
+from seatrial.daq.tools import SLCAN, DiscoveredDevice
 
 BESIDE_M = 0.3  # assumed distance of a thruster from the middle of the boat [m]
 SIDES = {"left": -BESIDE_M, "right": BESIDE_M}  # assumed position to starboard [m] by name
@@ -291,8 +291,8 @@ def draft_rig(
     """
     kind = interview.value(answers.kind, "boat or bench", "boat", parse_kind).content
     name = interview.value(answers.name, "name of the rig", usual_name, _parse_name)
-    found = _searched(answers, interview, search)
-    devices = [*found, *_named_devices(answers, interview, found)]
+    found, buses = _searched(answers, interview, search)
+    devices = [*found, *_named_devices(answers, interview, found, buses)]
     if not devices:
         raise SeatrialError(
             "a rig needs a device, and none was found or named; name the devices with --devices, such as "
@@ -304,23 +304,31 @@ def draft_rig(
 
 def _searched(
     answers: RigAnswers, interview: Interview, search: Callable[[], Sequence[DiscoveredDevice]]
-) -> list[DeviceDraft]:
-    """Return the drafts of discovered devices, after the user has agreed to the search. The list may be empty.
+) -> tuple[list[DeviceDraft], list[str]]:
+    """Return the drafts of discovered devices, and the ports of CAN buses, after the user has agreed to the search.
 
-    CAN buses and ports without a known device are left out.
+    The protocol of a CAN bus is not known. Ports without a known device are left out. Both lists may be empty.
     """
     wanted = answers.search
     if wanted is None and not answers.devices:
         wanted = interview.agrees("search the ports for devices now? Devices have to be switched on")
-    known = [device for device in (search() if wanted else ()) if device.protocol in DEVICES]
+    all_ports = search() if wanted else ()
+    buses = [device.port for device in all_ports if device.port.startswith("socketcan:")]
+    buses += [f"slcan:{device.port}" for device in all_ports if device.protocol == SLCAN]
+    known = [device for device in all_ports if device.protocol in DEVICES]
     alone = sum(device.protocol == "mavlink" for device in known) < 2
     names = name_devices([device.protocol for device in known])
     drafts = [device_of(device, name, alone) for device, name in zip(known, names, strict=True)]
-    return [_completed(draft, answers, interview) for draft in drafts]
+    return [_completed(draft, answers, interview) for draft in drafts], buses
 
 
-def _named_devices(answers: RigAnswers, interview: Interview, found: Sequence[DeviceDraft]) -> list[DeviceDraft]:
-    """Return the drafts of the devices that the user names, beside those that were found."""
+def _named_devices(
+    answers: RigAnswers, interview: Interview, found: Sequence[DeviceDraft], buses: Sequence[str]
+) -> list[DeviceDraft]:
+    """Return the drafts of the devices that the user names, beside those that were found.
+
+    The first of `buses`, the CAN buses that were found, is proposed as the port of a device on a CAN bus.
+    """
     wanted = list(answers.devices)
     if not wanted and interview.at_terminal:
         click.echo("devices that were not found, as PROTOCOL or PROTOCOL@PORT, with commas; protocols:", err=True)
@@ -343,7 +351,7 @@ def _named_devices(answers: RigAnswers, interview: Interview, found: Sequence[De
         port = interview.value(
             device.port or None,
             f"port of {name} ({device.protocol})",
-            usual_port(device.protocol, number),
+            usual_port(device.protocol, number, buses),
             _port_parser(named, [*found, *drafts]),
         )
         usual = usual_baud(device.protocol, port.content)

@@ -1,5 +1,6 @@
 from .autopilot_tables import DiscoveredAutopilot as DiscoveredAutopilot
 from .autopilot_tables import identify_autopilot as identify_autopilot
+from .discovery import SLCAN as SLCAN
 from .discovery import DiscoveredDevice as DiscoveredDevice
 from .discovery import discover_devices as discover_devices
 from .discovery import identify_protocol as identify_protocol

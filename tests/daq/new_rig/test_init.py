@@ -24,6 +24,7 @@ from seatrial.daq.new_rig import name_devices
 from seatrial.daq.new_rig.questions import WantedDevice, parse_devices
 from seatrial.daq.protocol import BUILT_IN
 from seatrial.daq.samples import Ahrs, Esc, Gnss
+from seatrial.daq.tools import DiscoveredDevice
 from tests.bench.mock_process import mock_process
 from tests.daq.tools.test_discovery import SAYS, device
 
@@ -166,6 +167,17 @@ def test_discovered_devices_are_in_the_rig(tmp_path: Path, monkeypatch: pytest.M
     assert rig.devices[0].baud == baud
     line = next(line for line in (tmp_path / "rig.toml").read_text().splitlines() if line.startswith("baud"))
     assert "default, check" not in line
+
+
+def test_a_can_bus_that_was_found_is_the_port_of_the_controllers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    adapter = DiscoveredDevice("/dev/ttyACM3", "adapter", "slcan", 115200, says="CAN adapter")
+    monkeypatch.setattr("seatrial.daq.new_rig.cli._search", lambda: [adapter])
+    init(tmp_path, "--from-found", "--devices", "vesc")
+    assert load_rig(tmp_path / "rig.toml").devices[0].port == "slcan:/dev/ttyACM3"
+    line = next(line for line in (tmp_path / "rig.toml").read_text().splitlines() if line.startswith("port"))
+    assert "default, check" in line
 
 
 class Terminal:
