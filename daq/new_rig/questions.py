@@ -160,7 +160,9 @@ class Interview:
 
 
 def _shown(value: object) -> str:
-    """Return a default as the user would enter it: numbers without a needless fraction, tuples with commas."""
+    """Return a default as the user would enter it: numbers without a needless fraction, tuples with commas, none."""
+    if value is None:
+        return "none"
     if isinstance(value, tuple):
         return ",".join(_shown(item) for item in value)
     return f"{value:g}" if isinstance(value, float) else str(value)
@@ -506,12 +508,12 @@ def _limits(
             elsewhere = (key == "radius_m" and kind == "bench") or (key == "force_n" and kind == "boat")
             if not drives or elsewhere or not reports(key, devices):
                 continue
-        value = interview.value(
-            answers.limits.get(key),
-            f"{key}: {kind_of_limit.words}",
-            kind_of_limit.proposal,
-            parse_share if key in ("n_max", "link_test_n") else parse_positive,
-        )
-        if value.given or kind_of_limit.guessed:
-            found[key] = value
+        parse = parse_share if key in ("n_max", "link_test_n") else parse_positive
+        question = f"{key}: {kind_of_limit.words}"
+        if kind_of_limit.guessed:
+            found[key] = interview.value(answers.limits.get(key), question, kind_of_limit.proposal, parse)
+            continue
+        only_user = interview.value(answers.limits.get(key), question, None, parse)
+        if only_user.content is not None:
+            found[key] = Value(only_user.content)
     return found
