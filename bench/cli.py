@@ -205,10 +205,7 @@ def next_command(plan: Mission, rig: Rig, log: Path) -> str:
 
 
 def warn_of_armed(names: Sequence[str]) -> None:
-    """Print to standard error that the autopilots ``names`` are still armed; print nothing if ``names`` is empty.
-
-    A command calls this last, so that the warning is its last line.
-    """
+    """Print to standard error that the autopilots ``names`` are still armed; print nothing if ``names`` is empty."""
     if names:
         click.secho(
             f"{', '.join(names)} IS STILL ARMED: keep clear of the propellers, and disarm it yourself",
