@@ -203,8 +203,8 @@ class Line:
 class HiddenEffect:
     """Hidden effect of the mock boat: its name, its true parameters and its hooks.
 
-    Hooks that the effect does not use have their default, which is None or zero. The comments at the top of this file
-    give the arguments of the callable hooks.
+    Hooks that the effect does not use have their default: None, zero, or 1 for `braking`. The comments at the top of
+    this file give the arguments of the callable hooks.
 
     Attributes
     ----------
