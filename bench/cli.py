@@ -146,7 +146,7 @@ def _run_plan(
     arm : bool
         Whether to put autopilots into MANUAL and arm them before the run, and to disarm them after it.
     retry : int
-        Largest number of repetitions, in all, of segments in which set-points or samples were lost.
+        Largest number of repetitions, in all, of segments with invalid data, for example lost samples.
     commands : Ros2Node, optional
         Source of external commands, which replace the set-points of the plan.
     view : bool

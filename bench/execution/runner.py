@@ -92,8 +92,8 @@ def run_mission(
     arm : bool
         Whether to put autopilots into MANUAL and arm them before the run, and to disarm them after it.
     retries : int
-        How many segments of the mission, in all, are repeated if set-points or samples were lost in them, or a device
-        was silent. It is not used with ``commands``.
+        How many segments of the mission, in all, are repeated if set-points, samples or ports were lost in them, or a
+        device was silent. It is not used with ``commands``.
     commands : CommandSource, optional
         Commands that replace the set-points of the mission. The limits of the mission apply to them.
 

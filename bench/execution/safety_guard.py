@@ -1188,8 +1188,8 @@ class SafetyGuard:
     def rest(self, status: Status) -> list[Rest]:
         """Return for each thruster of the mission whether it is measured at zero thrust.
 
-        Only samples count that are newer than the last zero command to the thruster's device. Without such a sample, or
-        if a command has followed, `is_zero` of the thruster is None (not measured).
+        Only samples count that are newer than the time at which zero was sent to all thrusters of the device. Without
+        such a sample, or if a command has followed, `is_zero` of the thruster is None (not measured).
         """
         found = []
         for thruster in self._thrusters:
@@ -1410,8 +1410,9 @@ class Fence:
 
         A position is doubtful if the boat cannot have reached it: more than 20 m plus 15 m/s times the time from the
         receiver's last accepted position, or a reported speed above 15 m/s. Before the first accepted position only the
-        speed counts. The first doubtful one is stored. If the next newer position is doubtful by the same rule, return
-        False for it: the jump is confirmed, whether or not both are close to each other.
+        speed counts. A doubtful one is stored until a later accepted position follows (the receiver's first accepted
+        one does not count). If a newer position is doubtful while one is stored, return False for it: the jump is
+        confirmed, whether or not both are close to each other.
         """
         last = self._last.get(name)
         if last is not None:

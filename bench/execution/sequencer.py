@@ -86,7 +86,7 @@ class MissionSequencer:
         say : Callable
             Function that prints a line for the operator.
         retries : int
-            Largest number of repetitions, in all, of steps whose data are invalid (lost set-points or samples).
+            Largest number of repetitions, in all, of steps whose data are invalid (for example lost samples).
         """
         self.timeline = Schedule(mission, start)
         self.commanded = 0
