@@ -22,7 +22,7 @@ TAU = 2.0  # s, correlation time of the disturbance forces
 
 @dataclass(frozen=True)
 class Boat:
-    """Parameters of a simulated boat that are the same in all its runs. The same seed and effects give the same boat.
+    """Parameters of a simulated boat that are the same in all its runs.
 
     Attributes
     ----------

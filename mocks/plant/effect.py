@@ -76,7 +76,7 @@ class Gust:
         Correlation time of the forces [s].
     period : float
         Time from the start of one strong phase to the start of the next [s]. The first half of it is strong, the second
-        half a fifth as strong. A run starts with a strong phase.
+        half a fifth as strong. The first strong phase begins at the start of a run.
     """
 
     sigma: tuple[float, float, float]
