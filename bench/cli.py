@@ -146,7 +146,7 @@ def _run_plan(
     arm : bool
         Whether to put autopilots into MANUAL and arm them before the run, and to disarm them after it.
     retry : int
-        Largest number of repetitions, in all, of segments in which set-points or samples were lost.
+        Largest number of repetitions, in all, of segments with invalid data, for example lost samples.
     commands : Ros2Node, optional
         Source of external commands, which replace the set-points of the plan.
     view : bool
@@ -205,10 +205,7 @@ def next_command(plan: Mission, rig: Rig, log: Path) -> str:
 
 
 def warn_of_armed(names: Sequence[str]) -> None:
-    """Print to standard error that the autopilots ``names`` are still armed; print nothing if ``names`` is empty.
-
-    A command calls this last, so that the warning is its last line.
-    """
+    """Print to standard error that the autopilots ``names`` are still armed; print nothing if ``names`` is empty."""
     if names:
         click.secho(
             f"{', '.join(names)} IS STILL ARMED: keep clear of the propellers, and disarm it yourself",

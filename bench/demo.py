@@ -45,7 +45,7 @@ EPILOG = "Example: seatrial demo --seed 3 --out /tmp/demo"
 
 
 class StepFailed(SeatrialError):
-    """Error of a command of the demo that failed, or of a mock that did not start. The message names the cause."""
+    """Error of a command of the demo that failed, or of a mock that did not start."""
 
 
 class DemoInterrupted(SeatrialError):

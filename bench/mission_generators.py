@@ -128,8 +128,8 @@ def chirp_rows(sign: float, n_max: float, seconds: float, f0: float = 0.05, f1: 
     Returns
     -------
     Array (n_samples, 1)
-        Commands ``sign * n_max * (1 - cos(phase)) / 2``, whose frequency rises linearly with time. The sweep starts at
-        zero, and crosses the thruster's dead zone slowly at first.
+        Commands ``sign * n_max * (1 - cos(phase)) / 2``, whose frequency changes linearly with time. The sweep starts
+        at zero. With the default frequencies it crosses the thruster's dead zone slowly at first.
     """
     _, phase = sweep_phase(seconds, f0, f1)
     return (sign * n_max * (0.5 - 0.5 * np.cos(phase)))[:, None]
@@ -207,7 +207,7 @@ def make_mission(
     thrusters : tuple of str
         Names of the left and the right thruster.
     n_max : float
-        Largest command, as a fraction of full command. The random commands scale with it, and are clipped to it.
+        Largest command, as a fraction of full command. Most random commands scale with it, and none is beyond it.
 
     Raises
     ------
@@ -258,7 +258,7 @@ def _cut_to_duration(durations: list[float], until: float) -> list[float]:
 
 
 def _surge_steps(builder: SegmentBuilder, rng: np.random.Generator, stop: float, n_max: float) -> None:
-    """Append a segment of surge steps up to time ``stop`` [s]: steady commands of 5 to 12 s, forward and in reverse.
+    """Append a segment of surge steps up to time ``stop`` [s]: steady commands of 5 to 12 s, forward, reverse and zero.
 
     The segment is appended to ``builder``, which is changed in place. ``rng`` draws the order of the commands, up to
     ``n_max``, and their durations; the last one is cut at ``stop``. The commands of both thrusters differ by at most

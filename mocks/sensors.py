@@ -317,9 +317,9 @@ class GnssErrors:
 class EscSensor:
     """Model of the telemetry of a speed controller: shaft speed, current, duty, voltage and temperature.
 
-    The noise of the shaft speed is 5 rev/min. The current depends on thrust and shaft speed, and is positive in both
-    directions. The temperature follows the squared current with a time constant of 60 s. The voltage falls with the
-    current and with the used energy.
+    The noise of the shaft speed is 5 rev/min. The current depends on thrust and shaft speed, and without its noise it
+    is not negative in either direction. The temperature follows the squared current with a time constant of 60 s. The
+    voltage falls with the current and with the used energy.
     """
 
     def __init__(self, seed: int, run: int, node: int, rpm_max: float, telemetry: Telemetry | None = None) -> None:

@@ -25,7 +25,7 @@ STEPS_MAX = 400  # steps of the plant between two looks at the ports if the simu
 class Server:
     """Server of a simulated boat or bench: a loop that simulates it in real time and exchanges bytes at its ports.
 
-    Run time is the wall time since the start of the server, times ``speed``.
+    Run time is the wall time since the call of `run`, times ``speed``.
 
     Attributes
     ----------

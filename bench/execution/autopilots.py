@@ -151,7 +151,7 @@ class Autopilots:
     def _link_status(self, device: Device) -> LinkStatus:
         """Return the newest state of an autopilot; if none was received yet, the default state without a heartbeat.
 
-        Raises SeatrialError if the acquisition process has failed or ended.
+        Raises SeatrialError if the acquisition process has failed, or has ended by itself.
         """
         return self._acquisition.status().links.get(device.name, LinkStatus())
 
@@ -293,7 +293,7 @@ class Autopilots:
         Raises
         ------
         SeatrialError
-            If the autopilot refuses; the message contains its reason. Also if the answer is missing 10 s (wall) after
+            If the autopilot refuses; the message contains its answer. Also if the answer is missing 10 s (wall) after
             the request, or the effect 10 s after the answer.
         """
         self._acquisition.request(device.name, action, value)
@@ -330,7 +330,7 @@ class Autopilots:
         ------
         SeatrialError
             If an autopilot does not confirm within 10 s (wall). A run that leaves a vehicle armed counts as failed.
-            Also if the acquisition process has ended.
+            Also if this run has armed one, and the acquisition process has failed or ended.
         """
         self.disarm()
         if armed := self.maybe_armed():
@@ -364,8 +364,8 @@ class Autopilots:
         """Request the autopilots that this run has armed to disarm; no error is raised if they do not confirm it.
 
         The request is repeated every second to those that have not confirmed, for at most 10 s (wall). Signals do not
-        interrupt it. Nothing is sent if this run has armed no autopilot. Raises SeatrialError if the acquisition
-        process has ended.
+        interrupt it. Nothing is sent if this run has armed no autopilot. Otherwise SeatrialError is raised if the
+        acquisition process has failed or ended.
         """
         begun, requested_at = time.monotonic(), -math.inf
         self._armed = dict.fromkeys(self._armed, begun)

@@ -44,7 +44,8 @@ class LinkTest(msgspec.Struct, frozen=True):
     Attributes
     ----------
     seconds : float
-        Time [wall s] from our last frame until all outputs for thrusters are at neutral and stay there.
+        Time [wall s] from our last frame until all outputs for thrusters are at neutral and stay there; 10 if this was
+        not measured.
     n : float
         Command of the thrusters before the frames stopped, as a fraction of full command.
     date : str
@@ -195,8 +196,8 @@ def require_link_test(rig: Rig, device: str, link: LinkStatus, n_max: float) -> 
 def link_test_plan(rig: Rig) -> Mission:
     """Return the mission of a link test, for all thrusters of a rig that are connected to an autopilot.
 
-    The command is zero for 1 s, then 0.1 (a tenth of full command) until the end of the mission after 13.5 s. The
-    runner sends no frame after the first 3 s. These times are wall seconds. The mission counts run seconds, so that its
+    The command is zero for 1 s, then 0.1 (a tenth of full command) until the end of the mission after 13.5 s. After the
+    first 3 s the runner stops the frames. These times are wall seconds. The mission counts run seconds, so that its
     times are longer on mocks that are faster than real time.
 
     Raises

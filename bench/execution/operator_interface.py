@@ -111,9 +111,9 @@ class Display(Protocol):
 
 
 class LiveDisplay:
-    """Display on a terminal: two lines of 80 columns that are redrawn, with the progress and the newest values.
+    """Display on a terminal: two lines that are redrawn, with the progress and the newest values.
 
-    Errors of a closed terminal are ignored: SIGHUP ends the run, unless it runs under nohup.
+    Errors of a terminal that was closed after the start are ignored: SIGHUP ends the run, unless it runs under nohup.
     """
 
     def __init__(self, console: Console) -> None:

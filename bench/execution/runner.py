@@ -92,8 +92,8 @@ def run_mission(
     arm : bool
         Whether to put autopilots into MANUAL and arm them before the run, and to disarm them after it.
     retries : int
-        How many segments of the mission, in all, are repeated if set-points or samples were lost in them, or a device
-        was silent. It is not used with ``commands``.
+        How many segments of the mission, in all, are repeated if set-points, samples or ports were lost in them, or a
+        device was silent. It is not used with ``commands``.
     commands : CommandSource, optional
         Commands that replace the set-points of the mission. The limits of the mission apply to them.
 
@@ -105,8 +105,9 @@ def run_mission(
     Raises
     ------
     SafetyStop
-        If the guard ends the run, if zero thrust is not measured at its end although thrust was commanded, or if this
-        program stood still for more than 1 s or the computer was suspended.
+        If the guard ends the run, if zero thrust is not measured at its end although thrust was commanded, if an
+        external command is not accepted, or if this program stood still for more than 1 s or the computer was
+        suspended.
     RunInterrupted
         On Ctrl-C, SIGTERM or SIGHUP.
     SeatrialError
@@ -115,8 +116,9 @@ def run_mission(
 
     Notes
     -----
-    Before an error is raised, zero is commanded and the log is closed. The message reports zero thrust only if it was
-    measured. If it was not, and thrust was commanded in this run, the exit status is 3 whatever the error is.
+    After an error in the run, zero is commanded and the log is closed, as far as the acquisition still answers. Then
+    the error is raised. The message reports zero thrust only if it was measured. If it was not, and thrust was
+    commanded in this run, the exit status of every SeatrialError is 3.
     """
     keys = Keys()
     with _prepared_runner(mission, rig, path, display, metadata or {}, keys, commands) as runner:
@@ -152,7 +154,7 @@ def run_link_test(rig: Rig, path: Path, display: Display, metadata: dict[str, st
     Raises
     ------
     SafetyStop
-        If the guard ends the test, or if zero thrust is not measured at its end.
+        If the guard ends the test, if zero thrust is not measured at its end, or if the computer was suspended.
     RunInterrupted
         On Ctrl-C, SIGTERM or SIGHUP.
     SeatrialError
@@ -274,7 +276,7 @@ class RunResult:
         Mean raw measurements of the load cells at rest, at the start and at the end of the run; empty if none was
         measured.
     still_armed : tuple of str
-        Names of autopilots that are armed at the end of the run. They were armed before it already.
+        Names of autopilots that are armed at the end of the run. Those that this run armed were disarmed before.
     """
 
     tares: tuple[Tare, ...]
@@ -327,8 +329,8 @@ class _Runner:
 
         ``arm`` is whether to arm autopilots before the run and to disarm them after it. ``retries`` is the largest
         number of segments that are repeated because of lost data. ``keys`` reads the keys of the operator. The result
-        and the errors are those of `run_mission`. After an error thrust is returned to zero, the log is closed, and the
-        error is raised again with a longer message.
+        and the errors are those of `run_mission`. After an error zero is commanded, the log is closed, and the error is
+        raised again (a SeatrialError with a longer message).
         """
         with self._display:
             try:
@@ -349,8 +351,8 @@ class _Runner:
         """Run a link test: command a tenth of thrust, stop all frames, and measure when the outputs are at neutral.
 
         Return the result of each autopilot, by its name, from the closed log. ``arm`` is whether to arm the autopilots
-        before the test and to disarm them after it. After an error thrust is returned to zero, the log is closed, and
-        the error is raised again with a longer message.
+        before the test and to disarm them after it. After an error in the test zero is commanded, the log is closed,
+        and the error is raised again (a SeatrialError with a longer message).
         """
         with self._display:
             try:
@@ -383,8 +385,8 @@ class _Runner:
 
         Frames stop 3 s after the first set-point. The method returns when all reported outputs have been at neutral
         (|n| at most 0.02, or NaN) for 0.5 s, or 10 s after frames stopped. All times are wall seconds. Raises
-        SafetyStop if a limit is passed, a device is silent, or the acquisition process stops thrust by itself, and
-        RunInterrupted if a signal arrives.
+        SafetyStop if the test has to end, for example because a limit is passed, a device is silent, or the acquisition
+        process stops thrust by itself. Raises RunInterrupted if a signal arrives.
         """
         speed, start = self._clock.speed, self._clock.now() + LEAD_S * self._clock.speed
         t, n = self._mission.setpoints()
@@ -453,8 +455,8 @@ class _Runner:
 
         The safety guard, signals and keys are checked every 20 ms (wall) meanwhile. ``arm``, ``retries`` and ``keys``
         are those of `run`. Return the sequencer, which has the run times of the executed segments. Raises SeatrialError
-        if the run cannot start, SafetyStop if the guard ends it or this program was paused for more than 1 s, and
-        RunInterrupted if a signal arrives.
+        if the run cannot start, and RunInterrupted if a signal arrives. Raises SafetyStop if the run has to end, for
+        example because of the guard, or because this program was paused for more than 1 s.
         """
         self._await_ready(arm)
         if keys.available:
@@ -545,8 +547,8 @@ class _Runner:
         """Return the tares of the load cells: their mean raw measurements while the mission rests.
 
         The tares and their drift are also printed and written to the log as events. ``timeline`` has the run times of
-        the executed segments. The list is empty if the rig has no load cell, the mission rests neither at its start nor
-        at its end, or the log cannot be read; in the last case the reason is printed.
+        the executed segments. The list is empty if, for example, the rig has no load cell, the mission rests neither at
+        its start nor at its end, or the log cannot be read; in the last case the reason is printed.
         """
         windows = timeline.static_windows()
         if not windows or not any(device.protocol in LOAD_CELLS for device in self._rig.devices):

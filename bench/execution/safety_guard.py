@@ -256,8 +256,8 @@ _QUANTITIES = {  # by key of [limits]
 class MovementWatch:
     """Detector of a frozen device: its measured value stays exactly the same although the commanded thrust changes.
 
-    A frozen device passes every other check: its samples are on time and valid, and its value is within the limits. The
-    attribute `is_position` is whether the value is a position, which needs stronger commands before it must change.
+    A frozen device can pass the other checks: its samples are on time and valid, and its value is within the limits.
+    The attribute `is_position` is whether the value is a position, which needs stronger commands before it must change.
     """
 
     def __init__(self) -> None:
@@ -378,9 +378,10 @@ class LimitSource:
     def observe(self, source: Source, sample: Sample, t: float, commands: Mapping[str, float]) -> None:
         """Take a sample, and store its device as the source of the limit if the sample contains the limited quantity.
 
-        Other samples, and values that are not finite, are ignored. A device whose value is frozen does not count any
-        more, until its value changes or another device reports. If another device is the source, a frozen one is
-        ignored. A sample that is not newer than the stored report does not replace it.
+        Other samples, and values that are not finite, are ignored. A device whose value is frozen does not count until
+        its value changes (only for a quantity that must change with the thrust). If it was the source, the limit has no
+        source until another device reports. If another device is the source, a frozen one is ignored. A sample that is
+        not newer than the stored report does not replace it.
 
         Parameters
         ----------
@@ -517,8 +518,8 @@ class History:
 class OutputCheck:
     """Comparison of an autopilot's output for one thruster (SERVO_OUTPUT_RAW) with the commands to this thruster.
 
-    Causes of a deviation are a parameter that changes, blocks or exchanges commands, a disarmed autopilot, or a link
-    that is late.
+    Causes of a deviation are, for example, a parameter that changes, blocks or exchanges commands, a disarmed
+    autopilot, or a link that is late.
     """
 
     def __init__(self, thruster: Thruster, speed: float) -> None:
@@ -940,8 +941,8 @@ class SafetyGuard:
         Raises
         ------
         SafetyStop
-            If a limit is passed, no device reports the quantity of a limit, a device or thruster is silent, or the log
-            does not grow.
+            If a limit is passed, no device reports the quantity of a limit, a port is lost, a device or thruster is
+            silent, or the log does not grow.
         """
         for stop in self._limit_stops(status):
             raise SafetyStop(stop.reason)
@@ -949,8 +950,9 @@ class SafetyGuard:
     def _limit_stops(self, status: Status) -> Iterator[Stop]:
         """Yield the reasons to end the run that concern devices and limits, at this status of the acquisition.
 
-        They are silent devices, a log that does not grow, limits that are passed (the geofence too), and limits whose
-        quantity no device reports. The force of a load cell while zero is commanded is stored for later messages.
+        They are lost ports, silent devices and thrusters, a log that does not grow, limits that are passed (the
+        geofence too), and limits whose quantity no device reports. The force of a load cell while zero is commanded is
+        stored for later messages.
         """
         yield from self._silent_devices(status)
         yield from self._stuck_log(status)
@@ -1186,8 +1188,8 @@ class SafetyGuard:
     def rest(self, status: Status) -> list[Rest]:
         """Return for each thruster of the mission whether it is measured at zero thrust.
 
-        Only samples count that are newer than the last zero command to the thruster's device. Without such a sample, or
-        if a command has followed, `is_zero` of the thruster is None (not measured).
+        Only samples count that are newer than the time at which zero was sent to all thrusters of the device. Without
+        such a sample, or if a command has followed, `is_zero` of the thruster is None (not measured).
         """
         found = []
         for thruster in self._thrusters:
@@ -1250,9 +1252,9 @@ class SafetyGuard:
     def _passed_force_limit(self, name: str, cell: LoadCell, t: float) -> Iterator[str]:
         """Yield a line of text if the force passes its limit, or if two successive samples are saturated.
 
-        ``name`` is the load cell, ``cell`` its sample, and ``t`` the run time of the sample [s]. A sample with the flag
-        of a spike, a force of NaN, or a limit that is not set, gives nothing. The force at rest is named in the text if
-        it is more than 5 % of the limit.
+        ``name`` is the load cell, ``cell`` its sample, and ``t`` the run time of the sample [s]. Nothing is yielded if
+        the limit is not set. A force with the flag of a spike, or of NaN, does not pass the limit. The force at rest is
+        named in the text of a passed limit if it is more than 5 % of the limit.
         """
         limit = self._rig.limits.force_n
         if limit is None:
@@ -1408,8 +1410,9 @@ class Fence:
 
         A position is doubtful if the boat cannot have reached it: more than 20 m plus 15 m/s times the time from the
         receiver's last accepted position, or a reported speed above 15 m/s. Before the first accepted position only the
-        speed counts. The first doubtful one is stored. If the next newer position is doubtful by the same rule, return
-        False for it: the jump is confirmed, whether or not both are close to each other.
+        speed counts. A doubtful one is stored until a later accepted position follows (the receiver's first accepted
+        one does not count). If a newer position is doubtful while one is stored, return False for it: the jump is
+        confirmed, whether or not both are close to each other.
         """
         last = self._last.get(name)
         if last is not None:

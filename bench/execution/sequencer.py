@@ -86,7 +86,7 @@ class MissionSequencer:
         say : Callable
             Function that prints a line for the operator.
         retries : int
-            Largest number of repetitions, in all, of steps whose data are invalid (lost set-points or samples).
+            Largest number of repetitions, in all, of steps whose data are invalid (for example lost samples).
         """
         self.timeline = Schedule(mission, start)
         self.commanded = 0
@@ -334,8 +334,8 @@ class CommandFollower(MissionSequencer):
     Notes
     -----
     If one thruster gets no new command for a time-out, zero is commanded to all thrusters. At the start, and after each
-    such silence or pause, commands are followed only once the external sender has sent zero for every thruster (newest
-    commands of at most 0.02), as with a transmitter.
+    such silence, pause or key `r`, commands are followed only once the external sender has sent zero for every thruster
+    (newest commands of at most 0.02), as with a transmitter.
 
     The run ends after an invalid command, a command beyond `n_max`, a command without a complete attachment (the
     metadata with sequence number, time and id of its publisher), a repeated command or one out of order, a second

@@ -177,7 +177,7 @@ def _check_options(
 
 
 def _print_findings(found: Sequence[Finding], as_json: bool) -> list[str]:
-    """Print the findings, worst first, and return the names of the devices and files that have a fault, each once.
+    """Print the findings, worst first, and return the places that have a fault (such as a device or file), each once.
 
     If there is no fault, a summary line follows. With ``as_json`` the findings are printed as JSON, without a summary.
     """

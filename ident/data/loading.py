@@ -741,8 +741,8 @@ def parts_with_sensors(log: LoadedLog) -> list[LoadedLog]:
     Warns
     -----
     SeatrialWarning
-        If the log was cut. The warning has the number of gaps, the times of the longest one, and the number of parts
-        that were left out.
+        If the log was cut. The warning has the times of the longest gap. It also has the number of gaps if there are
+        several, and the number of parts that were left out, if any.
     """
     gaps = silent_times(log.run.channels)
     if not gaps:
@@ -919,7 +919,8 @@ def _unique_labels(labels: Sequence[str], files: Sequence[Path]) -> list[str]:
     """Return unique ``labels`` (names or paths) of files, in the same order.
 
     A label that occurs several times gets the name of the file's folder before it. If it is still not unique, the first
-    one stays so, and the next ones get a number from 2 on: ``mon/run (2)``. Other labels are unchanged.
+    one stays so, and the next ones get a number from 2 on: ``mon/run (2)``. Other labels are unchanged, unless an
+    earlier one is equal after its change.
     """
     found: list[str] = []
     for label, file in zip(labels, files, strict=True):

@@ -535,7 +535,8 @@ class Variable:
         Whether the variable is an angle [rad], which is wrapped. A function of an angle is described by harmonics, any
         other by splines.
     functions : int
-        Number of splines that describe a function of the variable. It is not used for an angle.
+        Number of B-splines, one of which is left out, that describe a function of the variable when the diagnosis
+        scores candidates. It is not used for an angle.
     pair : ThrusterPair or None
         Shaft speeds or thrusts whose mean or difference the variable is: a force may follow them with a lag. None for
         any other variable.
@@ -586,7 +587,8 @@ class Model:
     horizon : float
         Default horizon of predictions [s].
     disturbance : Effect or None
-        Disturbance states for the filter. None: forces on the hull if the model has a hull.
+        Disturbance states for the filter. None: disturbance forces in surge, sway and yaw, as far as the model has such
+        forces (`seatrial.ident.models.disturbances.forces_of`).
     max_step : float
         Maximum time between two rows [s], for the fastest states.
     second_order : bool

@@ -63,8 +63,7 @@ def make_model(source: str, sensors: Sequence[str] | None = None) -> Model:
         Name in the catalogue with options, or ``FILE.py:NAME``. NAME is a Model or a function that returns a Model.
     sensors : Sequence[str], optional
         Names of the sensors that the log contains. A catalogue model gets only those of its sensors, if it has a choice
-        (`catalogue_model`). None, or no sensor of the model: all its usual sensors. It is ignored for a user-defined
-        model.
+        (`catalogue_model` states the exceptions). None: all its usual sensors. It is ignored for a user-defined model.
 
     Raises
     ------

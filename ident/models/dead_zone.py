@@ -43,7 +43,8 @@ def outside_dead_zone(command: Any, dead_zone: Any, width: Any) -> Any:
     command : float or symbol
         Command relative to full command, -1 to 1.
     dead_zone : float or symbol
-        End of the dead zone, >= 0: the middle of the transition, where half of the command passes.
+        End of the dead zone, >= 0. It is the middle of the transition, where half of the command passes if ``width`` is
+        not zero.
     width : float or symbol
         Width of the transition, >= 0, in units of the command. If both ``width`` and ``dead_zone`` are zero, the result
         is the command itself.

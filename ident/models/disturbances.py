@@ -252,8 +252,8 @@ def _diffusion_parameter(force: str, q: float, unit: str) -> Parameter:
 def forces_of(model: Model) -> tuple[str, ...]:
     """Return the names of the forces of a model to which disturbance forces can be added.
 
-    The result is (X, Y, N) for a model with a yaw equation, (X, Y) for a model of position and velocity without a yaw
-    moment, and () for any other model.
+    The result is (X, Y, N) for the model `horizontal`, and for `kinematic` with its yaw equation. It is (X, Y) for any
+    other model that provides ``plane`` (position and velocity), and () otherwise.
     """
     if {"hull", "turn"} & set(model.provides):
         return ("X", "Y", "N")

@@ -72,7 +72,7 @@ def trusted_file(named_by: Path, file: str, digest: str | None) -> Path:
     Returns
     -------
     Path
-        Path of the Python file without ``..``. The file itself is not run here.
+        Path of the Python file, normalised. The file itself is not run here.
 
     Raises
     ------
@@ -182,7 +182,7 @@ def load_object(source: str) -> Any:
     Returns
     -------
     Any
-        The object. If it is a function or class, the result of calling it without arguments.
+        The object. If it can be called, as a function or class, the result of calling it without arguments.
 
     Raises
     ------
@@ -263,7 +263,7 @@ def check_user_model(model: Model, path: Path) -> Model:
     Raises
     ------
     SeatrialError
-        If a function fails. The message has the file, the line, the reason and advice.
+        If a function fails. The message has the file, the line (if it is known) and the reason.
     """
     from seatrial.ident.engine import EkfGraphs
 
@@ -323,7 +323,7 @@ def _same_file(file: str, path: Path) -> bool:
 
 
 def error_message(problem: BaseException) -> str:
-    """Return the message for an error in the user's code, in one line. It has no file and no line number.
+    """Return the message for an error in the user's code, in one line. No file and no line number are added to it.
 
     If the error comes from the use of symbols, for example in an ``if``, the message is advice from `ADVICE`, or the
     text of the error with a hint. Otherwise it is the text of the error. The texts of ValueError, TypeError and similar

@@ -152,10 +152,10 @@ class AutopilotEmulator(DeviceEmulator):
         RADIO_S if FS_THR_ENABLE is set; otherwise the command stays. A negative RC_OVERRIDE_TIME never ends. A command
         of zero is not repeated.
 
-        In AUTO and RTL an armed autopilot drives by itself. If in MANUAL the heartbeats, after a first one, are
-        missing for longer than FS_GCS_TIMEOUT plus FS_TIMEOUT, the autopilot obeys FS_ACTION: 5 disarms it, 1 changes
-        its mode to RTL, and any other value to HOLD. With FS_GCS_ENABLE or FS_ACTION 0 it does nothing. These times are
-        wall seconds.
+        In AUTO and RTL an armed autopilot drives by itself. If it is armed and in MANUAL, and the heartbeats, after a
+        first one, are missing for longer than FS_GCS_TIMEOUT plus FS_TIMEOUT, the autopilot obeys FS_ACTION: 5 disarms
+        it, 1 changes its mode to RTL, and any other value to HOLD. With FS_GCS_ENABLE or FS_ACTION 0 it does nothing.
+        These times are wall seconds.
         """
         own, p = self.vehicle, self.vehicle.parameters
         silence = (self._now - own.overridden) / self._speed

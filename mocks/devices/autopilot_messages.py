@@ -171,7 +171,7 @@ class Reports:
         """Return the bytes (frame) of the MAVLink message ``name`` with the present state and latest measurements.
 
         ``ahrs`` is the newest AHRS sample, for ATTITUDE and RAW_IMU. Empty bytes are returned for an unknown name, and
-        for a message whose data have not been measured yet.
+        for GPS_RAW_INT, BATTERY_STATUS and ESC_TELEMETRY_1_TO_4 before the first sample of their quantity.
         """
         ms = self._boot_ms
         if name == "ATTITUDE":

@@ -52,7 +52,7 @@ def realistic(seed: int) -> tuple[HiddenEffect, ...]:
     -----
     Forms of the hull, wind, gusts, waves, dead band and compass have 20 to 40 % of their full size, and the mismatch of
     the thrusters 10 to 20 %. The GNSS antenna is 0.05 to 0.10 m from its place, the fixes are 0.10 to 0.20 s old, and
-    the scale of the gyro is wrong by 0.3 %. The module ``equipment`` gives the sizes of the others.
+    the scale of the gyro is wrong by about 0.3 %. The module ``equipment`` gives the sizes of the others.
     """
     limits = list(_FRACTIONS.values())
     drawn = random_stream(seed, EFFECT_SIZE, index=_STREAM).uniform(size=len(limits))

@@ -109,9 +109,9 @@ def _bank(rng: np.random.Generator, scale: float) -> HiddenEffect:
 def _shallow_water(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "shallow-water": drag grows over a shoal at one side of the area.
 
-    Beyond the origin in the direction of the shoal, the boat has the additional drag ``k h u |u|``, where ``h`` rises
-    from 0 to 1 as ``(1 + tanh(d / 15 m)) / 2`` with the distance ``d`` [m]. ``k`` is drawn within 15 % of ``22 scale``
-    [kg/m], the direction uniformly.
+    The boat has the additional drag ``k h u |u|`` with ``h = (1 + tanh(d / 15 m)) / 2``. ``d`` [m] is the position of
+    the boat in the direction of the shoal, so that ``h`` is 1/2 at the origin. ``k`` is drawn within 15 % of
+    ``22 scale`` [kg/m], the direction uniformly.
     """
     k, bearing = scale * effect_size(rng, 22.0), 2.0 * math.pi * rng.uniform()  # kg/m, rad
     c_b, s_b = math.cos(bearing), math.sin(bearing)

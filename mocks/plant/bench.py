@@ -164,9 +164,9 @@ class BenchPlant:
         return self._rod_force() + effect.drift * math.sqrt(self.t / 60.0)
 
     def _rod_force(self) -> float:
-        """Return the force [N] on the load cell: the thrust behind the rod's resonance, plus the force of the water.
+        """Return the force [N] on the load cell: the thrust, plus the force of the water.
 
-        With a rigid rod it is the thrust itself, plus the force of the water.
+        The share `flex_share` of the thrust passes the rod's resonance, unless the rod is rigid.
         """
         effect, force = self.bench.effect, self.thrust()
         if effect.flex_hz:
@@ -217,7 +217,7 @@ class BenchShaft:
     additional lag. The pole of the shaft may depend on the direction of the change, and the acceleration may be
     limited.
 
-    Each step is split at the times at which the delayed command changes. Lag and shaft are solved exactly one after the
+    Each step is split at the times at which the delayed command changes. Lag and shaft are computed one after the
     other. The attribute `n` is the present shaft speed (normalised, positive forward), and `energy` is the integral of
     ``|n|^3`` over time [s].
     """

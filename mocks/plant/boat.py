@@ -22,7 +22,7 @@ TAU = 2.0  # s, correlation time of the disturbance forces
 
 @dataclass(frozen=True)
 class Boat:
-    """Parameters of a simulated boat that are the same in all its runs. The same seed and effects give the same boat.
+    """Parameters of a simulated boat that are the same in all its runs.
 
     Attributes
     ----------
@@ -308,7 +308,7 @@ class TowedLine:
     """Line that the boat tows: a point at its end is dragged through the water and follows the tow point."""
 
     def __init__(self, line: Line, step: float) -> None:
-        """Set up a line that is stretched behind the boat, with the time ``step`` [s] between two calls of `step`."""
+        """Set up a line, with the time ``step`` [s] between two calls of `step`. The first call places its end."""
         self._line, self._step = line, step
         self._end: tuple[float, float] | None = None
 

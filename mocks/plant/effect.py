@@ -76,7 +76,7 @@ class Gust:
         Correlation time of the forces [s].
     period : float
         Time from the start of one strong phase to the start of the next [s]. The first half of it is strong, the second
-        half a fifth as strong. A run starts with a strong phase.
+        half a fifth as strong. The first strong phase begins at the start of a run.
     """
 
     sigma: tuple[float, float, float]
@@ -203,8 +203,8 @@ class Line:
 class HiddenEffect:
     """Hidden effect of the mock boat: its name, its true parameters and its hooks.
 
-    Hooks that the effect does not use have their default, which is None or zero. The comments at the top of this file
-    give the arguments of the callable hooks.
+    Hooks that the effect does not use have their default: None, zero, or 1 for `braking`. The comments at the top of
+    this file give the arguments of the callable hooks.
 
     Attributes
     ----------

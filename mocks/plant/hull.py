@@ -30,8 +30,8 @@ Rhs = Callable[[State, float, float, float, float, float, float], State]
 class Hull:
     """True parameters of the hull of a simulated boat.
 
-    The defaults are the nominal values of table 1 of the thesis. Rigid-body and added masses are separated as in DSOR's
-    mred_sim.yaml.
+    The defaults, except `d_vv`, are the nominal values of table 1 of the thesis. Rigid-body and added masses are
+    separated as in DSOR's mred_sim.yaml.
 
     Attributes
     ----------

@@ -62,7 +62,8 @@ class Sea:
     def __init__(self, wave: Wave, rng: np.random.Generator) -> None:
         """Set up the forces of the waves ``wave``: draw the frequencies and phases of 24 sines with ``rng``.
 
-        The spectrum is ``1 / (1 + s^4)``. ``s`` is the distance from the peak in units of the peak's width, -3 to 3.
+        The spectrum is ``1 / (1 + s^4)``. ``s`` is the distance from the peak in units of the peak's width, from about
+        -3 to 3.
         """
         spread = np.linspace(-3.0, 3.0, COMPONENTS) + 3.0 / COMPONENTS * rng.uniform(-1.0, 1.0, COMPONENTS)
         power = 1.0 / (1.0 + spread**4)

@@ -8,7 +8,7 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def draw(s: Signals) -> None:
-    """Add a sideways force [N] and a yaw moment [N m] that grow with the squared speed and towards the bank.
+    """Add a sideways force [N] and a yaw moment [N m] near a bank, in proportion to the squared surge speed u.
 
     The force to starboard is ``(Y_bank + Y_slope d) u^2 sin(psi_bank - psi)``, and the moment ``-(N_bank + N_slope d)
     u^2 sin(psi_bank - psi)``. They are added to ``s.Y`` and ``s.N``, in place. psi_bank is the bearing of the bank, and

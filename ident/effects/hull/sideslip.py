@@ -8,7 +8,7 @@ from seatrial.ident.model import INF, Effect, Parameter, Signals
 def slide(s: Signals) -> None:
     """Add the time constant of sway ``tau_s`` to ``s.slip_time`` [s], in place.
 
-    A Nomoto model, which has no state for the sway, computes its sideslip ``v = -slip_time u r`` from it.
+    A Nomoto model adds the sideslip ``-slip_time u r`` to its disturbance state of the sway.
     """
     s.slip_time = s.slip_time + s.p.tau_s
 

@@ -26,8 +26,8 @@ def compare_sides(estimates: Mapping[str, tuple[float, float]]) -> str:
     Returns
     -------
     str
-        The thrust of the weaker thruster in per cent of that of the stronger one, with its standard error, which has
-        one significant digit and at most three decimals. Without the error if that is zero or not finite. At an
+        The thrust of the weaker thruster in per cent of that of the stronger one, with its standard error. The number
+        of decimals (none to three) follows from the error. The error is left out if it is zero or not finite. At an
         estimate of zero, the right thruster is named as the weaker one.
     """
     eps, se = estimates["eps_LR"]
