@@ -82,6 +82,7 @@ COMMANDS = {
 EXTRAS = {
     "ident": ("casadi", "jinja2", "joblib", "llvmlite", "platformdirs", "scipy"),
     "mavlink": ("pymavlink",),
+    "parquet": ("pyarrow",),
 }
 # Commands that belong to the group of another part. They are attached here, since the parts do not import each other.
 ATTACHED = {"mission": {"design": "seatrial.ident.cli.commands:design"}}

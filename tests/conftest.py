@@ -66,6 +66,7 @@ PORTS = (
     "tests/daq/acquisition/test_load.py",
     "tests/daq/drivers/test_polling.py",
     "tests/daq/tools/test_replay.py",
+    "tests/daq/new_rig/test_init.py",
     "tests/daq/view/test_view_command.py",
     "tests/daq/tools/test_ros_live.py",
     "tests/daq/log/test_segments.py",

@@ -149,7 +149,7 @@ def test_the_default_installation_has_no_library_of_an_extra() -> None:
 
 def test_an_error_line_names_the_extra_of_every_library() -> None:
     assert {name: set(modules) for name, modules in command_line.EXTRAS.items()} == {
-        name: extra(name) for name in ("ident", "mavlink")
+        name: extra(name) for name in ("ident", "mavlink", "parquet")
     }
 
 

@@ -56,12 +56,16 @@ class _Curve:
 
 
 def to_parquet(result: Part) -> bytes | None:
-    """Return the curves of a result as the content of a Parquet file; None for a result without curves.
+    """Return the curves of a result as the content of a Parquet file.
 
-    The abscissa keeps all digits, and other numbers have 32 bits (seven digits).
+    None for a result without curves, and if the package pyarrow (extra ``parquet``) is not installed. The abscissa
+    keeps all digits, and other numbers have 32 bits (seven digits).
     """
-    import pyarrow
-    import pyarrow.parquet
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        return None
 
     found = [c for c in _curves_of(result, (), "", None) if c.columns]
     if not found:

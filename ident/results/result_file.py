@@ -101,7 +101,8 @@ def _without_traces(value: Any) -> Any:
 def write_result(result: Result, path: Path) -> None:
     """Write a result to a JSON file (result.json), and its curves to a Parquet file beside it (result.parquet).
 
-    Existing files are replaced. Without curves there is no Parquet file.
+    Existing files are replaced. Without curves there is no Parquet file. If the package pyarrow is not installed, there
+    is none either, and the JSON has the curves.
 
     Parameters
     ----------

@@ -140,18 +140,14 @@ def test_names_of_one_port_are_recognised(tmp_path: Path) -> None:
     text = (
         'format = "seatrial-rig 1"\nname = "x"\n' + row.format("a", "vesc", "slcan:{}") + row.format("b", "nmea", "{}")
     )
-    master, slave = os.openpty()
-    try:
-        link = tmp_path / "usb-receiver"
-        link.symlink_to(os.ttyname(slave))
-        for first, second in ((link, link), (link, os.ttyname(slave)), ("x/../gnss", "gnss")):
-            with pytest.raises(SeatrialError, match=r"a and b have the same port, .*(/usb-receiver|/gnss).*; give"):
-                parse_rig(text.format(first, second), tmp_path / "rig.toml")
-            # The links of this computer say nothing about the ports of a log.
-            assert parse_rig(text.format(first, second), tmp_path / "rig.toml", recorded=True).devices
-    finally:
-        os.close(master)
-        os.close(slave)
+    device, link = tmp_path / "ttyUSB0", tmp_path / "usb-receiver"
+    device.touch()
+    link.symlink_to(device)
+    for first, second in ((link, link), (link, device), ("x/../gnss", "gnss")):
+        with pytest.raises(SeatrialError, match=r"a and b have the same port, .*(/usb-receiver|/gnss).*; give"):
+            parse_rig(text.format(first, second), tmp_path / "rig.toml")
+        # The links of this computer do not show which ports a log was recorded from.
+        assert parse_rig(text.format(first, second), tmp_path / "rig.toml", recorded=True).devices
     # Links that mocks have left behind may point to one port that is gone.
     (tmp_path / "stale").symlink_to("/dev/pts/99999")
     (tmp_path / "old").symlink_to("/dev/pts/99999")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -98,6 +99,14 @@ def test_curves_are_in_a_table_of_named_rows_and_not_in_the_json(tmp_path: Path)
         expected = np.array(row["measured"], dtype=float)
         np.testing.assert_allclose(over_time["measured"].to_numpy(), expected, rtol=2e-7)
     assert set(table[table.table == "residuals.after"].axis) == {"t", "frequency"}
+
+
+def test_without_pyarrow_the_json_has_the_curves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    path = diagnosed(tmp_path)
+    assert not (tmp_path / "result.parquet").exists()
+    whole, found = report_example.diagnosis(), read_result(path)
+    assert found.traces[0].measured == pytest.approx(whole["traces"][0]["measured"], nan_ok=True)  # type: ignore[union-attr]
 
 
 def test_curves_of_format_2_are_read_from_the_json(tmp_path: Path) -> None:
