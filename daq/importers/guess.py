@@ -653,7 +653,7 @@ def _chosen_signals(candidates: Sequence[Candidate], clocks: Clocks, main: Clock
     the rank of a thruster of which only one side was found, so that it comes later. A candidate is chosen if its rank
     is below `UNCHOSEN_RANK` (5), none of its signals has been chosen before, it has times (or no table has a column of
     times), and its thrusters have the same quantity as those of its group that were chosen before. A speed without
-    direction is not chosen beside u. Commands and shaft speeds are not chosen if the source has forces of a left or
+    direction is not chosen after u. Commands and shaft speeds are not chosen if the source has forces of a left or
     right thruster, or if the vehicle is no boat. `main` is the time column in [time] of the map, and `clocks` has that
     of each table, by the id of the table.
     """
