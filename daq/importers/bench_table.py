@@ -31,7 +31,7 @@ class _StandColumns(NamedTuple):
     command : str
         Name of the column of the command of the motor, for example a pulse width.
     speed : str
-        Name of the column of the shaft speed; "" if the table has none.
+        Name of the column of the shaft speed; "" if the table has no speed other than zero.
     """
 
     thrust: str
@@ -54,12 +54,13 @@ def bench_candidates(table: Table, t: Column | None) -> list[Candidate]:
     Returns
     -------
     list of Candidate
-        One candidate for each signal, with a caveat about what is assumed: ``force`` (the thrust; its sign is changed
-        if it is never above 5 % of its largest magnitude; without a unit it is in newtons), ``n_cmd_thruster`` (the
-        command, scaled to -1 to 1) and, if the table has a shaft speed, ``n_thruster`` (the speed divided by its
-        largest magnitude). The map will not contain the shaft speed (its candidate has rank 5, which is never chosen)
-        if only the thrust changes its sign, or if the rows are more than 0.2 s apart; without times (`t` None) this
-        distance is not checked. The list is empty for any other table.
+        One candidate for each signal, with a caveat about what is assumed ("" if nothing is): ``force`` (the thrust;
+        its sign is changed if it is never above 5 % of its largest magnitude; without a unit it is in newtons),
+        ``n_cmd_thruster`` (the command, scaled to -1 to 1) and, if the table has a shaft speed other than zero,
+        ``n_thruster`` (the speed divided by its largest magnitude). The map will not contain the shaft speed (its
+        candidate has rank 5, which is never chosen) in two cases. In the first, the thrust is above 5 % of its largest
+        magnitude in both directions, and no speed is negative. In the second, the rows are more than 0.2 s apart
+        (median); without times (`t` None) this is not checked. The list is empty for any other table.
     """
     numbers = dict(_number_columns(table))
     found = _stand_columns(table, numbers)
@@ -94,7 +95,7 @@ def bench_candidates(table: Table, t: Column | None) -> list[Candidate]:
 def _number_columns(table: Table) -> Iterator[tuple[str, Column]]:
     """Yield the name and the values (n,) of each column of a table that contains numbers; NaN for an empty cell.
 
-    Columns without a name, of text, without any finite number, or with a name that appears twice are skipped.
+    Columns without a name, of text, without any finite number, or with a name that appears more than once are skipped.
     """
     for name in table.names:
         if name and table.names.count(name) == 1:
@@ -109,11 +110,12 @@ def _number_columns(table: Table) -> Iterator[tuple[str, Column]]:
 def _stand_columns(table: Table, numbers: Mapping[str, Column]) -> _StandColumns | None:
     """Find the columns of thrust, command and shaft speed of a thrust stand by their names; None without them.
 
-    `numbers` has the values (n,) of the columns of numbers, by name. The result is None if a name has a side (left,
-    right) or a signal of motion other than an acceleration, because the table is then from a boat. It is also None if
-    there is no command that changes, or not exactly one thrust. Of several commands the first is taken, and of several
-    speeds the one with the most values other than zero. Columns such as power, current, torque or efficiency are not
-    used. The speed is "" if no column of speeds has a value other than zero.
+    `numbers` has the values (n,) of the columns of numbers, by name. The result is None if one of these names has a
+    side (left, right) or a signal of motion other than an acceleration, because the table is then from a boat. It is
+    also None if there is no command that changes, or not exactly one thrust. A thrust or a command with the unit of
+    another quantity does not count. Of several commands the first is taken, and of several speeds the one with the most
+    values other than zero. Columns such as power, current, torque or efficiency are not used. The speed is "" if no
+    column of speeds has a value other than zero.
     """
     # A name of a side or of a signal of motion means that the table is from a boat. A stand may have an accelerometer.
     words = {name: read_name(name).words for name in numbers}

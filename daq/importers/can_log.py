@@ -49,13 +49,13 @@ def is_can_log(head: bytes) -> bool:
 def read_frames(path: Path) -> list[BusFrame]:
     """Read the data frames of a CAN log (BLF, candump, ASC, ...), in the order of the file.
 
-    Error frames, remote requests and CAN FD frames are left out. Lines of a text cause a warning if they are neither
-    frames nor known other lines (heading, comment, event).
+    Error frames, remote requests and CAN FD frames are left out. If a text in a known format has lines that are neither
+    valid frames nor known other lines (such as headings and comments), warn of them.
 
     Raises
     ------
     SeatrialError
-        If the file cannot be read or is not a CAN log, or if the frames of a text have no times.
+        If the file cannot be read or is not a CAN log, or if a frame of a text has no time.
     """
     try:
         with path.open("rb") as file:
@@ -99,15 +99,16 @@ def read_can(path: Path, options: SourceOptions) -> list[Table]:
     path
         The CAN log.
     options
-        The first of these options that is given is used. With `dbc`, each message of that database becomes a table.
-        With `rig`, the CAN devices of the rig decode the log. With `protocol`, the decoder of that protocol is used.
-        Without any of them, VESC, DroneCAN and NMEA 2000 are tried, and the one with the most samples is used.
+        The first of these options that is given is used. With `dbc`, the messages are decoded by that database. With
+        `rig`, the CAN devices of the rig decode the log. With `protocol`, the decoder of that protocol is used. Without
+        any of them, VESC, DroneCAN and NMEA 2000 are tried, and the one with the most samples is used.
 
     Returns
     -------
     list of Table
-        With `dbc`, one table for each message in the log, and for each bus and sender of the message if there are
-        several. Otherwise one table for each kind of decoded sample and each node.
+        With `dbc`, one table for each decoded message, and for each bus and sender of the message if there are several.
+        Otherwise one table for each kind of measured sample and each node, and for each bus or device if there are
+        several.
 
     Raises
     ------
@@ -178,13 +179,14 @@ def _can_frame_bytes(frame: BusFrame) -> bytes:
 
 
 def _dbc_tables(path: Path, frames: list[BusFrame], database: Path) -> list[Table]:
-    """Decode CAN frames by a DBC file (`database`): one table for each message, with a column for each of its signals.
+    """Decode CAN frames by a DBC file (`database`): one table for each message, with columns of its signals.
 
-    A signal that a frame lacks is NaN in its row. The topic of a table is MESSAGE, or MESSAGE_SENDER if several senders
-    send the same J1939 or NMEA 2000 message. The topic begins with the bus, can0_MESSAGE, if the messages come from
-    several buses. Frames that the DBC file does not define are ignored; frames that it cannot decode are counted in the
-    remark of their table. A message of which no frame can be decoded gets no table. Raise SeatrialError if no frame can
-    be decoded.
+    A signal that no frame of the message has gets no column. A signal that a frame lacks is NaN in its row. The topic
+    of a table is MESSAGE, or MESSAGE_SENDER if several senders on one bus send the same J1939 or NMEA 2000 message. The
+    topic begins with the bus, can0_MESSAGE, if the decoded messages come from several buses. Frames that the DBC file
+    does not define are ignored; frames that it cannot decode are counted in the remark of their table. A message of
+    which no frame can be decoded gets no table. Raise SeatrialError if no frame can be decoded, or the DBC file cannot
+    be read.
     """
     messages = dbc.load_dbc(str(database)).messages
     messages_by_name = {m.name: m for m in messages}
@@ -297,7 +299,7 @@ def import_can(path: Path, rig_path: Path, *, out: Path | None = None, force: bo
     ------
     SeatrialError
         If a file cannot be read, the CAN log is empty, the rig has no CAN device, no sample results for a device of the
-        rig, or the new log exists and `force` is not set.
+        rig, or the new log exists and `force` is not set or `out` is one of the files read.
     """
     rig = load_rig(rig_path)
     frames = sorted(read_frames(path), key=lambda frame: frame.t)

@@ -37,9 +37,9 @@ class BusFrame(NamedTuple):
     Attributes
     ----------
     t : float
-        Time of the frame [s since 1970], or [s] since the start of a log without a date.
+        Time of the frame [s since 1970]; in a log without a date [s] since its start or since midnight.
     bus : str
-        Name or number of the bus, as the log writes it.
+        Name or number of the bus, as the log writes it; "1" in a text format that does not name the bus.
     word : int
         Identifier. The flag EXTENDED is set for identifiers of 29 bits.
     data : bytes
@@ -99,7 +99,8 @@ class _Dialect(NamedTuple):
         Pattern of a line with a frame.
     frames : callable
         Function that takes the state of the log and the texts of the pattern's groups by name, and yields the CAN
-        frames of the line. The function may change the state. The function raises ValueError for an invalid number.
+        frames of the line. The function may change the state. The function may raise ValueError, for example for an
+        invalid number.
     """
 
     name: str
@@ -115,9 +116,9 @@ class _LogState:
     Attributes
     ----------
     start : float
-        Time that is added to the times of the frames [s since 1970]; 0 if the heading has no date.
+        Time that is added to the times of the frames [s since 1970]; 0 if the log has no date that can be read.
     since_midnight : float
-        Time of day of the start [s].
+        Time of day of the start in the heading of a BusMaster log [s]; otherwise 0.
     base : int
         Number base of identifiers and data, 10 or 16.
     is_delta : bool
@@ -158,7 +159,7 @@ def dialect_of(head: bytes) -> str:
 
 
 def read_text_frames(path: Path, dialect: str) -> list[BusFrame]:
-    """Read the data frames of a CAN log in text form. Warn if lines are neither frames nor part of the heading.
+    """Read the data frames of a CAN log in text form. Warn of lines that are no valid frames.
 
     Parameters
     ----------
@@ -170,12 +171,13 @@ def read_text_frames(path: Path, dialect: str) -> list[BusFrame]:
     Returns
     -------
     list of BusFrame
-        The frames in the order of the file, with times in s since 1970, or since the start of a log without a date.
+        The frames in the order of the file, with times in s since 1970; in a log without a date in s since its start or
+        since midnight. Known lines without a frame, such as headings and comments, cause no warning.
 
     Raises
     ------
     SeatrialError
-        If the file cannot be read, its frames have no times, or more lines are unknown than there are frames.
+        If the file cannot be read, a frame has no time, or more lines are unknown than there are frames.
     """
     dialect_of_log = next(known for known in _DIALECTS if known.name == dialect)
     log = _LogState()
@@ -211,7 +213,7 @@ def read_text_frames(path: Path, dialect: str) -> list[BusFrame]:
 
 
 def _with_continuous_times(log: _LogState, dialect: str, frames: list[BusFrame]) -> list[BusFrame]:
-    """Return CAN frames with continuous times: the start of the log (`log.start`) plus the time since then [s].
+    """Return CAN frames with continuous times: the start of the log (`log.start`) plus the time in the frame [s].
 
     Times that count from the previous frame are summed; for "candump" (not "candump -L") they do so if all are below
     one day and any is less than the one before. In formats with times of day ("BusMaster", "Yacht Devices", "N2K"), 24
@@ -240,7 +242,8 @@ def _is_heading(log: _LogState, dialect: str, line: str) -> bool:
 
     The date, the number base and the mode of the times (absolute, or counted from the previous frame) in a heading are
     stored in `log`. Known lines are: in BusMaster those that begin with ***, in ASC see `_is_asc_heading`, otherwise
-    comments (#, //, ;), error frames, and in canboat lines without a comma.
+    comments (#, //, ;), error frames, and in canboat lines without a comma. Raise ValueError for a date that does not
+    exist.
     """
     if dialect == "ASC":
         return _is_asc_heading(log, line)
@@ -261,9 +264,9 @@ def _is_heading(log: _LogState, dialect: str, line: str) -> bool:
 def _is_asc_heading(log: _LogState, line: str) -> bool:
     """Return whether a line of an ASC file without a frame is a known one: a heading, an event, or a text.
 
-    An event begins with a time. A text is any line that begins without a digit. Of several dates the first counts. The
-    date, the number base and the mode of the times (absolute, or counted from the previous frame) in a heading are
-    stored in `log`.
+    An event begins with a time. A text is any line that begins without a digit. Of several dates the first with a known
+    month counts. The date, the number base and the mode of the times (absolute, or counted from the previous frame) in
+    a heading are stored in `log`.
     """
     low = line.lower()
     if (date := _ASC_DATE.match(line)) is not None:

@@ -77,13 +77,13 @@ class Clock(NamedTuple):
     Attributes
     ----------
     column : str
-        Column of the times; "" if the table has its own times, or no times.
+        Column of the times; "" if the table has its own times, or if no column of times was found.
     form : str
         Format of the times, as in the table [time] of an import map: a unit, "iso", "gps", ... or a strptime pattern.
     caveat : str
         What is uncertain in the format, for a comment in the map; "" if there is none.
     rate : float
-        Rate of the rows [Hz] if several rows share each stamp, else 0.
+        Rate of the rows [Hz] if it replaces stamps that several rows share, else 0.
     start : float
         Time of the first row [s] if `rate` is not 0.
     date : str
@@ -101,11 +101,12 @@ class Clock(NamedTuple):
 def clock_of(table: Table) -> Clock:
     """Find the column with the times of a table's rows, and their format, by the names and values of the columns.
 
-    The first column with a name of a time whose values may be times is taken. The order of the names is: exactly "t",
-    "time" or "timestamp" (or the German words); seconds by the type in the source; times of a GPS week; names that
-    contain such a word. A column that contains only dates is not taken if its name is that of a time. If no column is
-    found, one of the first two columns is taken if it contains dates or rises evenly, and its name is not that of a
-    signal, a thruster or a row number.
+    The first column whose name or type is that of a time, and whose values may be times, is taken. The order is:
+    exactly "t", "time" or "timestamp" (or the German words); seconds by the type in the source; times of a GPS week;
+    names that contain such a word. A column with dates but without a time of day is skipped in this search. If no
+    column is found, one of the first two columns is taken if it contains dates or times as text or rises evenly, and
+    its name is not that of a signal, a thruster or a row number. Columns without a name, or with a name that appears
+    more than once, are never taken.
 
     Parameters
     ----------
@@ -157,7 +158,7 @@ def _named_clock(table: Table, name: str, dates: Sequence[str], weeks: Sequence[
     `dates` and `weeks` are names of columns of dates and GPS weeks; the first of each is used. A GPS week completes
     times in s or ms, with a caveat if it counts modulo 1024. A date completes times of day, if both together are
     readable. Times and dates of digits only (hhmmss, ddmmyy) are recognised too. If several rows share each stamp, the
-    clock gets the rate of the rows (`_with_row_rate`).
+    clock may get the rate of the rows (`_with_row_rate`).
     """
     form, caveat = _time_format(table, name)
     clock = Clock(name, form, caveat)
@@ -262,7 +263,8 @@ def _may_be_time(table: Table, name: str, rising: float = 0.5) -> bool:
     """Return whether a column may be the time of the rows, by its values.
 
     More than the share `rising` (0 to 1) of the steps between its numbers must be positive; fewer than two numbers give
-    False. Texts must have a digit in the first 20 rows, and more than one different text per 1000 rows.
+    False. Texts must have a digit in the first 20 rows, at least two different texts, and more than one different text
+    per 1000 rows.
     """
     try:
         values = table.numbers(name)
@@ -330,7 +332,7 @@ def format_of_text(texts: Sequence[str]) -> tuple[str, str]:
     -------
     tuple of str
         ``iso`` or a strptime pattern, "" if no pattern fits or all cells are blank; and the caveat, "" if the format is
-        certain.
+        certain or "".
     """
     tried = _typical_texts(texts)
     if not tried:
@@ -404,7 +406,7 @@ def _is_unpadded(pattern: str, texts: Sequence[str]) -> bool:
 
 
 def _typical_texts(texts: Sequence[str]) -> list[str]:
-    """Return up to about 400 different texts of a column of times, taken evenly over the file, without blank texts.
+    """Return at most 800 different texts of a column of times, taken evenly over the file, without blank texts.
 
     Texts whose shape (the places of numbers and words) at most 5 % of them have are left out, because they are not
     times: ERR, OVERFLOW.

@@ -33,8 +33,8 @@ def read_matlab(path: Path, options: SourceOptions) -> list[Table]:
     Returns
     -------
     list of Table
-        One table for each topic (name of a table) and each length of columns above 1. The remark of the first table
-        lists the objects that cannot be read.
+        One table for each topic (name of a table) and each length of columns above 1. Tables of a single signal with
+        equal times are merged into one. The remark of the first table lists the objects that cannot be read.
 
     Raises
     ------
@@ -94,9 +94,9 @@ def read_matlab(path: Path, options: SourceOptions) -> list[Table]:
 def _merged_by_times(path: Path, tables: Sequence[Table]) -> list[Table]:
     """Merge tables that have a time and a single signal into one table if their times are equal, and return all tables.
 
-    The signal must have the name of the topic, and the time the name "time". The merged table has the topic "" and
-    comes after the other tables. Simulink's To Workspace blocks write one variable for each signal. Only signals of one
-    table, as x and y, are recognised as a position.
+    The signal must have the name of the topic, and the time the name "time" in small or capital letters. The merged
+    table has the topic "" and comes after the other tables. Simulink's To Workspace blocks write one variable for each
+    signal. Only signals of one table, as x and y, are recognised as a position.
     """
     by_times: dict[bytes, list[Table]] = {}
     for table in tables:
@@ -131,9 +131,9 @@ def _vector_columns(vector: Vector) -> Iterator[tuple[str, Column]]:
 def _workspace_variables(path: Path) -> Iterator[tuple[str, Any]]:
     """Yield the name and the value of each variable of a MATLAB file, as Python values.
 
-    Raise SeatrialError if the package for this version of file is not installed, or if the file refers to other files.
-    Names that begin with two underscores are skipped in files before version 7.3. An object in such a file is yielded
-    without its properties, because scipy cannot read it.
+    Raise SeatrialError if the package for this version of file is not installed, or if a file of version 7.3 has links
+    or data in other files (`refuse_data_of_other_files`). Names that begin with two underscores are skipped in files
+    before version 7.3. An object in such a file is yielded without its properties, because scipy cannot read it.
     """
     with path.open("rb") as file:
         head = file.read(520)

@@ -44,7 +44,7 @@ class _MessageConverter:
     """Converter of the messages of an ArduPilot DataFlash log to samples, with one method for each type of message.
 
     `joined` completes the samples after the whole log has been read. If no shaft speed of the log is negative, the
-    speeds are magnitudes, and each gets the sign of the command of its output.
+    speeds are magnitudes, and each gets the sign of the command of its output, if this is known and not zero.
 
     Attributes
     ----------
@@ -91,9 +91,9 @@ class _MessageConverter:
     def _on_gpa(self, m: Any) -> Found:
         """Store the age [s] of a fix from a DataFlash GPA message of the first receiver: time of message minus arrival.
 
-        Half a millisecond is subtracted, because the arrival is truncated to whole milliseconds. An age that is
-        negative, or 1 s or more, is ignored. Return no sample. After the whole log has been read, `joined` sets the fix
-        back by its age.
+        Half a millisecond is subtracted, because the arrival is truncated to whole milliseconds; the result is at least
+        0. An age that is negative before this, or 1 s or more, is ignored. Return no sample. After the whole log has
+        been read, `joined` sets the fix back by its age.
         """
         age = getattr(m, "TimeUS", NAN) * 1e-6 - getattr(m, "SMS", NAN) * 1e-3
         if getattr(m, "I", 0) == 0 and 0.0 <= age < OLDEST_FIX_S:
@@ -156,9 +156,9 @@ class _MessageConverter:
     def _on_rcou(self, m: Any) -> Found:
         """Convert a DataFlash RCOU message to one Servo sample for each output, with its pulse width [us].
 
-        With a rig these are the outputs of its thrusters. Each also has the command (-1 to 1) by the scale of the rig;
-        the command is 0 without a pulse, and that of a reversed thruster changes its sign. Without a rig these are the
-        outputs of 1 to 14 that have had a pulse.
+        If the rig has thrusters with an output of this autopilot, these are their outputs of 1 to 14. Each also has the
+        command (-1 to 1) by the scale of the rig; the command is 0 without a pulse, and that of a reversed thruster
+        changes its sign. Otherwise these are the outputs of 1 to 14 that have had a pulse.
         """
         found: Found = []
         for node in range(1, 15):
@@ -240,21 +240,21 @@ def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[
     path
         The log.
     rig
-        The rig, which selects and scales the outputs; None to read all outputs as pulse widths.
+        The rig, which selects and scales the outputs; None to read all outputs with pulses, as pulse widths.
     device
         The autopilot of the rig; None without a rig.
 
     Returns
     -------
     tuple
-        The samples in the order of the file, each with its time in UTC [s since 1970] (by the first fix of the log);
-        a summary in one line; and the parameters of the autopilot by name.
+        The samples in the order of the file, each with its time in UTC [s since 1970] by the first GPS week in the log
+        (without one, [s] since boot); a summary in one line; and the parameters of the autopilot by name.
 
     Raises
     ------
     SeatrialError
-        If the log cannot be read or contains no samples. A log that is damaged at some place, with samples before it,
-        is read up to this place with a warning.
+        If the log cannot be read or contains no samples. Damaged messages are left out. If the reader still fails at
+        some place, with samples before it, the log is read up to this place with a warning.
     """
     reader = _MessageConverter(rig, device)
     rows: list[Timed] = []
@@ -306,11 +306,11 @@ def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[
 def whole_messages(raw: bytes) -> tuple[bytes | None, int, int]:
     """Remove damaged messages from the bytes of a DataFlash log.
 
-    A message is complete if the first bytes of another message, or the end of the file, follow it. Bytes after a
-    damaged place are skipped up to the next three complete messages in a row, or up to complete messages that end the
-    log. A complete message is removed too if its time (TimeUS) is more than 1 s from the median of the five times
-    around it. For times that rise, this median is the time itself. A log that is only cut off at its end is not
-    damaged.
+    A message is complete if the first bytes of another message, or the end of the file, or at most 2 bytes, follow it.
+    Bytes after a damaged place are skipped up to the next three complete messages in a row, or up to complete messages
+    that end the log. A complete message is removed too if its time (TimeUS) is more than 1 s from the median of the
+    five times around it; fewer than five times in a log are not checked. For times that rise, this median is the time
+    itself. A log that is only cut off at its end is not damaged.
 
     Parameters
     ----------
@@ -410,8 +410,8 @@ def _vehicle_of_log(log: Any) -> int:
 def _opened_log(path: Path) -> Iterator[Any]:
     """Yield pymavlink's reader of a DataFlash log, and close its file at the end of the `with` block.
 
-    What the reader prints is discarded until the end of the block; output of C code is discarded only while the log is
-    opened. The reader may raise any error for a damaged file.
+    What Python code prints in the block is discarded. What C code writes to standard error is discarded only while the
+    log is opened. The reader may raise any error for a damaged file.
     """
     from pymavlink import DFReader
 

@@ -41,9 +41,9 @@ def read_flysight(path: Path, options: SourceOptions) -> list[Table]:
     Returns
     -------
     list of Table
-        One table for each sensor that has times. The times are in s since 1970, or in s since power-on if the file has
-        no UTC. Rows with GPS time (TIME) make a table only if there is no other. Rows of a sensor without a line $COL
-        before them are ignored. A remark counts incomplete rows.
+        One table for each sensor with a column of times and complete rows. The times are in s since 1970, or in s since
+        power-on if they cannot be converted to UTC. Rows with GPS time (TIME) make a table only if there is no other.
+        Rows of a sensor without a line $COL before them are ignored. A remark counts incomplete rows.
 
     Raises
     ------
@@ -164,8 +164,8 @@ def _move_to_utc(sensors: list[_SensorRows]) -> None:
     """Convert the times since power-on of FlySight sensors to UTC, in place.
 
     The TIME rows have both times and give the conversion; those whose difference is far from the median (1 s plus 1 ms
-    per s of recording) are not used. Without them the position fixes, which have UTC, and the rows of the sensor before
-    them give an offset, with a remark. Without fixes the times are not changed.
+    per s of recording) are not used. Without them the first sensor with UTC (the position fixes) and the rows of the
+    other sensor before its rows give an offset, with a remark. Without such rows the times are not changed.
     """
     clock = next(
         (sensor for sensor in sensors if sensor.table.topic == _CLOCK and {"tow", "week"} <= set(sensor.table.names)),

@@ -207,11 +207,12 @@ def _main_clock(candidates: Sequence[Candidate], clocks: Clocks) -> Clock:
 
 
 def _time_lines(tables: Sequence[Table], candidates: Sequence[Candidate], clocks: Clocks, main: Clock) -> list[str]:
-    """Return the line `time = ...` of a guessed import map, after comments with the caveats about all time columns.
+    """Return the line `time = ...` of a guessed import map, after comments with caveats about time columns.
 
-    The line names the time column in `main`. The line has the rate of the rows (`rate_hz`) instead if the time stamps
-    are coarser than the rows, and a guessed rate of 10 Hz without a time column. The list is empty if all tables have
-    their own times. `clocks` has the time column of each table, by the id of the table.
+    The caveats are those of `main` and of the other time columns of tables with candidates. The line names the time
+    column in `main`. The line has the rate of the rows (`rate_hz`) instead if the time stamps are coarser than the
+    rows, and a guessed rate of 10 Hz without a time column. The list is empty if all tables have their own times, or
+    without tables. `clocks` has the time column of each table, by the id of the table.
     """
     if not tables or all(table.t is not None for table in tables):
         return []
@@ -236,8 +237,8 @@ def _held_signal_comments(candidates: Sequence[Candidate], taken: Sequence[MapSi
     """Yield a comment for each group of signals whose values the source repeats in each row until the next measurement.
 
     The comment has the names and the time between measurements. Only signals in `taken`, those chosen for the import
-    map, are tested. Inputs without a hold in the map are not tested, since their last value holds anyway.
-    `clocks` has the time column of each table, by the id of the table.
+    map, are tested, if their rows have times. Inputs without a hold in the map are not tested, since their last value
+    holds anyway. `clocks` has the time column of each table, by the id of the table.
     """
     tables: dict[tuple[int, bytes], tuple[Column, dict[str, Column]]] = {}
     for candidate in candidates:
@@ -262,12 +263,12 @@ def _held_signal_comments(candidates: Sequence[Candidate], taken: Sequence[MapSi
 
 
 def _named_columns(table: Table, clocks: Clocks) -> Iterator[tuple[str, Name, frozenset[str], Column]]:
-    """Yield (column, parsed name, words of column and topic, values (n,)) for each column of numbers of a table.
+    """Yield (column, parsed name, words, values (n,)) for each column of numbers of a table.
 
-    Tables with a type of messages yield no columns, except messages of a DBC, of a single number and of joints
-    (JointState). Topics of set-points yield no columns either. The column of times and columns of text are skipped. A
-    message with a single number is named by its topic. `clocks` has the time column of each table, by the id of the
-    table.
+    The words are those of the column, and for messages also those of the topic. Tables with a type of messages yield no
+    columns, except messages of a DBC, of a single number (not those of seatrial) and of joints (JointState). Topics of
+    set-points yield no columns either. The column of times and columns of text are skipped. A message with a single
+    number is named by its topic. `clocks` has the time column of each table, by the id of the table.
     """
     message = table.kind.rpartition("/")[2]
     is_scalar = message in SCALARS and not table.kind.startswith("seatrial_msgs/")
@@ -292,9 +293,9 @@ def _column_candidates(table: Table, clocks: Clocks, together: Mapping[frozenset
 
     These are commands, shaft speeds and forces of thrusters, and the signals of the boat's motion. Tables with a type
     of messages yield nothing here, except messages of a DBC, of a single number and of joints. Of several columns with
-    one meaning of motion, such as two headings, only the first counts. A column without a finite value is no thruster.
-    `together` has the numbers of the left and right columns of each quantity of thrusters, so that both sides get the
-    same scale. `clocks` has the time column of each table, by the id of the table.
+    one meaning of motion, such as two headings, only the first counts. A column without a finite value is no thruster,
+    except a force X or N. `together` has the numbers of the left and right columns of each quantity of thrusters, so
+    that both sides get the same scale. `clocks` has the time column of each table, by the id of the table.
     """
     message = table.kind.rpartition("/")[2]
     names: dict[str, tuple[str, Name]] = {}
@@ -360,9 +361,9 @@ def _with_frame_key(candidate: Candidate) -> Candidate:
 
     The guessed map of a bag has frame = "ENU" for all signals without this key. A topic is in NED if its name, type or
     frame_id contains "ned" or "frd" as a word or is a message of PX4 or seatrial. So is a heading that is a single
-    number, if the topic is named compass or heading. For other topics with a single number, a heading or yaw rate gets
-    a caveat about its axes. Candidates for thrusters never get the key, nor do signals made of latitude, longitude,
-    speed or course, which are always in NED.
+    number, if the topic is named compass, heading or hdg. A heading or yaw rate that is a single number gets a caveat
+    about its axes, except a compass. Candidates for thrusters never get the key, nor do signals made of latitude,
+    longitude, speed or course, which are always in NED.
     """
     table, caveat = candidate.table, candidate.caveat
     is_ned = bool(_NED.search(f"{table.topic} {table.kind} {table.frame_id}"))
@@ -499,11 +500,11 @@ def _motion_candidates(
 
 
 def _angle_unit(name: Name, values: Column) -> tuple[str, str]:
-    """Return the unit of a heading or course (n,), "rad", "deg" or "cdeg", and the caveat about it.
+    """Return the unit of a heading or course (n,) and the caveat about it.
 
-    The unit in the name of the column has priority. Otherwise it is "rad" for values up to 6.6, or the unit in which
-    the values jump by a whole turn (360 or 36000). Without such a jump it is "cdeg" if the first value is above 720, or
-    else "deg". Without a finite value it is "rad".
+    The unit in the name of the column has priority. Otherwise the unit is "rad", "deg" or "cdeg". It is "rad" for
+    values up to 6.6, or the unit in which the values jump by a whole turn (360 or 36000). Without such a jump it is
+    "cdeg" if the first value is above 720, or else "deg". Without a finite value it is "rad".
     """
     # Unwrapped radians can be as large as degrees. Only a jump by a whole turn, or a first value above one, is clear.
     good = values[np.isfinite(values)]
@@ -626,8 +627,8 @@ def _pulse_scale(p: Mapping[str, float], node: int) -> tuple[str, str]:
 
     The parameters `p` of the autopilot give the scale: SERVOn_MIN, SERVOn_TRIM, SERVOn_MAX and SERVOn_REVERSED of the
     output `node`. A parameter that is missing has its default (1100, 1500, 1900 us, not reversed). SERVOn_REVERSED
-    other than 0 changes the sign. The default scale is used, with a caveat, if MIN is not below MAX. Another caveat is
-    returned if TRIM is not in the middle. Otherwise the caveat is "".
+    other than 0 changes the sign. If MIN is not below MAX, the default scale is used without any of the parameters,
+    with a caveat. Another caveat is returned if TRIM is not in the middle. Otherwise the caveat is "".
     """
     low, rest, high = (p.get(f"SERVO{node}_{word}", usual) for word, usual in PULSE_US)
     if not low < high:
@@ -647,13 +648,14 @@ def _pulse_scale(p: Mapping[str, float], node: int) -> tuple[str, str]:
 def _chosen_signals(candidates: Sequence[Candidate], clocks: Clocks, main: Clock) -> tuple[list[MapSignal], list[str]]:
     """Choose the signals of a guessed import map. Return them, and the lines of the map.
 
-    The lines are one for each chosen signal, then the other candidates as comments. Candidates are tried in the order
-    of their rank, then of the number of their rows, the largest first. For this order, 2 is added to the rank of a
-    thruster of which only one side was found, so that it comes later. A candidate is chosen if its rank is below
-    `UNCHOSEN_RANK` (5), none of its signals has been chosen before, it has times (or no table has), and its thrusters
-    have the same quantity as those chosen before. A speed without direction is not chosen beside u. Commands and shaft
-    speeds are not chosen if the source has forces of a left or right thruster, or if the vehicle is no boat. `main` is
-    the time column in [time] of the map, and `clocks` has that of each table, by the id of the table.
+    The lines are one for each chosen signal, behind its caveat, then the other candidates as comments. Candidates are
+    tried in the order of their rank, then of the number of their rows, the largest first. For this order, 2 is added to
+    the rank of a thruster of which only one side was found, so that it comes later. A candidate is chosen if its rank
+    is below `UNCHOSEN_RANK` (5), none of its signals has been chosen before, it has times (or no table has a column of
+    times), and its thrusters have the same quantity as those of its group that were chosen before. A speed without
+    direction is not chosen after u. Commands and shaft speeds are not chosen if the source has forces of a left or
+    right thruster, or if the vehicle is no boat. `main` is the time column in [time] of the map, and `clocks` has that
+    of each table, by the id of the table.
     """
 
     sides: dict[frozenset[str], set[str]] = {}
@@ -703,8 +705,8 @@ def _chosen_signals(candidates: Sequence[Candidate], clocks: Clocks, main: Clock
 def _signal_line(table: Table, signal: MapSignal, clock: Clock, main: Clock) -> str:
     """Return one signal of an import map as an inline table of TOML: name, topic, columns, unit and further keys.
 
-    The line names the time column of the signal's own table (`clock`) if it differs from `main`, the time column in
-    [time] of the map. A signal made of several columns has no unit in the line.
+    The line names the time column of the signal's own table (`clock`) if the column or its format differs from `main`,
+    the time column in [time] of the map. A signal made of several columns has no unit in the line.
     """
     keys = [f"name = {_toml_text(signal.name)}"]
     if table.topic:

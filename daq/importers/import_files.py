@@ -105,7 +105,8 @@ def _files_of_logs(import_map: ImportMap, files: Sequence[Path]) -> list[tuple[s
     """Return for each log of an import its name without ending, and its source files, each with its [[file]] table.
 
     If the import map has no [[file]] table, each file makes its own log and gets the only source of the map. Otherwise
-    all files make one log. Raise SeatrialError if a [[file]] does not match exactly one file, or a file is left over.
+    all files make one log. Raise SeatrialError if a [[file]] does not match exactly one file, or a file exactly one
+    [[file]].
     """
     if not import_map.merge:
         return [(path.stem, [(path, import_map.sources[0])]) for path in files]
@@ -162,10 +163,10 @@ class _SourceFile(NamedTuple):
 def _read_source(path: Path, source: Source) -> _SourceFile:
     """Read one source file by its part of the import map (`source`), and collect the remarks about it.
 
-    Remarks are about tables with signals of the map, rows left out (unless so many that the import fails afterwards, or
-    because of wrong stamps, of which the table has a remark), held values, times at which inputs are unknown, and
-    signals without samples. Raise SeatrialError if the file cannot be read by the map. A remark about the times of a
-    table also becomes an event at its first time.
+    Remarks are about tables whose topic is in the map, rows left out (unless so many that the import fails afterwards,
+    or because of wrong stamps, of which the table has a remark), held values, times at which inputs are unknown, and
+    signals without samples. Raise SeatrialError if the file cannot be read by the map. A remark about the times of such
+    a table also becomes an event at its first time.
     """
     kind = source_kind(path)
     tables = kind.read(path, source.options)
@@ -286,7 +287,7 @@ def _within_piece(signal: SignalData, piece: Piece) -> SignalData:
 
     A held signal (hold = "zero") also gets its last value before the interval as a sample at t_from, unless it has a
     sample exactly there. If it has samples after the interval, or a timeout, its last value within the interval also
-    becomes a sample at t_to. No sample is added at an end without a limit.
+    becomes a sample at t_to, unless it has a sample exactly there. No sample is added at an end without a limit.
     """
     inside = (signal.t >= piece.t_from) & (signal.t <= piece.t_to)
     t, values = signal.t[inside], signal.values[inside]

@@ -103,7 +103,7 @@ class Signal:
         Treatment of a cell without a number: "error", "drop" (no sample), "keep" (a sample NaN) or "zero" (the cell
         means zero, in `unit`); "" for `TextStyle.nan` of the source, by default "error" for text and "drop" otherwise.
     timeout : float
-        Time after which an input that is not repeated becomes zero [s]; 0 for never.
+        Time after which a signal with the hold "zero" that is not repeated becomes zero [s]; 0 for never.
     missing : float or None
         Number in a cell that marks a missing measurement; None if there is no such number.
     missing_is : float or None
@@ -166,7 +166,7 @@ class Source:
     options : SourceOptions
         Options of the reader.
     time : TimeColumn or None
-        Source of the times; None if the source has its own times.
+        Source of the times; None if the map has no table [time] for the source.
     signals : tuple of Signal
         Signals to import.
     """

@@ -80,8 +80,9 @@ def input_hold(t: Column, values: Column, *, may_be_shaft: bool) -> InputHold:
 def _lags_like_shaft(values: Column) -> bool:
     """Return whether the values of an input (n,) lag like the speed of a shaft: a change continues in the next row.
 
-    At least 3 changes, above 5 % of the largest magnitude, after a nearly constant value are needed. In 70 % of them
-    the next row must add 5 % to 95 % of the change. With fewer than 5 values the result is False.
+    At least 3 changes above 5 % of the largest magnitude are needed. Each must be as large as the steps before and
+    after it, and the step two rows before it must be nearly zero. In at least 70 % of these changes the next row must
+    add 5 % to 95 % of the change. With fewer than 5 values the result is False.
     """
     if len(values) < 5:
         return False

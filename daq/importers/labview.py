@@ -45,8 +45,8 @@ def read_lvm(path: Path, options: SourceOptions) -> list[Table]:
     Raises
     ------
     SeatrialError
-        If the file cannot be read, its header has no end, it has no rows or no times, its channels have different
-        times, or its segments have different channels.
+        If the file cannot be read, its header has no end, it has no complete rows, its rows have neither X nor Delta_X,
+        its channels have different times, or its segments have different channels.
     """
     try:
         lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
@@ -157,7 +157,7 @@ class _SegmentRows:
         Raises
         ------
         SeatrialError
-            If the channels differ from those of the segments before, or have different times.
+            If the channels differ from those of the segments before, or have different times, or no times.
         """
         if not rows:
             return
@@ -197,9 +197,10 @@ class _SegmentRows:
         """Return the times (n,) of the rows of a LabVIEW segment [s since 1970, or since the start without a date].
 
         `place` is the index of the column X, which has the times; None if the rows have no X and are Delta_X apart. X
-        counts from the start in the header of the segment, at which it is X0; from the start of the file if its first
-        value is not X0; or from 1904 if it is so large. Raise SeatrialError if the rows have neither X nor Delta_X. A
-        cell of X that is not a number gives NaN.
+        counts from the start in the header of the segment, at which it is X0. X counts from the start of the file if
+        its first value differs from X0 by more than two Delta_X, or the segment has no date. X counts from 1904 if its
+        first value is above 1e9. Raise SeatrialError if the rows have neither X nor Delta_X. A cell of X that is not a
+        number gives NaN.
         """
         x0 = self._cell_number(_first_filled_cell(self._segment, "X0", "0"))
         dx = self._cell_number(_first_filled_cell(self._segment, "Delta_X", "nan"))
@@ -222,7 +223,7 @@ class _SegmentRows:
     def table(self) -> Table:
         """Return the rows of all segments of the LabVIEW file that have a time as one table, in the order of the file.
 
-        A remark counts the rows that were left out. Raise SeatrialError if there are no rows.
+        A remark counts the rows that were left out. Raise SeatrialError if there are no complete rows.
         """
         if not self._t or not sum(map(len, self._t)):
             raise SeatrialError(f"{self._path}: no lines with data below the header; give a complete file")

@@ -29,12 +29,12 @@ TABLES = ("table", "timetable")
 
 @dataclass(frozen=True)
 class MatlabObject:
-    """Object of a MATLAB class, read from a file of version 7.3.
+    """Object of a MATLAB class, read from a file of version 7.3. An object of an older file has no properties.
 
     Attributes
     ----------
     kind : str
-        Name of its class, for example "datetime" or "timetable".
+        Name of its class, for example "datetime" or "timetable"; a text for the user in an older file.
     properties : dict
         Properties of the object, by name.
     """
@@ -49,11 +49,11 @@ class Vector(NamedTuple):
     Attributes
     ----------
     topic : str
-        Topic of the table: the name of the variable, "" for a variable of the workspace itself.
+        Topic of the table, for example the name of the variable; "" for a variable of the workspace itself.
     name : str
         Name of the column.
-    values : Array (n,) or (n, m)
-        The numbers.
+    values : Array
+        The numbers, as a vector, a matrix or an array of more dimensions.
     unit : str
         Unit that the file states; "" if none.
     is_time : bool
@@ -68,7 +68,7 @@ class Vector(NamedTuple):
 
 
 def vectors(name: str, value: Any, left_out: list[str], topic: str = "", depth: int = 0) -> Iterator[Vector]:
-    """Yield all arrays of numbers in a variable of a MATLAB file, also those inside structs and objects.
+    """Yield the arrays of real numbers in a variable of a MATLAB file, also those inside structs and objects.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def vectors(name: str, value: Any, left_out: list[str], topic: str = "", depth: 
     Raises
     ------
     SeatrialError
-        If structs are nested more than 30 deep.
+        If structs are nested too deep.
     """
     place = f"{topic}.{name}" if topic else name
     if depth > DEEPEST:
@@ -118,8 +118,8 @@ def _object_vectors(name: str, value: MatlabObject, left_out: list[str], topic: 
 
     `name` is the name of the variable or field, `topic` the variable to which the field belongs ("" for the variable
     itself), and `depth` the number of structs around the object. The name and class of an object without readable
-    numbers are added to `left_out`. A single time yields nothing. The property "Data" of another class (a timeseries)
-    has the name of the object.
+    numbers are added to `left_out`. A single time yields nothing and is not added. The property "Data" of another class
+    (a timeseries) has the name of the object.
     """
     place = f"{topic}.{name}" if topic else name
     if (seconds := _object_seconds(value)) is not None:
@@ -159,9 +159,9 @@ def _object_seconds(value: Any) -> NDArray[np.float64] | None:
 def _table_columns(place: str, value: MatlabObject) -> Iterator[Vector]:
     """Yield the columns of numbers of a MATLAB table or timetable. The times of a timetable come first.
 
-    `place` is the name of the variable, which becomes the topic. Columns of text and of other classes, and columns of a
-    single number, are left out. Times are left out if their number differs from that of the rows. Nothing is yielded if
-    the object has another layout.
+    `place` is the name of the variable, which becomes the topic. Columns of datetime or duration are in s. Columns of
+    text and of other classes, and columns of a single number, are left out. The times of a timetable are left out if
+    their number differs from that of the rows, or if all are NaN. Nothing is yielded if the object has another layout.
     """
     inner = value.properties.get("any", value.properties)
     if not isinstance(inner, Mapping):
@@ -258,10 +258,10 @@ def _struct_array_vectors(
 ) -> Iterator[Vector]:
     """Yield the arrays of numbers in a MATLAB struct array, which is a list of dicts (`value`).
 
-    A field with one number in each struct becomes a column, with one row for each struct. If the array has no such
-    field, each of the first 16 structs becomes a topic, VARIABLE[0]. An array of one struct with such a field yields
-    nothing. `name` is the variable or field, `topic` the variable to which the field belongs, `depth` the number of
-    structs around it, and `left_out` collects unreadable objects.
+    A field with one number in each struct becomes a column, with one row for each struct. The other fields are then not
+    read. If the array has no such field, each of the first 16 structs becomes a topic, VARIABLE[0]. An array of one
+    struct with such a field yields nothing. `name` is the variable or field, `topic` the variable to which the field
+    belongs, `depth` the number of structs around it, and `left_out` collects unreadable objects.
     """
     place = f"{topic}.{name}" if topic else name
     numbers = {field: [_single_number(struct.get(field)) for struct in value] for field in value[0]}
@@ -354,10 +354,10 @@ class Hdf5Variables:
     def _python_value(self, node: Any, depth: int) -> Any:
         """Convert a group or dataset (`node`) of a MATLAB 7.3 file to a Python value.
 
-        A struct becomes a dict or a list of dicts, a cell a list, text a str, an object a MatlabObject, and any other
-        value an array, transposed to the order of MATLAB. An empty value becomes "" or an empty array. A value with an
-        invalid reference to an object becomes None. `depth` is the number of structs, cells and objects around the
-        value. Raise SeatrialError if it is above 30.
+        A struct becomes a dict or a list of dicts, a cell a list, text a str, an object a MatlabObject (several objects
+        a list), and any other value an array, transposed to the order of MATLAB. An empty value becomes "" or an empty
+        array. A value with an invalid reference to an object becomes None. `depth` is the number of structs, cells and
+        objects around the value. Raise SeatrialError if it is above 30.
         """
         if depth > DEEPEST:
             raise SeatrialError(

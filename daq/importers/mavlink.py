@@ -67,7 +67,7 @@ def import_mavlink(
     SeatrialError
         If the file cannot be read, contains no samples of the autopilot or times outside 1970 to 2038, if two
         autopilots in a tlog have the same system number, if the rig does not have exactly one MAVLink device, or if the
-        log exists and `force` is not set.
+        log exists and `force` is not set or the log is one of the files read.
     """
     rows, summary, parameters = read_autopilot(path, rig, system)
     device = _mavlink_device(rig)
@@ -118,7 +118,7 @@ def read_autopilot(path: Path, rig: Rig | None, system: int | None) -> tuple[lis
 def is_tlog(head: bytes) -> bool:
     """Return whether the first bytes of a file are those of a tlog.
 
-    A tlog begins with a time in us since 1970 (here 2005 to 2112) and a MAVLink frame.
+    A tlog begins with a time in us since 1970 (here 2005 to 2112) and the first byte of a MAVLink frame.
     """
     return len(head) > STAMP and head[STAMP] in (0xFD, 0xFE) and 2**50 < struct.unpack_from(">Q", head)[0] < 2**52
 
@@ -167,7 +167,8 @@ def read_tlog(
     Raises
     ------
     SeatrialError
-        If the tlog has no samples of the system, or two autopilots have the same system number.
+        If the tlog has no samples of the system, or two autopilots have the same system number, or `system` is None and
+        no autopilot sends a heartbeat.
     """
     component = 1
     if system is None:
@@ -232,7 +233,7 @@ def _refuse_two_autopilots(path: Path, rows: Sequence[Timed], system: int) -> No
 
 
 def mismatches(p: Mapping[str, float], rig: Rig | None) -> list[ParameterMismatch]:
-    """Compare the autopilot's parameters of pulse widths and directions with the rig, and return those that differ.
+    """Compare the parameters of an autopilot's outputs, such as pulse widths, with the rig; return those that differ.
 
     Only the parameters SERVOn_... of the outputs that drive thrusters of the rig are compared.
 

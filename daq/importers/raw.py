@@ -53,16 +53,17 @@ def import_raw(
     Raises
     ------
     SeatrialError
-        If the capture cannot be read, has no samples or no times, or the log cannot be written.
+        If the capture cannot be read, has no samples, only transducers or no times, or the log cannot be written.
 
     Notes
     -----
-    The first sample names the device in the topics, for example "gnss"; transducers (XDR) become signals with their own
-    names.
+    The first sample that is no transducer names the device in the topics, for example "gnss". Transducers (XDR) become
+    signals with their own names.
 
     A capture does not contain the times of receipt. With `rate`, the samples of the most frequent kind are 1/rate
-    apart, beginning in 1970. Rarer samples (headings between fixes) get the time of the sample before them. NMEA
-    samples before the first date get the date that follows, or 1970-01-01 if no date follows.
+    apart, beginning in 1970. Rarer samples (headings between fixes) get the time of the most frequent one before them.
+    Without `rate`, samples of NMEA and UBX before the first date get the date that follows, or 1970-01-01 if no date
+    follows.
     """
     decoder = default_decoder(protocol)
     frames, sha256 = _decoded_frames(decoder, path)

@@ -22,10 +22,10 @@ class Candidate(NamedTuple):
     ----------
     group : str
         Quantity: position, velocity, body, heading, rate, acceleration, drive, force, ... Of the candidates with the
-        same signal the one with the lowest rank is chosen.
+        same signal the one with the lowest rank is preferred.
     rank : int
         Preference, the lowest first: 0 a sensor, then an estimate. A rank of 5 (`UNCHOSEN_RANK`) or more is never
-        chosen: set-points and the truth of a simulator.
+        chosen, for example that of set-points and of the truth of a simulator.
     table : Table
         Table of the columns.
     signals : tuple of MapSignal
@@ -290,7 +290,7 @@ def unit_of(text: str) -> str:
 
 
 def without_unit(column: str) -> str:
-    """Return the name of a column without a unit in brackets at its end: "yaw [deg]" becomes "yaw"."""
+    """Return the name of a column without a text in brackets at its end, as a unit: "yaw [deg]" becomes "yaw"."""
     return _BRACKET.sub("", column).strip()
 
 
@@ -402,8 +402,8 @@ def wrapped_negative(values: Column) -> np.typing.NDArray[np.bool_]:
 
     Notes
     -----
-    Wrapped numbers are far from all others. The values jump from small to wrapped numbers and back, without values
-    between them.
+    Wrapped numbers are far from all others. The values jump from small to wrapped numbers and back, with hardly any
+    values between them.
     """
     none = np.zeros(len(values), bool)
     if len(values) < 2 or np.min(values) < 0.0 or (top := float(np.max(values))) <= 1.0:
@@ -450,9 +450,10 @@ def drive(words: frozenset[str], values: Column, unit: str) -> tuple[str, MapSig
     -------
     tuple or None
         Group ("force" or "drive"), signal without its columns, and caveat. The signal of a force is f_left, f_right or
-        X. That of a command or shaft speed is n, n_left or n_right, with a scale to -1 .. 1: per cent, pulses with rest
-        at 1500 us and full forward at 1900 us, or else the largest magnitude as 1. The result is None if the column
-        does not belong to a thruster, has a unit of another quantity (such as W), or has no finite value.
+        X. That of a command or shaft speed is n, n_left or n_right, converted to -1 .. 1. Its numbers are taken as this
+        command itself, as per cent, as pulses with rest at 1500 us and full forward at 1900 us, or else the largest
+        magnitude is 1. The result is None if the column does not belong to a thruster, has a unit of another quantity
+        (such as W), or has no finite value.
     """
     drive_words = words & DRIVES
     if not drive_words or words & _NOT_DRIVES:

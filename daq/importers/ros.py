@@ -55,14 +55,14 @@ def read_bag(path: Path, options: SourceOptions) -> list[Table]:
     Returns
     -------
     list of Table
-        One table for each topic with numbers. The time of a message is the stamp of its header, or else its receipt;
-        messages with a wrong stamp are left out (`seatrial.daq.importers.stamps`). Each pair of frames in a TFMessage
-        has its own topic: /tf:odom:base_link. Messages of an unknown type are left out.
+        One table for each topic with numbers. The time of a message is estimated from the stamp of its header, or else
+        from its receipt; messages with a wrong stamp are left out (`seatrial.daq.importers.stamps`). Each pair of
+        frames in a TFMessage has its own topic: /tf:odom:base_link. Messages of an unknown type are left out.
 
     Raises
     ------
     SeatrialError
-        If the bag cannot be read or lacks one of `topics`.
+        If the bag cannot be read or lacks one of `topics`, or if the package rosbags is not installed.
     """
     try:
         from rosbags.highlevel import AnyReader
@@ -120,8 +120,9 @@ def _readable_files(path: Path) -> Iterator[tuple[list[Path], str]]:
 
     A folder without metadata.yaml is read file by file. A .mcap that was cut off is recovered to a temporary file. A
     .db3 with a SQLite log beside it, which an interrupted recorder leaves, is completed in a temporary copy. Files of a
-    split bag are in the order of their numbers. A file without a readable message is left out with a remark. Raise
-    SeatrialError if nothing is readable, or for a bag of ROS 1 that was not closed (.bag.active).
+    folder without metadata.yaml are in the order of their numbers. One of several .mcap that was cut off and has no
+    readable message is left out with a remark. A folder with metadata.yaml is yielded as a folder; only its .db3 are
+    completed. Raise SeatrialError if nothing is readable, or for a bag of ROS 1 that was not closed (.bag.active).
     """
     if path.name.endswith(".bag.active"):
         raise SeatrialError(
@@ -199,8 +200,8 @@ def _with_sqlite_logs_of_folder(path: Path, folder: Path) -> tuple[list[Path], l
     """Complete the databases (.db3) of a ROS bag that is a folder with metadata.yaml. Return folder and remarks.
 
     If a database in it has logs of SQLite, the returned folder is a copy inside `folder`: completed databases, and
-    links to all other files. Otherwise it is the bag itself, without remarks. The folder, in a list, is what is then
-    read.
+    links to the other files, except logs of SQLite. Otherwise it is the bag itself, without remarks. The folder, in a
+    list, is what is then read.
     """
     logs = {part.name: _sqlite_logs(part) for part in sorted(path.glob("*.db3"))}
     if not any(logs.values()):
@@ -222,7 +223,7 @@ def _with_sqlite_logs_of_folder(path: Path, folder: Path) -> tuple[list[Path], l
 def _split_number(path: Path) -> tuple[int, str]:
     """Return the sort key of a file of a split bag, its number and its name: run_10.mcap comes after run_9.mcap.
 
-    The number is -1 for a name without one.
+    The number is the text behind the last _; it is -1 if this text is not a number.
     """
     digits = path.stem.rpartition("_")[2]
     return int(digits) if digits.isdecimal() else -1, path.name

@@ -45,8 +45,8 @@ def row_times(table: Table, time: TimeColumn | None, *, lenient: bool = False) -
     Raises
     ------
     SeatrialError
-        If a cell has no time of this format; with ``lenient``, if too many cells have none. Also if ``time`` is None
-        and the table has no times of its own.
+        If a cell has no time of this format; with ``lenient``, if too many cells have none. Also if the table lacks the
+        column, or ``time`` is None and the table has no times of its own.
     """
     if time is not None and time.rate_hz:
         return np.arange(len(table)) / time.rate_hz

@@ -60,7 +60,7 @@ class Held:
     name : str
         Name of the signal.
     n : int
-        Number of samples.
+        Number of samples before repeats are left out.
     n_left_out : int
         Number of samples that repeat the previous one and are left out.
     interval : float
@@ -119,11 +119,12 @@ class Signals:
     held : tuple of Held
         Signals whose repeats were left out.
     n_dropped : int
-        Number of rows out of order and of cells without a number that the map drops.
+        Number of rows and cells that are dropped, for example rows out of order and cells without a number. Repeats in
+        `held` do not count.
     n_disordered : int
-        Number of rows among them whose times run back or repeat.
+        Number of rows that are not in the log because their times run back or repeat.
     left_out : tuple of RowsLeftOut
-        The same rows by table, and the rows with wrong stamps.
+        The rows in `n_disordered` by table, and the rows with wrong stamps.
     """
 
     signals: tuple[SignalData, ...]
@@ -153,7 +154,7 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
     ------
     SeatrialError
         If a column is missing, a cell has no number, or times are out of order, and the map does not allow this. The
-        message names the place and the key of the map that allows it.
+        message names the place.
 
     Notes
     -----
@@ -348,7 +349,8 @@ def _raw_values(table: Table, signal: Signal) -> Column:
 
     A signal with `make` is computed from its columns, in SI units. A position is in metres north or east of the first
     fix of the table; a fix at 0, 0 is NaN. A velocity is 0 at speed 0, also without a course. The angles of a
-    quaternion of zeros are NaN. Without `make`, the numbers of the column are returned. NaN in a column gives NaN.
+    quaternion of zeros are NaN. Without `make`, the numbers of the column are returned. Otherwise NaN in a column gives
+    NaN.
     """
     if not signal.make:
         return table.numbers(signal.columns[0])
@@ -468,7 +470,7 @@ def _longest_rising(t: Column) -> NDArray[np.bool_]:
     """Select the most rows of an imported table whose times `t` (n,) rise strictly; return their flags (n,).
 
     A single time that is too large then costs only its own row (Fredman, Discrete Mathematics 11, 1975). Of equal
-    times, at most the first is selected. The times must not be NaN.
+    times, at most one is selected. The times must not be NaN.
     """
     ends: list[float] = []  # lowest last time of a rising subsequence of 1, 2, ... rows
     rows: list[int] = []  # the row of this time

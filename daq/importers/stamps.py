@@ -86,8 +86,8 @@ def message_times(topics: Mapping[str, MessageTimes]) -> dict[str, EstimatedTime
     Returns
     -------
     dict
-        Times by topic, all of one clock. If no topic has at least two stamps, each message has its stamp or, without
-        one, its receipt. A message without a reliable time has NaN.
+        Times by topic, converted to one clock. If no topic has at least two stamps, each message has its stamp or,
+        without one, its receipt. A message without a reliable time has NaN.
     """
     clean = {name: _without_zeros(times) for name, times in topics.items()}
     stamped = {n: times for n, times in clean.items() if np.isfinite(times.stamp + times.receipt).sum() > 1}
@@ -149,9 +149,10 @@ def _running_median(values: Column) -> Column:
 
 
 class _ReferenceClock:
-    """The clock that most stamps of a recording share (the reference), and its offset from the clock of the recorder.
+    """The clock to which all times of a recording are converted (the reference), and its offset from the recorder's.
 
-    The offset is called the level: the receipt minus `rate` times the stamp [s].
+    The reference is the recorder's own clock, or else that of the topic with the most messages. The offset is called
+    the level: the receipt minus `rate` times the stamp [s].
 
     Attributes
     ----------
@@ -167,15 +168,16 @@ class _ReferenceClock:
     """
 
     def __init__(self, stamped: Mapping[str, MessageTimes]) -> None:
-        """Choose the clock that most stamps share, and measure its offset from the recorder without wrong stamps.
+        """Choose the reference clock, and measure its offset from the clock of the recorder.
 
         `stamped` has receipts and stamps of each topic with at least two stamps.
 
         Topics share the recorder's clock if their stamps have its rate, and at least 20 % of the stamps are within 1 s
         of their receipts. Without such a topic, the topic with the most messages gives the clock and its rate, and
         topics with about the same level share it. Only these topics are used. Their level is smoothed by a running
-        median in the order of receipt. If the recorder's clock was set back in all of them, the order is that of the
-        stamps, and each interval between two steps back has its own level.
+        median in the order of receipt, and wrong stamps are left out. If the recorder's clock was set back in all of
+        them, the order is that of the stamps, each interval between two steps back has its own level, and no stamp is
+        left out.
         """
         rates = {name: _receipt_rate(times) for name, times in stamped.items()}
         sharing = [n for n, times in stamped.items() if rates[n] == 1.0 and self._agrees_with_recorder(times)]
@@ -247,8 +249,8 @@ class _ReferenceClock:
         The messages of all topics are in the order of receipt; `topic` (n,) has the number of the topic of each.
         Between two steps (changes above 0.25 s plus half the time between the messages) the level is about constant (a
         plateau). Steps of the stamps, not those of the receipts, change the offset of their clock. The offset with the
-        most messages is right, and messages with another offset are wrong. If the reference is the recorder's clock,
-        plateaus within 1 s of it count three times. Without steps all flags are False.
+        most messages is right, and messages with a clearly different offset are wrong. If the reference is the
+        recorder's clock, plateaus within 1 s of it count three times. Without steps all flags are False.
         """
         allowed = STEP_S + STEP_RATE * np.diff(receipt)
         steps = np.flatnonzero(np.abs(np.diff(level)) > allowed) + 1
@@ -310,10 +312,11 @@ class _ReferenceClock:
         Returns
         -------
         EstimatedTimes
-            The times, with a remark if they differ from the stamps. Messages with a wrong or empty stamp have NaN.
-            Right stamps are unchanged if the reference is the recorder's clock; otherwise `shift` is added. The stamps
-            are taken as those of another clock if fewer than 20 % of them agree with the reference to 1 s, or if their
-            rate is another one and no more than half of them agree.
+            The times, with a remark about what is unusual. Without `is_stamped` they are the converted receipts.
+            Otherwise messages with a wrong or empty stamp have NaN. Right stamps are unchanged if the reference is the
+            recorder's clock; otherwise `shift` is added. Stamps of another clock are converted. The stamps are taken as
+            those of another clock if fewer than 20 % of them agree with the reference to about 1 s, or if their rate is
+            another one and no more than half of them agree.
         """
         if not is_stamped:
             return self._times_of_receipts(topic_times)
@@ -420,8 +423,8 @@ def _wrong_stamps(times: MessageTimes, misfit: Column, rate: float) -> Mask:
 
     `misfit` (n,) is the delay from stamp to receipt beyond the usual delay [s], NaN if unknown, and `rate` the rate of
     the receipts by the stamps [s/s]. A stamp is wrong if its misfit exceeds 0.25 s plus half the usual interval of the
-    receipts, and the interval of the stamps before it is more unusual than that of the receipts. Successive stamps with
-    about the same misfit are judged together. With fewer than 3 known misfits no stamp is wrong.
+    receipts, and the interval of the stamps before it is clearly more unusual than that of the receipts. Successive
+    stamps with about the same misfit are judged together. With fewer than 3 known misfits no stamp is wrong.
     """
     known = np.isfinite(misfit)
     receipt, stamp, late = times.receipt[known], rate * times.stamp[known], misfit[known]

@@ -25,7 +25,7 @@ class Table:
     path : Path
         Source file.
     topic : str
-        Topic of the rows; "" for a file that is a single table.
+        Topic of the rows; "" without one, for example in a file that is a single table.
     columns : dict
         Columns of numbers by name, each (n,); NaN for a row without a value.
     t : Array (n,) or None
@@ -203,7 +203,8 @@ class SourceOptions:
     protocol : str
         Protocol of a CAN log: "vesc", "dronecan" or "nmea2000"; "" to try all.
     rig : Path or None
-        Rig file that names and scales the outputs of an autopilot; None without one.
+        Rig file that names and scales the outputs of an autopilot, or whose CAN devices decode a CAN log; None without
+        one.
     system : int or None
         MAVLink system number, for a tlog of several systems; None for the first autopilot.
     topics : frozenset of str

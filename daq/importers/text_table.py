@@ -43,10 +43,11 @@ ASCII = 0.8  # least share of ASCII characters in a table
 
 
 class TextTable(Table):
-    """Table of text cells. A column is converted to numbers at its first use.
+    """Table of a text file, with columns of numbers and of text.
 
-    A table that contains numbers alone is read by numpy, which is several times faster and does not keep the cells. Any
-    other table is read cell by cell, which also finds the line of an error.
+    A table of plain numbers alone is read by numpy, which is several times faster and does not keep the cells. Any
+    other table is read cell by cell, which also finds the line of an error. A column of it is converted to numbers at
+    its first use.
 
     Attributes
     ----------
@@ -260,13 +261,14 @@ class TextTable(Table):
         Returns
         -------
         Column
-            The numbers (n,), NaN for an empty cell. With ``nan = "drop"`` or ``"keep"`` also NaN for a cell of text.
+            The numbers (n,), NaN for an empty cell or a word such as "nan". With ``nan = "drop"`` or ``"keep"`` also
+            NaN for a cell of other text or with an infinite number.
 
         Raises
         ------
         SeatrialError
-            If the header lacks the column or has it twice, or if a cell is text. With ``nan = "drop"`` or ``"keep"``,
-            text is an error only if the column has more text than numbers.
+            If the header lacks the column or has it twice, or if a cell is other text or infinite. With ``nan =
+            "drop"`` or ``"keep"``, such cells are an error only if the column has more of them than numbers.
         """
         if column not in self._numbers:
             self._numbers[column] = self._as_numbers(column)
@@ -362,7 +364,8 @@ class _WatchedLines:
 def _numbers_of_plain_cells(cells: Sequence[str], decimal: str) -> list[float]:
     """Convert the cells of a column of a text table to numbers (n,). `decimal` is the decimal mark, "." or ",".
 
-    Raise ValueError if a cell is not a plain number, also if it is empty. A thousands separator is not plain.
+    Raise ValueError if a cell has an underscore, or if Python's `float` cannot read a cell with a point as decimal
+    mark, for example an empty cell.
     """
     if any("_" in text for text in cells):  # Python's float also reads 1_000, which no instrument writes
         raise ValueError("_")
@@ -385,7 +388,7 @@ def to_number(text: str, decimal: str, has_thousands: bool = False) -> float:
     Returns
     -------
     float
-        The number, which may be infinite.
+        The number, which may be infinite or NaN.
 
     Raises
     ------
@@ -410,8 +413,8 @@ def to_number(text: str, decimal: str, has_thousands: bool = False) -> float:
 def _cells_of_lines(file: Iterable[str], style: TextStyle) -> Iterator[tuple[int, list[str]]]:
     """Split the lines of a text table into cells. Yield the number, counted from 1, and the cells of each line.
 
-    Blank lines are skipped. Cells keep the blanks around them unless the delimiter is "blank". The delimiter is that of
-    `style`. For cells in quotes with line ends, the number is that of the last line.
+    Lines without a filled cell are skipped. Cells keep the blanks around them unless the delimiter is "blank". The
+    delimiter is that of `style`. For cells in quotes with line ends, the number is that of the last line.
     """
     if style.delimiter == BLANK:
         for number, line in enumerate(file, start=1):
@@ -607,9 +610,9 @@ def _score_of_style(lines: list[str], style: TextStyle) -> tuple[float, TextStyl
 def _header_above(rows: Sequence[list[str]], first: int, width: int, open_rows: bool, style: TextStyle) -> int | None:
     """Return the index of the header above the first row of data (index `first`) of a text; None without a header.
 
-    Rows of units and comments above the data are skipped. A header has `width` cells, or one less if all rows of data
-    end with a separator (`open_rows`), or one more if its last cell is blank or its first is a comment mark. Fewer than
-    25 % of its cells are numbers.
+    Rows of units or of kinds of values, and comments, above the data are skipped. A header has `width` cells, or one
+    less if all rows of data end with a separator (`open_rows`), or one more if its last cell is blank or its first is a
+    comment mark. Fewer than 25 % of its cells are numbers.
     """
     above = [k for k in range(first) if rows[k]]
     while above:

@@ -104,7 +104,8 @@ def _require_few_columns(raw: bytes) -> None:
     def columns_of(name: str, depth: int = 0) -> float:
         """Return the number of columns of a message format in the PX4 log; infinite if the format contains itself.
 
-        A name without a format is a single number. `depth` is the number of formats around it.
+        Formats that are nested more than 30 deep give infinity too. A name without a format is a single number. `depth`
+        is the number of formats around it.
         """
         if name not in formats:
             return 1.0  # a number
@@ -132,8 +133,8 @@ def _require_few_columns(raw: bytes) -> None:
 def whole_records(raw: bytes) -> tuple[bytes | None, int]:
     """Remove torn records from the bytes of a PX4 log (.ulg).
 
-    A record is complete if another record or the end of the file follows it. A torn record has the right size, but a
-    part of its data belongs to a later place, so that no header follows it.
+    A record is complete if another record, a record that the end of the file cuts off, or the end of the file follows
+    it. A torn record has the right size, but a part of its data belongs to a later place, so that no header follows it.
 
     Parameters
     ----------

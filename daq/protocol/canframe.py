@@ -56,11 +56,11 @@ class FrameDecoder(ABC):
     Attributes
     ----------
     frames : int
-        Number of decoded messages.
+        Number of valid messages of the kinds that the decoder knows.
     checksum_errors : int
-        Number of messages of several frames with a wrong checksum.
+        Number of messages of several frames with a wrong checksum; of DroneCAN also of those with a wrong length.
     unparsed_bytes : int
-        Number of bytes of frames that belong to no valid message.
+        Number of bytes of damaged frames and of frames of incomplete messages. Ignored frames do not count.
     remark : str
         Advice about the stream for the user, in one line; empty if there is none.
     """

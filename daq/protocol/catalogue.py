@@ -33,7 +33,7 @@ class DeviceType(NamedTuple):
     make
         Function that returns a new decoder for a device of a rig.
     options
-        Keys of a [[device]] table of the rig file that only this protocol uses, beside the keys of all protocols.
+        Keys of a [[device]] table of the rig file that this protocol uses, beside the keys of all protocols.
         seatrial.daq.config.rig_file checks the keys of built-in protocols. The keys of other protocols are passed on in
         `Device.settings`.
     bauds
@@ -78,8 +78,8 @@ def _make_mip(device: Device, rig: Rig) -> Decoder:
 def _make_nmea(device: Device, rig: Rig) -> Decoder:
     """Return a new decoder of NMEA 0183, with the magnetic declination of the device in the rig.
 
-    If several devices of the rig send NMEA, the names of its transducers end with the name of the device. Otherwise
-    these names have no ending.
+    If several devices of the rig have the protocol nmea or ubx, the names of its transducers end with the name of the
+    device. Otherwise these names have no ending.
     """
     from seatrial.daq.protocol import nmea
 
@@ -89,8 +89,8 @@ def _make_nmea(device: Device, rig: Rig) -> Decoder:
 def _make_ubx(device: Device, rig: Rig) -> Decoder:
     """Return a new decoder of a u-blox receiver, with the magnetic declination of the device in the rig.
 
-    If several devices of the rig send NMEA, the names of its transducers end with the name of the device. Otherwise
-    these names have no ending.
+    If several devices of the rig have the protocol nmea or ubx, the names of its transducers end with the name of the
+    device. Otherwise these names have no ending.
     """
     from seatrial.daq.protocol import ubx
 
@@ -144,8 +144,8 @@ def _make_mantracourt(device: Device, rig: Rig) -> Decoder:
 def _make_vesc(device: Device, rig: Rig) -> Decoder:
     """Return a new decoder of VESC controllers, with the pole pairs of the thrusters that the device drives.
 
-    The sign of rpm and duty of reversed thrusters is changed. Frames of controllers that drive no thruster of the
-    device are counted and give no sample.
+    The sign of rpm and duty of reversed thrusters is changed. Status frames of controllers that drive no thruster of
+    the device are counted and give no sample.
     """
     from seatrial.daq.protocol import vesc
 
@@ -159,8 +159,8 @@ def _make_vesc(device: Device, rig: Rig) -> Decoder:
 def _make_mavlink(device: Device, rig: Rig) -> Decoder:
     """Return a new decoder of an autopilot, with the servo outputs of the thrusters that the device drives.
 
-    If the device drives no thruster, each servo output that had a pulse gives samples. The device needs MAVLink
-    settings.
+    If the device drives no thruster with a servo output, each servo output that had a pulse gives samples. The device
+    needs MAVLink settings.
     """
     from seatrial.daq.protocol import mavlink
 
@@ -312,6 +312,6 @@ def make_decoder(device: Device, rig: Rig) -> Decoder:
     KeyError
         If the protocol is unknown.
     SeatrialError
-        If the protocol of another package cannot be imported, or a file of the device cannot be read.
+        For example if the protocol of another package cannot be imported, or a file of the device cannot be read.
     """
     return DEVICES[device.protocol].make(device, rig)

@@ -18,7 +18,7 @@ class Decoder(Protocol):
     Attributes
     ----------
     frames
-        Number of complete frames with a correct checksum.
+        Number of complete valid frames, with a correct checksum if the protocol has one.
     checksum_errors
         Number of complete frames with a wrong checksum.
     unparsed_bytes
@@ -64,7 +64,7 @@ class DatagramDecoder(Decoder, Protocol):
     Attributes
     ----------
     accepted
-        Number of received frames that the device itself sent. If the decoder has a signing key, only frames with a
+        Number of decoded frames that the device itself sent. If the decoder has a signing key, only frames with a
         correct signature count. The reader of the port confirms the sender of a datagram that increases it.
     """
 

@@ -63,8 +63,8 @@ class Decoder(FrameDecoder):
 
     The rpm in the message is the speed of the shaft, because the controller accounts for the poles. The message has no
     duty. `t_rx` of a sample is the time of receipt of the first CAN frame of its transfer (all frames of one message),
-    and `t_device` is NaN. A transfer that lacks a frame counts as unparsed bytes. A transfer with a wrong checksum or a
-    wrong length counts as a checksum error. Other messages are ignored.
+    and `t_device` is NaN. A transfer that lacks a frame, or has far too many bytes, counts as unparsed bytes. Another
+    transfer with a wrong checksum or a wrong length counts as a checksum error. Other messages are ignored.
 
     Parameters
     ----------

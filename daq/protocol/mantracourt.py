@@ -60,8 +60,9 @@ class Decoder(LineDecoder):
     def _decode_line(self, line: bytes, t_rx: float) -> Frame | None:
         """Convert one answer of the converter to a sample with counts, force [N] and flags (saturated, spike).
 
-        Return None if the answer is not a number: an echo of the request, or the refusal `?`, which also sets `remark`.
-        The next number clears `remark`. Without a calibration the force is NaN. `t_rx` is the run time of receipt [s].
+        Return None if the answer is not a number, such as an echo of the request, or the refusal `?`, which also sets
+        `remark`. The next number clears `remark`. Without a calibration the force is NaN. `t_rx` is the run time of
+        receipt [s].
         """
         line = line.lstrip(b"\n")
         if line == b"?":
@@ -77,5 +78,5 @@ class Decoder(LineDecoder):
 
 
 def encode(counts: float) -> bytes:
-    """Encode a reading as the converter sends it: sign, seven digits, point, four decimals and CR."""
+    """Encode a reading as the converter sends it: sign, at least seven digits, point, four decimals and CR."""
     return b"%+013.4f\r" % counts

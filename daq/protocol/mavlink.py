@@ -60,9 +60,9 @@ def make_decoder(device: Device, rig: Rig) -> MavlinkDecoder:
 def make_sample_converter(device: Device, rig: Rig) -> SampleConverter:
     """Return a new converter of MAVLink messages to samples, for an autopilot of the rig and the thrusters behind it.
 
-    If the autopilot drives no thruster of the rig, each servo output that had a pulse gives samples. The MAVLink
-    settings of the device decide between fixes of the receiver ("raw") and the position estimate of the autopilot
-    ("fused"); without settings the fixes of the receiver are used. A thruster without an output is left out.
+    If the autopilot drives no thruster with an output in the rig, each servo output that had a pulse gives samples. The
+    MAVLink settings of the device decide between fixes of the receiver ("raw") and the position estimate of the
+    autopilot ("fused"); without settings the fixes of the receiver are used. A thruster without an output is left out.
     """
     thrusters = [thruster for thruster in rig.thrusters if thruster.device == device.name]
     outputs = {thruster.node: thruster.output for thruster in thrusters if thruster.output is not None}
@@ -75,8 +75,9 @@ class MavlinkDecoder(StreamDecoder[Frame]):
     """Decoder of the MAVLink frames of one autopilot to samples.
 
     Frames of other systems are counted in `foreign` and ignored; frames of other components of the same system are
-    ignored. If the codec has a signing key, frames without a correct signature are counted in `unsigned` and ignored.
-    Frames whose message is not in the dialect count as frames.
+    ignored. Only messages that give samples, or that the driver of the link needs, are decoded. If the codec has a
+    signing key, frames of such messages without a correct signature are counted in `unsigned` and ignored. Frames whose
+    message is not in the dialect count as frames.
 
     Parameters
     ----------
@@ -85,7 +86,7 @@ class MavlinkDecoder(StreamDecoder[Frame]):
     system, component
         Ids of the autopilot. System 0 stands for all systems.
     codec
-        Converter of frames to messages, which checks signatures; None for unsigned frames.
+        Converter of frames to messages, which checks signatures if it has a signing key; None for no check.
 
     Attributes
     ----------
@@ -94,8 +95,8 @@ class MavlinkDecoder(StreamDecoder[Frame]):
     foreign
         Number of frames of each other system, by its id.
     unsigned
-        Number of frames of the autopilot that were ignored because of their signature, or because pymavlink cannot
-        decode them.
+        Number of frames of needed messages of the autopilot that were ignored because of their signature, or because
+        pymavlink cannot decode them.
     signed
         Number of frames of the autopilot with a signature, checked or not.
     lost
@@ -114,7 +115,7 @@ class MavlinkDecoder(StreamDecoder[Frame]):
         """Set all counters to 0.
 
         `samples` converts messages to samples, `system` and `component` are the ids of the autopilot (system 0: all
-        systems), and `codec` converts frames to messages (None: unsigned frames).
+        systems), and `codec` converts frames to messages (None: signatures are not checked).
         """
         super().__init__()
         mode_name(0)  # imports modules for half a second; done here, because a later import would delay commands
@@ -234,7 +235,7 @@ def mode_name(mode: int, vehicle: int = BOAT, autopilot: int = ARDUPILOT) -> str
     Returns
     -------
     str
-        Name. A mode without a name is "mode 7", with its number.
+        Name. A mode of ArduPilot without a name is "mode 7", with its number.
     """
     from pymavlink import mavutil
 
@@ -335,7 +336,7 @@ class SampleConverter:
 
         The time counts from boot or, if it is at least 10^14, from 1970 (UTC). The result is NaN if it is UTC and the
         UTC of the boot is unknown. If `wraps` is true, the message has only the low 32 bits of a time since boot; the
-        result is then the time nearest to that of the newest attitude.
+        result is then the time nearest to that of the newest attitude, if there is one.
         """
         if usec >= UNIX_US:
             return usec * 1e-6 - self._utc_of_boot
@@ -594,7 +595,7 @@ class SampleConverter:
     def _sys_status(self, m: Any) -> TimedSamples:
         """Return a `Battery` sample, without a time, from a SYS_STATUS message.
 
-        The list is empty if the voltage is unknown, and once a BATTERY_STATUS has been received, whose values are
+        The list is empty if the voltage is unknown, and once a BATTERY_STATUS has given a sample, whose values are
         better.
         """
         if self._has_battery or m.voltage_battery in (0, 0xFFFF):

@@ -54,9 +54,9 @@ class Decoder(StreamDecoder[Frame]):
     """Decoder of the MIP packets of a MicroStrain inertial sensor to `Ahrs` and `Gnss` samples.
 
     Each filter packet with a valid attitude gives one `Ahrs` with the newest rates, accelerations and magnetic field of
-    the sensor packets. If the filter has sent no attitude for 1 s (FILTER_S), each sensor packet gives one `Ahrs`
-    instead. Each GNSS packet with a position field gives one `Gnss`. `t_device` of a fix is its UTC. `t_device` of an
-    `Ahrs` is NaN.
+    the sensor packets. If the filter has sent no valid attitude for 1 s (FILTER_S), or its last attitude was invalid,
+    each sensor packet gives one `Ahrs` instead. Each GNSS packet with a position field gives one `Gnss`. `t_device` of
+    a fix is its UTC. `t_device` of an `Ahrs` is NaN.
     """
 
     sync = re.compile(rb"\x75")
@@ -110,9 +110,9 @@ class Decoder(StreamDecoder[Frame]):
     def _take_sensor_packet(self, fields: Fields, t_rx: float) -> None:
         """Store rates, accelerations and magnetic field of a MIP sensor packet, received at run time `t_rx` [s].
 
-        If the filter has sent no attitude for 1 s (FILTER_S), an `Ahrs` sample is appended, with the attitude of this
-        packet or, if it has none, NaN. `fields` are the bytes of the packet's fields by descriptor. A vector that the
-        sensor flags as invalid is stored as NaN.
+        If the filter has sent no valid attitude for 1 s (FILTER_S), or its last attitude was invalid, an `Ahrs` sample
+        is appended, with the attitude of this packet or, if it has none, NaN. `fields` are the bytes of the packet's
+        fields by descriptor. A vector that the sensor flags as invalid is stored as NaN.
         """
         for name, kind in (("accel", 0x04), ("rate", 0x05), ("mag", 0x06)):
             if kind in fields:  # the vectors may arrive in separate packets with different rates

@@ -99,9 +99,9 @@ class Decoder(StreamDecoder[Frame]):
         return self._sentences.epochs.flush()
 
     def reset(self) -> None:
-        """Discard an incomplete sentence and the values from earlier sentences, because the port was reopened.
+        """Discard an incomplete sentence and values from earlier sentences, because the port was reopened.
 
-        The counters and the date are kept.
+        The counters, the date, the dimension of the fix by GSA and the expected kinds of sentence are kept.
         """
         super().reset()
         self._sentences.forget()
@@ -464,9 +464,9 @@ class Epochs:
     def _add_values(self, kind: str, message: Message) -> None:
         """Add the values of an NMEA sentence to the present epoch. Complete the epoch if it has all expected sentences.
 
-        Without an epoch nothing happens. Values of the sentence replace those that the epoch has. If the epoch already
-        had a position by the same kind of sentence that differs by more than 1e-6 deg, a conflict is counted. `message`
-        has the fields by name.
+        Without an epoch nothing happens. Values of the sentence usually replace those that the epoch has. If the epoch
+        already had a position by the same kind of sentence that differs by more than 1e-6 deg, a conflict is counted.
+        `message` has the fields by name.
         """
         epoch = self._epoch
         if epoch is None:
@@ -537,8 +537,8 @@ def _gnss_sample(epoch: _Epoch, utc: float, mode_gsa: int) -> Gnss:
     `utc` is the UTC [s since 1970], and `mode_gsa` the dimension of the fix by GSA: 2 or 3, 1 without a fix, 0 without
     GSA. A mode 2 or 3 becomes `dimensions`; otherwise `dimensions` is 3 with a height and 2 without. With mode 2, a fix
     of kind 3 becomes kind 2. The kind of fix is that of GGA, or else of RMC, GNS or GLL. The position is from GGA, or
-    else GNS, RMC, GLL. Without a position, `fix` and `dimensions` are 0. Missing values are NaN. The velocity is 0 at
-    speed 0 without a course.
+    else GNS, RMC, GLL. Without a position, `fix` and `dimensions` are 0. Missing values are NaN, a missing number of
+    satellites is -1. The velocity is 0 at speed 0 without a course.
     """
     value = epoch.values
     fix = int(value.get("quality", value.get("mode", 0)))
@@ -596,7 +596,7 @@ def _read_gga(epoch: _Epoch, message: Message) -> None:
     """Store fix and satellites of an NMEA sentence GGA in the epoch; position, height and HDOP only with a fix.
 
     The quality indicator is converted to a kind of fix as in `Gnss.fix`; estimated, manual and simulated become 1, and
-    an unknown indicator 0. `message` has the fields by name. Empty fields are not stored.
+    an unknown or empty indicator 0. `message` has the fields by name. Other empty fields are not stored.
     """
     fix = _QUALITY.get(_to_integer(message.get("quality"), 0), 0)
     epoch.values["quality"] = fix
@@ -672,7 +672,7 @@ def _read_gst(epoch: _Epoch, message: Message) -> None:
 def _read_zda(epoch: _Epoch, message: Message) -> None:
     """Store the date of an NMEA sentence ZDA in the epoch. An invalid date is ignored.
 
-    The date replaces that of an RMC of the epoch. `message` has the fields by name.
+    The date replaces that of an earlier RMC of the epoch. `message` has the fields by name.
     """
     try:
         epoch.date = datetime.date(

@@ -40,8 +40,8 @@ _PRIORITY = {HEADING: 2, TURN: 2, ATTITUDE: 3, VARIATION: 7, COURSE: 2, FIX: 3}
 def identifier(pgn: int, source: int) -> int:
     """Return the 29-bit CAN identifier of a message of NMEA 2000 from address `source` to all addresses.
 
-    `pgn` is the number of the message. The priority is that of the standard, or 6 for a message that this module does
-    not decode.
+    `pgn` is the number of the message. The priority is that of the standard for the messages that `encode` sends, and
+    for the variation; it is 6 for any other message.
     """
     return _PRIORITY.get(pgn, 6) << 26 | pgn << 8 | source
 
@@ -81,12 +81,13 @@ class Decoder(FrameDecoder):
     """Decoder of the CAN frames of a ship's bus (NMEA 2000) to `Ahrs` and `Gnss` samples.
 
     A heading gives one `Ahrs` with the newest pitch and roll. A rate of turn gives a separate `Ahrs`. A fix gives one
-    `Gnss`. Its velocity is the newest course and speed over ground of the same sender, or of any sender if this one
-    sends none. `t_device` of a fix is its UTC, NaN before the first fix of its sender; that of an `Ahrs` is NaN.
+    `Gnss`. Its velocity is the newest course and speed over ground of the same sender, or of the best other sender if
+    this one sends none. `t_device` of a fix is its UTC, NaN before the first fix of its sender; that of an `Ahrs` is
+    NaN.
 
-    If several senders send the same message, only one of them is used as long as it sends. The priorities are: a true
-    heading before a magnetic heading; a receiver with a fix before a receiver without one; a fix with a number of
-    satellites before a fix without it; a lower address before a higher address.
+    If several senders send a heading, rate of turn, attitude, variation or fix, only one of them is used as long as it
+    sends. The priorities are: a true heading before a magnetic heading; a receiver with a fix before a receiver without
+    one; a fix with a number of satellites before a fix without it; a lower address before a higher address.
 
     Magnetic headings are corrected by the variation in the same message or on the bus. If both are missing, they are
     corrected by `declination`. Without it they give no sample, and `remark` reports this.
@@ -101,8 +102,8 @@ class Decoder(FrameDecoder):
             True heading minus magnetic heading [rad], positive to the east, for magnetic headings without a variation.
             None if it is unknown.
         settle
-            Time [s] after the first message of a kind in which no sample is returned. In this time the decoder finds
-            the senders.
+            Time [s] after the first valid message of a kind in which this kind gives no sample. In this time the
+            decoder finds the senders.
         """
         super().__init__()
         self._declination, self._settle = declination, settle
@@ -307,8 +308,9 @@ class Decoder(FrameDecoder):
         """Store course and speed over ground of a sender for its next fix. Return no sample.
 
         Those of the best sender are also stored for fixes of other senders. A magnetic course is corrected by the
-        variation; the course is NaN if the variation is unknown. At speed 0 an unknown course becomes 0. Nothing is
-        stored if the speed is invalid. `source` is the sender's address, and `data` are the bytes of the message.
+        variation; the course is NaN if the variation is unknown or the reference is invalid. At speed 0 an unknown
+        course becomes 0. Nothing is stored if the speed is invalid. `source` is the sender's address, and `data` are
+        the bytes of the message.
         """
         reference, raw_course, raw_speed = _COURSE.unpack_from(data)
         course, speed = _unsigned16(raw_course, _ANGLE), _unsigned16(raw_speed, _SPEED)
@@ -335,11 +337,12 @@ class Decoder(FrameDecoder):
     def _fix(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
         """Return the sample of a fix from the best sender, with its newest course and speed.
 
-        If this sender sends none, the newest course and speed of the best other sender are used; those older than 2 s
-        (STALE_S) become NaN. The list is empty for another sender, and before all senders are found. The dimensions are
-        those that the sender reports (DOPs), or else 3 with a height and 2 without; a fix of kind 3 with 2 dimensions
-        becomes kind 2. Without a valid position, `fix` is 0. The device time is the UTC, NaN before the first fix of
-        the sender. `source` is the sender's address, and `data` are the bytes of the message.
+        If this sender has sent none in the last 2 s (STALE_S), those of the best other sender are used, or NaN if they
+        are older too. The list is empty for another sender, and before all senders are found. The dimensions are those
+        that the sender has reported in the last 2 s (DOPs), or else 3 with a height and 2 without, or 0 without a fix;
+        a fix of kind 3 with 2 dimensions becomes kind 2. Without a valid position, `fix` is 0. The device time is the
+        UTC, NaN before the first fix of the sender. `source` is the sender's address, and `data` are the bytes of the
+        message.
         """
         day, ticks, lat, lon, alt, method, _, n_sat, hdop, _, _ = _FIX.unpack_from(data)
         counts = 0 < n_sat < 0xFD  # a device that relays fixes of another device often omits the number of satellites

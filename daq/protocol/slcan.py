@@ -23,8 +23,9 @@ _NOT_HEX = re.compile(rb"[^0-9A-Fa-f]")
 class Decoder(StreamDecoder[bytes]):
     """Decoder of slcan text lines to CAN frames, each as the 16 bytes of the `struct can_frame` of Linux.
 
-    Data frames with identifiers of 29 bits (`T`) and 11 bits (`t`) are decoded. All other lines, such as remote frames,
-    count as unparsed bytes. A time stamp after the data is ignored, because it wraps each minute.
+    Data frames with identifiers of 29 bits (`T`) and 11 bits (`t`) are decoded. Acknowledgements of the adapter and
+    line ends are ignored. All other lines, such as remote frames, count as unparsed bytes. A time stamp after the data
+    is ignored, because it wraps each minute.
     """
 
     sync = re.compile(rb"[Tt]")

@@ -72,8 +72,8 @@ _DIMENSIONS = {1: 3, 2: 2, 3: 3, 4: 3, 5: 3}  # gpsFix -> Gnss.dimensions
 class Decoder(nmea.Decoder):
     """Decoder of the UBX messages and NMEA sentences of a u-blox receiver to `Gnss`, `Ahrs` and `Transducer` samples.
 
-    If the receiver sends positions in UBX, positions in NMEA of the same stream give no samples. Headings in NMEA, for
-    example HDT, always give samples.
+    From the first position in UBX on, positions in NMEA of the same stream give no samples. Headings in NMEA, for
+    example HDT, are used in any case.
 
     Parameters
     ----------
@@ -107,9 +107,9 @@ class Decoder(nmea.Decoder):
         return self._epochs.flush() or self._filter_frames(super().flush())
 
     def reset(self) -> None:
-        """Discard an incomplete message and the values from earlier messages, because the port was reopened.
+        """Discard an incomplete message and values from earlier messages, because the port was reopened.
 
-        The counters are kept.
+        The counters, and the date of NMEA sentences, are kept.
         """
         super().reset()
         self._epochs.forget()
@@ -212,9 +212,9 @@ def message(kind: tuple[int, int], payload: bytes) -> bytes:
 def encode(gnss: Gnss) -> bytes:
     """Encode a fix as the UBX message NAV-PVT, with the rounding of the receiver.
 
-    Date, time and UTC are flagged as valid. The accuracy of the height is that of the horizontal position; other
-    accuracies are zero. Speed and course follow from the velocity. NaN and a negative `n_sat` are sent as zero. The UTC
-    of the fix has to be a number.
+    Date, time and UTC are flagged as valid. The accuracy of the height is that of the horizontal position, and that of
+    the time is 20 ns; the others are zero. Speed and course follow from the velocity. NaN and a negative `n_sat` are
+    sent as zero. The UTC of the fix has to be a number.
     """
     whole = math.floor(gnss.utc)
     nano = round((gnss.utc - whole) * 1e9)
@@ -276,7 +276,7 @@ class Epochs:
     Attributes
     ----------
     has_position : bool
-        Whether a message with a position has been received.
+        Whether a message of a kind that contains a position has been received.
     """
 
     def __init__(self) -> None:

@@ -42,7 +42,8 @@ class Decoder(FrameDecoder):
     Parameters
     ----------
     pole_pairs
-        Number of pole pairs by controller id. Frames of other controllers are counted in `other_nodes` and ignored.
+        Number of pole pairs by controller id. Status frames of other controllers are counted in `other_nodes` and
+        ignored.
     reversed_nodes
         Ids of the controllers whose rpm and duty change their sign, as their commands do, so that positive means
         forward.
@@ -79,8 +80,8 @@ class Decoder(FrameDecoder):
         """Decode one CAN frame with a 29-bit identifier that was received at run time `t_rx` [s].
 
         Return the sample of a STATUS 1 frame, in a list. Other frames give no sample; the values of STATUS 4 and 5 are
-        stored. Frames of controllers without known pole pairs are counted in `other_nodes` and ignored. A status frame
-        that is too short counts as unparsed bytes.
+        stored. Status frames of controllers without known pole pairs are counted in `other_nodes` and ignored. A status
+        frame that is too short counts as unparsed bytes.
         """
         node, packet = arbitration_id & 0xFF, arbitration_id >> 8
         if packet not in (STATUS_1, STATUS_4, STATUS_5):
@@ -151,8 +152,8 @@ def encode_status(esc: Esc, pole_pairs: int) -> list[tuple[int, bytes]]:
     Returns
     -------
     list of tuple of int and bytes
-        Identifier (29 bits) and data of each frame. STATUS 1 is always included, with 0 for NaN. STATUS 4 and STATUS 5
-        are included if temperature and voltage are not NaN.
+        Identifier (29 bits) and data of each frame. STATUS 1 is always included, with 0 for NaN. STATUS 4 is included
+        if the temperature is not NaN, and STATUS 5 if the voltage is not NaN.
     """
     frames = [
         _encode_packet(STATUS_1, esc.node, erpm=_or_zero(esc.rpm) * pole_pairs, current=esc.current, duty=esc.duty)
