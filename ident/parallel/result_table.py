@@ -69,7 +69,8 @@ class ResultTable:
     def _read(self, path: Path, error: str) -> Any:
         """Return the rows of the finished tasks in the file.
 
-        SeatrialError is raised for a file that is no such table, or whose finished rows have other settings."""
+        SeatrialError is raised for a file that is no such table, or whose finished rows have other settings.
+        """
         advice = "give another --out, or --force to start again"
         try:
             table = self._parquet.read_table(path)
