@@ -95,7 +95,8 @@ def _inside(channel: Channel | None, end: float) -> Array:
 def thrust_expo(command: Array, force: Array) -> float:
     """Return the exponent of ArduPilot's thrust curve, its parameter MOT_THST_EXPO, by least squares.
 
-    The curve is ``thrust = (1 - expo) throttle + expo throttle^2``, with both as parts of their largest values.
+    The curve is ``thrust = (1 - expo) throttle + expo throttle^2``. The throttle is a part of the largest command, and
+    the thrust a part of the mean force at that command.
 
     Parameters
     ----------
@@ -105,7 +106,8 @@ def thrust_expo(command: Array, force: Array) -> float:
     Returns
     -------
     float
-        Exponent, within -1 to 1. NaN for fewer than three positive commands, or without a positive force.
+        Exponent, within -1 to 1. NaN for fewer than three different positive commands with a force, or if the mean
+        force at the largest command is not positive.
     """
     ahead = (command > 0.0) & np.isfinite(force)
     if np.unique(command[ahead]).size < 3:

@@ -67,9 +67,9 @@ class Levels:
     offset_se
         Standard error of the offset [N].
     scatter
-        Standard deviation [N] between visits to one level, beyond the errors of the visits.
+        Standard deviation [N] between visits to one level other than rest, beyond the errors of the visits.
     dof
-        Degrees of freedom of the scatter; 0 if no level was visited twice.
+        Degrees of freedom of the scatter; 0 if no level other than rest was visited twice.
     """
 
     n: Array

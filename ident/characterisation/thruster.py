@@ -53,8 +53,8 @@ def fit_with_delay_on_grid(
     Returns
     -------
     tuple
-        The last fit, with ``options`` stored, and its records. If the fitted delay is shorter than half of the spacing
-        of the copies, there is no second fit, and the records are the given ones.
+        The last fit, with ``options`` stored, and its records. If the fitted delay is at most half of the spacing of
+        the copies, there is no second fit, and the records are the given ones.
 
     Notes
     -----
@@ -99,8 +99,8 @@ def fit_thruster(model: Model, records: Sequence[Record], options: EstimationOpt
     Parameters
     ----------
     model
-        Thruster model. If the shaft turned in one direction only, the thrust coefficients c1 and c2 cannot be
-        distinguished, and c2 is fixed at 0.
+        Thruster model. If it has a force and the shaft did not turn in both directions (`directions`), the thrust
+        coefficients c1 and c2 cannot be distinguished, and c2 is fixed at 0.
     records
         Records of the bench runs.
     options

@@ -66,8 +66,8 @@ class Course(NamedTuple):
     parity
         +1 if the track turns with the heading, -1 for a mirror image, 0 if unknown.
     offset
-        Angle [rad] of the track to the heading, modulo pi; 0 if it is not significant. For a mirror image it is the
-        angle to the mirrored heading, without a test of significance.
+        Angle [rad] of the track to the heading, modulo pi; 0 if it is at most 45 deg or not significant. For a mirror
+        image it is the angle to the mirrored heading, without these limits.
     """
 
     parity: int

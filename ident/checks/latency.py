@@ -87,7 +87,7 @@ class ThrustSignals(NamedTuple):
 
 
 def check_latency(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
-    """Compare the times of attitude, velocity and thrust, and yield a finding with an interval for each pair.
+    """Compare the times of attitude, velocity and thrust, and yield at most two findings on their delays.
 
     Parameters
     ----------

@@ -353,8 +353,9 @@ def sensor_pairs(c: Channels) -> list[SensorPair]:
     Returns
     -------
     list
-        Yaw rate, velocity north and velocity east, as far as two sensors measure them; empty if no motion is measured
-        twice. A heading in degrees (a value above 7) is unwrapped as such, but not converted to radians.
+        Yaw rate, velocity north and velocity east, as far as two sensors measure them at the same time; empty if no
+        motion is measured twice. A heading in degrees (a value above 7) is unwrapped as such, but not converted to
+        radians.
     """
     found = []
     if {"psi", "r"} <= set(c):
@@ -534,8 +535,9 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
 
     Notes
     -----
-    A check is skipped if a signal that it relies on has a fault. Its finding would name the wrong cause. A fault of the
-    sample times ends all checks at once, and a wrong time scale or exchanged telemetry ends those that would follow.
+    Some checks are skipped if a signal that they rely on has a fault. Their findings would name the wrong cause. A
+    fault of the sample times ends all checks at once, and a wrong time scale or exchanged telemetry ends those that
+    would follow.
     """
     found = list(check_intervals(c))
     yield from found

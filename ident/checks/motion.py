@@ -121,7 +121,7 @@ def check_motion(c: Channels, sides: Mapping[str, float], dead: Collection[str] 
     sides
         Position of each thruster to starboard [m].
     dead
-        Thrusters that other checks have reported as dead. They get no further finding.
+        Thrusters that other checks have reported as dead. They get no further finding of their own.
 
     Yields
     ------
@@ -487,15 +487,14 @@ def delayed_forces(y: Array, push: Array, lags: Sequence[float]) -> Array:
     y
         Measured motion (n,), without NaN.
     push
-        Thrust or moment (n,) on the grid of `thruster_forces`.
+        Thrust or moment (n,) on the grid of `thruster_forces`, without NaN.
     lags
         Time constants of the search [s].
 
     Returns
     -------
     Array (n,)
-        Response with the mean of y and the expected, positive sign. For swapped sides it is the mirror image of y. NaN
-        if the thrust has NaN.
+        Response with the mean of y and the expected, positive sign. For swapped sides it is the mirror image of y.
     """
     found, best = np.full(y.size, np.nan), np.inf
     for lag in lags:

@@ -480,7 +480,8 @@ def estimated(c: Channels) -> bool:
     Parameters
     ----------
     c
-        Channels (signals) of a log by name. False without ``x`` and ``y``, or with fewer than 200 samples.
+        Channels (signals) of a log by name. A signal that is missing, or that has fewer than 200 samples that differ
+        from the one before, does not count. The result is False if neither counts.
 
     Notes
     -----

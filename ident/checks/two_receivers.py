@@ -39,7 +39,7 @@ class SecondReceiver(NamedTuple):
     share : float
         Part of the fixes that are of the rarer receiver, above 0 and at most 0.5.
     offset : float
-        Median distance [m] of these fixes from the track of the others.
+        Median distance [m] of the tracks of both receivers.
     """
 
     share: float
@@ -58,8 +58,8 @@ def second_receiver(t: Array, x: Array, y: Array) -> SecondReceiver | None:
 
     Notes
     -----
-    The fixes are examined in windows of 24, 48 and 96 fixes. A second receiver is reported if, for one of these
-    lengths, at least three windows and half of all windows show two receivers.
+    The fixes are examined in windows of 24, 48 and 96 fixes, at most 60 of each length. A second receiver is reported
+    if, for one of these lengths, at least three windows and half of the examined windows show two receivers.
     """
     new = np.append(True, (np.diff(x) != 0.0) | (np.diff(y) != 0.0))
     t, place = t[new], np.column_stack([x[new], y[new]])

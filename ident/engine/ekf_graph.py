@@ -187,7 +187,8 @@ class EkfGraphs:
     Raises
     ------
     ValueError
-        If the model has more than 32 sensors, or if its functions do not return one scalar for each rate and output.
+        If the model has more than 32 sensors, or if its functions do not return one scalar without NaN for each rate
+        and output.
     """
 
     def __init__(self, model: Model, *, covariance: bool = True, joseph: bool = False) -> None:

@@ -29,8 +29,9 @@ _lock = threading.RLock()  # CasADi and LLVM build one kernel at a time
 def filter_kernels_for(model: Model, *, covariance: bool = True, joseph: bool = False) -> FilterKernels:
     """Return the kernels of a model's filter. Models that differ only in parameter values share them.
 
-    Kernels are compiled programs that run over all rows of a record. Those of the 12 models that were requested last
-    stay in memory, and others as long as the caller refers to them, so that a repeated call returns the same object.
+    Kernels are compiled programs that run over all rows of a record. The 12 `FilterKernels` that were requested last
+    stay in memory, and others as long as a caller refers to them. As long as it is in memory, a repeated call returns
+    the same object.
 
     Parameters
     ----------
@@ -50,8 +51,8 @@ def filter_kernels_for(model: Model, *, covariance: bool = True, joseph: bool = 
     ------
     ValueError
         If the model has more than 32 sensors, or if its functions cannot be recorded by `kernel_cache` and do not
-        return one scalar for each rate and output. Other errors of its functions are raised at the first use of a
-        kernel.
+        return one scalar without NaN for each rate and output. If they can be recorded, errors of its functions are
+        raised at the first use of a kernel.
     """
     with _lock:
         at = id(model), covariance, joseph

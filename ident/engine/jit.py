@@ -126,8 +126,8 @@ def target() -> tuple[Any, ...]:
 def machine_code_key(ir: str, has_loops: bool = False) -> str:
     """Return the SHA-256 hash (hexadecimal) under which the machine code of ``ir`` is stored in the cache on disk.
 
-    It depends on the IR, on the machine (`target`), on ``has_loops`` (see `load_machine_code`), and on whether the call
-    is inside `quick_compilation`.
+    It depends on the IR, on the machine (`target`) and on ``has_loops`` (see `load_machine_code`). If ``has_loops`` is
+    false, it also depends on whether the call is inside `quick_compilation`.
     """
     return hashlib.sha256(repr((*target(), _optimisation(has_loops), ir)).encode()).hexdigest()
 
@@ -181,7 +181,7 @@ def load_cached_machine_code(key: str, symbol: str) -> tuple[Any, int] | None:
     -------
     tuple[object, int] or None
         Linked library, which the caller keeps as long as the code is used, and address of the function. None if the
-        machine code is not in the cache, or if llvmlite is not installed.
+        cache has no valid file with this machine code (`read_cache`), or if llvmlite is not installed.
     """
     machine_code = read_cache(f"{key}.o") if AVAILABLE else None
     return None if machine_code is None else _link_object_file(machine_code, key, symbol)

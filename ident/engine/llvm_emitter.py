@@ -234,8 +234,8 @@ class LlvmEmitter:
     def _assign_new_values(self, is_conditional: bool) -> None:
         """Assign the new values of the current stage to the arrays that pass from row to row in registers.
 
-        ``is_conditional``: whether the stage is skipped in some rows, in which the arrays keep their old values. The
-        attribute ``new_values`` is then empty.
+        ``is_conditional``: whether the stage may be skipped in a row, in which the arrays keep their old values. After
+        the call, the attribute ``new_values`` is empty.
         """
         q, before = self.stage_index, f"%end{self.stage_index - 1}" if self.stage_index else "%loop"
         for (name, j), value in self.new_values.items():
@@ -438,9 +438,10 @@ class LlvmEmitter:
     def _write_operation(self, code: int, *a: Value) -> Value:
         """Write the IR of one CasADi operation on the one or two operands ``a``, and return its result.
 
-        ``code`` is CasADi's code of the operation, such as ``casadi.OP_ADD``. Some operations that LLVM and the C
-        library lack are composed of others: sin, cos, sign, not, and, or (`rewritten`), and the selection of a value or
-        zero. NotImplementedError is raised for any other operation that they lack.
+        ``code`` is CasADi's code of the operation, such as ``casadi.OP_ADD``. Most operations are instructions or
+        intrinsics of LLVM, or functions of the C library. Others are composed: for example quotients, sin, cos, sign,
+        not, and, or (`rewritten`), and the selection of a value or zero. NotImplementedError is raised for an operation
+        without any of these forms.
         """
         if code in TEMPLATES:
             return self._write_instruction(TEMPLATES[code], *a)

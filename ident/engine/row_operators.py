@@ -76,7 +76,8 @@ def apply_rows(
     Raises
     ------
     AssertionError
-        If llvmlite is installed and an array is not contiguous. Types and shapes are not checked.
+        If llvmlite is installed and an array is not contiguous; ``driven_states`` and ``initial_states`` are copied
+        instead. Types and shapes are not checked.
     """
     n, s = len(operators), len(initial_states)
     x: Array = np.zeros((2, *initial_states.shape))

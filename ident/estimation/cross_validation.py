@@ -76,7 +76,7 @@ def time_blocks(
 def leave_one_block_out(
     model: Model, blocks: TimeBlocks, values: Array, parameters: Sequence[Parameter]
 ) -> list[Array]:
-    """Return parameter values for each block in time that do not depend on the data of this block.
+    """Return parameter values for each block in time, from which the contribution of this block is removed.
 
     They are used for cross-validation. The values come from one Newton step inside the bounds from the fit to all
     blocks, with the block's contribution subtracted (approximate leave-one-out). A step that should gain more than 10

@@ -91,8 +91,8 @@ class Bounds:
     low, high : Array (n,)
         Lower and upper bounds; infinite for a coordinate without a bound.
     logarithmic : Array (n,) of bool
-        Whether the coordinate is the logarithm of a parameter. One step of the search changes a logarithm by at most
-        1.5.
+        Whether the coordinate is the logarithm of a parameter. One step of Fisher scoring changes a logarithm by at
+        most 1.5.
     """
 
     low: Array
@@ -139,7 +139,8 @@ class Optimum:
     at : Evaluation
         Objective and derivatives at the end point.
     iterations, evaluations : int
-        Numbers of iterations and of evaluations of the objective.
+        Numbers of iterations and of evaluations of the objective. Fisher scoring does not count evaluations of the
+        value alone.
     gain_left : float
         Gain of the objective that the quadratic approximation predicts for one more step. It is near zero if the search
         has converged.
@@ -160,16 +161,16 @@ Iterations = Callable[[int, float], None]  # called with the number and the obje
 class BfgsCorrection:
     """Correction of the expected information towards the true negative Hessian, near the optimum, by BFGS updates.
 
-    Each step of the search corrects the matrix in its direction by the change of the gradient along it (Nocedal and
-    Wright 2006, eq. 6.19).
+    A stored step of the search corrects the matrix in its direction by the change of the gradient along it (Nocedal
+    and Wright 2006, eq. 6.19).
 
     Attributes
     ----------
     largest : Array (n,)
-        Largest value so far of each diagonal element of the uncorrected negative Hessian. It is the least scale of the
-        damping. At a kink of the objective, such as the end of a dead zone between two samples, a coordinate loses its
-        information. If its damping were relative to what remains, its next step would reach its bounds (Moré 1978,
-        section 5).
+        Largest value so far of each diagonal element of the uncorrected negative Hessian. The least scale of the
+        damping is proportional to it. At a kink of the objective, such as the end of a dead zone between two samples, a
+        coordinate loses its information. If its damping were relative to what remains, its next step would reach its
+        bounds (Moré 1978, section 5).
     pairs : list[tuple[Array, Array]]
         Up to 12 latest pairs of a step (n,) and the decrease of the gradient (n,) along it.
     """
@@ -199,8 +200,8 @@ class BfgsCorrection:
     def is_plausible(self, trial: Evaluation) -> bool:
         """Return whether the information at a trial point is plausible: less than 1e6 times as large as before.
 
-        The ratio is the median over the coordinates of: diagonal of the information, divided by its largest value so
-        far. Coordinates that never had information are not counted; without any other the result is True.
+        The ratio is the median over the coordinates of: diagonal of the information, divided by `largest`. Coordinates
+        that never had information are not counted; without any other the result is True.
 
         The search rejects a point that is not plausible. Just before a simulation diverges, its objective may be finite
         and even better. Its sensitivities have diverged already, so that the remaining gain appears to be zero.
@@ -313,7 +314,7 @@ def maximise(
 
     Fisher scoring makes Newton steps with the expected information as the negative Hessian; here BFGS updates correct
     it. The search ends if a full step is expected to gain less than ``tolerance``. It also ends if no step gains
-    anything, neither with the corrected Hessian nor with the expected information alone, and after ``max_iterations``.
+    enough, neither with the corrected Hessian nor with the uncorrected one, and after ``max_iterations``.
 
     Parameters
     ----------
@@ -388,8 +389,8 @@ def refine_lbfgsb(
     """Continue a search by the quasi-Newton method L-BFGS-B with the exact gradient.
 
     A fit uses it if Fisher scoring stops before it has converged. The coordinates are scaled by the square roots of the
-    information. The search ends if a step gains less than a twentieth of the ``tolerance``, or after 200 iterations, so
-    that a rough fit does not take hundreds of steps.
+    Hessian's diagonal. The search ends, among other cases, if a step gains less than about a twentieth of the
+    ``tolerance``, or after 200 iterations.
 
     Parameters
     ----------
@@ -407,8 +408,8 @@ def refine_lbfgsb(
     Returns
     -------
     Optimum
-        Best point found, with the iterations and evaluations of both searches. If no better point was found, the point
-        is that of ``start``, and only the evaluations are added.
+        End point of L-BFGS-B, with the iterations and evaluations of both searches. If it is worse than ``start`` or
+        not finite, the point is that of ``start``, and only the evaluations are added.
     """
     from scipy import optimize  # imported here: it takes half a second and is seldom needed
 

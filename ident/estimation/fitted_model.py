@@ -147,7 +147,8 @@ def fit_nominal_model(
     Parameters
     ----------
     model
-        Model to fit. Disturbance forces and sensor offsets are added if it lacks them (`nominal_model`).
+        Model to fit. Disturbance forces and sensor offsets are added if it has no disturbance force and can have one
+        (`nominal_model`).
     estimation, validation
         Logs to which the model is fitted, and logs on which the fit is evaluated.
     options
@@ -186,8 +187,8 @@ def validation_records(
     """Convert validation runs to records of the model's inputs and outputs.
 
     Return the records, and the runs that cannot be converted with the reason, both in the order of ``segments``. A run
-    that cannot be converted raises no error. ``rate`` [Hz] is the rate of the rows of
-    a record, to which faster sensors are averaged.
+    for which the conversion raises ValueError or ArithmeticError raises no error here. ``rate`` [Hz] is the rate of the
+    rows of a record, to which faster sensors are averaged.
     """
     records, failed = list[Record](), list[FailedRun]()
     for segment in segments:
@@ -319,7 +320,7 @@ def fit_and_evaluate(
     Raises
     ------
     ValueError
-        If an estimation record or a block of one cannot be evaluated.
+        If the fit fails, or if a block of an estimation record cannot be evaluated.
     """
     options, settings = options or EstimationOptions(), settings or SearchSettings()
     model = options.with_mean_order(model)
@@ -354,7 +355,7 @@ def cross_validated(fitted: FittedModel, blocks: TimeBlocks) -> FittedModel:
     Raises
     ------
     ValueError
-        If a block cannot be evaluated.
+        If a block cannot be evaluated, or if the fit of its per-record parameters fails.
     """
     full_fit, blocks = fitted.fit, _with_initial_states_of_effects(fitted, blocks)
     values = leave_one_block_out(full_fit.model, blocks, full_fit.record_values, full_fit.parameters)
@@ -540,7 +541,7 @@ def without_absent_sensors(model: Model, records: Sequence[Record]) -> Model:
     """Fix the noise parameters of those sensors that have no sample in any of the records, and return the model.
 
     The data contain no information about these parameters. They are fixed at their present values. A noise parameter
-    that a sensor with samples shares stays free.
+    that a sensor with samples shares is not changed.
     """
     return model.replace_parameters(*[model.parameter(n).fixed() for n in _noise_of_absent_sensors(model, records)])
 
@@ -550,7 +551,7 @@ def without_unknown_noise(model: Model, records: Sequence[Record], validation_da
 
     The samples become NaN in copies of the records. The noise of such a sensor is not estimated, so that the result of
     the validation would depend on a guess. If the noise is fixed to a given value, the samples stay. Records without
-    such samples are returned themselves, and the order is kept.
+    outputs of such sensors are returned themselves, and the order is kept.
     """
     unknown = {n for n in _noise_of_absent_sensors(model, records) if model.parameter(n).free}
     dropped = {o.name for o in model.outputs if o.noise in unknown}

@@ -105,8 +105,8 @@ def homogeneity_test(common: Fit, records: Sequence[Record], name: str) -> Homog
 
     In that fit the prior of each value is ``sqrt(n_records)`` times as wide. A record is informative about the
     parameter if its standard error is below 0.95 of the standard deviation of this prior (without a prior: if there is
-    a standard error), or if its value is at a bound. If some records are not, both models are fitted again to the
-    others for the likelihood ratio.
+    a standard error), or if its value is at a bound. If some records are not, and at least two are, both models are
+    fitted again to the informative ones for the likelihood ratio.
 
     Parameters
     ----------
@@ -446,10 +446,10 @@ class ParameterShift:
 def parameter_shift(fitted: Fit, record: Record, values: Array) -> ParameterShift | None:
     """Return the parameter whose change explains best how a run, for example a validation run, differs from a fit.
 
-    Each shared parameter except noise, and a payload, is fitted in turn to the run alone, together with the run's
-    per-record parameters. The shared parameter has no prior; the payload keeps its prior. A candidate that cannot be
-    fitted, or of which either fit has no standard error, is skipped. Of the parameters that differ by more than 5
-    standard errors, the one with the largest log-likelihood is returned.
+    Each estimated shared parameter except noise is fitted in turn to the run alone, together with the run's per-record
+    parameters; and so is a payload if the model has ``m_u`` and ``m_v``. The shared parameter has no prior; the payload
+    keeps its prior. A candidate that cannot be fitted, or of which either fit has no standard error, is skipped. Of the
+    parameters that differ by more than 5 standard errors, the one with the largest log-likelihood is returned.
 
     Parameters
     ----------

@@ -93,7 +93,7 @@ class FilterResult:
         Variances of the measurement noise.
     eps, S : Array (n_rows, n_outputs)
         Innovations and their variances in sequential processing: each is conditional on those before it in its row, so
-        that ``eps / sqrt(S)`` is white. NaN if not measured.
+        that ``eps / sqrt(S)`` is white. NaN if not measured, or if the filter skipped the sample.
     ll : Array (n_rows,)
         Contribution of each row to the log-likelihood.
     outliers_allowed : Array (n_outputs,) of bool or None

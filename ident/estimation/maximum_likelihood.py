@@ -112,7 +112,8 @@ class SearchSettings:
     threads
         Largest number of records that are evaluated at the same time.
     refine
-        Whether to continue by L-BFGS-B if Fisher scoring stops before it has converged. It can take many iterations.
+        Whether to continue by L-BFGS-B if Fisher scoring stops before it has converged and before ``max_iterations``.
+        It can take many iterations.
     """
 
     tolerance: float = TOLERANCE
@@ -164,10 +165,11 @@ class Fit:
         The n estimated parameters with their initial values. A per-record parameter appears once for each record, with
         the index of the record as its ``segment``.
     values, errors : Array (n,)
-        Estimates and standard errors. An error is NaN if the parameter is at a bound or not identified; ``flags`` then
-        contains the reason.
+        Estimates and standard errors. An error is NaN if the parameter is at a bound, not identified, or of unknown
+        order of magnitude; ``flags`` then contains the reason.
     limits : Array (n,)
-        For a parameter at its bound, the far end of its 95 % interval; NaN for all others.
+        For a parameter at its bound, the far end of its 95 % interval, NaN without information about it; NaN for all
+        others.
     covariance, correlation : Array (n, n)
         Covariance and correlation of the estimates; NaN for parameters without a standard error.
     considered : Array (n, n)
@@ -200,7 +202,8 @@ class Fit:
     gain_left
         Expected gain in log-posterior of one more step.
     iterations, evaluations
-        Numbers of iterations of the search and of evaluations of the likelihood.
+        Numbers of iterations of the search and of evaluations of the likelihood. Fisher scoring does not count
+        evaluations without derivatives.
     cpu_seconds
         Processor time of the fit [s].
     flags
@@ -246,8 +249,8 @@ class Fit:
     def estimate(self, name: str, record: int = 0) -> tuple[float, float]:
         """Return the value and the standard error of a parameter in a record.
 
-        The value of a fixed parameter is that of the model. The error is NaN if the parameter is fixed, at a bound or
-        not identified. KeyError is raised if the model lacks the parameter.
+        The value of a fixed parameter is that of the model. The error is NaN if the parameter is fixed or has no
+        standard error. KeyError is raised if the model lacks the parameter.
 
         Parameters
         ----------
@@ -302,7 +305,7 @@ def fit(
         one outside its bounds is moved onto them, any other value outside raises ValueError. KeyError is raised for a
         name that is no parameter.
     progress
-        Called in each iteration with its number and the log-posterior.
+        Called in each iteration of Fisher scoring with its number and the log-posterior.
 
     Returns
     -------
@@ -512,8 +515,8 @@ def _search_maximum(problem: Problem, settings: SearchSettings, progress: Iterat
     """Search for the maximum by Fisher scoring, and by L-BFGS-B if scoring stops before it has converged.
 
     L-BFGS-B is not used if the settings exclude it or if the largest number of iterations is reached. ``progress`` is
-    called in each iteration with its number and the objective. ValueError is raised if a record cannot be evaluated at
-    the initial values; the message names it.
+    called in each iteration of Fisher scoring with its number and the objective. ValueError is raised if the
+    log-likelihood of a record is not finite at the initial values; the message names it.
     """
     tolerance, max_iterations = settings.tolerance, settings.max_iterations
     z = problem.bounds.clip(problem.initial_coordinates)

@@ -93,16 +93,17 @@ def with_free_initial_states(model: Model, records: Sequence[Record]) -> tuple[M
     """Return the model that output error estimates, with the unknown initial states of each record as free parameters.
 
     A state that starts from a measurement gets a free parameter ``x0_NAME`` for each record, which starts at that
-    record's first sample. A state that starts from a number (or from an output that the model lacks) gets a parameter
-    with that number as prior mean and ``sd0`` as prior standard deviation. A state that starts from a number and is
-    known exactly (``sd0`` zero) stays as it is. So does a state whose initial value is a parameter already.
+    record's first sample that is no outlier. A state that starts from a number (or from an output that the model lacks)
+    gets a parameter with that number as prior mean and ``sd0`` as prior standard deviation. A state that starts from a
+    number and is known exactly (``sd0`` zero) stays as it is. So does a state whose initial value is a parameter
+    already.
 
     Returns
     -------
     model
         Extended model.
     begin
-        Initial values of the parameters ``x0_NAME@RECORD`` from the first sample of each record, where RECORD is the
+        Initial values of the parameters ``x0_NAME@RECORD`` of states that start from a measurement, where RECORD is the
         index of the record. Without a finite sample, the value is the ``x0`` of the state.
 
     Notes

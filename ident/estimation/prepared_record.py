@@ -46,8 +46,8 @@ class Prepared:
         Sensors whose samples the filter uses in each row, as bits of an integer: bit k is one if sensor k of the model
         has a sample and this sample is used.
     first : Array (n_outputs,)
-        First measurement of each output that is no outlier, in the unit of the output. NaN for an output that the
-        record does not contain.
+        First measurement of each output that is no outlier, in the unit of the output. NaN for an output without a
+        sample in the record.
     moved : Array (n_outputs,)
         Largest probable change of the output between the start of the record and its first measurement, in the unit of
         the output. Zero unless the first measurement comes later than two median sample intervals.
@@ -98,7 +98,7 @@ class Preparer:
         Raises
         ------
         ValueError
-            If an input is missing or has a NaN, if an array has the wrong shape, if the times do not increase, if the
+            If an input is missing or not finite, if an array has the wrong shape, if the times do not increase, if the
             record has fewer than two rows, or if a row has some outputs of a sensor and lacks others. The message
             contains the name of the record.
         """

@@ -81,7 +81,7 @@ def _with_antenna(model: Model, rig: Rig) -> tuple[Model, list[str]]:
     The lever arm is the position of the antenna from the centre of gravity. The first device of the rig with a lever
     arm counts as the antenna of all GNSS outputs. Further devices with the same lever arm give no note. The model is
     unchanged, and there is no note, if no device has a lever arm other than zero or the model has no GNSS output. The
-    height of an antenna does not count for a model without roll and pitch.
+    height of an antenna does not count for a boat model of the horizontal plane (surge, sway and yaw).
     """
     sensitive = slice(2 if "hull" in model.provides else 3)  # without roll and pitch the height has no effect
     arms = [d.lever_arm_m for d in rig.devices if any(tuple(d.lever_arm_m)[sensitive])]

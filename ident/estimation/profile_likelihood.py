@@ -65,8 +65,8 @@ class Profile:
         Drop of the log-likelihood from its maximum at these values, all other parameters fitted again; zero at
         ``value``.
     low, high
-        Ends of the 95 % interval, where the drop is 1.92, accurate to about one per cent of their distance from
-        ``value``. An end is the bound of the parameter if the interval reaches it, and NaN if no end was found.
+        Ends of the 95 % interval, where the drop is 1.92, in general accurate to about one per cent of their distance
+        from ``value``. An end is the bound of the parameter if the interval reaches it, and NaN if no end was found.
     wald_low, wald_high
         Ends of the Wald interval: the fit's value +- 1.96 standard errors (of the logarithm if the fit estimates the
         logarithm). NaN if the parameter has no standard error.
@@ -418,8 +418,8 @@ class ProfileBranch:
         """Exponent a of ``drop ~ distance^a``, from the last two points inside the 95 % interval, limited to 0.25 to 2.
 
         It is 2 for a parabola, and less if the log-likelihood flattens out. It extrapolates to the next distance. The
-        estimate counts as a point; with it and one more point the exponent is 2. There must be at least two points
-        inside.
+        estimate counts as a point. The exponent is 2 if the first of the two points is the estimate or has a drop
+        below 0.001. There must be at least two points inside.
         """
         before, last = self.points_inside[-2:]
         if before.drop < MIN_DROP or before.s == 0.0:
@@ -430,8 +430,8 @@ class ProfileBranch:
         """Return the drop of the log-likelihood at distance ``s`` above which a refit is suspected to have failed.
 
         A refit can end at a local maximum that is not the highest. The threshold is four times the drop of a parabola
-        through the last point inside the 95 % interval, or four times 1.92 if the estimate is the only point inside.
-        The caller repeats a suspect refit from other initial values.
+        through the last point inside the 95 % interval, whose drop counts as at least 0.15. It is four times 1.92 if
+        the estimate is the only point inside. The caller repeats a suspect refit from other initial values.
         """
         last = self.last_inside
         return JUMP_RATIO * (max(last.drop, TARGET_DROPS[0]) * (s / last.s) ** 2 if last.s > 0 else DROP_95)

@@ -70,7 +70,7 @@ class Uncertainty:
         Covariance that is added to ``P``, from parameters at their bounds, and from considered parameters: parameters
         that are not estimated, but whose prior is uncertain.
     limits : Array (n,)
-        For a coordinate at its bound, the far end of its 95 % interval; NaN for all others.
+        For a coordinate at its bound, the far end of its 95 % interval, NaN without information; NaN for all others.
     considered : Array (n, n)
         Part of ``covariance`` that comes from considered parameters.
     """
@@ -194,7 +194,7 @@ def _covariance_from_bounds(
     spread : Array (n, n)
         Covariance to be added to ``P``.
     limits : Array (n,)
-        For a coordinate at its bound, the far end of its 95 % interval; NaN for all others.
+        For a coordinate at its bound, the far end of its 95 % interval, NaN without information; NaN for all others.
     flags : list of (name, remark)
         Parameters whose standard error becomes more than 1.5 times as large.
 

@@ -1,7 +1,7 @@
 """Simulation of a model with its process noise, in plain numpy and independent of the compiled filter.
 
 It uses stochastic Heun steps, of weak order two for noise that does not depend on the state (Kloeden and Platen 1992,
-14.1). Each interval between rows has several steps. All replicates are simulated at once.
+14.1). Each interval between rows has one step or more. All replicates are simulated at once.
 """
 
 from __future__ import annotations

@@ -38,7 +38,8 @@ def reason_without_mission(model: Model) -> str:
     -------
     str
         Reason as a clause without a capital letter and without a full stop, for the end of an error message. Empty if
-        the model has inputs and thrusters produce all of them. Delayed taps, time and work do not count as inputs.
+        the model is no bench model, has inputs, and thrusters produce all of them. Delayed taps, time and work do not
+        count as inputs.
     """
     if model.kind is ModelKind.BENCH:
         return "it describes a thruster on its bench, for which `seatrial bench` runs the plans"

@@ -46,7 +46,7 @@ CURRENT_SD = 0.5  # m/s, initial standard deviation of the current if its parame
 
 @dataclass(frozen=True)
 class Estimate:
-    """Means and covariances of the states along a record. The covariance includes the errors of the model's parameters.
+    """Means and covariances of the states along a record. Parameter errors are included if their covariance was given.
 
     Attributes
     ----------

@@ -93,7 +93,7 @@ class SearchState:
     def done(self) -> bool:
         """Whether the mesh is finer than 0.001 of the range of a coordinate, at which the search ends.
 
-        A search also ends when its evaluations are used up; ``done`` is then False. A search that is done can be
+        A search also ends when its evaluations are used up; ``done`` may then be False. A search that is done can be
         continued with a wider mesh, which makes ``done`` False again.
         """
         return self.mesh < LAST_MESH

@@ -43,7 +43,7 @@ class ResultTable:
     Raises
     ------
     SeatrialError
-        If pyarrow is not installed, or if the file exists and is no such table or has other settings.
+        If pyarrow is not installed, or if the file exists and is no such table or has finished rows of other settings.
     """
 
     def __init__(
@@ -67,7 +67,10 @@ class ResultTable:
         self._written, self._took = time.monotonic(), 0.0
 
     def _read(self, path: Path, error: str) -> Any:
-        """Return the rows of the finished tasks in the file; raise SeatrialError for a file that is no such table."""
+        """Return the rows of the finished tasks in the file.
+
+        SeatrialError is raised for a file that is no such table, or whose finished rows have other settings.
+        """
         advice = "give another --out, or --force to start again"
         try:
             table = self._parquet.read_table(path)
@@ -85,7 +88,7 @@ class ResultTable:
 
     @property
     def keys(self) -> set[str]:
-        """Names of the finished tasks: those that the file had, and those added since."""
+        """Names of tasks: the finished ones that the file had, and all that were added since, also failed ones."""
         return {*self._table[self._key].to_pylist(), *(row[self._key] for row in self._new)}
 
     def add(self, rows: Sequence[Row]) -> None:

@@ -57,8 +57,7 @@ def run_many(
         Tasks. One is taken from the iterator when a process becomes free. The tasks are sent to the processes, so they
         are small: names of files, not their content.
     function : callable
-        Function of one task at the top level of a module. Its errors end the task, but not the
-        run.
+        Function of one task at the top level of a module. Its errors end the task, but not the run.
     workers : Workers, optional
         Processes that run the tasks; by default those of ``joblib.parallel_config``.
     reporter : Reporter
@@ -72,7 +71,7 @@ def run_many(
     Raises
     ------
     SeatrialError
-        If a cluster cannot be used.
+        If a cluster cannot be used, or if processes die while no task is running.
 
     Notes
     -----

@@ -31,8 +31,9 @@ class Workers:
     Attributes
     ----------
     jobs
-        Number of processes on this computer; -1: one for each core; None: that of ``joblib.parallel_config``, or one
-        for each core. A cluster with a scheduler uses all of its workers.
+        Number of processes on this computer; -1: one for each core. None: that of ``joblib.parallel_config``, by
+        default one; a cluster that is started on this computer then has one for each core. A cluster with a scheduler
+        uses all of its workers.
     backend
         ``loky`` (processes of this computer), ``dask`` or ``ray``. None: that of ``joblib.parallel_config``, by default
         ``loky``.

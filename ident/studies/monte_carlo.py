@@ -120,9 +120,9 @@ def run_replicates(case: Case, numbers: Sequence[int], seed: int, method: Method
     Returns
     -------
     list of Row
-        One row for each replicate, a dictionary: its number ``k``, the CPU time ``simulation`` [s] of its simulation,
-        and the keys of `estimate`. The row of a failed fit (ValueError, ArithmeticError or LinAlgError) has the key
-        ``error`` instead of these, with a message. Other errors are raised.
+        One row for each replicate, a dictionary: its number ``k``, the mean CPU time ``simulation`` [s] of a simulation
+        in this call, and the keys of `estimate`. The row of a failed fit (ValueError, ArithmeticError or LinAlgError)
+        has the key ``error``, with a message, in place of the keys of `estimate`. Other errors are raised.
     """
     rngs = [np.random.default_rng([seed, k]) for k in numbers]
     truths = np.array([_draw_truth(case.model, rng) for rng in rngs])
