@@ -30,8 +30,9 @@ class DetectableSizes:
     effect
         Name of the effect.
     sizes
-        Smallest size of each parameter by its full name (``NAME@i`` in record i), in the unit of the parameter. Empty
-        if the estimated parameters of the model explain the effect, so that no size can be found.
+        Smallest size of each parameter by its full name (``NAME@i`` in record i), in the unit of the parameter. A
+        parameter that cannot be tested has no entry. Empty if the estimated parameters of the model explain the effect,
+        so that no size can be found, and for ``waves``, whose test is that of a spectral peak.
     """
 
     effect: str
@@ -46,7 +47,8 @@ def detectable_sizes(
     Parameters
     ----------
     scores
-        Scores of all candidates on one model. Nonparametric candidates are left out of the result.
+        Scores of all candidates on one model. Nonparametric candidates and differences between runs are left out of the
+        result.
     n
         Number of rows of the estimation data, for the penalty ``df ln n``.
     policy
