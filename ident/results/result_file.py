@@ -72,7 +72,7 @@ def to_json(result: Part) -> bytes:
 def write_result(result: Result, path: Path) -> None:
     """Write a result to a JSON file (result.json), and its curves to a Parquet file beside it (result.parquet).
 
-    Existing files are replaced. Without curves there is no Parquet file.
+    Existing files are replaced. For a result without curves no Parquet file is written.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def from_json(content: bytes, folder: Path | None = None) -> AnyResult:
         If the content is not JSON, if a required key is missing, or if a key is misspelt or of a wrong type. The
         message contains the path of the key.
     SeatrialError
-        If the Parquet file belongs to another result.
+        If the Parquet file belongs to another result, or if it is there and the package pyarrow is missing.
     """
     raw = msgspec.json.decode(content)
     if isinstance(raw, dict):
@@ -132,9 +132,10 @@ def from_json(content: bytes, folder: Path | None = None) -> AnyResult:
 
 
 def _curves_beside(path: Path | None, sha256: str) -> dict[str, Array]:
-    """Return the curves in the Parquet file of a result. Without the file, warn and return an empty dict.
+    """Return the curves in the Parquet file of a result. If the file is missing, warn and return an empty dict.
 
-    ``path`` is None if the folder of the file is unknown. ``sha256`` is that of the file of the result.
+    ``path`` is None if the folder of the file is unknown; the dict is then empty too, without a warning. ``sha256`` is
+    that of the file of the result.
     """
     if path is None:
         return {}
@@ -175,7 +176,7 @@ def _decode_array(kind: Any, value: Any) -> Any:
 
     msgspec calls this function for the type of arrays, the only type that it does not decode itself; ``kind`` is this
     type and is not used. An array, from the Parquet file, is returned unchanged. Raise ValueError if the value is not a
-    list of numbers and null, or of such lists of one length.
+    list, or if it contains, for example, text that is no number or lists of different lengths.
     """
     if isinstance(value, np.ndarray):
         return value
