@@ -18,7 +18,7 @@ from seatrial.bench import mission_generators
 from seatrial.bench.mission_text import describe_mission
 from seatrial.daq.config import Mission, load_mission, load_rig, save_mission
 from seatrial.daq.errors import SeatrialError, counted
-from seatrial.daq.options import FiniteRange, view_option
+from seatrial.daq.options import FiniteRange, output_option, view_option
 from seatrial.daq.rig import LOAD_CELLS, Rig
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def _add_bench_command(kind: str, text: str) -> None:
 
     @bench.command(kind, help=text, epilog=f"Example: seatrial bench {kind} bench-rig.toml -o {kind}.mcap")
     @click.argument("rig_path", metavar="RIG", type=EXISTING)
-    @click.option("-o", "--out", type=FILE, help="The log to write [default: by date in the rig's log directory].")
+    @output_option(FILE, "The log to write [default: by date in the rig's log directory].")
     @click.option("--thruster", help="Name of the thruster, if the rig has more than one.")
     @click.option("--n-max", type=FiniteRange(0, 1, min_open=True), help=f"Largest command [default: {N_MAX_BENCH}].")
     @_ARM
@@ -221,7 +221,7 @@ def warn_of_armed(names: Sequence[str]) -> None:
 @mission.command(epilog="Example: seatrial mission run mission.toml rig.toml -o run.mcap")
 @click.argument("mission_path", metavar="MISSION", type=EXISTING)
 @click.argument("rig_path", metavar="RIG", type=EXISTING)
-@click.option("-o", "--out", type=FILE, help="The log to write [default: by date in the rig's log directory].")
+@output_option(FILE, "The log to write [default: by date in the rig's log directory].")
 @_ARM
 @_RETRY
 @view_option
@@ -244,7 +244,7 @@ def run(mission_path: Path, rig_path: Path, out: Path | None, arm: bool, retry: 
     "--n-max", type=FiniteRange(0, 1, min_open=True), help="Largest command followed [default: limits.n_max]."
 )
 @click.option("--slew", type=FiniteRange(0, min_open=True), default=1.0, show_default=True, help="Largest change, 1/s.")
-@click.option("-o", "--out", type=FILE, help="The log to write [default: by date in the rig's log directory].")
+@output_option(FILE, "The log to write [default: by date in the rig's log directory].")
 @_ARM
 @view_option
 def follow(
@@ -307,7 +307,7 @@ def _parse_thruster_names(_context: click.Context, _parameter: click.Parameter, 
     callback=_parse_thruster_names,
     help="Names in the rig of the left and the right thruster.",
 )
-@click.option("-o", "--out", type=FILE, required=True, help="The mission file to write; it must not exist.")
+@output_option(FILE, "The mission file to write; it must not exist.", required=True)
 def generate(
     kind: str, seconds: float, seed: int, n_max: float, slew: float | None, thrusters: tuple[str, str], out: Path
 ) -> None:

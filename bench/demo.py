@@ -30,7 +30,7 @@ from seatrial.daq.child_process import module_command, module_environment
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.files import write_output
 from seatrial.daq.log import open_log
-from seatrial.daq.options import FiniteRange
+from seatrial.daq.options import FiniteRange, output_option
 
 ESTIMATION_S, VALIDATION_S = 400.0, 250.0  # run seconds of the two missions
 LATE_MS = 45.0  # wall ms by which a mock may send its samples late; a run with a longer delay is repeated
@@ -56,7 +56,7 @@ class DemoInterrupted(SeatrialError):
 
 @click.command(epilog=EPILOG)
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of everything random; drawn and printed when not given.")
-@click.option("--out", type=click.Path(path_type=Path), help="New folder to work in [default: seatrial-demo-SEED].")
+@output_option(click.Path(path_type=Path), "New folder to work in [default: seatrial-demo-SEED].")
 @click.option(
     "--speed", type=FiniteRange(1.0, 50.0), default=20.0, show_default=True, help="Run seconds a wall second."
 )

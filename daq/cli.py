@@ -6,19 +6,21 @@ The argument LOG of a command is a file, or a folder that contains exactly one l
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import functools
 import math
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 import click
 
 from seatrial.daq.bounds import bounded
-from seatrial.daq.errors import SeatrialError, counted, printable
-from seatrial.daq.options import FiniteRange, view_option
+from seatrial.daq.console import make_console
+from seatrial.daq.errors import SeatrialError, closest_name, counted, printable
+from seatrial.daq.options import FiniteRange, json_option, output_option, print_json, view_option
 
 if TYPE_CHECKING:
     from seatrial.daq.tools import DiscoveredDevice
@@ -86,14 +88,7 @@ def _stop_signal() -> Iterator[threading.Event]:
     metavar="S",
     help="Duration in run seconds [default: until Ctrl-C].",
 )
-@click.option(
-    "-o",
-    "--out",
-    "output",
-    type=click.Path(dir_okay=False, path_type=Path),
-    metavar="FILE",
-    help="The log to write [default: named after rig and date].",
-)
+@output_option(_NEW, "The log to write [default: named after rig and date].", metavar="FILE")
 @click.option(
     "--request-rates",
     "ask",
@@ -103,7 +98,7 @@ def _stop_signal() -> Iterator[threading.Event]:
 @click.option("--live", "serve", is_flag=True, help="Also serve the samples to Foxglove (see [live] in the rig).")
 @click.option("--ros2", is_flag=True, help="Also publish the samples to ROS 2 (see [ros2] in the rig).")
 @view_option
-def log(rig: Path, duration: float | None, output: Path | None, ask: bool, serve: bool, ros2: bool, view: bool) -> None:
+def log(rig: Path, duration: float | None, out: Path | None, ask: bool, serve: bool, ros2: bool, view: bool) -> None:
     """Record every device of RIG until Ctrl-C, with a live table.
 
     Devices may be plugged in and out meanwhile; missing and silent devices are reported. The command commands no thrust
@@ -114,19 +109,17 @@ def log(rig: Path, duration: float | None, output: Path | None, ask: bool, serve
     them. --live also serves the samples to Foxglove, --ros2 publishes them to ROS 2, and --view serves the log as a
     page in the browser.
     """
-    from rich.console import Console
-
     from seatrial.daq.acquisition import Acquisition
     from seatrial.daq.clock import RunClock
     from seatrial.daq.config import load_rig
     from seatrial.daq.tools import default_log_path, log_summary, watch
 
     loaded = load_rig(rig)
-    path = output or default_log_path(loaded)
+    path = out or default_log_path(loaded)
     if path.exists():
         raise SeatrialError(f"{path} exists, and a log is never overwritten; give another name with -o")
     clock = RunClock(loaded.speed)
-    console = Console(highlight=False)
+    console = make_console()
     with (
         _stop_signal() as stop,
         contextlib.ExitStack() as outer,  # for what may end slowly, after the log is closed
@@ -211,8 +204,9 @@ def view(logs: tuple[Path, ...], port: int, show: Callable[[str], None]) -> None
 
 @click.command()
 @click.argument("log", type=LOG)
+@json_option()
 @bounded("log")
-def info(log: Path) -> None:
+def info(log: Path, as_json: bool) -> None:
     """Show the content of a LOG with all its segments: topics and rates, health counters, events, warnings.
 
     LOG may also be the folder of a single log.
@@ -221,24 +215,24 @@ def info(log: Path) -> None:
     Example:
       seatrial info logs/run.mcap
     """
-    from rich.console import Console
-
     from seatrial.daq.log import open_log
-    from seatrial.daq.tools import show_log
+    from seatrial.daq.tools import log_content, show_log
 
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console.width = 140  # a pipe has no width
+    if as_json:
+        with open_log(log) as opened:
+            print_json(log_content(opened))
+        return
     with open_log(log) as opened:
-        show_log(opened, console)
+        show_log(log_content(opened), make_console())
 
 
 @click.command()
 @click.argument("log", type=LOG)
-@click.option("-o", "--out", type=_NEW, help="The log to write (default: LOG with -recovered in its name).")
+@output_option(_NEW, "The log to write (default: LOG with -recovered in its name).")
 @click.option("--force", is_flag=True, help="Replace OUT if it exists.")
+@json_option()
 @bounded("log")
-def recover(log: Path, out: Path | None, force: bool) -> None:
+def recover(log: Path, out: Path | None, force: bool, as_json: bool) -> None:
     """Recover the LOG of a killed run or a damaged disk, with all its segments, into one complete file.
 
     All other commands can open an incomplete log; this command is for tools that cannot. LOG itself is not changed.
@@ -254,6 +248,9 @@ def recover(log: Path, out: Path | None, force: bool) -> None:
     done = run(log, target, force)
     for warning in done.warnings:
         click.echo(f"warning: {log}: {warning}", err=True)
+    if as_json:
+        print_json({"format": "seatrial-recover 1", "log": log, "out": target, **done._asdict()})
+        return
     pieces = f" of {done.files} segments" if done.files > 1 else ""
     condition = "" if done.warnings else "; nothing was wrong with it"
     click.echo(f"{target}: {counted(done.messages, 'message')}{pieces}{condition}")
@@ -268,9 +265,12 @@ class _ImportGroup(click.Group):
         """Parse the arguments, after `map` was put before them if the first one is no sub-command and no help option.
 
         Return the arguments that are left for the sub-command, as the method of click does. Without arguments the help
-        text is printed.
+        text is printed. A first argument that is no file, and is spelt like a sub-command, is a usage error.
         """
         if args and args[0] not in (*self.commands, "-h", "--help"):
+            near = closest_name(args[0], self.commands)
+            if near and not Path(args[0]).exists():
+                raise click.UsageError(f"No such file or command {args[0]!r}. Did you mean {near!r}?", ctx)
             args = [self.default, *args]
         return super().parse_args(ctx, args)
 
@@ -295,7 +295,7 @@ def import_() -> None:
 @click.argument("sources", metavar="MAP SOURCE...", type=_SOURCE, nargs=-1, required=True)
 @click.option("--guess", is_flag=True, help="Write a map of SOURCE, to the screen or to -o, with its caveats.")
 @click.option("--dbc", type=_EXISTING, help="With --guess: the DBC file that describes the frames of a CAN log.")
-@click.option("-o", "--out", type=_NEW, help="The log (or the map) to write, if it is a single one.")
+@output_option(_NEW, "The log (or the map) to write, if it is a single one.")
 @click.option("--out-dir", type=_FOLDER, help="Folder for the logs, named after the sources (default: here).")
 @click.option("--force", is_flag=True, help="Replace files that exist.")
 @bounded("sources", "dbc")
@@ -357,7 +357,7 @@ def _write_guessed_map(sources: tuple[Path, ...], dbc: Path | None, out: Path | 
 @import_.command("can", short_help="A CAN log (candump, .asc, .blf), decoded as if the rig had recorded it.")
 @click.argument("rig", type=_EXISTING)
 @click.argument("file", type=_EXISTING)
-@click.option("-o", "--out", type=_NEW, help="The log to write (default: named after FILE, here).")
+@output_option(_NEW, "The log to write (default: named after FILE, here).")
 @click.option("--force", is_flag=True, help="Replace the log if it exists.")
 @bounded("rig", "file")
 def import_can(rig: Path, file: Path, out: Path | None, force: bool) -> None:
@@ -379,7 +379,7 @@ def import_can(rig: Path, file: Path, out: Path | None, force: bool) -> None:
 @click.argument("file", type=_EXISTING)
 @click.option("--rig", "rig_path", type=_EXISTING, help="Names the thrusters and scales their outputs.")
 @click.option("--system", type=click.IntRange(1, 255), help="System id of the autopilot (default: the first one).")
-@click.option("-o", "--out", type=_NEW, help="The log to write (default: named after FILE, here).")
+@output_option(_NEW, "The log to write (default: named after FILE, here).")
 @click.option("--force", is_flag=True, help="Replace the log if it exists.")
 @bounded("file", "rig_path")
 def import_mavlink(file: Path, rig_path: Path | None, system: int | None, out: Path | None, force: bool) -> None:
@@ -416,7 +416,7 @@ def _serial_protocol(context: click.Context, parameter: click.Parameter, name: s
 @click.option(
     "--rate", type=FiniteRange(min=0.0, min_open=True), help="Samples per second, from which the times are computed."
 )
-@click.option("-o", "--out", type=_NEW, help="The log to write (default: named after FILE, here).")
+@output_option(_NEW, "The log to write (default: named after FILE, here).")
 @click.option("--force", is_flag=True, help="Replace the log if it exists.")
 @bounded("file")
 def import_raw(protocol: str, file: Path, rate: float | None, out: Path | None, force: bool) -> None:
@@ -469,7 +469,8 @@ def _check_addresses(_context: click.Context, _parameter: click.Parameter, ports
     help="How long to listen at each baud rate [s].",
 )
 @click.option("--toml", is_flag=True, help="Print a rig file with its [[device]] tables.")
-def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml: bool) -> None:
+@json_option()
+def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml: bool, as_json: bool) -> None:
     """Find the serial ports and CAN buses of this machine, or of PORTs, and identify the protocol of each device.
 
     The command only listens, at one baud rate after the other. PORT may be the address of an autopilot on a network, as
@@ -483,6 +484,8 @@ def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml
       seatrial devices /dev/ttyUSB0 --toml
       seatrial devices udp:127.0.0.1:14550 --toml > autopilot.toml
     """
+    if toml and as_json:
+        raise click.UsageError("give --toml or --json, not both")
     from seatrial.daq.rig import NET_KINDS
     from seatrial.daq.tools import discover_devices, identify_autopilot, identify_protocol
     from seatrial.daq.transport import UDEV_RULE
@@ -507,12 +510,11 @@ def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml
     if not found:
         raise SeatrialError("this computer has no serial port and no CAN bus; plug the device in, or name its port")
     if toml:
-        click.echo('format = "seatrial-rig 1"\nname = "boat"\n')
-    alone = sum(device.protocol == "mavlink" for device in found) < 2
-    for k, device in enumerate(found, start=1):
-        if toml and device.protocol in _rig_protocols():
-            click.echo(device.toml(f"{device.protocol}{k}", alone))
-        elif not toml:
+        click.echo(_rig_of(found), nl=False)
+    if as_json:
+        print_json({"format": "seatrial-devices 1", "devices": [dataclasses.asdict(device) for device in found]})
+    for device in found:
+        if not (toml or as_json):
             speed = f" at {device.baud} baud" * bool(device.baud)
             rate = f", {device.rate:.4g}/s" if math.isfinite(device.rate) else ""
             protocol = f"{device.protocol}{speed}{rate}" if device.protocol else "-"
@@ -520,8 +522,6 @@ def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml
             click.echo(f"{device.port}{about}: {protocol}: {device.says}")
         if device.hint:
             click.echo(f"hint: {device.port}: {device.hint}", err=True)
-    if toml:
-        click.echo(_LIMITS)
     if any("latency_timer" in device.hint for device in found):
         click.echo(f"hint: to make it permanent, put this into a file in /etc/udev/rules.d: {UDEV_RULE}", err=True)
     if not any(device.protocol or device.port.startswith("socketcan:") for device in found):
@@ -531,24 +531,16 @@ def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml
         )
 
 
-# Text after the devices in a new rig file. Without limits no measured value ends a run.
-_LIMITS = """\
-# Uncomment these lines and put in your own values. A run ends at zero thrust when a limit is passed. Each limit needs a
-# device that reports its quantity.
-# [limits]
-# n_max = 0.6            # largest command, 1 is full forward
-# radius_m = 100.0       # m from the start; needs a GNSS receiver
-# voltage_min_v = 14.0   # V; needs a speed controller or an autopilot that reports it
-# current_a = 30.0       # A of each motor; needs a speed controller that reports it
-# temperature_c = 80.0   # deg C of each speed controller
-# force_n = 100.0        # N of a load cell, on a bench"""
-
-
-def _rig_protocols() -> tuple[str, ...]:
-    """Return the names of the protocols that a device of a rig file can have, built in or of other packages."""
+def _rig_of(found: Sequence[DiscoveredDevice]) -> str:
+    """Return the text of a rig file with the discovered devices that have a protocol of a rig file."""
+    from seatrial.daq.new_rig import RigDraft, Value, device_of, name_devices, rig_text
     from seatrial.daq.protocol import DEVICES
 
-    return tuple(DEVICES)
+    known = [device for device in found if device.protocol in DEVICES]
+    alone = sum(device.protocol == "mavlink" for device in known) < 2
+    names = name_devices([device.protocol for device in known])
+    devices = [device_of(device, name, alone) for device, name in zip(known, names, strict=True)]
+    return rig_text(RigDraft(Value("boat", False), devices))
 
 
 @click.command()
@@ -584,7 +576,7 @@ def replay(log: Path, folder: Path, names: tuple[str, ...], speed: float) -> Non
 @click.command()
 @click.argument("form", type=click.Choice(["csv", "parquet", "mat", "netcdf", "ros"]))
 @click.argument("log", type=LOG)
-@click.option("-o", "--out", type=_FOLDER, required=True, help="Folder for the files; made if it does not exist.")
+@output_option(_FOLDER, "Folder for the files; made if it does not exist.", required=True)
 @click.option("--force", is_flag=True, help="Replace files that exist.")
 @click.option(
     "--rate",

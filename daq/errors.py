@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
+NEAR = 0.75  # similarity of two names by difflib, from which one is probably a misspelling of the other
+SHORTEST_STEM = 3  # characters of a name that may stand for a longer one, such as rate for rate_hz
+
 
 class SeatrialError(Exception):
     """Error whose cause the user can remove.
@@ -29,6 +34,25 @@ class SeatrialWarning(RuntimeWarning):
 def counted(number: int, word: str) -> str:
     """Return a number with its noun, as "1 fault" or "2 faults". The plural, also of 0, is `word` and an s."""
     return f"{number} {word}{'' if number == 1 else 's'}"
+
+
+def closest_name(name: str, known: Iterable[str]) -> str | None:
+    """Return the known name for which `name` is probably a misspelling or an abbreviation; None if there is none.
+
+    A known name is close if one of the two begins with the other (`rate` and `rate_hz`; the shorter one has at least
+    three characters), or if difflib finds them similar. Of several close names the most similar one is returned. Upper
+    case and lower case are the same, and a dash is the same as an underscore.
+    """
+    from difflib import SequenceMatcher  # imported here, because only errors need it
+
+    def likeness(a: str, b: str) -> float:
+        """Return the similarity of two names, 0 to 1; above 1 if one begins with the other."""
+        a, b = (text.lower().replace("-", "_") for text in (a, b))
+        begins = min(len(a), len(b)) >= SHORTEST_STEM and (a.startswith(b) or b.startswith(a))
+        return SequenceMatcher(None, a, b).ratio() + begins
+
+    best = max(((likeness(name, other), other) for other in known), key=lambda pair: pair[0], default=(0.0, ""))
+    return best[1] if best[0] >= NEAR else None
 
 
 class _EscapeTable(dict[int, str]):

@@ -1,4 +1,4 @@
-"""Types of command-line options that several commands share."""
+"""Options that several commands share: their types, the output option, and --json with its output."""
 
 from __future__ import annotations
 
@@ -7,6 +7,44 @@ from collections.abc import Callable
 from typing import Any, final
 
 import click
+
+
+def output_option(kind: click.ParamType[Any], words: str, **attributes: Any) -> Callable[..., Any]:
+    """Return a decorator that adds the option for the output of a command: `-o`, `--out` or `--output`.
+
+    The command receives the value as `out`; None without the option and without a default.
+
+    Parameters
+    ----------
+    kind
+        Type of the value: a file or a folder.
+    words
+        Help text.
+    attributes
+        Further arguments of `click.option`, such as `required` or `callback`.
+    """
+    return click.option("-o", "--out", "--output", "out", type=kind, help=words, **attributes)
+
+
+def json_option(words: str = "Print the result as JSON, and everything else on stderr.") -> Callable[..., Any]:
+    """Return a decorator that adds the flag `--json`. The command receives it as `as_json`.
+
+    With the flag a command prints one JSON document on stdout and nothing else; progress, warnings and the paths of
+    written files go to stderr. `words` is the help text.
+    """
+    return click.option("--json", "as_json", is_flag=True, help=words)
+
+
+def print_json(value: Any) -> None:
+    """Print a value as one JSON document on stdout, indented.
+
+    Dataclasses and mappings become objects, sequences become lists, and paths become texts. NaN and infinity become
+    null. Text or bytes are a document that is already written.
+    """
+    import msgspec
+
+    written = value if isinstance(value, str | bytes) else msgspec.json.encode(value, enc_hook=str)
+    click.echo(msgspec.json.format(written, indent=2))
 
 
 @final
@@ -28,3 +66,21 @@ def view_option(command: Callable[..., Any]) -> Callable[..., Any]:
     """Decorate a command that records a log with the flag `--view`. The command receives it as `view`."""
     text = "Also serve the page of `seatrial view` for the browser of this computer. Its address is printed."
     return click.option("--view", is_flag=True, help=text)(command)
+
+
+def parsed_by(parse: Callable[[str], Any]) -> Callable[[click.Context, click.Parameter, Any], Any]:
+    """Return a callback that parses the text of an option, or each text of an option that may be repeated.
+
+    An option that is not given stays None, or empty. A ValueError of `parse` is a usage error with its message.
+    """
+
+    def callback(context: click.Context, parameter: click.Parameter, value: Any) -> Any:
+        """Return the parsed text or texts (click callback)."""
+        if value is None:
+            return None
+        try:
+            return [parse(text) for text in value] if parameter.multiple else parse(value)
+        except ValueError as error:
+            raise click.BadParameter(str(error), context, parameter) from None
+
+    return callback

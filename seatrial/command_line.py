@@ -26,7 +26,7 @@ try:
     from click.shell_completion import CompletionItem
 
     from seatrial.daq import bounds
-    from seatrial.daq.errors import SeatrialError, SeatrialWarning, printable
+    from seatrial.daq.errors import SeatrialError, SeatrialWarning, closest_name, printable
 except KeyboardInterrupt:  # Ctrl-C during the imports, before a command can handle it
     sys.stderr.write("\nseatrial: interrupted\n")
     raise SystemExit(130) from None
@@ -63,6 +63,7 @@ class Row(NamedTuple):
 
 COMMANDS = {
     "demo": Row("seatrial.bench.demo:demo", "Run the whole workflow on simulated devices."),
+    "init": Row("seatrial.daq.new_rig.cli:init", "Write a rig file and a checklist for a boat or bench."),
     "devices": Row("seatrial.daq.cli:devices", "Find ports and identify the devices there."),
     "log": Row("seatrial.daq.cli:log", "Acquire until Ctrl-C, with a live table."),
     "check": Row("seatrial.bench.preflight.cli:check", "Check a rig before a run, or check a log."),
@@ -110,6 +111,23 @@ class LazyGroup(click.Group):
             if isinstance(command, click.Group) and name not in command.commands:
                 command.add_command(_load_command(f"{cmd_name} {name}", target), name)
         return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Return name, command and arguments for the words after `seatrial`, as the method of click does.
+
+        Raises
+        ------
+        click.UsageError
+            If there is no such command, with the command that is spelt most similarly.
+        """
+        name = args[0]
+        if name not in COMMANDS and not name.startswith("-"):
+            near = closest_name(name, COMMANDS)
+            hint = f". Did you mean {near!r}?" if near else ""
+            raise click.UsageError(f"No such command {name!r}{hint}", ctx)
+        return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> None:
         """Run the command and discard its return value, since only `ctx.exit(status)` may set the exit status.

@@ -129,6 +129,23 @@ def test_wrong_usage_is_2(run, args) -> None:
     assert err.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    ("args", "says"),
+    [
+        (("infoo",), "seatrial: No such command 'infoo'. Did you mean 'info'? `seatrial --help` shows how"),
+        (("imp",), "seatrial: No such command 'imp'. Did you mean 'import'? `seatrial --help` shows how"),
+        (("mission", "runn"), "seatrial mission: No such command 'runn'. Did you mean 'run'?"),
+        (("import", "raww", "x"), "seatrial import: No such file or command 'raww'. Did you mean 'raw'?"),
+        (("log", "--duratoin", "3"), "seatrial log: No such option '--duratoin'. Did you mean '--duration'?"),
+    ],
+)
+def test_a_misspelt_command_or_option_names_the_closest_one(capsys, args: tuple[str, ...], says: str) -> None:
+    with pytest.raises(SystemExit) as leaving:
+        command_line.main(args)
+    assert leaving.value.code == 2
+    assert capsys.readouterr().err.startswith(says)
+
+
 def test_a_returned_value_is_no_exit_status_but_ctx_exit_is(run) -> None:
     assert run(lambda: 7) == (0, "", "")
     assert run(lambda: click.get_current_context().exit(7)) == (7, "", "")

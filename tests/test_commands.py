@@ -44,6 +44,25 @@ def test_every_command_helps_with_an_example_that_parses(words: str) -> None:
             assert option.help or option.type.name == "choice" or option.show_default, f"{words} {option.opts[0]}"
 
 
+def test_every_output_option_has_the_same_names() -> None:
+    options = [option for command in EVERY.values() for option in command.params]
+    found = [set(option.opts) for option in options if {"-o", "--out", "--output"} & set(option.opts)]
+    assert len(found) >= 20
+    assert all(names == {"-o", "--out", "--output"} for names in found)
+
+
+WITH_RESULT = (
+    *("info", "devices", "check", "recover", "mission design"),
+    *(f"ident {name}" for name in ("thruster", "vehicle", "diagnose", "study", "noise", "information")),
+    *(f"ident {name}" for name in ("navigate", "compare")),
+)
+
+
+def test_every_command_with_a_result_prints_it_as_json() -> None:
+    with_json = {words for words, command in EVERY.items() for o in command.params if "--json" in o.opts}
+    assert with_json == {f"seatrial {name}" for name in WITH_RESULT}
+
+
 RANGES = {
     f"{words} {option.opts[-1]}": option.type
     for words, command in EVERY.items()

@@ -56,6 +56,17 @@ def test_the_quick_commands_run(title: str, tmp_path: Path, environment: dict[st
     assert any("speed = 4.0" in rig.read_text(encoding="utf-8") for rig in rigs), "the sed of the tutorial does nothing"
 
 
+def test_the_first_hour_makes_a_rig(tmp_path: Path, environment: dict[str, str]) -> None:
+    (init,) = (line for line in lines("first-hour") if line.startswith("seatrial init"))
+    run(init, tmp_path, environment)
+    assert (tmp_path / "simulated/CHECKLIST.md").is_file()
+    mock_line = next(line for line in lines("first-hour") if "seatrial mock" in line).partition("&& ")[2]
+    with mock(mock_line, tmp_path / "simulated", environment):
+        for line in lines("first-hour"):
+            if line.startswith(("seatrial check", "seatrial log", "seatrial info")):
+                run(line.replace("--duration 60", "--duration 2"), tmp_path / "simulated", environment)
+
+
 @contextmanager
 def mock(line: str, folder: Path, environment: dict[str, str]) -> Iterator[None]:
     """Run the mock in the tutorial's second terminal, from its message `ready` to its Ctrl-C."""

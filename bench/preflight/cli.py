@@ -28,7 +28,7 @@ from seatrial.daq.checks import (
 from seatrial.daq.cli import LOG
 from seatrial.daq.config import load_rig
 from seatrial.daq.errors import SeatrialError
-from seatrial.daq.options import FiniteRange
+from seatrial.daq.options import FiniteRange, json_option, output_option, print_json
 from seatrial.daq.rig import Rig
 
 if TYPE_CHECKING:
@@ -64,8 +64,8 @@ STYLES: dict[str, dict[str, Any]] = {FAULT: {"fg": "red", "bold": True}, WARNING
 @click.option("--thrust", type=FiniteRange(0, 1, min_open=True), help="Largest command of --actuators [default: 0.3].")
 @click.option("--yes", is_flag=True, help="Do not ask before thrusters turn.")
 @click.option("--arm", is_flag=True, help="Put an autopilot into MANUAL, arm it, and disarm it at the end.")
-@click.option("-o", "--out", type=FILE, help="Log of the actuator test [default: by date in the rig's log directory].")
-@click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON.")
+@output_option(FILE, "Log of the actuator test [default: by date in the rig's log directory].")
+@json_option("Print the findings as JSON, and everything else on stderr.")
 @click.option("--report", type=click.Path(dir_okay=False, path_type=Path), help="Write a page (HTML) with plots there.")
 @click.pass_obj
 @bounded("paths", when=lambda options: not any(_is_rig(path) for path in options["paths"]))
@@ -198,7 +198,7 @@ def _print_lines(found: Sequence[Finding], as_json: bool) -> None:
     if as_json:
         from seatrial.bench.preflight.report import as_json as written
 
-        click.echo(written(found))
+        print_json(written(found))
         return
     width = shutil.get_terminal_size().columns
     for line in findings_paragraphs(found, width) if sys.stdout.isatty() else findings_lines(found):

@@ -250,7 +250,8 @@ def parse_mission(text: str, source: Path | str) -> Mission:
     limits = root.table("limits") or TomlTable({}, root.source)
     end = root.table("end")
     if end is None:
-        raise root.error("end", "missing; add a table [end] with t, the time [s] from which thrust is zero")
+        hint = root.misspelling_hint("end")
+        raise root.error("end", f"missing; add a table [end] with t, the time [s] from which thrust is zero{hint}")
     mission = Mission(
         name=root.line("name"),
         kind=root.text("kind", choices=KINDS),
@@ -278,7 +279,7 @@ def _pop_list_items(table: TomlTable, key: str) -> TomlTable:
     """
     value = table.values.pop(key, None)
     if not isinstance(value, list) or not value:
-        raise table.error(key, "must be a list with at least one item")
+        raise table.error(key, f"must be a list with at least one item{table.misspelling_hint(key)}")
     return TomlTable({f"{key}[{i}]": item for i, item in enumerate(value, start=1)}, table.source, table.where)
 
 

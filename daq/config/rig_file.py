@@ -86,7 +86,9 @@ def parse_rig(text: str, source: Path | str, *, recorded: bool = False) -> Rig:
     ros2 = _read_ros2(root.table("ros2"))
     devices = tuple(_read_device(table, folder, recorded) for table in root.tables("device"))
     if not devices:
-        raise root.error("device", "missing; a rig needs at least one [[device]]: add one")
+        raise root.error(
+            "device", f"missing; a rig needs at least one [[device]]: add one{root.misspelling_hint('device')}"
+        )
     _check_unique(root, "device", [device.name for device in devices])
     if not recorded:  # nothing opens the ports of a log, and this computer may have other links to ports
         _check_ports_differ(root, devices)

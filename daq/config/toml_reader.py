@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import os
 import stat
@@ -11,10 +10,9 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-from seatrial.daq.errors import SeatrialError, counted
+from seatrial.daq.errors import SeatrialError, closest_name, counted
 
 _MISSING = object()  # default of a required key
-NEAR = 0.75  # similarity of two keys by difflib, from which one is probably a misspelling of the other
 HUGE = 1e15  # larger numbers are not printed, because they may have thousands of digits
 
 
@@ -91,6 +89,7 @@ class TomlTable:
         self.source = source
         self.where = where
         self._taken: list[str] = []  # keys that were read
+        self._known: list[str] = []  # keys that were read or asked for, for messages
 
     def error(self, key: str, problem: str) -> SeatrialError:
         """Return an error whose message has the file, the full key and the problem. The caller raises it."""
@@ -107,23 +106,26 @@ class TomlTable:
         unread key with a similar name.
         """
         self._taken.append(key)
+        self._known.append(key)
         if key in self.values:
             return self.values[key]
         if default is _MISSING:
-            raise self.error(key, f"missing; add this required key{self.misspelling_hint(key)}")
+            raise self.error(key, f"missing{self.misspelling_hint(key) or '; add this required key'}")
         return default
 
     def misspelling_hint(self, key: str) -> str:
         """Return the end of an error message on the missing key `key`: an unread key that is spelt similarly.
 
-        Of several the most similar one is named. The text begins with "; ". It is empty if no unread key is similar.
+        Of several the most similar one is named. The text begins with "; ". It is empty if no unread key is similar,
+        or if the table has the key.
         """
         unread = [name for name in self.values if name not in self._taken]
-        near = difflib.get_close_matches(key, unread, 1, NEAR)
-        return f"; is {near[0]!r} a typing error?" if near else ""
+        near = None if key in self.values else closest_name(key, unread)
+        return f"; the table has {near!r}: rename it to {key!r}" if near else ""
 
     def has(self, key: str) -> bool:
-        """Return whether the table contains the key. The key does not count as read by this."""
+        """Return whether the table contains the key. The key does not count as read by this, but as a known key."""
+        self._known.append(key)
         return key in self.values
 
     def text(self, key: str, default: object = _MISSING, choices: Collection[str] = ()) -> str:
@@ -212,7 +214,7 @@ class TomlTable:
         Both bounds are allowed values. A bound that is None does not apply. Any other value raises SeatrialError.
         Unlike `number`, this method has no error for a missing key.
         """
-        return self.number(key, low=low, high=high) if key in self.values else None
+        return self.number(key, low=low, high=high) if self.has(key) else None
 
     def numbers(self, key: str, default: object = _MISSING, length: int | None = None) -> tuple[float, ...]:
         """Return the list of finite numbers of a key, or `default` if the key is missing.
@@ -279,11 +281,15 @@ class TomlTable:
     def done(self) -> None:
         """Raise SeatrialError for the first key that was not read. The message lists the known keys.
 
-        The keys of a sub-table are not checked: each table from `table` or `tables` needs its own call.
+        If the table lacks a known key with a similar name, the message suggests that one. The keys of a sub-table are
+        not checked: each table from `table` or `tables` needs its own call.
         """
         for key in self.values:
             if key not in self._taken:
-                known = ", ".join(dict.fromkeys(self._taken))
+                known = ", ".join(dict.fromkeys(self._known))
+                near = closest_name(key, [name for name in self._known if name not in self.values])
+                if near:
+                    raise self.error(key, f"unknown key {key!r}; did you mean {near!r}? Known here: {known}")
                 raise self.error(key, f"unknown key; correct or remove it; known here: {known}")
 
     def _to_finite(self, key: str, value: object) -> float:

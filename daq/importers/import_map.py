@@ -343,7 +343,9 @@ def _source_of_table(table: TomlTable, match: str, near: Path) -> Source:
     frame = table.text("frame", "NED", choices=tuple(FRAMES))
     signals = tuple(_signal_of_table(signal, frame) for signal in table.tables("signal"))
     if not signals:
-        raise table.error("signal", "missing; add at least one signal to this import map")
+        raise table.error(
+            "signal", f"missing; add at least one signal to this import map{table.misspelling_hint('signal')}"
+        )
     topics = frozenset(signal.topic for signal in signals) - {""}
     if table.where:  # the root has more keys and is done later
         table.done()

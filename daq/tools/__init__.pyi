@@ -1,9 +1,12 @@
+from .autopilot_tables import DiscoveredAutopilot as DiscoveredAutopilot
 from .autopilot_tables import identify_autopilot as identify_autopilot
+from .discovery import SLCAN as SLCAN
 from .discovery import DiscoveredDevice as DiscoveredDevice
 from .discovery import discover_devices as discover_devices
 from .discovery import identify_protocol as identify_protocol
 from .export import export_log as export_log
 from .export import export_resampled as export_resampled
+from .info import log_content as log_content
 from .info import show_log as show_log
 from .live_server import LiveServer as LiveServer
 from .live_table import default_log_path as default_log_path

@@ -57,24 +57,6 @@ class DiscoveredDevice:
     says: str = ""  # text for the user: the device, or the reason why it was not identified
     hint: str = ""  # advice on how to improve the settings of the port
 
-    def toml(self, name: str, alone: bool = True) -> str:
-        """Return the [[device]] table of this device for a rig file, as text. An unknown rate becomes 1 Hz.
-
-        The rate is rounded to three digits. `DiscoveredAutopilot` adds [[thruster]] tables.
-
-        Parameters
-        ----------
-        name
-            Name of the device in the rig file.
-        alone
-            Whether no other device in the rig file has [[thruster]] tables. Not used by devices without thrusters.
-        """
-        rate = f"{self.rate:.3g}" if math.isfinite(self.rate) else "1"
-        return (
-            f'[[device]]\nname = "{name}"\nprotocol = "{self.protocol}"\nport = "{self.port}"\nbaud = {self.baud}\n'
-            f"rate_hz = {rate if '.' in rate or 'e' in rate else rate + '.0'}\n"
-        )
-
 
 class _ProtocolCandidate:
     """Protocol that the device at a port may speak, with its decoder and the counts of the samples so far.

@@ -1,8 +1,10 @@
-"""Content of a log as tables, for `seatrial info`."""
+"""Content of a log as data and as tables, for `seatrial info`."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import groupby
 
@@ -10,6 +12,7 @@ from rich import markup
 from rich.console import Console
 from rich.table import Table
 
+from seatrial.daq.console import print_table
 from seatrial.daq.errors import SeatrialError, counted
 from seatrial.daq.log import Log, first_segment_of, schema
 from seatrial.daq.samples import PortHealth, Scalar
@@ -38,75 +41,205 @@ def escape(text: str) -> str:
     )
 
 
-def show_log(log: Log, console: Console) -> None:
-    """Print the content of a log: duration, metadata, topics with rates, port counters, events and warnings.
+@dataclass(frozen=True)
+class TopicContent:
+    """One topic of a log.
 
-    If `log.path` is a later segment of a log whose first segment exists, a line names the first segment. A log without
-    messages has no topics.
-    Metadata are shown only if they are in the table _ABOUT, and the clock speed only if it is not 1. The warnings
-    include times that ran back on a topic.
+    Attributes
+    ----------
+    topic, type
+        Name of the topic, and type of its messages.
+    messages
+        Number of messages.
+    rate
+        Mean rate [Hz]; NaN if it is unknown.
+    longest_gap
+        Longest time between two messages [s]; NaN if it is unknown.
+    signal
+        Name of the imported signal; "" for other topics. The next three are "" then.
+    role, unit, hold
+        Input or output, unit, and interpolation between the samples of the signal.
     """
-    size = sum(path.stat().st_size for path in log.paths)
-    pieces = f" in {len(log.paths)} segments" if len(log.paths) > 1 else ""
-    state = "complete" if log.complete else "cut off, or still being written"
-    console.print(f"[bold]{escape(str(log.path))}[/]  {_size_text(size)}{pieces}, {state}")
-    if log.counts:
-        begin = datetime.fromtimestamp(log.start, UTC).isoformat(sep=" ", timespec="milliseconds")
-        n_samples = sum(log.counts[topic] for topic, kind in log.types().items() if kind in schema.SAMPLE_TYPES)
-        content = f"{counted(n_samples, 'sample')} in {counted(sum(log.counts.values()), 'message')}"
-        console.print(f"from {begin}, {log.duration:.3f} s, {content}")
-    else:
-        console.print("no messages")
-    first = first_segment_of(log.path)
-    if first is not None and log.metadata.get("segment", "0") != "0":
-        number = escape(log.metadata["segment"])
-        console.print(f"  segment {number} of {escape(first.name)}; open that file for the whole log")
-    for key, words in _ABOUT.items():
-        if log.metadata.get(key) and (key, log.metadata[key]) != ("speed", "1.0"):
-            console.print(f"  {words}: {escape(log.metadata[key])}")
-    for name, data in log.attachments.items():
-        console.print(f"  attached: {escape(name)} ({counted(len(data), 'byte')})")
-    if log.counts:
-        console.print(_topic_table(log))
-    if log.sources(PortHealth):
-        console.print(_port_table(log))
-    _print_events(log, console)
+
+    topic: str
+    type: str
+    messages: int
+    rate: float
+    longest_gap: float
+    signal: str = ""
+    role: str = ""
+    unit: str = ""
+    hold: str = ""
+
+
+@dataclass(frozen=True)
+class Event:
+    """One event of a log: time since the start of the log [s], kind and text."""
+
+    t: float
+    kind: str
+    text: str
+
+
+@dataclass(frozen=True)
+class LogContent:
+    """Content of a log, as `seatrial info` shows it; `--json` prints these fields.
+
+    Attributes
+    ----------
+    format
+        Version of this document.
+    path
+        File of the log, or its first segment.
+    bytes
+        Size of all its segments.
+    segments
+        Number of segments.
+    complete
+        Whether the log was closed.
+    start
+        Time of the first message [s since 1970]; NaN without messages.
+    duration
+        Time from the first message to the last [s]; NaN without messages.
+    samples, messages
+        Number of samples, and of all messages.
+    first_segment
+        File with the begin of the log if `path` is a later segment; otherwise "".
+    metadata
+        Metadata by name.
+    attachments
+        Size [bytes] of each attachment by name.
+    topics
+        Topics, in the order of the log.
+    ports
+        Last counters of the port of each device, by device.
+    events
+        All events, in order of time.
+    warnings
+        Faults of the log.
+    """
+
+    format: str
+    path: str
+    bytes: int
+    segments: int
+    complete: bool
+    start: float
+    duration: float
+    samples: int
+    messages: int
+    first_segment: str
+    metadata: Mapping[str, str]
+    attachments: Mapping[str, int]
+    topics: Sequence[TopicContent]
+    ports: Mapping[str, PortHealth]
+    events: Sequence[Event]
+    warnings: Sequence[str]
+
+
+def log_content(log: Log) -> LogContent:
+    """Return the content of a log: duration, metadata, topics with rates, port counters, events and warnings.
+
+    The warnings include times that ran back on a topic, and the reason if the events cannot be read.
+    """
     steps = [
         f"{topic}: its times ran back {counted(n, 'time')}, by up to {longest:.1f} s: a clock was set, or there are "
         "two clocks; import the data of each clock separately"
         for topic, (n, longest) in log.clock_steps.items()
     ]
-    for warning in [*steps, *log.warnings]:
+    events, unreadable = [], []
+    try:
+        events = [Event(t - log.start, kind, text) for t, kind, text in log.events()]
+    except SeatrialError as error:
+        unreadable = [str(error)]
+    first = first_segment_of(log.path) if log.metadata.get("segment", "0") != "0" else None
+    types = log.types()
+    return LogContent(
+        "seatrial-info 1",
+        str(log.path),
+        sum(path.stat().st_size for path in log.paths),
+        len(log.paths),
+        log.complete,
+        log.start if log.counts else math.nan,
+        log.duration if log.counts else math.nan,
+        sum(log.counts[topic] for topic, kind in types.items() if kind in schema.SAMPLE_TYPES) if log.counts else 0,
+        sum(log.counts.values()),
+        "" if first is None else first.name,
+        dict(log.metadata),
+        {name: len(data) for name, data in log.attachments.items()},
+        _topics(log) if log.counts else (),
+        {device: log.health(device)[-1][1] for device in log.sources(PortHealth)},
+        events,
+        [*unreadable, *steps, *log.warnings],
+    )
+
+
+def _topics(log: Log) -> list[TopicContent]:
+    """Return the content of each topic of a log, in the order of the log."""
+    signals = {f"/signal/{name}": name for name in log.sources(Scalar)}
+    found = []
+    for topic, type_name in log.types().items():
+        rate, gap = log.rate_and_gap(topic)
+        row = TopicContent(topic, type_name, log.counts[topic], rate, gap)
+        if topic in signals:
+            name = signals[topic]
+            row = replace(row, signal=name, role=log.role(name), unit=log.unit(name), hold=log.hold(name))
+        found.append(row)
+    return found
+
+
+def show_log(content: LogContent, console: Console) -> None:
+    """Print the content of a log: duration, metadata, topics with rates, port counters, events and warnings.
+
+    If the log is a later segment, a line names the first segment. A log without messages has no topics. Metadata are
+    shown only if they are in the table _ABOUT, and the clock speed only if it is not 1.
+    """
+    pieces = f" in {content.segments} segments" if content.segments > 1 else ""
+    state = "complete" if content.complete else "cut off, or still being written"
+    console.print(f"[bold]{escape(content.path)}[/]  {_size_text(content.bytes)}{pieces}, {state}")
+    if content.messages:
+        begin = datetime.fromtimestamp(content.start, UTC).isoformat(sep=" ", timespec="milliseconds")
+        counts = f"{counted(content.samples, 'sample')} in {counted(content.messages, 'message')}"
+        console.print(f"from {begin}, {content.duration:.3f} s, {counts}")
+    else:
+        console.print("no messages")
+    if content.first_segment:
+        number = escape(content.metadata["segment"])
+        console.print(f"  segment {number} of {escape(content.first_segment)}; open that file for the whole log")
+    for key, words in _ABOUT.items():
+        if content.metadata.get(key) and (key, content.metadata[key]) != ("speed", "1.0"):
+            console.print(f"  {words}: {escape(content.metadata[key])}")
+    for name, size in content.attachments.items():
+        console.print(f"  attached: {escape(name)} ({counted(size, 'byte')})")
+    if content.topics:
+        print_table(console, _topic_table(content.topics))
+    if content.ports:
+        print_table(console, _port_table(content.ports))
+    _print_events(content.events, console)
+    for warning in content.warnings:
         console.print(f"[bold]warning:[/] {escape(warning)}")
 
 
-def _topic_table(log: Log) -> Table:
+def _topic_table(topics: Sequence[TopicContent]) -> Table:
     """Return a table of the topics of a log: types, numbers of messages, mean rates [Hz] and longest gaps [s].
 
     An unknown rate or gap is "-". If the log has imported signals, there is a column with their role (input or output),
     unit and hold (interpolation between samples).
     """
-    signals = {f"/signal/{name}": name for name in log.sources(Scalar)}
-    notes = [""] if signals else []
-    heads = ("topic", "type", "messages", "rate [Hz]", "longest gap [s]", *notes)
+    with_signals = any(row.signal for row in topics)
+    heads = ("topic", "type", "messages", "rate [Hz]", "longest gap [s]", *[""] * with_signals)
     table = Table(*(escape(head) for head in heads))  # without `escape` the console takes [s] as markup
     for column in table.columns[2:5]:
         column.justify = "right"
-    for topic, type_name in log.types().items():
-        rate, gap = log.rate_and_gap(topic)
-        notes = [""] if signals else []
-        if topic in signals:
-            name = signals[topic]
-            notes = [f"{log.role(name)} [{log.unit(name)}], hold {log.hold(name)}"]
-        count = str(log.counts[topic])
-        table.add_row(
-            escape(topic), escape(type_name), count, _number_text(rate, 2), _number_text(gap, 4), *map(escape, notes)
-        )
+    for row in topics:
+        note = f"{row.role} [{row.unit}], hold {row.hold}" if row.signal else ""
+        numbers = (str(row.messages), _number_text(row.rate, 2), _number_text(row.longest_gap, 4))
+        table.add_row(escape(row.topic), escape(row.type), *numbers, *[escape(note)] * with_signals)
     return table
 
 
-def _port_table(log: Log) -> Table:
-    """Return a table of the last counters of the port of each device in a log: bytes, frames, errors and delay [ms].
+def _port_table(ports: Mapping[str, PortHealth]) -> Table:
+    """Return a table of the last counters of the port of each device: bytes, frames, errors and delay [ms].
 
     The delay of the samples is mean ± standard deviation; it is "-" for a device without a clock.
     """
@@ -114,8 +247,7 @@ def _port_table(log: Log) -> Table:
     table = Table("device", *(escape(head) for head in heads))
     for column in table.columns[2:]:
         column.justify = "right"
-    for device in log.sources(PortHealth):
-        _, last = log.health(device)[-1]
+    for device, last in ports.items():
         counters = (
             last.bytes_in,
             last.frames,
@@ -131,47 +263,33 @@ def _port_table(log: Log) -> Table:
     return table
 
 
-def _print_events(log: Log, console: Console) -> None:
+def _print_events(events: Sequence[Event], console: Console) -> None:
     """Print the first 25 and the last 15 events of a log, with their times since its start [s].
 
-    Successive events of a kind that often repeats count as one. The number of events between is printed. If the events
-    cannot be read, a warning is printed instead.
+    Successive events of a kind that often repeats count as one. The number of events between is printed.
     """
-    try:
-        events = log.events()
-    except SeatrialError as error:
-        console.print(f"[bold]warning:[/] {escape(str(error))}")
-        return
     lines = _with_repeats_joined(events)
     left_out = max(len(lines) - FIRST_EVENTS - LAST_EVENTS, 0)
-    for k, (t, kind, text) in enumerate(lines):
+    for k, event in enumerate(lines):
         if k == FIRST_EVENTS and left_out:
             console.print(f"       ... {counted(left_out, 'event')} left out; `seatrial export csv` writes all of them")
         if k < FIRST_EVENTS or k >= FIRST_EVENTS + left_out:
-            console.print(f"{t - log.start:10.3f} s  [bold]{escape(kind)}[/]  {escape(text)}")
+            console.print(f"{event.t:10.3f} s  [bold]{escape(event.kind)}[/]  {escape(event.text)}")
 
 
-def _with_repeats_joined(events: list[tuple[float, str, str]]) -> list[tuple[float, str, str]]:
+def _with_repeats_joined(events: Sequence[Event]) -> list[Event]:
     """Join consecutive events of kinds that often repeat ("skipped", "parameter") to one that states their number.
 
-    Parameters
-    ----------
-    events
-        Time [s since 1970], kind and text of each event of a log.
-
-    Returns
-    -------
-    list of tuple
-        The events; those of other kinds are unchanged.
+    Events of other kinds are unchanged.
     """
-    lines: list[tuple[float, str, str]] = []
-    for kind, group in groupby(events, key=lambda event: event[1]):
+    lines: list[Event] = []
+    for kind, group in groupby(events, key=lambda event: event.kind):
         first, *more = group
         if kind not in FOLDED or not more:
             lines += [first, *more]
             continue
-        rest = f" (and {len(more)} more until {more[-1][0] - first[0]:.3f} s later)"
-        lines.append((first[0], kind, first[2] + rest))
+        rest = f" (and {len(more)} more until {more[-1].t - first.t:.3f} s later)"
+        lines.append(replace(first, text=first.text + rest))
     return lines
 
 

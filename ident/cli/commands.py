@@ -10,13 +10,15 @@ from typing import Any
 
 import click
 
+from seatrial.daq.console import make_console
 from seatrial.daq.errors import SeatrialError
-from seatrial.daq.options import FiniteRange
+from seatrial.daq.options import FiniteRange, json_option, output_option, print_json
 from seatrial.ident.cli.options import (
     FILE,
     FOLDER,
     LOG,
     MODEL,
+    MODEL_SOURCE,
     Lines,
     LiveLine,
     check_output,
@@ -31,6 +33,7 @@ from seatrial.ident.cli.options import (
     parse_rates,
     parse_thruster_files,
     parse_values,
+    print_result_json,
     rate_option,
     reml_option,
     robust_option,
@@ -65,7 +68,8 @@ def ident() -> None:
 @reml_option()
 @despite_option
 @out_option("thruster")
-def thruster(logs: tuple[Path, ...], out: Path, **how: Any) -> None:
+@json_option()
+def thruster(logs: tuple[Path, ...], out: Path, as_json: bool, **how: Any) -> None:
     """Fit shaft dynamics and thrust curve to bench LOGS of one thruster.
 
     A log of force and command without shaft speed gives only the static thrust curve, as a table. The results are
@@ -80,7 +84,7 @@ def thruster(logs: tuple[Path, ...], out: Path, **how: Any) -> None:
     from seatrial.ident.workflows.thruster import ThrusterRequest, characterise
 
     request = ThrusterRequest(logs, out, **with_estimation_options(how))
-    run_workflow(lambda reporter: characterise(request, command_line(), reporter), out)
+    run_workflow(lambda reporter: characterise(request, command_line(), reporter), out, as_json)
 
 
 def _parse_intervals(
@@ -104,7 +108,8 @@ def _parse_intervals(
 @despite_option
 @window_option
 @trust_option
-def compare(models: tuple[Path, ...], logs: tuple[Path, ...], **how: Any) -> None:
+@json_option()
+def compare(models: tuple[Path, ...], logs: tuple[Path, ...], as_json: bool, **how: Any) -> None:
     """Predict the same logs by several fitted MODELS, compare each model with the first one, and print the comparison.
 
     Give at least two models, and logs that no model was fitted to.
@@ -113,12 +118,15 @@ def compare(models: tuple[Path, ...], logs: tuple[Path, ...], **how: Any) -> Non
     Example:
       seatrial ident compare vehicle/model.toml diagnosis/model.toml --on run4.mcap
     """
-    from seatrial.ident.workflows.compare import CompareRequest, compare_models, comparison_lines
+    from seatrial.ident.workflows.compare import CompareRequest, compare_models, comparison_lines, comparison_table
 
     try:
         found = compare_models(CompareRequest(models, logs, **how), Lines(err=True))
     except (ValueError, KeyError) as problem:
         raise SeatrialError(str(problem).strip("'\"")) from problem
+    if as_json:
+        print_json(comparison_table(found))
+        return
     for line in comparison_lines(found):
         click.echo(line)
 
@@ -142,11 +150,12 @@ def compare(models: tuple[Path, ...], logs: tuple[Path, ...], **how: Any) -> Non
     help="Withhold GNSS in this interval [s of the log]; may be repeated.",
 )
 @window_option
-@click.option("--thruster", type=LOG, help="The static curve from command to thrust that the model was fitted with.")
+@click.option("--thruster", type=MODEL, help="The static curve from command to thrust that the model was fitted with.")
 @rate_option
 @trust_option
 @out_option("navigation")
-def navigate(model: Path, logs: tuple[Path, ...], out: Path, **how: Any) -> None:
+@json_option()
+def navigate(model: Path, logs: tuple[Path, ...], out: Path, as_json: bool, **how: Any) -> None:
     """Estimate position, heading, speeds, current and disturbance forces along LOGS with a fitted MODEL.
 
     GNSS outages are listed with the 95 % radius of the position at their end. LOGS should not be those that MODEL was
@@ -160,7 +169,7 @@ def navigate(model: Path, logs: tuple[Path, ...], out: Path, **how: Any) -> None
     from seatrial.ident.workflows.navigate import NavigationRequest, navigate_logs
 
     request = NavigationRequest(model, logs, out, **how)
-    run_workflow(lambda reporter: navigate_logs(request, command_line(), reporter), out)
+    run_workflow(lambda reporter: navigate_logs(request, command_line(), reporter), out, as_json)
 
 
 ident.add_command(navigate)
@@ -176,14 +185,7 @@ ident.add_command(navigate)
     required=True,
     help="Target language or format. fmu: FMI 2.0 co-simulation, for Simulink, OpenModelica and others.",
 )
-@click.option(
-    "-o",
-    "--out",
-    "output",
-    type=click.Path(dir_okay=False, path_type=Path),
-    callback=check_output,
-    help="File to write; without it, the text is printed. An FMU needs it.",
-)
+@output_option(FILE, "File to write; without it, the text is printed. An FMU needs it.", callback=check_output)
 @force_option
 @click.option("--name", help="Prefix of the functions, or name of the node or FMU; default: name of the model.")
 @click.option(
@@ -216,7 +218,7 @@ ident.add_command(navigate)
     help="Moment of inertia about the vertical axis without added inertia [kg m2], for gazebo and vrx.",
 )
 @trust_option
-def export(output: Path | None, **how: Any) -> None:
+def export(out: Path | None, **how: Any) -> None:
     """Export the fitted MODEL for other programs: equations, parameters, noise, names and units.
 
     The text is printed, or written to the file --out, which must not exist without --force.
@@ -231,14 +233,14 @@ def export(output: Path | None, **how: Any) -> None:
     from seatrial.ident.workflows.export import ExportRequest, export_model
 
     request = ExportRequest(**how)
-    if output is None and request.target == "fmu":
+    if out is None and request.target == "fmu":
         raise SeatrialError("an FMU is a binary file: name it with -o, for example -o boat.fmu")
     exported = export_model(request)
-    if output is None:
+    if out is None:
         click.echo(exported.content, nl=False)
     else:
-        write_output(output, exported.content)
-        click.echo(f"wrote {printable(str(output))}")
+        write_output(out, exported.content)
+        click.echo(f"wrote {printable(str(out))}")
 
 
 ident.add_command(export)
@@ -250,11 +252,12 @@ ident.add_command(export)
 @click.option("--seconds", type=FiniteRange(2.0), default=30.0, show_default=True, help="Length of a segment [s].")
 @click.option("--parameters", "chosen", metavar="NAMES", callback=parse_names, help="Only these parameters: d_v,m_v.")
 @window_option
-@click.option("--thruster", type=LOG, help="The static curve from command to thrust that the model was fitted with.")
+@click.option("--thruster", type=MODEL, help="The static curve from command to thrust that the model was fitted with.")
 @rate_option
 @trust_option
 @out_option("information")
-def information(model: Path, logs: tuple[Path, ...], out: Path, **how: Any) -> None:
+@json_option()
+def information(model: Path, logs: tuple[Path, ...], out: Path, as_json: bool, **how: Any) -> None:
     """Compute the Fisher information of each segment of LOGS about each parameter of a fitted MODEL.
 
     It shows which segment a parameter depends on, and about which parameters the logs contain no information. The
@@ -267,7 +270,7 @@ def information(model: Path, logs: tuple[Path, ...], out: Path, **how: Any) -> N
     from seatrial.ident.workflows import information
 
     request = information.InformationRequest(model, logs, out, **how)
-    run_workflow(lambda reporter: information.information(request, command_line(), reporter), out)
+    run_workflow(lambda reporter: information.information(request, command_line(), reporter), out, as_json)
 
 
 ident.add_command(information)
@@ -277,7 +280,8 @@ ident.add_command(information)
 @click.argument("logs", nargs=-1, required=True, type=LOG)
 @click.option("--signal", "signals", multiple=True, metavar="NAME", help="Only this signal; may be repeated.")
 @out_option("noise")
-def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
+@json_option()
+def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path, as_json: bool) -> None:
     """Estimate white noise and random walk of each channel from LOGS of sensors at rest.
 
     The report has them in units of data sheets too, with the Allan deviation and the bias instability. The results are
@@ -290,7 +294,9 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
     from seatrial.ident.workflows import noise
 
     run_workflow(
-        lambda reporter: noise.noise(logs, out, signals=signals, command=command_line(), reporter=reporter), out
+        lambda reporter: noise.noise(logs, out, signals=signals, command=command_line(), reporter=reporter),
+        out,
+        as_json,
     )
 
 
@@ -315,7 +321,8 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
 @rate_option
 @trust_option
 @out_option("vehicle")
-def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how: Any) -> None:
+@json_option()
+def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, as_json: bool, **how: Any) -> None:
     """Fit a model of the boat to LOGS and validate it on others.
 
     The results are model.toml, result.json and report.html in the folder --out. The exit status is 1 if the fit did not
@@ -329,7 +336,7 @@ def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how
     from seatrial.ident.workflows.vehicle_model import VehicleRequest
 
     request = VehicleRequest(logs, validate, out, **with_estimation_options(how))
-    run_workflow(lambda reporter: vehicle(request, command_line(), reporter), out)
+    run_workflow(lambda reporter: vehicle(request, command_line(), reporter), out, as_json)
 
 
 @ident.command(short_help="Fit a model of the boat to each of many logs.")
@@ -406,7 +413,10 @@ def fleet(logs: tuple[Path, ...], out: Path, workers: Any, force: bool, **how: A
 )
 @trust_option
 @out_option("diagnosis")
-def diagnose(model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how: Any) -> None:
+@json_option()
+def diagnose(
+    model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, as_json: bool, **how: Any
+) -> None:
     """Find effects that MODEL lacks to explain LOGS, add them, and compare prediction errors before and after.
 
     MODEL is that of a boat, or that of a thruster, with bench logs. The results are model.toml with the found effects,
@@ -421,11 +431,11 @@ def diagnose(model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], ou
     from seatrial.ident.workflows.diagnose import DiagnosisRequest, diagnosis
 
     request = DiagnosisRequest(model, logs, validate, out, **with_estimation_options(how))
-    run_workflow(lambda reporter: diagnosis(request, command_line(), reporter), out)
+    run_workflow(lambda reporter: diagnosis(request, command_line(), reporter), out, as_json)
 
 
 @ident.command(short_help="Monte Carlo of the estimator: bias, variance, coverage.")
-@click.argument("models", metavar="MODEL...", nargs=-1, required=True)
+@click.argument("models", metavar="MODEL...", nargs=-1, required=True, type=MODEL_SOURCE)
 @click.option(
     "--replicates",
     type=click.IntRange(3),
@@ -458,14 +468,16 @@ def diagnose(model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], ou
 @mean_order_option(None)
 @click.option("--docs", type=FILE, help="Also write the page of tables to this file, with its pictures.")
 @trust_option
-@click.option(
-    "--out",
-    type=FOLDER,
+@output_option(
+    FOLDER,
+    "Folder for the results; a study that was interrupted continues there.",
     default=Path("study"),
     show_default=True,
-    help="Folder for the results; a study that was interrupted continues there.",
 )
-def study(models: tuple[str, ...], method: str, unbounded: bool, docs: Path | None, out: Path, **how: Any) -> None:
+@json_option()
+def study(
+    models: tuple[str, ...], method: str, unbounded: bool, docs: Path | None, out: Path, as_json: bool, **how: Any
+) -> None:
     """Test the estimator by Monte Carlo: simulate missions of each MODEL, fit them, and compare with the true values.
 
     MODEL is surge, yaw, horizontal, kinematic, thruster, noise or designed; a fitted model.toml; or FILE.py:NAME, a
@@ -485,11 +497,14 @@ def study(models: tuple[str, ...], method: str, unbounded: bool, docs: Path | No
     request = StudyRequest(models, out=out, method=estimator, bounded=not unbounded, **how)
     result = run_studies(request, command_line(), Lines(err=True))
     write_study_page(result, AIMS, out / "report.html")
-    click.echo(study_as_text(result), nl=False)
+    if as_json:
+        print_result_json(result)
+    else:
+        click.echo(study_as_text(result), nl=False)
     if docs is not None:
         write_study_docs(result, docs)
-        click.echo(f"written: {docs}")
-    click.echo(f"report: {out / 'report.html'}")
+        click.echo(f"written: {docs}", err=as_json)
+    click.echo(f"report: {out / 'report.html'}", err=as_json)
 
 
 def _parse_area(_context: click.Context, _parameter: click.Parameter, text: str | None) -> tuple[float, float] | None:
@@ -515,7 +530,7 @@ def _parse_area(_context: click.Context, _parameter: click.Parameter, text: str 
     epilog="Example: seatrial mission design vehicle/model.toml --duration 600 --criterion Ds --parameters d_v,m_v "
     "--area 60x60 --out mission.toml",
 )
-@click.argument("source", metavar="MODEL")
+@click.argument("source", metavar="MODEL", type=MODEL_SOURCE)
 @click.option(
     "--duration",
     type=FiniteRange(10.0, 7200.0),
@@ -613,18 +628,18 @@ def _parse_area(_context: click.Context, _parameter: click.Parameter, text: str 
 @click.option(
     "--thrusters", metavar="NAMES", callback=parse_names, help="Names in the rig file, by default left,right."
 )
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(dir_okay=False, path_type=Path),
+@output_option(
+    FILE,
+    "The mission to write; it must not exist. A page and its numbers are written beside it.",
     default=Path("mission.toml"),
     show_default=True,
-    help="The mission to write; it must not exist. A page and its numbers are written beside it.",
 )
 @trust_option
+@json_option()
 def design(
     source: str,
     out: Path,
+    as_json: bool,
     min_step: float,
     area: tuple[float, float] | None,
     max_speed: float | None,
@@ -668,9 +683,12 @@ def design(
         result = _with_live_progress(lambda reporter: make_design(source, request, out, command_line(), reporter))
     except (ValueError, KeyError) as problem:
         raise SeatrialError(f"{source}: {str(problem).strip(chr(39) + chr(34))}") from problem
-    for line in design_summary(result):
-        click.echo(line)
-    click.echo(f"{out}; report: {out.with_suffix('.html')}")
+    if as_json:
+        print_result_json(result)
+    else:
+        for line in design_summary(result):
+            click.echo(line)
+    click.echo(f"{out}; report: {out.with_suffix('.html')}", err=as_json)
 
 
 def _with_live_progress(work: Any) -> Any:
@@ -679,9 +697,7 @@ def _with_live_progress(work: Any) -> Any:
     ``work`` is a function of a reporter, which receives the lines of progress and the warnings. Its errors are not
     caught.
     """
-    from rich.console import Console
-
-    console = Console(highlight=False, stderr=True)
+    console = make_console(stderr=True)
     with console.status("compiling") as status:
         return work(LiveLine(console, status))
 

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
+from seatrial.daq.console import make_console
 from seatrial.daq.errors import SeatrialError
-from seatrial.daq.options import FiniteRange
+from seatrial.daq.options import FiniteRange, output_option, print_json
 from seatrial.ident.reporter import Reporter
 
 if TYPE_CHECKING:
@@ -27,13 +28,13 @@ FILE = click.Path(dir_okay=False, path_type=Path)
 
 
 class ModelPath(click.Path):
-    """Type of a command-line argument: a fitted model, given as a model.toml or as the folder that contains it."""
+    """Type of an argument: a fitted model, given as model.toml, as its folder, or as the result.json beside it."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
-        """Return the path of the model.toml: the path itself or, for a folder, that of the model.toml in it.
+        """Return the path of the model.toml: the path itself, the one in a folder, or the one beside a result.json.
 
-        A folder without a model.toml is returned unchanged, so that the reader of the model reports it. A path that
-        does not exist fails with click.BadParameter.
+        A folder or result.json without a model.toml is returned unchanged, so that the reader of the model reports it.
+        A path that does not exist fails with click.BadParameter.
         """
         from seatrial.ident.estimation import model_file
 
@@ -41,6 +42,30 @@ class ModelPath(click.Path):
 
 
 MODEL = ModelPath(exists=True, path_type=Path)
+
+
+class ModelSource(click.ParamType[str]):
+    """Type of an argument: a fitted model as for `ModelPath`, the name of a built-in model, or FILE.py:NAME."""
+
+    name = "model"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Return the text unchanged, or the path of the model.toml if the text is a folder or a result.json of a fit.
+
+        The name of a built-in model or case stands for itself, even if there is a folder of this name; `./NAME` is the
+        folder.
+        """
+        text = str(value)
+        if not Path(text).exists():
+            return text
+        from seatrial.ident.estimation import model_file
+        from seatrial.ident.models import BUILT_IN
+        from seatrial.ident.studies import CASES
+
+        return text if text in (*BUILT_IN, *CASES) else str(model_file(Path(text)))
+
+
+MODEL_SOURCE = ModelSource()
 
 
 def _parse_finite(text: str) -> float:
@@ -301,8 +326,8 @@ def out_option(default: str) -> Callable[..., Any]:
         Name of the folder if ``--out`` is not given.
     """
     words = "Folder for the results."
-    how: dict[str, Any] = {"type": FOLDER, "default": Path(default), "show_default": True, "help": words}
-    return lambda f: click.option("--out", callback=check_output, **how)(force_option(f))
+    option = output_option(FOLDER, words, default=Path(default), show_default=True, callback=check_output)
+    return lambda f: option(force_option(f))
 
 
 def _trust_files(context: click.Context, _parameter: click.Parameter, trusted: bool) -> None:
@@ -448,7 +473,9 @@ MODEL_OPTIONS = (
         "current), surge:force|shaft:position|speed|both, yaw:rate|both, or FILE.py:NAME for your own.",
     ),
     click.option(
-        "--thruster", type=LOG, help="model.toml of the bench: c1 and c2, or the static curve from command to thrust."
+        "--thruster",
+        type=MODEL,
+        help="model.toml of the bench, or its folder: c1 and c2, or the static curve from command to thrust.",
     ),
     click.option(
         "--fix",
@@ -554,7 +581,7 @@ class LiveLine:
         self.console.print(f"  {text}", markup=False)
 
 
-def run_workflow(work: Callable[[Reporter], Result], out: Path) -> None:
+def run_workflow(work: Callable[[Reporter], Result], out: Path, as_json: bool) -> None:
     """Run the computation of a command with a display of its progress, then print its result.
 
     The progress is a live line on a terminal, and otherwise one line per step on standard output. The path of the
@@ -566,6 +593,8 @@ def run_workflow(work: Callable[[Reporter], Result], out: Path) -> None:
         Function of a reporter that computes, writes the files of the result, and returns the result.
     out : Path
         Folder with report.html, for the message.
+    as_json : bool
+        Whether to print the result as JSON without its traces, and progress and message on standard error.
 
     Raises
     ------
@@ -574,24 +603,33 @@ def run_workflow(work: Callable[[Reporter], Result], out: Path) -> None:
     click.exceptions.Exit
         With the exit status 1, after printing, if the result is a fit that did not converge.
     """
-    from rich.console import Console
-
-    console = Console(highlight=False)
+    console = make_console(stderr=as_json)
     try:
         if console.is_terminal:
             with console.status("reading logs") as status:
                 result = work(LiveLine(console, status))
         else:
-            result = work(Lines())
+            result = work(Lines(err=as_json))
     except (ValueError, KeyError) as problem:
         raise SeatrialError(str(problem).strip("'\"")) from problem
-    from seatrial.ident.report import print_result
     from seatrial.ident.results import FitResult
 
-    print_result(result, console)
-    click.echo(f"report: {out / 'report.html'}")
+    if as_json:
+        print_result_json(result)
+    else:
+        from seatrial.ident.report import print_result
+
+        print_result(result, console)
+    click.echo(f"report: {out / 'report.html'}", err=as_json)
     if isinstance(result, FitResult) and not result.converged:
         raise click.exceptions.Exit(1)
+
+
+def print_result_json(result: Result) -> None:
+    """Print a result as JSON on standard output: the document of result.json without its traces."""
+    from seatrial.ident.results import to_json
+
+    print_json(to_json(result, traces=False))
 
 
 def command_line() -> str:

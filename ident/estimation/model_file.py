@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 import tomlkit
 
 from seatrial.daq.config import parse_toml, read_text
-from seatrial.daq.errors import SeatrialError
+from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from seatrial.daq.files import write_output
 from seatrial.ident.data import FrameOrigin
 from seatrial.ident.effects import catalogue, input_response_effects, nonparametric_effect
@@ -59,6 +60,7 @@ from seatrial.ident.models import (
 from seatrial.ident.numerics import Array
 
 FORMAT = "seatrial-model 1"
+MODEL, RESULT = "model.toml", "result.json"  # files of a fit
 NOTABLE_INFLATION = 1.001  # a smaller factor by which residuals increase a standard error is rounding: not written
 STATE_NUMBERS = ("sd0", "noise")  # attributes of a state that are written if they are numbers, not parameter names
 
@@ -319,8 +321,15 @@ def _parameter_table(p: Parameter, fit: Fit, *, with_prior: bool) -> dict[str, A
 
 
 def model_file(path: Path) -> Path:
-    """Return the model.toml in a folder; any other path, also of a folder without one, is returned unchanged."""
-    inside = path / "model.toml"
+    """Return the model.toml that a path stands for: the one in a folder, or the one beside a result.json.
+
+    Any other path, also of a folder or result.json without a model.toml, is returned unchanged; `load_model` reports
+    it. If a result.json stands for its model, a warning names the model.
+    """
+    if path.name == RESULT and path.is_file() and (beside := path.with_name(MODEL)).is_file():
+        warnings.warn(f"{path}: this is a result file; its model {beside} is used", SeatrialWarning, stacklevel=2)
+        return beside
+    inside = path / MODEL
     return inside if inside.is_file() else path
 
 
@@ -337,10 +346,12 @@ def load_model(path: Path) -> SavedModel:
         and the reason.
     """
     if path.is_dir():
-        raise SeatrialError(f"{path}: is a folder; give the model in it: {path / 'model.toml'}")
+        raise SeatrialError(f"{path}: this folder has no {MODEL}; give the folder of a fit, or its {MODEL}")
     text = read_text(path)
     if text.lstrip().startswith("{"):
-        raise SeatrialError(f"{path}: is a JSON file such as result.json, not a model; give the model.toml beside it")
+        raise SeatrialError(
+            f"{path}: this is a result file (JSON), not a model, and no {MODEL} is beside it; give the {MODEL} of a fit"
+        )
     table = parse_toml(text, path).values
     if table.get("format") != FORMAT:
         raise SeatrialError(f"{path}: format is {table.get('format')!r}, not {FORMAT!r}: give a model.toml of seatrial")

@@ -1,4 +1,5 @@
 from . import rotations as rotations
+from .catalogue import BUILT_IN as BUILT_IN
 from .catalogue import KNOWN_SIGNALS as KNOWN_SIGNALS
 from .catalogue import catalogue_model as catalogue_model
 from .catalogue import is_own_model as is_own_model

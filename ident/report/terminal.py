@@ -1,4 +1,4 @@
-"""Summary of a result for a terminal: about forty lines, 80 columns wide."""
+"""Summary of a result for a terminal: about forty lines, 80 columns wide. In a pipe tables are as wide as they need."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 from rich import box
 from rich.console import Console
-from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from seatrial.daq.console import print_prose, print_table
 from seatrial.ident.report import formatting
 from seatrial.ident.report.sections.parameters import interval, segment_in_words
 from seatrial.ident.report.sections.predictions import by_role, error_words, horizons
@@ -226,16 +226,16 @@ def print_result(result: Result, console: Console) -> None:
     """
     console.print()
     for warning in result.warnings:
-        console.print(Padding(Text(f"⚠ {warning.text}", style="yellow"), (0, 1)))
+        print_prose(console, Text(f"⚠ {warning.text}", style="yellow"))
     failed = isinstance(result, FitResult) and not result.converged
     answer = Text(f"⚠ {result.answer}", "bold yellow") if failed else Text(result.answer, "bold")
-    console.print(Padding(answer, (0, 1)))
+    print_prose(console, answer)
     if isinstance(result, DiagnosisResult) and result.caveat:
-        console.print(Padding(Text(result.caveat, style="yellow"), (0, 1)))
+        print_prose(console, Text(result.caveat, style="yellow"))
     for table in _all_tables(result):
         if table is not None:
             console.print()
-            console.print(Padding(table, (0, 0, 0, 1)))
+            print_table(console, table, indent=1)
     console.print()
 
 

@@ -27,15 +27,19 @@ from seatrial.ident.results.commands import (
     InformationResult,
     NavigationResult,
     NoiseResult,
+    SegmentInformation,
     StudyResult,
 )
 from seatrial.ident.results.curves import moved_fields, read_parquet, stub, to_parquet, with_curves
 from seatrial.ident.results.parts import (
     FORMAT,
+    Correlation,
     CurvesFile,
     DiagnosisResult,
+    Homogeneity,
     Part,
     Result,
+    StaticForce,
     ThrustCurveResult,
     ThrusterResult,
     VehicleResult,
@@ -44,6 +48,7 @@ from seatrial.ident.results.parts import (
 READABLE = ("seatrial-result 2",)  # earlier formats that are still read
 DIGITS = 7  # significant digits of a number in a file
 EXACT = (FrameOrigin,)  # types whose numbers keep all digits: seven digits of a latitude are 10 m
+TABLES = (Correlation, Homogeneity, SegmentInformation, StaticForce)  # types whose arrays are small tables, not traces
 EXACT_POWER = 22  # powers of ten up to this exponent are exact in float64
 
 AnyResult = (
@@ -60,13 +65,37 @@ AnyResult = (
 )
 
 
-def to_json(result: Part) -> bytes:
-    """Return a result, or a table of a result, as JSON in UTF-8, with all its curves.
+def to_json(result: Part, traces: bool = True) -> bytes:
+    """Return a result, or a table of a result, as JSON in UTF-8.
 
     Keys are in the order of the fields; that of the type, ``kind``, is the first. NaN and infinity become null. Numbers
     keep seven significant digits; an origin of the NED frame (latitude and longitude) keeps all.
+
+    Parameters
+    ----------
+    result
+        Result of a command, or a table of a result.
+    traces
+        Whether to include traces: arrays of samples over time, frequency or another variable, which the figures of a
+        report show. Without them a result is a few kilobytes, and ``from_json`` does not read it.
     """
-    return msgspec.json.encode(_as_json_types(result))
+    return msgspec.json.encode(_as_json_types(result if traces else _without_traces(result)))
+
+
+def _without_traces(value: Any) -> Any:
+    """Return a result, or any value in it, as dicts and lists without arrays, except those of the types in TABLES."""
+    if isinstance(value, (*EXACT, *TABLES)):
+        return value
+    if isinstance(value, msgspec.Struct):
+        config = type(value).__struct_config__
+        kind = {} if config.tag is None else {str(config.tag_field): config.tag}
+        fields = {name: getattr(value, name) for name in value.__struct_fields__}
+        return kind | _without_traces(fields)
+    if isinstance(value, dict):
+        return {k: _without_traces(v) for k, v in value.items() if not isinstance(v, np.ndarray)}
+    if isinstance(value, list | tuple):
+        return [_without_traces(v) for v in value if not isinstance(v, np.ndarray)]
+    return value
 
 
 def write_result(result: Result, path: Path) -> None:

@@ -1,3 +1,4 @@
+from .cases import CASES as CASES
 from .cases import make_case as make_case
 from .monte_carlo import Case as Case
 from .monte_carlo import ParameterCoverage as ParameterCoverage

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -369,6 +370,28 @@ def _samples_by_channel(record: Record, rows: NDArray[np.bool_]) -> dict[str, in
     """
     counts = np.isfinite(record.y[rows]).sum(axis=0).tolist()
     return {name: n for name, n in zip(record.outputs, counts, strict=True) if n}
+
+
+def comparison_table(found: ModelComparison) -> dict[str, Any]:
+    """Return a comparison as a mapping for JSON, with the numbers that `comparison_lines` prints and their intervals.
+
+    The first model has no `change`, `score` and `criteria` (None), which compare a model with the first one.
+    """
+    models = [
+        {
+            "model": m.name,
+            "n_free": m.n_free,
+            "rms": dict(m.rms),
+            "fitted_to_logs": list(m.fitted_to_logs),
+            "change": m.change
+            and {"ratio": m.change.ratio, "low": m.change.low, "high": m.change.high, "verdict": m.change.verdict},
+            "score": m.score and {**asdict(m.score), "verdict": m.score.verdict},
+            "criteria": m.criteria and asdict(m.criteria),
+            "no_criteria": m.no_criteria,
+        }
+        for m in found.models
+    ]
+    return {"kind": "comparison", "horizon": found.horizon, "units": dict(found.units), "models": models}
 
 
 def comparison_lines(found: ModelComparison, names: Sequence[str] | None = None) -> list[str]:

@@ -33,7 +33,7 @@ from seatrial.ident.data import (
     far_apart,
     share_frame,
 )
-from seatrial.ident.estimation import SavedModel
+from seatrial.ident.estimation import SavedModel, model_file
 from seatrial.ident.model import COMMAND, SHAFT_SPEED, Model, ModelKind, SignalId, segment_name
 from seatrial.ident.models import KNOWN_SIGNALS, SENSORS, TELEMETRY_AGE, make_model, telemetry_age
 from seatrial.ident.results import ResultWarning, UnusedSignal, frame_warnings
@@ -529,11 +529,12 @@ def _curve_path(thruster: str | None, model: Path) -> Path | None:
     """
     if thruster is None:
         return None
-    if not Path(thruster).is_file():
+    curve = model_file(Path(thruster))
+    if not curve.is_file():
         raise SeatrialError(
             f"--thruster {thruster}: no such file; {model} is a boat's model, so give the static curve of its thrusters"
         )
-    return Path(thruster)
+    return curve
 
 
 def _check_thrust_inputs(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import atexit
-import difflib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
@@ -18,7 +17,7 @@ from seatrial.api import plots, tables
 from seatrial.api.figures import Figure
 from seatrial.api.logs import Log, PathLike, as_paths
 from seatrial.api.messages import Messages, errors_of_users
-from seatrial.daq.errors import SeatrialError
+from seatrial.daq.errors import SeatrialError, closest_name
 from seatrial.daq.log import import_library
 
 if TYPE_CHECKING:
@@ -751,8 +750,8 @@ def known_options(given: Mapping[str, Any], options: type) -> dict[str, Any]:
     known = sorted(options.__annotations__)
     for name in given:
         if name not in known:
-            similar = difflib.get_close_matches(name, known, 1)
-            hint = f"did you mean {similar[0]!r}? The options are" if similar else "the options are"
+            similar = closest_name(name, known)
+            hint = f"did you mean {similar!r}? The options are" if similar else "the options are"
             raise SeatrialError(f"there is no option {name!r}; {hint} {', '.join(known)}")
     if (horizon := given.get("horizon")) is not None and not horizon > 0.0:
         raise SeatrialError(f"horizon {horizon:g}: give a time above zero, in s")

@@ -39,7 +39,7 @@ CASES = (
     Case("yaw-bias", 41, "realistic-double"),
 )
 SECONDS = 250.0
-DESIGNED, MIXED = "designed", "mixed"
+BEFORE, DESIGNED, MIXED = "before", "designed", "mixed"
 
 
 def main(words: Sequence[str] | None = None) -> None:
@@ -66,7 +66,7 @@ def run_case(case: Case) -> Row:
         write_logs(folder, recordings_of(case))
         first = _diagnosis(folder)
         pair = pair_to_distinguish(first)
-        row: Row = {"key": case.key, "pair": pair, "diagnoses": {"before": summary(first)}}
+        row: Row = {"key": case.key, "pair": pair, "diagnoses": {BEFORE: summary(first)}}
         if pair:
             words = ("--discriminate", ",".join(pair), "--duration", f"{SECONDS:g}", "--out", "next.toml")
             seatrial(folder, "mission", "design", "found/model.toml", *words)

@@ -18,12 +18,14 @@ from seatrial.ident.diagnosis.certainty import NAME_RECORDS
 from seatrial.mocks.hidden_effects.catalogue import make_effect
 from tests.recovery.cases import Row
 from tests.recovery.kinds import KINDS, all_large
+from tests.recovery.next_experiment import BEFORE, DESIGNED, MIXED
 from tests.recovery.resumable import read
 from tests.recovery.tables import as_markdown, interval
 from tests.recovery.verdict import answers, present
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "docs/data/realistic-boats.jsonl"
+MISSIONS = ROOT / "docs/data/next-experiment.jsonl"
 PAGE = ROOT / "docs/realistic-boats.md"
 MASSES = ("m_u", "m_v", "m_r")
 MATTERS = 1.3  # error of the model without the effect over that with it, from which an effect matters
@@ -70,6 +72,20 @@ seatrial states these shares with each name, by the rule of succession: {stated}
 
 An effect that is *identified* explains what was missing, and no competing model does. *Ambiguous* means that the data
 do not distinguish several effects, or that the prediction is no better with it.
+
+## What one more mission adds
+
+For an ambiguous answer the report recommends `seatrial mission design --discriminate A,B`. Five boats ran such a
+mission of 250 s, and for comparison a mixed mission of the same length, as a further log of the fit and of the
+diagnosis. The table has the attribution of the first of the two effects, which is in the boat in all five cases.
+
+    python -m tests.recovery.next_experiment --out docs/data/next-experiment.jsonl
+
+{missions}
+
+The designed mission makes the name certain in {by_design} of {n_missions} cases, the mixed mission in {by_mixed}. So a
+further log helps, and five cases do not show that its design helps more. The mission is designed with typical sizes of
+the two effects, not with those of the boat.
 """
 
 
@@ -92,6 +108,10 @@ def document(rows: Sequence[Row]) -> str:
     return TEXT.format(
         seed=rows[0]["seed"],
         table=as_markdown(table(rows)),
+        missions=as_markdown(missions()),
+        by_design=sum(line[3] == "identified" for line in missions()[1:]),
+        by_mixed=sum(line[4] == "identified" for line in missions()[1:]),
+        n_missions=len(missions()) - 1,
         stated=" and ".join(f"{100 * r.probability:.0f} % {how}" for how, r in NAME_RECORDS.items()),
         certainty=as_markdown(certainty([*rows, *clean])),
         n=len(rows),
@@ -112,6 +132,17 @@ def document(rows: Sequence[Row]) -> str:
         held=sum(abs(v) <= 3.0 for v in z),
         kept=len(z),
     )
+
+
+def missions() -> list[list[str]]:
+    """Return the table of the missions that tell two effects apart: attribution of the first before and after."""
+    lines = [["boat", "effects to tell apart", "before", "with the designed mission", "with a mixed mission"]]
+    for row in read(MISSIONS).values():
+        kind, effect, _ = row["key"].split("/")
+        found = [dict(pairs(row["diagnoses"][when])) for when in (BEFORE, DESIGNED, MIXED)]
+        verdicts = [names.get(row["pair"][0], "not found") for names in found]
+        lines.append([f"{effect}, {SIZES[kind]} size", " and ".join(row["pair"]), *verdicts])
+    return lines
 
 
 def certainty(rows: Sequence[Row]) -> list[list[str]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -111,3 +112,19 @@ def test_a_first_segment_that_is_lost_names_the_others(killed_set: Path) -> None
         SeatrialError, match=r"empty.*open its possible later segments one by one: run\.1\.mcap, run\.2\.mcap, run\.3"
     ):
         run("recover", killed_set)
+
+
+def test_recovery_and_content_as_json(killed_set: Path) -> None:
+    done = run("recover", killed_set, "--json")
+    shown = json.loads(done.stdout)
+    out = killed_set.with_name("run-recovered.mcap")
+    assert (shown["format"], shown["log"], shown["out"]) == ("seatrial-recover 1", str(killed_set), str(out))
+    assert shown["files"] > 1
+    with open_log(out) as log:
+        assert shown["messages"] == sum(log.counts.values())
+        content = json.loads(run("info", out, "--json").stdout)
+        assert content["format"] == "seatrial-info 1"
+        assert (content["complete"], content["messages"]) == (True, shown["messages"])
+        assert {row["topic"]: row["messages"] for row in content["topics"]} == log.counts
+        assert content["start"] == log.start
+        assert [event["kind"] for event in content["events"]] == [kind for _, kind, _ in log.events()]

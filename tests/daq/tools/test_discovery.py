@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import random
 import termios
@@ -168,6 +169,18 @@ def test_the_devices_command_writes_the_tables_of_a_rig_file(tmp_path: Path) -> 
     assert done.exit_code == 0, done.output
     rig = parse_rig(done.output, tmp_path / "rig.toml")
     assert (rig.devices[0].protocol, rig.devices[0].baud, rig.devices[0].port) == ("nmea", 38400, port)
+
+
+def test_the_devices_command_prints_json_alone() -> None:
+    baud, say = SAYS["nmea"]
+    with device(baud, say) as port:
+        words = [port, "--baud", "38400", "--seconds", "0.4", "--json"]
+        found = json.loads(CliRunner().invoke(cli.devices, words, catch_exceptions=False).stdout)
+    assert found["format"] == "seatrial-devices 1"
+    (only,) = found["devices"]
+    assert (only["port"], only["protocol"], only["baud"]) == (port, "nmea", 38400)
+    assert only["rate"] is None or only["rate"] > 0.0
+    assert CliRunner().invoke(cli.devices, ["--json", "--toml"]).exit_code == 2
 
 
 def test_a_device_that_sends_once_has_no_rate() -> None:

@@ -9,7 +9,7 @@ from rich.console import Console
 from seatrial.daq.importers.write_log import SignalRow, write_frames
 from seatrial.daq.log import open_log
 from seatrial.daq.samples import Ahrs, Esc, Frame, Gnss, Sample
-from seatrial.daq.tools import show_log
+from seatrial.daq.tools import log_content, show_log
 
 
 def test_info_counts_samples_and_their_messages(tmp_path: Path) -> None:
@@ -22,7 +22,7 @@ def test_info_counts_samples_and_their_messages(tmp_path: Path) -> None:
     write_frames(tmp_path / "run.mcap", rows, metadata={}, note="test")
     console = Console(width=200, highlight=False)
     with open_log(tmp_path / "run.mcap") as log, console.capture() as capture:
-        show_log(log, console)
+        show_log(log_content(log), console)
     n_messages = sum(log.counts.values())
     assert n_messages > 2 * len(samples)  # time, IMU and magnetometer of an AHRS, for example
     assert f"9.000 s, {len(samples)} samples in {n_messages} messages" in capture.get()

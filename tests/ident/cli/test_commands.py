@@ -202,10 +202,10 @@ def test_diagnosis_rejects_logs_that_a_fit_rejects(fitted: Path, tmp_path: Path,
 def test_fit_that_did_not_converge_has_status_1(fitted: Path, capsys: pytest.CaptureFixture[str]) -> None:
     result = read_result(fitted / "vehicle" / "result.json")
     assert isinstance(result, VehicleResult)
-    run_workflow(lambda reporter: result, fitted / "vehicle")
+    run_workflow(lambda reporter: result, fitted / "vehicle", False)
     fit = msgspec.structs.replace(result.fit, converged=False)
     with pytest.raises(click.exceptions.Exit) as leaving:
-        run_workflow(lambda reporter: msgspec.structs.replace(result, fit=fit), fitted / "vehicle")
+        run_workflow(lambda reporter: msgspec.structs.replace(result, fit=fit), fitted / "vehicle", False)
     assert leaving.value.exit_code == 1
     assert "report.html" in capsys.readouterr().out
 

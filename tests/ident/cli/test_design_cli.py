@@ -79,6 +79,18 @@ def test_designed_mission_is_read_by_the_bench_and_shown(tmp_path: Path, capsys:
     assert "http://" not in re.sub(r"<script>.*?</script>", "", page, flags=re.DOTALL)
 
 
+def test_design_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "mission.toml"
+    status, printed, beside = run(capsys, "design", "horizontal:shaft:no-current", *QUICK, "--out", str(out), "--json")
+    assert status == 0
+    assert "report:" in beside
+    shown, result = json.loads(printed), json.loads(out.with_suffix(".json").read_text())
+    assert shown["kind"] == "design"
+    assert shown["parameters"] == result["parameters"]
+    assert shown["samples"] == {}
+    assert "t" not in shown["inputs"][0]
+
+
 def test_design_that_is_worse_than_a_random_signal_is_reported_first(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

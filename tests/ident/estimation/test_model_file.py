@@ -12,15 +12,16 @@ import numpy as np
 import pytest
 import tomlkit
 
-from seatrial.daq.errors import SeatrialError
+from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from seatrial.ident.characterisation.thrust_curve import load_curve
+from seatrial.ident.cli.options import ModelSource
 from seatrial.ident.data.record import build_record
 from seatrial.ident.effects.nonparametric import input_response_effects, nonparametric_effect
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.engine.vectorised_model import VectorisedModel
 from seatrial.ident.estimation.homogeneity import between_runs_effect
 from seatrial.ident.estimation.maximum_likelihood import Fit, SearchSettings, fit
-from seatrial.ident.estimation.model_file import load_model, save_model
+from seatrial.ident.estimation.model_file import load_model, model_file, save_model
 from seatrial.ident.model.structure import ForceCurve, Model
 from seatrial.ident.models.catalogue import make_model
 from seatrial.ident.models.disturbances import with_disturbances
@@ -315,15 +316,37 @@ def test_file_that_is_nested_too_deeply_or_too_long_gives_a_one_line_error(tmp_p
     assert load_curve(tmp_path / "model.toml") is None
 
 
-def test_folder_and_result_file_are_rejected_as_a_model(tmp_path: Path) -> None:
+def test_folder_and_result_file_stand_for_the_model_in_them(tmp_path: Path) -> None:
+    model = tmp_path / "model.toml"
+    model.write_text("")
+    (tmp_path / "result.json").write_text("{}")
+    assert model_file(tmp_path) == model
+    assert model_file(model) == model
+    assert model_file(tmp_path / "other.json") == tmp_path / "other.json"
+    with pytest.warns(SeatrialWarning, match=r"result\.json: this is a result file; its model .*model\.toml is used"):
+        assert model_file(tmp_path / "result.json") == model
+    assert ModelSource().convert(f"{tmp_path}/", None, None) == str(model)
+    assert ModelSource().convert("horizontal", None, None) == "horizontal"
+    assert ModelSource().convert("own.py:boat", None, None) == "own.py:boat"
+
+
+def test_a_folder_with_the_name_of_a_model_is_not_the_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "surge").mkdir()
+    (tmp_path / "surge" / "model.toml").write_text("")
+    monkeypatch.chdir(tmp_path)
+    assert ModelSource().convert("surge", None, None) == "surge"
+    assert ModelSource().convert("./surge", None, None) == "surge/model.toml"
+
+
+def test_folder_and_result_file_without_model_are_rejected(tmp_path: Path) -> None:
     """Each error is one line and names the file to give."""
     (tmp_path / "vehicle").mkdir()
-    with pytest.raises(SeatrialError, match=r"vehicle: is a folder; give the model in it: .*vehicle/model\.toml$"):
+    with pytest.raises(SeatrialError, match=r"vehicle: this folder has no model\.toml; give the folder of a fit"):
         load_model(tmp_path / "vehicle")
     result = tmp_path / "result.json"
     result.write_text('{"kind": "vehicle"}')
     with pytest.raises(
         SeatrialError,
-        match=r"result\.json: is a JSON file such as result\.json, not a model; give the model\.toml beside it$",
+        match=r"result\.json: this is a result file \(JSON\), not a model, and no model\.toml is beside it",
     ):
         load_model(result)

@@ -308,6 +308,6 @@ def test_export_command_rejects_a_file_that_is_not_a_model(tmp_path: Path) -> No
     (tmp_path / "result.json").write_text("{}", encoding="utf-8")
     done = CliRunner().invoke(ident, ["export", str(tmp_path / "result.json"), "--to", "c"])
     assert isinstance(done.exception, SeatrialError)
-    assert "result.json: is a JSON file such as result.json, not a model; give the model.toml beside it" in str(
+    assert "result.json: this is a result file (JSON), not a model, and no model.toml is beside it" in str(
         done.exception
     )

@@ -132,6 +132,19 @@ def test_result_names_no_file_outside_its_folder(tmp_path: Path) -> None:
     assert read_result(path).traces[0].measured.size  # type: ignore[union-attr]
 
 
+@pytest.mark.parametrize("kind", EXAMPLES)
+def test_a_result_without_traces_keeps_all_but_its_curves(kind: str) -> None:
+    result = from_json(json.dumps(EXAMPLES[kind]()).encode())
+    whole, short = json.loads(to_json(result)), json.loads(to_json(result, traces=False))
+    assert list(short) == list(whole)
+    for key in ("answer", "warnings", "logs"):
+        assert short[key] == whole[key]
+    # The correlation matrix stays: it is a table of the estimates, not a curve.
+    assert short["fit"] == whole["fit"]
+    for before, after in zip(whole["traces"], short["traces"], strict=True):
+        assert after == {k: v for k, v in before.items() if not isinstance(v, list)}
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from typing import Any, cast
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -16,11 +18,14 @@ from seatrial.ident.model.parameter import Parameter
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.workflows.compare import (
     ComparedModel,
+    InformationCriteria,
     LogScore,
+    ModelComparison,
     _is_nested,
     _log_score,
     _n_estimates,
     _why_not_comparable,
+    comparison_table,
 )
 
 SCORE = LogScore(10.0, 5.0, 15.0, 8)
@@ -91,6 +96,19 @@ def test_reason_for_no_information_criteria(
     found = _why_not_comparable(first, replace(first, saved=other), [log(sha256)], score)
     assert reason in found
     assert bool(found) is bool(reason)
+
+
+def test_comparison_as_a_table_for_json() -> None:
+    saved = SavedModel(horizontal_model("shaft"), {}, {})
+    first = ComparedModel("a", saved, {"psi": 0.1, "x": float("nan")}, ("run1",))
+    criteria = InformationCriteria(3.0, 1, -4.0, -1.0, 0.02)
+    second = replace(first, name="b", fitted_to_logs=(), score=SCORE, criteria=criteria)
+    table = comparison_table(ModelComparison(10.0, {"psi": "rad", "x": "m"}, (first, second)))
+    a, b = json.loads(msgspec.json.encode(table))["models"]
+    assert (a["model"], a["rms"], a["fitted_to_logs"], a["score"]) == ("a", {"psi": 0.1, "x": None}, ["run1"], None)
+    assert b["score"] == {"gain": 10.0, "low": 5.0, "high": 15.0, "blocks": 8, "verdict": "better"}
+    assert b["criteria"]["p"] == 0.02
+    assert b["n_free"] == first.n_free
 
 
 def test_nested_models() -> None:

@@ -80,6 +80,24 @@ def test_known_noise_is_estimated(still: Path, tmp_path: Path, capsys: pytest.Ca
     assert "Sensor noise" in report
 
 
+def test_json_is_the_result_without_its_curves_and_nothing_else(
+    still: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    capsys.readouterr()
+    run("ident", "noise", still, "--out", tmp_path / "noise", "--json")
+    printed, beside = capsys.readouterr()
+    shown, result = json.loads(printed), read(tmp_path / "noise")[0]
+    assert "report.html" in beside
+    assert {k: v for k, v in shown.items() if k != "noise"} == {k: v for k, v in result.items() if k != "noise"}
+    for short, whole in zip(shown["noise"], result["noise"], strict=True):
+        left_out = {k for k, v in whole.items() if isinstance(v, list)}
+        assert {"frequency", "psd", "psd_model"} <= left_out
+        assert {k: v for k, v in short.items() if k != "bands"} == {
+            k: v for k, v in whole.items() if k not in left_out | {"bands"}
+        }
+    assert len(printed) < 6000 < (tmp_path / "noise/result.json").stat().st_size
+
+
 def test_only_the_named_signals_are_analysed(still: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run("ident", "noise", still, "--signal", "psi", "--signal", "r", "--out", tmp_path / "some")
     assert list(read(tmp_path / "some")[1]) == ["psi", "r"]
