@@ -473,8 +473,8 @@ def _record_blocks(
     names
         Names of the parameters, from top to bottom.
     found
-        Segments of the log in the order of time. Those without information are left out of the map; the next segment is
-        then drawn over their time too.
+        Segments of the log in the order of time. Those without information are left out of the map; the next segment
+        with information is then drawn over their time too, except at the beginning of the log.
     inputs
         Inputs of the log.
     """
