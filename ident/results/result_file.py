@@ -76,8 +76,9 @@ def to_json(result: Part, traces: bool = True) -> bytes:
     result
         Result of a command, or a table of a result.
     traces
-        Whether to include traces: arrays of samples over time, frequency or another variable, which the figures of a
-        report show. Without them a result is a few kilobytes, and ``from_json`` does not read it.
+        Whether to include traces: all arrays except those of the small tables in ``TABLES``, for example samples over
+        time, frequency or another variable, which the figures of a report show. Without them a result is much shorter,
+        and ``from_json`` does not read it if a required array is missing.
     """
     return msgspec.json.encode(_as_json_types(result if traces else _without_traces(result)))
 
