@@ -51,7 +51,8 @@ class Drive:
     def own(self, name: str) -> str:
         """Return the name in the joined model of a state, parameter or input of the bench model: ``tau_left``.
 
-        ``n_cmd_3`` becomes ``n_cmd_left_3``. The time ``t`` is common to all thrusters.
+        ``n_cmd_3`` becomes ``n_cmd_left_3``. The time ``t`` is common to all thrusters. If the thruster has no name,
+        the names are unchanged.
         """
         if name == TIME_INPUT or not self.name:
             return name
@@ -106,7 +107,8 @@ def join(boat: Content, thrusters: Mapping[str, SavedModel], *, own_curve: bool 
     Warns
     -----
     SeatrialWarning
-        If the thrust curves differ, or if the data of the bench cover less than those of the boat.
+        If a thrust curve that is replaced differs from that of its bench model by more than 2 % of the largest thrust,
+        or if the shaft speeds of the boat's data exceed the range of the bench test by more than 5 % of full speed.
     """
     model = boat.model
     if model.kind is not ModelKind.VEHICLE:
@@ -242,7 +244,10 @@ def _check_curves(boat: Content, drives: list[Drive]) -> None:
 
 
 def _check_range(boat: Content, drive: Drive) -> None:
-    """Warn if the boat's data exceed the range of commands, and so of shaft speeds, of its thruster's bench test."""
+    """Warn if the boat's data exceed the range of commands, and so of shaft speeds, of its thruster's bench test.
+
+    A difference of up to 5 % of full speed gives no warning. Boat models with thrusts as inputs are not checked.
+    """
     covered, needed = drive.saved.validity.get("n_cmd"), boat.saved.validity.get(drive.input)
     if covered is None or needed is None or drive.input.startswith("f_"):
         return
@@ -367,7 +372,8 @@ def with_thrust_input(boat: Content) -> Content:
     Raises
     ------
     SeatrialError
-        If the inputs are no shaft speeds, or if an effect acts between shaft speed and thrust.
+        If the inputs are no shaft speeds, if the model has no thrust curve, if an effect acts between shaft speed and
+        thrust, or if the past or the work of the shafts is needed.
 
     Warns
     -----
