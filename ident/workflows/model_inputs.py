@@ -94,9 +94,9 @@ def derived_signals(
     Notes
     -----
     A curve gives the thrusts ``f_left`` and ``f_right``, their sum ``X``, and ``X_n``, the change of ``X`` per
-    unit change of both commands away from zero. Without a curve, ``X`` is the sum of the logged thrusts. Commands are
-    used as missing shaft speeds, and shaft speeds as missing commands. Surge models use ``speed``, the speed along the
-    track over ground, as a missing ``u``. Signals of the log are kept, except that the thrust of a curve replaces a
+    unit change of both commands away from zero. Without a curve, a missing ``X`` is the sum of the thrusts. Commands
+    are used as missing shaft speeds, and shaft speeds as missing commands. Surge models use ``speed``, the speed along
+    the track over ground, as a missing ``u``. Signals of the log are kept, except that the thrust of a curve replaces a
     logged one.
     """
     found, held = dict(channels), dict(holds)
