@@ -43,7 +43,7 @@ class AttributionEvidence:
     n
         Number of rows of the estimation data, for the penalty ``df ln n`` of a score.
     untested
-        Names of catalogue effects that were not tested because the data lack one of their inputs.
+        Names of effects that were not tested, because the data lack one of their inputs or have no common origin.
     importances
         Importance of each effect. For an effect without an entry, the prediction is no reason for ambiguity.
     reservations
@@ -435,7 +435,7 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
     -----
     - An effect with competing models that were fitted, or whose score test still passes: its experiment, and the
       command that designs a mission to distinguish it from the closest of them. The command is left out if one of both
-      effects is not of the catalogue, or if no mission can be designed for the model.
+      is a nonparametric effect or a difference between runs, or if no mission can be designed for the model.
     - An ambiguous effect without such competing models: its experiment.
     - No effect was selected, although candidates were fitted: the experiment of the best refit of each round, if it
       has one.

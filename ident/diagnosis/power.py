@@ -42,7 +42,9 @@ class DetectableSizes:
 def detectable_sizes(
     scores: Sequence[Score], n: int, policy: SearchPolicy = DEFAULT_POLICY
 ) -> tuple[DetectableSizes, ...]:
-    """Return the smallest size of each catalogue effect that its score test finds with a probability of 80 %.
+    """Return the smallest size of each named effect that its score test finds with a probability of 80 %.
+
+    Named effects are those of the catalogue and user-defined ones.
 
     Parameters
     ----------
@@ -57,7 +59,7 @@ def detectable_sizes(
     Returns
     -------
     tuple of DetectableSizes
-        One for each catalogue effect, in the order of the scores.
+        One for each named effect, in the order of the scores.
     """
     found = []
     for score in scores:

@@ -514,7 +514,7 @@ def score_tests(normal: NormalEquations, prior: PriorTerms, candidates: Sequence
     -------
     list of Score
         One score for each candidate that can be tested, in the order of the candidates. If the fitted parameters
-        explain every column of a candidate, it has a score of zero if it is a catalogue effect that acts on the data,
+        explain every column of a candidate, it has a score of zero if it is a named effect that acts on the data,
         and is left out otherwise. The critical values (``threshold``) are not set.
 
     Notes
@@ -576,8 +576,8 @@ def _candidate_score(
     Returns
     -------
     Score or None
-        If the fitted parameters explain every column of the candidate: zero statistics for a catalogue effect that acts
-        on the data, None otherwise. The statistics are also zero if a one-sided candidate has a negative estimate of
+        If the fitted parameters explain every column of the candidate: zero statistics for a named effect that acts on
+        the data, None otherwise. The statistics are also zero if a one-sided candidate has a negative estimate of
         its first parameter that can be tested. A column that is explained to 1e-8 is left out; so are combinations of
         columns that depend on others.
     """
