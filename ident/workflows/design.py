@@ -325,10 +325,10 @@ def designed_mission(
 ) -> Mission:
     """Return a designed mission: a segment at rest of 5 s, then the steps of the design.
 
-    Numbers are rounded: times to 1 ms, levels to six digits, positions to 1 cm, standard errors to four digits. The
-    standard errors are in reported units (ratios to the thrust if the scale of the forces is unknown); infinite ones
-    are left out. Levels are limited to ``n_max``. The mission ends with the last step: the coasting after it is part of
-    the predicted track only.
+    Numbers are rounded: times to 1 ms or to six digits, whichever is coarser, levels to six digits, positions to 1 cm,
+    standard errors to four digits. The standard errors are in reported units (ratios to the thrust if the scale of the
+    forces is unknown); infinite ones are left out. Levels are limited to ``n_max``. The mission ends with the last
+    step: the coasting after it is part of the predicted track only.
 
     Parameters
     ----------

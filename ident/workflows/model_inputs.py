@@ -332,9 +332,10 @@ def _has_held_shaft_speeds(log: LoadedLog) -> bool:
 
 
 def _has_commands_for_shaft_speeds(log: LoadedLog) -> bool:
-    """Return whether the log has no shaft speeds, so that its commands are used as such (`with_derived_signals`).
+    """Return whether commands are used as shaft speeds, because the log has nothing else (`with_derived_signals`).
 
-    Only the signals of the left thruster are compared.
+    The commands may also be signals ``n_left`` and ``n_right`` that were imported as held values. Only the signals of
+    the left thruster are compared.
     """
     shaft, command = (log.run.channels.get(names[0]) for names in (SHAFTS, COMMANDS))
     return shaft is command and log.propulsion is PropulsionInput.COMMAND
