@@ -517,8 +517,8 @@ def all_columns(
 ) -> Iterator[SensitivityColumns]:
     """Yield the sensitivities of every candidate along one record; the parametric candidates come first.
 
-    The order is the same for each record. Effects are skipped if the model does not accept them or if the record lacks
-    one of their inputs.
+    The order is the same for records with the same inputs. Effects are skipped if the model does not accept them or if
+    the record lacks one of their inputs.
 
     Parameters
     ----------
