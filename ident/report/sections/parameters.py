@@ -271,9 +271,10 @@ MAX_DROP = 2.6  # drop of the log-likelihood at the upper end of the plots
 
 
 def profiles_section(canvas: Canvas, table: Sequence[ProfileCurve]) -> Section:
-    """Return the section of profile likelihoods: a table of 95 % intervals, and a plot for each parameter.
+    """Return the section of profile likelihoods: a table of 95 % intervals, and a plot of each profile.
 
-    The section is empty without profiles.
+    A profile with fewer than three points, or without a finite value, has no plot. The section is empty without
+    profiles.
 
     Parameters
     ----------
