@@ -313,7 +313,8 @@ def mismatch_sentence(m: ValidationMismatch) -> str:
 def _mismatch_row(m: ValidationMismatch) -> parts.ValidationMismatchRow:
     """Return the table row of a validation run whose one-step errors are larger than the model predicts.
 
-    The numbers of ``m`` are copied. The keys of the parameter change are null if no change explains the errors.
+    The numbers of ``m`` are copied. The keys of the parameter change are empty or null if no change explains the
+    errors.
     """
     found = parts.ValidationMismatchRow(record=m.record, channel=m.channel, scale=m.scale)
     if m.shift is None:

@@ -84,7 +84,10 @@ def to_json(result: Part, traces: bool = True) -> bytes:
 
 
 def _without_traces(value: Any) -> Any:
-    """Return a result, or any value in it, as dicts and lists without arrays, except those of the types in TABLES."""
+    """Return a result, or any value in it, as dicts and lists without arrays.
+
+    A table of a type in EXACT or TABLES is returned unchanged, with its arrays.
+    """
     if isinstance(value, (*EXACT, *TABLES)):
         return value
     if isinstance(value, msgspec.Struct):
