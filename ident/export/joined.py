@@ -88,7 +88,7 @@ def join(boat: Content, thrusters: Mapping[str, SavedModel], *, own_curve: bool 
     boat : Content
         Collected content of the boat model, whose inputs are shaft speeds or thrusts of thrusters.
     thrusters : mapping
-        Bench models by name of the thruster (``left``); the name ``""`` stands for all thrusters.
+        Bench models by name of the thruster (``left``); the name ``""`` stands for all thrusters that are not named.
     own_curve : bool
         Whether to keep the thrust curve of the boat model. Otherwise that of the bench models replaces it; a bench
         without a load cell has none, and the boat keeps its own.
@@ -96,8 +96,8 @@ def join(boat: Content, thrusters: Mapping[str, SavedModel], *, own_curve: bool 
     Returns
     -------
     Content
-        The joined model. Names of the bench models end with the name of the thruster: ``n_cmd_left``, ``tau_left``.
-        Effects of the load cell and the tank are left out.
+        The joined model. Names of the bench models contain the name of the thruster, for example ``n_cmd_left`` and
+        ``tau_left`` (`Drive.own`). Disturbances, and effects of the load cell and the tank, are left out.
 
     Raises
     ------
@@ -216,7 +216,8 @@ def _check_past(model: Model, replaced: set[str]) -> None:
 def _check_curves(boat: Content, drives: list[Drive]) -> None:
     """Compare the thrust curve of a boat model with those of the bench models that replace it.
 
-    Raise SeatrialError if the thrust of the boat is unknown or no stage of the model; warn if the curves differ.
+    Raise SeatrialError if the thrust of the boat is unknown, or if the model has no thrust curve that can be replaced.
+    Warn if the curves differ by more than 2 % of the largest thrust of the bench.
     """
     model = boat.model
     if "thrust" not in dict(model.stages) or "c1" not in model.values:
