@@ -438,7 +438,10 @@ def _cochran_q(values: Array, covariance: Array) -> float:
 def _answer(
     n_logs: int, fitted: int, failed: Sequence[FailedLog], unconverged: int, parameters: Sequence[FleetParameter]
 ) -> str:
-    """Return the conclusion of a fleet in one or two sentences: numbers of fits, and parameters that differ."""
+    """Return the conclusion of a fleet in two sentences: numbers of fits, and parameters that differ.
+
+    The second sentence states that a comparison needs two fits if there are no parameters to compare.
+    """
     words = [f"The model was fitted to {fitted} of {n_logs} logs"]
     words += [f"{len(failed)} failed"] if failed else []
     words += [f"{unconverged} did not converge"] if unconverged else []

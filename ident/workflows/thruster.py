@@ -117,7 +117,8 @@ def characterise(request: ThrusterRequest, command: str, reporter: Reporter) -> 
 
     The model has a thrust only if all logs have a measured force.
 
-    The files are model.toml, result.json, report.html and those of `write_tables` in the folder ``request.out``.
+    The files are model.toml, result.json and report.html in the folder ``request.out``, and for a thruster model those
+    of `write_tables`.
 
     Parameters
     ----------
