@@ -457,8 +457,7 @@ def residual_row(r: ChannelResiduals, after: ChannelResiduals | None = None) -> 
 def _whiteness_tests(r: ChannelResiduals) -> WhitenessTests:
     """Return the residuals of a channel and their whiteness tests, without names, times, lags and frequencies.
 
-    These other entries of a row are the same for the model without and with effects. A p value that is not finite is
-    None.
+    A row has these other entries only once, those of the model without effects. A p value that is not finite is None.
     """
     return WhitenessTests(
         e=r.e,
