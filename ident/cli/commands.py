@@ -363,7 +363,7 @@ def fleet(logs: tuple[Path, ...], out: Path, workers: Any, force: bool, **how: A
 
     A log that fails does not end the others. The results in the folder --out are fits.parquet, with a row for each log
     and parameter, and result.json, with the differences between the logs. An interrupted run continues there, and only
-    logs without a fit are fitted. The exit status is 1 if no log could be fitted.
+    logs without a fit are fitted. The exit status is 1 if no fit converged.
 
     \b
     Example:

@@ -42,7 +42,7 @@ from seatrial.ident.validation import (
 class Comparison:
     """Comparison of two fitted models on the validation records that both could be evaluated on.
 
-    The measures are computed at their first use and cached.
+    The measures are computed at their first use and cached, except ``pooled_t``, which is computed at each call.
 
     Attributes
     ----------

@@ -43,7 +43,7 @@ class AttributionEvidence:
     n
         Number of rows of the estimation data, for the penalty ``df ln n`` of a score.
     untested
-        Names of catalogue effects that were not tested because the data lack one of their inputs.
+        Names of effects that were not tested, because the data lack one of their inputs or have no common origin.
     importances
         Importance of each effect. For an effect without an entry, the prediction is no reason for ambiguity.
     reservations
@@ -169,7 +169,8 @@ def _strong_remaining_test_reasons(strong: Sequence[Score], n: int) -> list[str]
 def _many_remaining_tests_reasons(remaining: Sequence[Score], policy: SearchPolicy) -> list[str]:
     """Return the reason for ambiguity that more than ``policy.max_remaining_tests`` score tests still pass, else [].
 
-    ``remaining`` are the scores that pass on the last model, the strongest first. The reason names the first.
+    ``remaining`` are the scores that pass on the last model, the strongest first; for an effect that keeps its size
+    beside the strongest of them, only those of its alternatives. The reason names the first.
     """
     if len(remaining) <= policy.max_remaining_tests:
         return []
@@ -184,7 +185,7 @@ def _remaining_alternative_reasons(effect: Effect, remaining: Sequence[Score], n
 
     A declared alternative is an effect that `Effect.alternatives` lists. The size of its score does not matter. The
     rule applies only if several effects were added (``n_added`` > 1): they may then together take the place of that
-    alternative. ``remaining`` are the scores that pass on the last model.
+    alternative. ``remaining`` are the scores that pass on the last model, among others of the alternatives.
     """
     alternatives = [s.name for s in remaining if s.name in effect.alternatives] if n_added > 1 else []
     return [f"with this effect the score tests still find its alternative {alternatives[0]}"] if alternatives else []
@@ -434,7 +435,7 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
     -----
     - An effect with competing models that were fitted, or whose score test still passes: its experiment, and the
       command that designs a mission to distinguish it from the closest of them. The command is left out if one of both
-      effects is not of the catalogue, or if no mission can be designed for the model.
+      is a nonparametric effect or a difference between runs, or if no mission can be designed for the model.
     - An ambiguous effect without such competing models: its experiment.
     - No effect was selected, although candidates were fitted: the experiment of the best refit of each round, if it
       has one.

@@ -447,7 +447,7 @@ class SplineBasis:
     knots
         Knots, scaled to 0 to 1, each end four times.
     mean : Array (n_functions - 1,)
-        Mean of the functions over the samples of the basis, empty if the samples were constant.
+        Mean of the functions over the samples of the basis, empty if the middle 99 % of them differ by less than 1e-6.
     """
 
     low: float
@@ -458,8 +458,8 @@ class SplineBasis:
     def __call__(self, z: Array) -> Array:
         """Return the functions less their means at z (n,), Array (n, n_functions - 1).
 
-        Values of z outside the interval of the basis are moved to its ends. The result has no columns if the samples of
-        the basis were constant.
+        Values of z outside the interval of the basis are moved to its ends. The result has no columns if the middle
+        99 % of the samples of the basis differ by less than 1e-6.
         """
         if not self.mean.size:
             return np.zeros((z.size, 0))
@@ -506,8 +506,8 @@ def spline_bases(model: Model, among: Mapping[str, Array]) -> dict[str, SplineBa
 def splines(z: Array, n_functions: int, among: Array | None = None) -> Array:
     """Return the values (n, n_functions - 1) of the functions of a `SplineBasis` at z (n,).
 
-    The samples ``among`` (m,) determine its interval and mean; None: z itself. For constant samples there are no
-    columns.
+    The samples ``among`` (m,) determine its interval and mean; None: z itself. There are no columns if the middle 99 %
+    of the samples differ by less than 1e-6.
     """
     return spline_basis(z if among is None else among, n_functions)(z)
 
@@ -517,8 +517,8 @@ def all_columns(
 ) -> Iterator[SensitivityColumns]:
     """Yield the sensitivities of every candidate along one record; the parametric candidates come first.
 
-    The order is the same for each record. Effects are skipped if the model does not accept them or if the record lacks
-    one of their inputs.
+    The order is the same for records with the same inputs. Effects are skipped if the model does not accept them or if
+    the record lacks one of their inputs.
 
     Parameters
     ----------

@@ -27,7 +27,8 @@ class Outcome(StrEnum):
     ADDED
         The effect was added to the model.
     OUTRANKED
-        The refit is accepted, but another effect of the round explains more. This is also the value before the choice.
+        The data support the effect, but another effect of the round was preferred. This is also the value before the
+        choice.
     SMALL
         The refit is accepted, but its gain is small compared with the effects added before, and the prediction is not
         better enough.
@@ -40,7 +41,7 @@ class Outcome(StrEnum):
     NO_BETTER_PREDICTION
         The effect is nonparametric, and the prediction with it is not better.
     UNTESTED
-        Only of a round: there is no refit, because every fit failed.
+        Only of a round: there is no refit, because for each candidate the rough or the exact fit failed.
     """
 
     ADDED = "added"
@@ -62,8 +63,8 @@ class Refit:
     effect
         The added effect.
     fitted
-        The fitted model. It is the result of a rough search (a loose tolerance), or of an exact fit if the data support
-        the effect.
+        The fitted model. It is the result of a rough search (a loose tolerance), or of an exact fit. Only the refits
+        that were considered for the choice are fitted exactly.
     gain
         Gain 2 d ln L of the rough search on the estimation data, with the priors of the parameters.
     df
@@ -226,7 +227,8 @@ class Round:
         """Clause for reports, without a full stop: why the effect of the round was added, or why none was added.
 
         For an added effect, the clause has the gain on the validation data and its t statistic. Otherwise it states the
-        ``outcome`` of the round, if possible with the best refit of this outcome.
+        ``outcome`` of the round, if possible with the best refit of this outcome. For ``NOT_SUPPORTED`` and
+        ``NOT_VALIDATED`` the clause is the same and names no refit.
         """
         if self.chosen is not None:
             gain, t = self.chosen.validation_gain, self.chosen.t
@@ -253,7 +255,8 @@ class Round:
 class RemovedEffect:
     """Effect that the search added and backward elimination removed.
 
-    The validation data did not support the effect beside the others, or the prediction was as good without it.
+    For example, the validation data did not support the effect beside the others, or the prediction was as good
+    without it.
 
     Attributes
     ----------
@@ -301,7 +304,9 @@ class EffectAttribution:
 
 @dataclass(frozen=True)
 class EffectImportance:
-    """Importance of a selected effect: what is lost if only this effect is left out and the model is fitted again.
+    """Importance of a selected effect: what is lost if the effect is left out and the model is fitted again.
+
+    A nonparametric curve of which the effect is one form is left out together with it.
 
     Attributes
     ----------
@@ -321,8 +326,8 @@ class EffectImportance:
     prediction
         Change of the prediction errors over the horizon by adding the effect to the others, None if unknown.
     untested
-        Reason why the importance is unknown: the model without the effect could not be fitted or compared. None if the
-        importance is known.
+        Reason why the effect could not be tested: the model without it could not be fitted or compared. None if it was
+        tested.
     """
 
     effect: str
@@ -361,7 +366,8 @@ class ShortData:
     """Length of estimation data that are too short for some score tests, and the number of these tests.
 
     The block-robust statistic cannot exceed the number of blocks of time. With few blocks, a candidate with many
-    parameters cannot pass for any size of the effect.
+    parameters cannot pass at the usual significance level for any size of the effect. The weaker level for overwhelming
+    evidence is not considered.
 
     Attributes
     ----------
@@ -393,7 +399,7 @@ class Diagnosis:
         Fitted model without added effects, and with the selected effects. ``after`` also has the common errors, if they
         were added. Both are the same object if nothing was added.
     rounds
-        Rounds of the search, in their order; empty if no candidate was refitted.
+        Rounds of the search, in their order; empty if no candidate was tried.
     remaining
         Scores that pass the score test on ``after``, the largest criterion first.
     curves

@@ -166,7 +166,7 @@ def fit_without(
 
 
 def by_importance(found: Sequence[EffectImportance], chosen: Sequence[Refit]) -> tuple[EffectImportance, ...]:
-    """Sort effects by importance, the largest error ratio first; effects of unknown importance (NaN) come last.
+    """Sort effects by importance. Parametric effects are sorted by error ratio: largest first, unknown (NaN) last.
 
     Parameters
     ----------
@@ -177,9 +177,9 @@ def by_importance(found: Sequence[EffectImportance], chosen: Sequence[Refit]) ->
 
     Notes
     -----
-    A nonparametric curve explains the part that no parametric effect explains. So a curve follows the parametric
-    effects that were selected before it, and precedes less important effects that were selected after it. If a
-    parametric effect is one form of a curve, the curve precedes the effect, which is then only a part of the curve.
+    A nonparametric curve explains the part that no parametric effect explains. So a curve comes before the first less
+    important effect that was selected after it, or at the end if there is none. If a parametric effect is one form of a
+    curve, the curve comes directly before the effect, which is then only a part of the curve.
     """
     curves = {c.effect.name for c in chosen if c.nonparametric}
     whole = {

@@ -30,7 +30,7 @@ class ModelUncertainty:
     parameters
         Full names of the n fitted parameters.
     candidates
-        Names of the m candidates that pass.
+        Names of the m candidates that pass, without ``waves``, which has no score equations.
     shifts : Array (m, n)
         Change of each estimate if the candidate were added to the model, in the units of the parameters.
     """

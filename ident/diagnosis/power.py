@@ -30,8 +30,9 @@ class DetectableSizes:
     effect
         Name of the effect.
     sizes
-        Smallest size of each parameter by its full name (``NAME@i`` in record i), in the unit of the parameter. Empty
-        if the estimated parameters of the model explain the effect, so that no size can be found.
+        Smallest size of each parameter by its full name (``NAME@i`` in record i), in the unit of the parameter. A
+        parameter that cannot be tested has no entry. Empty if the estimated parameters of the model explain the effect,
+        so that no size can be found, and for ``waves``, whose test is that of a spectral peak.
     """
 
     effect: str
@@ -41,12 +42,15 @@ class DetectableSizes:
 def detectable_sizes(
     scores: Sequence[Score], n: int, policy: SearchPolicy = DEFAULT_POLICY
 ) -> tuple[DetectableSizes, ...]:
-    """Return the smallest size of each catalogue effect that its score test finds with a probability of 80 %.
+    """Return the smallest size of each named effect that its score test finds with a probability of 80 %.
+
+    Named effects are those of the catalogue and user-defined ones.
 
     Parameters
     ----------
     scores
-        Scores of all candidates on one model. Nonparametric candidates are left out of the result.
+        Scores of all candidates on one model. Nonparametric candidates and differences between runs are left out of the
+        result.
     n
         Number of rows of the estimation data, for the penalty ``df ln n``.
     policy
@@ -55,14 +59,15 @@ def detectable_sizes(
     Returns
     -------
     tuple of DetectableSizes
-        One for each catalogue effect, in the order of the scores.
+        One for each named effect, in the order of the scores. An effect whose score has no information is left out.
     """
     found = []
     for score in scores:
-        if score.kind is not EffectKind.CATALOGUE:
-            continue
+        explained = score.tolerance < policy.min_tolerance
+        if score.kind is not EffectKind.CATALOGUE or not (explained or score.information):
+            continue  # the test of waves, for example, is one of a spectral peak and has no such information
         sizes: dict[str, float] = {}
-        if score.tolerance >= policy.min_tolerance:
+        if not explained:
             limit = max(score_threshold(score, scores, policy), score.df * math.log(n))
             needed = noncentrality(limit, score.df, POWER)
             sizes = {name: math.sqrt(needed / info) for name, info in score.information.items() if info > 0}

@@ -143,12 +143,13 @@ class Score:
     lm
         Statistic (Lagrange multiplier), chi-squared without the effect.
     df
-        Degrees of freedom: number of parameters that can be tested.
+        Degrees of freedom: number of parameters that can be tested, without those that depend linearly on others. If
+        none can be tested, the number of all parameters.
     lm_block
         Block-robust statistic with the same degrees of freedom.
     step
         One-step estimate of each parameter by name, in the units of the parameters. Parameters that the fitted
-        parameters explain are left out.
+        parameters explain are left out. For ``waves``, initial values of the refit that are not estimates.
     scan
         Values of the scanned parameters by name.
     kind, curve
@@ -156,13 +157,13 @@ class Score:
     threshold
         Critical value of ``lm`` among all tests of the same model, NaN until it is set.
     blocks
-        Number of blocks of time, an upper limit of ``lm_block`` for any size of the effect.
+        Number of blocks of time, an upper limit of ``lm_block`` for any size of the effect. Infinite for ``waves``.
     tolerance
         Share of the information that the fitted parameters do not explain, without priors, 0 to 1 (1 / variance
         inflation factor). It is the largest share among the parameters of the candidate.
     information
         Information of each parameter of ``step`` that the fitted parameters do not explain, with the other parameters
-        of the candidate at zero [1/unit²].
+        of the candidate at zero [1/unit²]. Empty for ``waves``.
     """
 
     name: str
@@ -179,10 +180,11 @@ class Score:
     information: dict[str, float] = field(default_factory=dict)
 
     def least_blocks(self, policy: SearchPolicy = DEFAULT_POLICY) -> int:
-        """Return the smallest number of blocks of time with which the block-robust test can pass.
+        """Return the smallest number of blocks with which the block-robust test can pass at ``policy.block_level``.
 
         The block-robust statistic cannot exceed the number of blocks. To pass, the statistic has to exceed the quantile
-        of chi-squared with ``df`` degrees of freedom at the significance level ``policy.block_level``.
+        of chi-squared with ``df`` degrees of freedom at that significance level. The weaker level for overwhelming
+        evidence (`score_test_passes`) needs fewer blocks.
         """
         return int(np.ceil(chi2_isf(policy.block_level, self.df)))
 
@@ -512,7 +514,7 @@ def score_tests(normal: NormalEquations, prior: PriorTerms, candidates: Sequence
     -------
     list of Score
         One score for each candidate that can be tested, in the order of the candidates. If the fitted parameters
-        explain every column of a candidate, it has a score of zero if it is a catalogue effect that acts on the data,
+        explain every column of a candidate, it has a score of zero if it is a named effect that acts on the data,
         and is left out otherwise. The critical values (``threshold``) are not set.
 
     Notes
@@ -574,8 +576,8 @@ def _candidate_score(
     Returns
     -------
     Score or None
-        If the fitted parameters explain every column of the candidate: zero statistics for a catalogue effect that acts
-        on the data, None otherwise. The statistics are also zero if a one-sided candidate has a negative estimate of
+        If the fitted parameters explain every column of the candidate: zero statistics for a named effect that acts on
+        the data, None otherwise. The statistics are also zero if a one-sided candidate has a negative estimate of
         its first parameter that can be tested. A column that is explained to 1e-8 is left out; so are combinations of
         columns that depend on others.
     """

@@ -278,10 +278,10 @@ class ModelAssessment:
     Attributes
     ----------
     common_errors
-        Fit with the common errors (timing and mounting of sensors, hull form). None if they were not added: the data do
-        not need them, or the model has them already.
+        Fit with the common errors (timing and mounting of sensors, hull form). None if they were not added, for example
+        because the data do not need them or the model has them already.
     uncertainty
-        Shifts of the estimates by the candidates that still pass, None if none passes.
+        Shifts of the estimates by the candidates that still pass, None if none other than ``waves`` passes.
     """
 
     common_errors: CommonErrorsFit | None
@@ -300,8 +300,9 @@ def assess_model(
     """Fit a model, add the common errors that it needs, and compute how missing effects may shift its estimates.
 
     The score tests of the catalogue are used, without a search for effects. Common errors are those of every craft:
-    timing and mounting of sensors, and hull form. They are added together, if at least ``policy.min_common_errors`` of
-    them explain more than any other single parametric candidate and the data support the fit with them.
+    timing and mounting of sensors, and hull form. They are added together if at least ``policy.min_common_errors`` of
+    them are needed, no other parametric candidate that passes its score test explains more than all of them, and the
+    data support the fit with them.
 
     Parameters
     ----------
@@ -350,8 +351,9 @@ class _SearchStart:
     records, validation_data
         Estimation records, and validation data, with the inputs of all candidates.
     candidates
-        Candidates of the score tests by name: the effects of which each run has all inputs, and the differences between
-        runs. The priors of catalogue effects follow the size of the craft. User-defined effects keep their priors.
+        Candidates of the score tests by name: the accepted effects that can be tested on all runs (they are not in
+        ``untested``), and the differences between runs. The priors of catalogue effects follow the size of the craft.
+        User-defined effects keep their priors.
     common
         Common errors (timing and mounting of sensors, hull form) by name.
     failed
@@ -492,7 +494,8 @@ def _short_data(
 ) -> ShortData | None:
     """Return how many candidates could not pass the block-robust score test because the data are too short.
 
-    With so few blocks of time they could not pass for any size of the effect. None if all candidates could pass.
+    With so few blocks of time they could not pass for any size of the effect at the level ``policy.block_level``. The
+    weaker level for overwhelming evidence is not considered. None if all candidates could pass.
     ``scores`` are those of all candidates on one model, and ``fitted`` has the estimation records, whose total duration
     is reported.
     """
@@ -709,8 +712,8 @@ class _Search:
     def uncertainty(self, passing: Sequence[Score]) -> ModelUncertainty | None:
         """Compute how the candidates that pass would shift the estimates of the model that was scored last.
 
-        ``passing`` are the scores that pass on that model. The result is None if no candidate passes, or before the
-        first call of `scored`.
+        ``passing`` are the scores that pass on that model. The result is None if no candidate other than ``waves``
+        passes, or before the first call of `scored`.
         """
         if self.equations is None:
             return None
@@ -835,12 +838,13 @@ class _Search:
         return None
 
     def add_common_errors(self, current: FittedModel, passed: Sequence[Score]) -> FittedModel | None:
-        """Add the common errors to a model if they explain more than any single effect; return the fit with them.
+        """Add the common errors to a model if no other parametric candidate explains more; return the fit with them.
 
-        None if ``common`` is empty, if fewer than ``policy.min_common_errors`` of them are needed, if a single other
-        parametric candidate explains more, or if the fit with them is not supported by the estimation or the validation
-        data. In the latter case they are not tried again (``common`` is empty). Otherwise ``common``,
-        ``common_errors``, ``candidates`` and ``policy`` are changed.
+        Only candidates that pass their score tests are compared. None if ``common`` is empty or no model was scored, if
+        fewer than ``policy.min_common_errors`` of them are needed, if a single other candidate explains more, or if the
+        fit with them fails, is not supported by the data or predicts significantly worse. In the last case they are not
+        tried again (``common`` is empty). After a success ``common``, ``common_errors``, ``candidates`` and ``policy``
+        are changed.
 
         Parameters
         ----------

@@ -158,7 +158,8 @@ def collect_content(saved: SavedModel, *, name: str | None = None, nuisance: boo
     Returns
     -------
     Content
-        Model, identifiers, values and noise. Removed states are replaced by equivalent white noise.
+        Model, identifiers, values and noise. Removed states that decay are replaced by equivalent white noise; removed
+        random walks are not.
     """
     model, removed = (saved.model, ()) if nuisance else without_nuisance(saved.model)
     used = parameters_of(model)
@@ -405,9 +406,10 @@ def _input_meaning(signal: Input) -> str:
 
 
 def _remark_lines(content: Content) -> list[str]:
-    """Return the header lines about removed states, their noise, relative parameters, and per-record parameters.
+    """Return the last lines of a header: the remarks of the content, removed states, parameters to be set or scaled.
 
-    The list is empty for a model without any of these.
+    After ``content.remarks`` follow lines about removed states, their noise, relative parameters, and per-record
+    parameters. The list is empty for a content without any of these.
     """
     lines = list(content.remarks)
     if content.removed_states:

@@ -43,7 +43,7 @@ def write(content: Content, *, source_only: bool = False) -> bytes:
     Raises
     ------
     SeatrialError
-        If there is no C compiler, or if it fails.
+        If there is no C compiler, if it fails, or if FMI 2.0 has no name for this platform.
     ValueError
         If the model uses an operation that the export lacks.
     """

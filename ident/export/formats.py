@@ -78,7 +78,8 @@ def export(saved: SavedModel, target: str, **options: Unpack[ExportOptions]) -> 
     ValueError
         If the model uses an operation that cannot be exported.
     SeatrialError
-        If the models cannot be joined, the FMU cannot be compiled, or the target needs other options.
+        If the models cannot be joined, the inputs cannot be thrusts, the FMU cannot be compiled, or the target needs
+        other options.
     """
     content = collect_content(saved, name=options.get("name"), nuisance=options.get("nuisance", False))
     if thrusters := options.get("thrusters"):

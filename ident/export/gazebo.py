@@ -38,8 +38,8 @@ def write_gazebo(content: Content, *, mass: float | None = None, inertia: float 
     Raises
     ------
     SeatrialError
-        If ``mass`` or ``inertia`` is missing or larger than that of the model, if the model lacks a mass or a damping,
-        or if the scale of its thrust is unknown.
+        If ``mass`` or ``inertia`` is missing, not positive or larger than that of the model, if the model lacks a mass
+        or a damping, or if the scale of its thrust is unknown.
 
     Notes
     -----

@@ -63,7 +63,7 @@ def history_of(model: Model) -> History:
     Notes
     -----
     A copy with the hold ``zero`` (`seatrial.ident.models.thruster`) has a row for each of its changes in a record. The
-    steps of the export are therefore not longer than the time between such copies.
+    steps of the export are therefore not longer than the shortest positive delay of such a copy.
     """
     own = {i.name: i for i in model.inputs if not i.tap_of}
     physical: dict[str, Input] = {}

@@ -51,7 +51,8 @@ class Drive:
     def own(self, name: str) -> str:
         """Return the name in the joined model of a state, parameter or input of the bench model: ``tau_left``.
 
-        ``n_cmd_3`` becomes ``n_cmd_left_3``. The time ``t`` is common to all thrusters.
+        ``n_cmd_3`` becomes ``n_cmd_left_3``. The time ``t`` is common to all thrusters. If the thruster has no name,
+        the names are unchanged.
         """
         if name == TIME_INPUT or not self.name:
             return name
@@ -87,7 +88,7 @@ def join(boat: Content, thrusters: Mapping[str, SavedModel], *, own_curve: bool 
     boat : Content
         Collected content of the boat model, whose inputs are shaft speeds or thrusts of thrusters.
     thrusters : mapping
-        Bench models by name of the thruster (``left``); the name ``""`` stands for all thrusters.
+        Bench models by name of the thruster (``left``); the name ``""`` stands for all thrusters that are not named.
     own_curve : bool
         Whether to keep the thrust curve of the boat model. Otherwise that of the bench models replaces it; a bench
         without a load cell has none, and the boat keeps its own.
@@ -95,8 +96,8 @@ def join(boat: Content, thrusters: Mapping[str, SavedModel], *, own_curve: bool 
     Returns
     -------
     Content
-        The joined model. Names of the bench models end with the name of the thruster: ``n_cmd_left``, ``tau_left``.
-        Effects of the load cell and the tank are left out.
+        The joined model. Names of the bench models contain the name of the thruster, for example ``n_cmd_left`` and
+        ``tau_left`` (`Drive.own`). Disturbances, and effects of the load cell and the tank, are left out.
 
     Raises
     ------
@@ -106,7 +107,8 @@ def join(boat: Content, thrusters: Mapping[str, SavedModel], *, own_curve: bool 
     Warns
     -----
     SeatrialWarning
-        If the thrust curves differ, or if the data of the bench cover less than those of the boat.
+        If a thrust curve that is replaced differs from that of its bench model by more than 2 % of the largest thrust,
+        or if the shaft speeds of the boat's data exceed the range of the bench test by more than 5 % of full speed.
     """
     model = boat.model
     if model.kind is not ModelKind.VEHICLE:
@@ -214,7 +216,8 @@ def _check_past(model: Model, replaced: set[str]) -> None:
 def _check_curves(boat: Content, drives: list[Drive]) -> None:
     """Compare the thrust curve of a boat model with those of the bench models that replace it.
 
-    Raise SeatrialError if the thrust of the boat is unknown or no stage of the model; warn if the curves differ.
+    Raise SeatrialError if the thrust of the boat is unknown, or if the model has no thrust curve that can be replaced.
+    Warn if the curves differ by more than 2 % of the largest thrust of the bench.
     """
     model = boat.model
     if "thrust" not in dict(model.stages) or "c1" not in model.values:
@@ -242,7 +245,10 @@ def _check_curves(boat: Content, drives: list[Drive]) -> None:
 
 
 def _check_range(boat: Content, drive: Drive) -> None:
-    """Warn if the boat's data exceed the range of commands, and so of shaft speeds, of its thruster's bench test."""
+    """Warn if the boat's data exceed the range of commands, and so of shaft speeds, of its thruster's bench test.
+
+    A difference of up to 5 % of full speed gives no warning. Boat models with thrusts as inputs are not checked.
+    """
     covered, needed = drive.saved.validity.get("n_cmd"), boat.saved.validity.get(drive.input)
     if covered is None or needed is None or drive.input.startswith("f_"):
         return
@@ -367,7 +373,8 @@ def with_thrust_input(boat: Content) -> Content:
     Raises
     ------
     SeatrialError
-        If the inputs are no shaft speeds, or if an effect acts between shaft speed and thrust.
+        If the inputs are no shaft speeds, if the model has no thrust curve, if an effect acts between shaft speed and
+        thrust, or if the past or the work of the shafts is needed.
 
     Warns
     -----

@@ -193,6 +193,7 @@ def _add_variable(listed: ElementTree.Element, reference: int, variable: Variabl
 def _add_structure(root: ElementTree.Element, rows: Sequence[Variable]) -> None:
     """Add the element ``ModelStructure``: the outputs, and the inputs on which each of them depends directly.
 
+    States and outputs of sensors are both outputs of the FMU. The same variables are the initial unknowns.
     ``rows`` are all variables in the order of their value references.
     """
     structure = ElementTree.SubElement(root, "ModelStructure")

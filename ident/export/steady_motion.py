@@ -27,7 +27,7 @@ class SteadyMotion:
     states : tuple of str
         Names of the n states (velocities and shafts).
     x : Array (n_inputs, n)
-        The states, NaN for inputs at which no steady motion is found.
+        The states, NaN for inputs at which no stable steady motion is found.
     sd : Array (n_inputs, n)
         Standard errors of the states from those of the estimates; NaN if they are unknown.
     """
@@ -53,7 +53,8 @@ def steady_motion(
 ) -> SteadyMotion:
     """Return the motions of a model that are steady in still water at constant inputs.
 
-    Disturbance forces and random-walk biases are left out. Each motion is the end of a motion from rest.
+    Disturbance forces and random-walk biases are left out. Each motion is the end of a motion from rest. A steady
+    motion that is not stable counts as not found (NaN).
 
     Parameters
     ----------

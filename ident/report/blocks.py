@@ -230,8 +230,8 @@ class Dumbbell:
     low, high
         Positions of the ends of the 95 % interval, None if it is unknown.
     verdict
-        ``better`` or ``worse`` if the 95 % interval excludes an unchanged error. Otherwise, and without an interval,
-        ``same``.
+        ``better`` if the error fell significantly, ``worse`` if it rose significantly. Otherwise, and without a 95 %
+        interval, ``same``.
     """
 
     label: str
@@ -279,7 +279,8 @@ class EffectCard:
     facts
         Label and value of further entries.
     importance
-        Factor or percentage by which the prediction error is larger without the effect; empty if unknown.
+        Factor or percentage by which the prediction error changes without the effect, or ``no significant change``;
+        empty if unknown.
     importance_words
         Text after ``importance``; empty if unknown.
     kind

@@ -160,7 +160,9 @@ def _trace_count(log: CheckEvidence) -> int:
 
 
 def _evidence_sections(canvas: Canvas, logs: Sequence[CheckEvidence]) -> list[Section]:
-    """Return one section of figures for each kind of curve, with a tab for each log; a single log has no tabs.
+    """Return one section of figures for each kind of curve, with a tab for each log that has such a curve.
+
+    There are no tabs if only one log has such a curve.
 
     The kinds are thrust response, shafts, pairs of sensors, signals, and time between samples. A section is empty if no
     log has such a curve. The figures are added to ``canvas``.

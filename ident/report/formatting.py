@@ -58,7 +58,7 @@ SYMBOLS = {"psi": "ψ", "phi": "φ", "theta": "θ"}
 def degrees_for(unit: str) -> tuple[float, str]:
     """Return the factor from the unit of a result file to the unit that a report shows, and the shown unit.
 
-    If the unit begins with rad or a power of it (rad, rad/s, rad2/Hz, (rad)^2/Hz), the shown unit has degrees and the
+    If the unit begins with rad or its square (rad, rad/s, rad2/Hz, (rad)^2/Hz), the shown unit has degrees and the
     factor is 180/pi, or its square for a square of rad. The factor of any other unit is 1, and the unit is only
     typeset: ``kg m2`` -> ``kg m²``.
     """
@@ -138,8 +138,8 @@ def count(value: float | None) -> str:
 def plain(value: float | None, digits: int = 3) -> str:
     """Return a number as text with ``digits`` significant digits; a dash if it is None or not finite.
 
-    The minus sign is typographic. Absolute values below 1e-4, or from 1e6 on, are written with a power of ten:
-    ``1.2 ×10⁻⁶``.
+    The minus sign is typographic. Zero is ``0``. Other absolute values that round to less than 1e-4, or to 1e6 or more,
+    are written with a power of ten: ``1.2 ×10⁻⁶``.
     """
     if value is None or not math.isfinite(value):
         return "–"
@@ -218,7 +218,10 @@ def pair(value: float | None, se: float | None) -> tuple[str, str]:
 
 
 def short(number: str) -> str:
-    """Return a decimal number without trailing zeros: ``0.4000`` -> ``0.4``. Other texts are returned unchanged."""
+    """Return a decimal number without trailing zeros: ``0.4000`` -> ``0.4``. Other texts are returned unchanged.
+
+    A minus sign must be typographic; a number with an ASCII minus sign is unchanged too.
+    """
     return number.rstrip("0").rstrip(".") if re.fullmatch(r"−?\d+\.\d+", number) else number
 
 

@@ -93,8 +93,8 @@ def noise_table(result: NoiseResult) -> Table:
 def outage_table(result: NavigationResult) -> Table:
     """Return the table of up to eight GNSS outages, the largest predicted position error first.
 
-    An outage is red if the fix after it is outside the predicted 95 % region. The title has the number of all outages
-    if some are left out.
+    An outage is red if the fix that it is compared with is outside the predicted 95 % region. The title has the number
+    of all outages if some are left out.
     """
     found = result.outages
     shown = sorted(found, key=lambda o: -o.at_end.radius)[:MAX_OUTAGES]

@@ -145,7 +145,8 @@ def vehicle_answer(
     cross : sequence of CrossCorrelationRow
         Correlations of the residuals with each input.
     searchable : bool
-        Whether `seatrial ident diagnose` can search this model for missing effects. If it can, the answer advises it.
+        Whether `seatrial ident diagnose` can search this model for missing effects. If it can, the answer advises it,
+        unless there are too few samples or only measured inputs are correlated.
     """
     fit_sentence = "" if prediction is None else f"{_fit_sentence(prediction, errors, horizon)} "
     return f"{fit_sentence}{_whiteness_sentence(errors, residuals, cross, searchable)}"
@@ -247,11 +248,11 @@ def _untested_channels(errors: Errors, residuals: Sequence[ResidualTests]) -> st
 def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
     """Return sentences on prediction intervals that are too narrow or too wide, with the channels concerned.
 
-    There is at most one sentence on narrow and one on wide intervals for each kind of prediction: one step ahead, over
-    the horizon, simulated. The factor of each channel is its RMS error over the predicted one, or the word diverged.
-    If a channel diverged, the sentence is followed by another one that advises against such predictions.
-    The sentences are about the validation data, or about the estimation data if there are no validation data. The list
-    is empty if no channel is overconfident or underconfident.
+    There is at most one text on narrow and one on wide intervals for each kind of prediction: one step ahead, over the
+    horizon, simulated. The factor of each channel is its RMS error over the predicted one, or the word diverged. The
+    text advises to multiply the predicted standard deviations by the factors. If a channel diverged, it also advises
+    against such predictions. The texts are about the validation data, or about the estimation data if there are no
+    validation data. The list is empty if no channel is overconfident or underconfident.
 
     Parameters
     ----------

@@ -214,8 +214,8 @@ def thruster_result(
     posed : FitContext
         Initial values and notes; its other fields are not used.
     calibration : float or None
-        Relative standard uncertainty of the load cell's force, which the standard errors of forces then include. None
-        if the rig does not give it.
+        Relative standard uncertainty of the load cell's force. The standard errors of forces include it if the logs
+        have a measured force. None if the rig does not give it.
     """
     static = bench.static
     bands, ways = calibration_tables(evaluation), directions(fitted.records)

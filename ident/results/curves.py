@@ -156,7 +156,7 @@ def read_parquet(path: Path, sha256: str) -> dict[str, Array]:
     FileNotFoundError
         If there is no such file.
     SeatrialError
-        If it is another file than that of the result, or if it cannot be read.
+        If it is another file than that of the result, or if the package pyarrow is missing.
     """
     content = path.read_bytes()
     if hashlib.sha256(content).hexdigest() != sha256:

@@ -204,9 +204,9 @@ def _missing_effects_sentence(diagnosis: Diagnosis, prediction: parts.Prediction
     """Return the sentences on the missing effects, or on why no effect was added.
 
     Without effects, the first of these that applies is stated: there are validation runs that the model does not fit
-    (and, if no candidate passed the score test, a sentence that states this too); no candidate passed the score test
-    (perhaps because the data are short); candidates could not be refitted; effects were removed because the prediction
-    is as good without them; the smallest p value, above 1e-6, may be by chance; no candidate explains the residuals.
+    (and, if there was no round, a sentence that no effect was found); there was no round (perhaps because the data are
+    short); candidates could not be refitted; effects were removed because the prediction is as good without them; the
+    smallest p value, above 1e-6, may be by chance; no candidate explains the residuals.
     """
     if diagnosis.effects:
         return f"{what_is_lacking(diagnosis, fell=prediction is not None and prediction.verdict == 'fell')}."
@@ -313,7 +313,8 @@ def mismatch_sentence(m: ValidationMismatch) -> str:
 def _mismatch_row(m: ValidationMismatch) -> parts.ValidationMismatchRow:
     """Return the table row of a validation run whose one-step errors are larger than the model predicts.
 
-    The numbers of ``m`` are copied. The keys of the parameter change are null if no change explains the errors.
+    The numbers of ``m`` are copied. The keys of the parameter change are empty or null if no change explains the
+    errors.
     """
     found = parts.ValidationMismatchRow(record=m.record, channel=m.channel, scale=m.scale)
     if m.shift is None:
@@ -447,10 +448,10 @@ def _residual_force_rows(diagnosis: Diagnosis, evaluation: DiagnosisEvaluation) 
 
 
 def _quiet_round(diagnosis: Diagnosis) -> parts.RoundRow:
-    """Return the table row of a search without rounds, in which no candidate passed the score test.
+    """Return the table row of a search without rounds.
 
-    It has the best 24 score tests and the reason why the search ended. The reason has the number of candidates for
-    which the data were too short, if there are any.
+    It has the best 24 score tests. Its reason for the end of the search is that no candidate passes. The reason also
+    has the number of candidates for which the data were too short, if there are any.
     """
     tested = _round_row(Round(diagnosis.scores, (), (), None))
     why = "no candidate passes the score tests"
@@ -569,10 +570,11 @@ def _name_probability(diagnosis: Diagnosis, attribution: str) -> float | None:
 
 
 def _detectable_rows(diagnosis: Diagnosis, reported: ReportedEstimates) -> tuple[parts.DetectableEffect, ...]:
-    """Return the smallest sizes of the catalogue effects that the last model lacks, one row for each effect by name.
+    """Return the smallest sizes of catalogue effects that the score tests would find, one row for each effect by name.
 
-    Sizes are in reported units. Of a parameter with its own value in each run, the largest of the sizes is given, that
-    of the run that shows the effect worst. Effects outside the catalogue are left out.
+    The effects are those that were tested on the last model. Added effects and those outside the catalogue are left
+    out. Sizes are in reported units. Of a parameter with its own value in each run, the largest of the sizes is given,
+    that of the run that shows the effect worst. A parameter that could not be tested has no size.
     """
     n, effects = sum(v.record.n_rows for v in diagnosis.after.estimation), catalogue()
     added, rows = {r.effect.name for r in diagnosis.effects}, []

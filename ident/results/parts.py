@@ -923,7 +923,8 @@ class UntestedCandidateRow(Part, frozen=True, kw_only=True):
 class RemovedEffectRow(Part, frozen=True, kw_only=True):
     """Effect that the search added and that backward elimination removed again.
 
-    With the other effects in the model, the validation data do not support it, or the prediction is as good without it.
+    For example, the validation data do not support it with the other effects in the model, or the prediction is as good
+    without it.
     """
 
     name: Annotated[str, Meta(description="name of the effect")]

@@ -76,14 +76,18 @@ def to_json(result: Part, traces: bool = True) -> bytes:
     result
         Result of a command, or a table of a result.
     traces
-        Whether to include traces: arrays of samples over time, frequency or another variable, which the figures of a
-        report show. Without them a result is a few kilobytes, and ``from_json`` does not read it.
+        Whether to include traces: all arrays except those of the small tables in ``TABLES``, for example samples over
+        time, frequency or another variable, which the figures of a report show. Without them a result is much shorter,
+        and ``from_json`` does not read it if a required array is missing.
     """
     return msgspec.json.encode(_as_json_types(result if traces else _without_traces(result)))
 
 
 def _without_traces(value: Any) -> Any:
-    """Return a result, or any value in it, as dicts and lists without arrays, except those of the types in TABLES."""
+    """Return a result, or any value in it, as dicts and lists without arrays.
+
+    A table of a type in EXACT or TABLES is returned unchanged, with its arrays.
+    """
     if isinstance(value, (*EXACT, *TABLES)):
         return value
     if isinstance(value, msgspec.Struct):
@@ -101,8 +105,8 @@ def _without_traces(value: Any) -> Any:
 def write_result(result: Result, path: Path) -> None:
     """Write a result to a JSON file (result.json), and its curves to a Parquet file beside it (result.parquet).
 
-    Existing files are replaced. Without curves there is no Parquet file. If the package pyarrow is not installed, there
-    is none either, and the JSON has the curves.
+    Existing files are replaced. There is no Parquet file for a result without curves. If the package pyarrow is not
+    installed, there is none either, and the JSON has the curves. A Parquet file of an earlier result is deleted then.
 
     Parameters
     ----------
@@ -119,7 +123,9 @@ def write_result(result: Result, path: Path) -> None:
     beside = path.with_suffix(".parquet")
     try:
         curves = to_parquet(result)
-        if curves is not None:
+        if curves is None:
+            beside.unlink(missing_ok=True)  # otherwise the curves of an earlier result would remain
+        else:
             write_output(beside, curves)
             name = CurvesFile(file=beside.name, sha256=hashlib.sha256(curves).hexdigest())
             result = msgspec.structs.replace(result, curves_file=name)
@@ -146,7 +152,7 @@ def from_json(content: bytes, folder: Path | None = None) -> AnyResult:
         If the content is not JSON, if a required key is missing, or if a key is misspelt or of a wrong type. The
         message contains the path of the key.
     SeatrialError
-        If the Parquet file belongs to another result.
+        If the Parquet file belongs to another result, or if it is there and the package pyarrow is missing.
     """
     raw = msgspec.json.decode(content)
     if isinstance(raw, dict):
@@ -162,9 +168,10 @@ def from_json(content: bytes, folder: Path | None = None) -> AnyResult:
 
 
 def _curves_beside(path: Path | None, sha256: str) -> dict[str, Array]:
-    """Return the curves in the Parquet file of a result. Without the file, warn and return an empty dict.
+    """Return the curves in the Parquet file of a result. If the file is missing, warn and return an empty dict.
 
-    ``path`` is None if the folder of the file is unknown. ``sha256`` is that of the file of the result.
+    ``path`` is None if the folder of the file is unknown; the dict is then empty too, without a warning. ``sha256`` is
+    that of the file of the result.
     """
     if path is None:
         return {}
@@ -205,7 +212,7 @@ def _decode_array(kind: Any, value: Any) -> Any:
 
     msgspec calls this function for the type of arrays, the only type that it does not decode itself; ``kind`` is this
     type and is not used. An array, from the Parquet file, is returned unchanged. Raise ValueError if the value is not a
-    list of numbers and null, or of such lists of one length.
+    list, or if it contains, for example, text that is no number or lists of different lengths.
     """
     if isinstance(value, np.ndarray):
         return value

@@ -457,8 +457,7 @@ def residual_row(r: ChannelResiduals, after: ChannelResiduals | None = None) -> 
 def _whiteness_tests(r: ChannelResiduals) -> WhitenessTests:
     """Return the residuals of a channel and their whiteness tests, without names, times, lags and frequencies.
 
-    These other entries of a row are the same for the model without and with effects. A p value that is not finite is
-    None.
+    A row has these other entries only once, those of the model without effects. A p value that is not finite is None.
     """
     return WhitenessTests(
         e=r.e,
@@ -577,8 +576,9 @@ def homogeneity_reported(a: HomogeneityTest, reported: ReportedEstimates) -> Hom
 def homogeneity_row(a: HomogeneityTest) -> Homogeneity:
     """Return the table row of a homogeneity test: one value of a parameter for all logs against one for each log.
 
-    The numbers of ``a`` are copied, so that it must already be in reported units (``homogeneity_reported``). Standard
-    errors, scatter and mean that are not finite become None.
+    The numbers of ``a`` are copied, so that it must already be in reported units (``homogeneity_reported``). The
+    scatter, the mean with its interval, and the standard errors of the mean and of the common value become None if they
+    are not finite.
     """
     return Homogeneity(
         name=a.name,
@@ -696,8 +696,9 @@ LEAST_GROWTH = 1.05  # smallest factor of a standard error that a note lists
 def model_uncertainty_notes(found: ModelUncertainty | None, fit: Fit) -> list[str]:
     """Return a note on standard errors that include the uncertainty of the model.
 
-    Missing effects (candidates) that still pass the score tests would shift the estimates. The note ends with the three
-    parameters whose standard errors this increases most, by 5 % or more, with the factors.
+    Missing effects (candidates) that still pass the score tests would shift the estimates. The note ends with up to
+    three parameters whose standard errors this increases most, by 5 % or more, with the factors. If there is none, it
+    states so.
 
     Parameters
     ----------

@@ -202,7 +202,8 @@ def pooled_errors(
 ) -> dict[str, PredictionErrors]:
     """Concatenate the errors of several records. The times are shifted so that the records follow each other.
 
-    There are 1000 s between two records. A channel need not be in each record.
+    Time 0 of each record is moved to 1000 s after the last time of the record before. A channel need not be in each
+    record.
 
     Parameters
     ----------

@@ -325,10 +325,10 @@ def designed_mission(
 ) -> Mission:
     """Return a designed mission: a segment at rest of 5 s, then the steps of the design.
 
-    Numbers are rounded: times to 1 ms, levels to six digits, positions to 1 cm, standard errors to four digits. The
-    standard errors are in reported units (ratios to the thrust if the scale of the forces is unknown); infinite ones
-    are left out. Levels are limited to ``n_max``. The mission ends with the last step: the coasting after it is part of
-    the predicted track only.
+    Numbers are rounded: times to 1 ms or to six digits, whichever is coarser, levels to six digits, positions to 1 cm,
+    standard errors to four digits. The standard errors are in reported units (ratios to the thrust if the scale of the
+    forces is unknown); infinite ones are left out. Levels are limited to ``n_max``. The mission ends with the last
+    step: the coasting after it is part of the predicted track only.
 
     Parameters
     ----------
@@ -640,7 +640,7 @@ def _design_answer(
 
     ``parameters``: rows of the table of standard errors; the answer names the first three chosen ones. ``apart``:
     discrimination of two effects, or None. ``baseline``: best baseline signal. If its criterion is larger than that of
-    the design, a warning comes first.
+    the design, and no effects are discriminated, a warning comes first.
     """
     if apart is not None:
         first, second = apart.effects

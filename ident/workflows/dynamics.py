@@ -35,7 +35,8 @@ def dynamics_of(fitted: FittedModel) -> Dynamics | None:
     Returns
     -------
     Dynamics or None
-        None for a bench model, a fit that did not converge, and a model without speed, turn rate or commands.
+        None for a bench model, a fit that did not converge, a model without speed, turn rate or commands, and if no
+        part can be computed.
     """
     fit, model = fitted.fit, fitted.fit.model
     states = {s.name for s in model.states}
@@ -68,9 +69,10 @@ class _Drives:
     Attributes
     ----------
     names : list of str
-        Names of all inputs of the model without delayed copies; empty if none of them drives the boat.
+        Names of all inputs of the model without delayed copies. Empty if none of them drives the boat, or if the range
+        of one that drives it is unknown.
     low, high : float
-        Common range of the driving inputs in the data.
+        Common range of the driving inputs in the data; of shaft speeds and commands only the part from -1 to 1.
     two_sided : bool
         Whether there are inputs of a left and of a right side.
     driving : tuple of str
@@ -78,7 +80,7 @@ class _Drives:
     """
 
     def __init__(self, model: Model, ranges: Mapping[str, tuple[float, float]]) -> None:
-        """Find the driving inputs: those of both sides, or the only input. Other inputs keep their mean range."""
+        """Find the driving inputs: those of both sides, or the only input. Others stay in the middle of their range."""
         names = [i.name for i in model.inputs if not i.tap]
         sides = [n for n in names if n.endswith(("_left", "_right")) and n.startswith(("n_", "f_"))]
         self.two_sided = any(n.endswith("_left") for n in sides) and any(n.endswith("_right") for n in sides)
@@ -148,8 +150,8 @@ def _point(linear: Linearisation) -> OperatingPoint:
 def _steps(linear: Linearisation, drives: _Drives) -> list[StepResponse]:
     """Return the responses of speed (to a step of both sides) and of yaw rate and sway (to one of their difference).
 
-    They last four time constants of the slowest pole, at most a minute. An unstable pole ends them after one of its
-    time constants.
+    They last four time constants of the slowest pole, at least 4 s and at most a minute. An unstable pole ends them
+    after one of its time constants. A model without two sides has only the response of speed.
     """
     constants = np.abs(linear.time_constants[np.isfinite(linear.time_constants)])
     growing = linear.time_constants[linear.time_constants < 0.0]

@@ -32,7 +32,7 @@ def electrical_channels(path: Path, loaded: LoadedLog, name: str) -> tuple[dict[
     -------
     tuple
         Channels by name (``voltage``, ``current``, ``power``), with the times of ``loaded``, and the formula of the
-        power in words. Both are empty for an imported log, and for a controller without a current.
+        power in words. Both are empty for an imported log, and for a controller without a voltage or a current.
     """
     voltage = loaded.run.channels.get(str(SignalId(name, "voltage")))
     thruster = next((x for x in loaded.rig.thrusters if x.name == name), None) if loaded.rig else None

@@ -29,8 +29,8 @@ class ExportRequest:
     with_disturbance_states
         Whether disturbance forces and sensor biases are kept as states.
     thrusters
-        The model.toml of the bench test of each thruster, by its name; the name ``""`` stands for all thrusters. Empty:
-        the boat model is exported alone.
+        The model.toml of the bench test of each thruster, by its name; the name ``""`` stands for all thrusters that
+        are not named. Empty: the boat model is exported alone.
     thrust_curve
         Thrust curve of a joined model: that of the ``bench``, or that of the ``boat``.
     thrust_input

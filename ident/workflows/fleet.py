@@ -119,7 +119,7 @@ class FleetLog:
     path
         Absolute path, which the workers of a cluster must have, too.
     sha256
-        Hash of the log; empty if it cannot be read.
+        Hash of the log; its path as given if it cannot be read.
     """
 
     name: str
@@ -151,7 +151,8 @@ def fit_fleet(request: FleetRequest, command: str, reporter: Reporter) -> FleetF
     Raises
     ------
     SeatrialError
-        If fits.parquet has fits with other options, if a library is missing, or if a cluster cannot be used.
+        For example, if fits.parquet has fits with other options, if ``request.out`` is a file, if a library is missing,
+        or if a cluster cannot be used.
     """
     path = None if request.out is None else request.out / TABLE
     if request.out is not None and request.out.exists() and not request.out.is_dir():
@@ -437,7 +438,10 @@ def _cochran_q(values: Array, covariance: Array) -> float:
 def _answer(
     n_logs: int, fitted: int, failed: Sequence[FailedLog], unconverged: int, parameters: Sequence[FleetParameter]
 ) -> str:
-    """Return the conclusion of a fleet in one or two sentences: numbers of fits, and parameters that differ."""
+    """Return the conclusion of a fleet in two sentences: numbers of fits, and parameters that differ.
+
+    The second sentence states that a comparison needs two fits if there are no parameters to compare.
+    """
     words = [f"The model was fitted to {fitted} of {n_logs} logs"]
     words += [f"{len(failed)} failed"] if failed else []
     words += [f"{unconverged} did not converge"] if unconverged else []

@@ -94,9 +94,9 @@ def derived_signals(
     Notes
     -----
     A curve gives the thrusts ``f_left`` and ``f_right``, their sum ``X``, and ``X_n``, the change of ``X`` per
-    unit change of both commands away from zero. Without a curve, ``X`` is the sum of the logged thrusts. Commands are
-    used as missing shaft speeds, and shaft speeds as missing commands. Surge models use ``speed``, the speed along the
-    track over ground, as a missing ``u``. Signals of the log are kept, except that the thrust of a curve replaces a
+    unit change of both commands away from zero. Without a curve, a missing ``X`` is the sum of the thrusts. Commands
+    are used as missing shaft speeds, and shaft speeds as missing commands. Surge models use ``speed``, the speed along
+    the track over ground, as a missing ``u``. Signals of the log are kept, except that the thrust of a curve replaces a
     logged one.
     """
     found, held = dict(channels), dict(holds)
@@ -332,9 +332,10 @@ def _has_held_shaft_speeds(log: LoadedLog) -> bool:
 
 
 def _has_commands_for_shaft_speeds(log: LoadedLog) -> bool:
-    """Return whether the log has no shaft speeds, so that its commands are used as such (`with_derived_signals`).
+    """Return whether commands are used as shaft speeds, because the log has nothing else (`with_derived_signals`).
 
-    Only the signals of the left thruster are compared.
+    The commands may also be signals ``n_left`` and ``n_right`` that were imported as held values. Only the signals of
+    the left thruster are compared.
     """
     shaft, command = (log.run.channels.get(names[0]) for names in (SHAFTS, COMMANDS))
     return shaft is command and log.propulsion is PropulsionInput.COMMAND

@@ -63,8 +63,8 @@ def write_all(
 def validity(fitted: FittedModel) -> dict[str, tuple[float, float]]:
     """Return the range of each velocity state (``u``, ``v``, ``r``) and input in the estimation data, for model.toml.
 
-    The range of a state is from the 1 % to the 99 % quantile of its filtered values, that of an input from its minimum
-    to its maximum. Delayed taps are no separate inputs here.
+    The inputs are those that reports show (`shown_inputs`), for example without time and delayed taps. The range of a
+    state is from the 1 % to the 99 % quantile of its filtered values, that of an input from its minimum to its maximum.
 
     Parameters
     ----------

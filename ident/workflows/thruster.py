@@ -117,7 +117,8 @@ def characterise(request: ThrusterRequest, command: str, reporter: Reporter) -> 
 
     The model has a thrust only if all logs have a measured force.
 
-    The files are model.toml, result.json, report.html and those of `write_tables` in the folder ``request.out``.
+    The files are model.toml, result.json and report.html in the folder ``request.out``, and for a thruster model those
+    of `write_tables`.
 
     Parameters
     ----------
@@ -199,7 +200,8 @@ def write_tables(out: Path, result: ThrusterResult) -> None:
 
     steady.csv has a row for each steady command, with empty cells for what was not measured. lookup.csv has the command
     and the shaft speed for evenly spaced forces, by the fitted curve; inside the dead zone the command is zero.
-    ardupilot.param has MOT_THST_EXPO of the steady forward commands. Existing files are replaced.
+    ardupilot.param has MOT_THST_EXPO of the steady forward commands; it is not written if this number is unknown.
+    Existing files are replaced.
 
     Parameters
     ----------
@@ -241,7 +243,7 @@ def write_tables(out: Path, result: ThrusterResult) -> None:
 
 
 def _lookup(result: ThrusterResult, full: float) -> dict[str, Array]:
-    """Return command and shaft speed for evenly spaced forces [N] from the smallest to the largest of the fitted curve.
+    """Return command and shaft speed for zero force and evenly spaced forces [N] over the range of the fitted curve.
 
     ``full``: full shaft speed [rev/min], NaN if it is unknown. Where the fitted curve is not monotone, the running
     maximum of the force counts. A command inside the dead zone has no thrust and is zero.

@@ -144,8 +144,9 @@ def fit_vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Ve
 def _assess(request: VehicleRequest, problem: VehicleProblem, reporter: Reporter) -> ModelAssessment | None:
     """Test by score tests, before the fit, whether the vehicle model lacks effects of the catalogue.
 
-    Return None if the request excludes the tests, for a user-defined model, and for output error, which has no score
-    tests. Return None with a warning if the tests fail: the fit is possible without them.
+    Return None if the request excludes the tests, for a user-defined model, for a model without disturbance forces to
+    test, and for output error, which has no score tests. Return None with a warning if the tests fail: the fit is
+    possible without them.
     """
     if not request.score_tests or is_own_model(request.model) or request.estimation.method != "prediction-error":
         return None

@@ -40,7 +40,7 @@ def section(canvas: Canvas, dynamics: Dynamics | None) -> Section:
 
 
 def _command(curve: SteadyCurve) -> str:
-    """Return the title of the axis of a steady curve's command, with the names of its inputs."""
+    """Return the title of the axis of a steady curve's command, with the unit N, or ``part of full``."""
     unit = "N" if curve.inputs and curve.inputs[0].startswith("f_") else ""
     names = formatting.bracket(unit) or ", part of full"
     if curve.motion == "turn":
@@ -59,7 +59,10 @@ def _straight_plot(canvas: Canvas, curve: SteadyCurve) -> Plot:
 
 
 def _turn_plot(canvas: Canvas, curves: Sequence[SteadyCurve]) -> Plot:
-    """Return the plot of the steady turn rate over the difference of the commands, a line for each mean command."""
+    """Return the plot of the steady turn rate over half the difference of the commands, a line for each mean command.
+
+    The plot is added to ``canvas``.
+    """
     traces = []
     for i, curve in enumerate(curves):
         factor, _ = formatting.degrees_for(curve.unit)
@@ -81,7 +84,10 @@ def _turn_plot(canvas: Canvas, curves: Sequence[SteadyCurve]) -> Plot:
 
 
 def _pole_blocks(points: Sequence[OperatingPoint]) -> list[Any]:
-    """Return heading, table of the poles at each speed, and a sentence on instability; empty without linear models."""
+    """Return heading and table of the poles at each speed; an empty list without linear models.
+
+    If the model is unstable at a speed, a sentence on the lowest such speed follows.
+    """
     if not points:
         return []
     rows: list[list[Cell | str]] = []

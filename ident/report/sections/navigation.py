@@ -21,7 +21,8 @@ def outages_section(result: NavigationResult) -> Section:
     """Return the section with the table of GNSS outages; empty if there are none.
 
     The table has the 95 % radius of the predicted position at the end of each outage, and the distance of this position
-    from the next fix. If GNSS fixes were withheld on purpose, it also has the RMS errors at these fixes.
+    from the next fix, or from the last withheld fix if no fix follows. If GNSS fixes were withheld on purpose, it also
+    has the RMS errors at these fixes.
     """
     found = result.outages
     if not found:
@@ -51,8 +52,9 @@ def outages_section(result: NavigationResult) -> Section:
 def _outage_cells(o: GnssOutage, withheld: bool) -> list[Cell | str]:
     """Return the table cells of one GNSS outage; ``withheld`` adds two cells of RMS errors at withheld fixes.
 
-    They are record, start, duration, 95 % radius of the position at the end, distance of the next fix from it, 95 %
-    limit of that distance, and whether the fix is inside the 95 % region. An unknown value is a dash.
+    They are record, start, duration, 95 % radius of the position at the end, distance of a fix from it, 95 % limit of
+    that distance, and whether the fix is inside the 95 % region. The fix is the next one, or the last withheld one if
+    no fix follows. An unknown value is a dash.
     """
     verdict = {True: Cell("✓ inside", "good"), False: Cell("✗ outside", "bad"), None: Cell("–")}[o.inside]
     cells: list[Cell | str] = [

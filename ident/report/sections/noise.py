@@ -13,7 +13,7 @@ from seatrial.ident.results import AllanCurve, ChannelNoise, NoiseResult, Spectr
 
 
 def section(canvas: Canvas, result: NoiseResult) -> Section:
-    """Return the section of sensor noise: a table of all channels, and a plot of the power spectral density of each.
+    """Return the section of sensor noise: a table of all channels, plots of power spectral densities, Allan deviations.
 
     The section is empty if the result has no channels.
 
@@ -50,7 +50,7 @@ def data_sheet(c: ChannelNoise) -> tuple[tuple[float, str], tuple[float, str], t
 
     The factors are from the units of the result (unit sqrt(s), unit, unit/sqrt(s)). A yaw rate is in deg/√h (angle
     random walk), deg/h and deg/h/√h. An acceleration is in m/s/√h (velocity random walk), µg and µg/√h. Other channels
-    keep their unit, with the density per √Hz.
+    have the unit that the report shows (an angle is in deg), with the density per √Hz and the random walk per √s.
     """
     if c.unit == "rad/s":
         degrees = formatting.DEGREES

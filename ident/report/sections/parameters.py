@@ -271,9 +271,10 @@ MAX_DROP = 2.6  # drop of the log-likelihood at the upper end of the plots
 
 
 def profiles_section(canvas: Canvas, table: Sequence[ProfileCurve]) -> Section:
-    """Return the section of profile likelihoods: a table of 95 % intervals, and a plot for each parameter.
+    """Return the section of profile likelihoods: a table of 95 % intervals, and a plot of each profile.
 
-    The section is empty without profiles.
+    A profile with fewer than three points, or without a finite value, has no plot. The section is empty without
+    profiles.
 
     Parameters
     ----------
@@ -473,8 +474,8 @@ def _record_blocks(
     names
         Names of the parameters, from top to bottom.
     found
-        Segments of the log in the order of time. Those without information are left out of the map; the next segment is
-        then drawn over their time too.
+        Segments of the log in the order of time. Those without information are left out of the map; the next segment
+        with information is then drawn over their time too, except at the beginning of the log.
     inputs
         Inputs of the log.
     """

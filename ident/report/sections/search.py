@@ -64,7 +64,8 @@ def section(canvas: Canvas, result: DiagnosisResult) -> Section:
 def _detectable_blocks(detectable: Sequence[DetectableEffect]) -> list[Any]:
     """Return heading and table of the smallest sizes of other effects that the data would have shown.
 
-    An effect that the estimated parameters explain has one row without a size. The list is empty without effects.
+    An effect without sizes has one row, which states that the estimated parameters explain the effect at any size. The
+    list is empty without effects.
     """
     rows: list[list[Cell | str]] = []
     for effect in detectable:

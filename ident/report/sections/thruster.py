@@ -19,9 +19,11 @@ LEAST_STEP = 0.1  # smallest step of the command that is enlarged, as a part of 
 
 
 def steady_section(canvas: Canvas, result: ThrusterResult) -> Section:
-    """Return the section of the steady states: force and power over the command, efficiency, and the table.
+    """Return the section of the steady states: plots over the command or the shaft speed, and the table.
 
-    The section is empty if no command was held. The plots are added to ``canvas``.
+    Force and shaft speed are plotted over the command; power, efficiency and torque over the shaft speed. Quantities
+    that were not measured have no plot, except the shaft speed. The section is empty if no command was held. The plots
+    are added to ``canvas``.
     """
     table = result.steady
     if table is None:
@@ -56,7 +58,7 @@ def steady_section(canvas: Canvas, result: ThrusterResult) -> Section:
 
 
 def _newtons_per_watt(table: SteadyBench) -> Array:
-    """Return the force over the electrical power of each row [N/W]; NaN below 1 W or if one of both is unknown."""
+    """Return absolute force over electrical power of each row [N/W]; NaN below 1 W or if one of both is unknown."""
     found: Array = np.where(table.power >= LEAST_W, np.abs(table.force) / np.maximum(table.power, LEAST_W), np.nan)
     return found
 
@@ -113,8 +115,9 @@ def shaft_section(canvas: Canvas, result: ThrusterResult) -> Section:
 def _step_plots(canvas: Canvas, result: ThrusterResult) -> list[Plot]:
     """Return plots of the largest steps of the command, with the measured and simulated shaft speed.
 
-    They are at most six, in the order of time, and at least three seconds apart. The command is constant for 0.5 s
-    before and for 1.5 s after each.
+    There are at most six plots. The largest steps of each record are chosen, of at least 10 % of full command, and more
+    than three seconds apart. The plots are in the order of the records and of time. The command is constant for 0.5 s
+    before and for 1.5 s after each step.
     """
     plots = []
     for row in result.traces:

@@ -67,3 +67,8 @@ def test_an_effect_that_the_fitted_parameters_explain_has_no_size() -> None:
     one, two = detectable_sizes(scores_of(rng.standard_normal(N), np.column_stack([G, G[:, 3]]), 1), N)
     assert one.sizes == {}
     assert set(two.sizes) == {"b", "c"}
+
+
+def test_an_effect_without_information_is_left_out() -> None:
+    """The test of waves is one of a spectral peak, so that its score has no information of a size."""
+    assert detectable_sizes([Score("waves", 20.0, 2, 10.0, {}, {})], N) == ()
