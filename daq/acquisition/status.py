@@ -63,8 +63,8 @@ class PortStatus:
     expected
         Samples per run second by the rig file (`rate_hz`).
     rate
-        Measured samples per run second over the last few seconds, of the kind to which `expected` applies; NaN before
-        the second sample.
+        Measured samples per run second over the last few seconds, of the kind to which `expected` applies; NaN while
+        there are too few samples for a rate.
     age
         Run seconds since the last sample of any kind, except transducers; infinite before the first.
     samples
