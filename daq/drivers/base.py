@@ -31,7 +31,7 @@ class LinkRole(enum.StrEnum):
     DRIVE
         The program is the ground station: it sends heartbeats, requests and commands.
     RESCUE
-        The watchdog sends only zero commands, in place of the process that drove.
+        The watchdog sends only zero commands and disarms, in place of the process that drove.
     """
 
     # Nothing is sent. Even a heartbeat would have an effect: an autopilot takes it for that of its ground station.
