@@ -83,9 +83,10 @@ class PortStatus:
     bytes_in
         Number of received bytes.
     latency
-        Mean of receive time minus estimated sample time [s]; NaN for a device without a clock.
+        Mean of receive time minus estimated sample time [s]; NaN for a device without a clock, or before its first
+        sample.
     latency_spread
-        Standard deviation of the same difference [s]; NaN for a device without a clock.
+        Standard deviation of the same difference [s]; NaN for a device without a clock, or before its second sample.
     message
         Fault of the port in one line, else `remark`; empty without both.
     remark
