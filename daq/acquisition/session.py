@@ -285,8 +285,8 @@ class Acquisition:
     def alive(self) -> None:
         """Report that the program that commands thrust is still working.
 
-        It must be called every 0.1 s (wall) while thrust is commanded. After 0.25 s without a call, and without a call
-        of `schedule`, the acquisition process commands zero and ends.
+        It must be called every 0.1 s (wall) while thrust is commanded. If thrust is commanded or scheduled, and this
+        method and `schedule` are not called for 0.25 s, the acquisition process commands zero and ends.
         """
         self._alive.set()
 

@@ -27,7 +27,8 @@ class LinkRole(enum.StrEnum):
     LISTEN
         Nothing is sent.
     ASK
-        Requests of message rates and parameters are sent, but no heartbeat and no command.
+        Requests of message rates, parameters and the round trip are sent, and requests of the operator, but no
+        heartbeat and no set-point.
     DRIVE
         The program is the ground station: it sends heartbeats, requests and commands.
     RESCUE

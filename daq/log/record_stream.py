@@ -65,7 +65,7 @@ class ReservedSpace:
 
 
 class WholeRecordStream:
-    """Output file of a log that always ends with a whole record, also after a full disk.
+    """Output file of a log that ends with a whole record after a failed write too, for example on a full disk.
 
     The caller, a `RecordWriter`, passes whole records only.
 
