@@ -56,7 +56,7 @@ class Bounds(NamedTuple):
     Attributes
     ----------
     path
-        File that the error messages name: the largest file that the command reads.
+        File or folder that the error messages name: the largest of those that the command reads.
     memory
         Limit of the address space [bytes].
     cpu_s

@@ -191,7 +191,8 @@ class ClockMap:
     Parameters
     ----------
     window : float
-        Largest length [s] of the data that determine the map. The older hull spans between half of it and all of it.
+        Largest length [s] of the data that determine the map. The older hull spans between half of it and all of it,
+        less only at the beginning of a map.
 
     Notes
     -----
@@ -237,8 +238,9 @@ class ClockMap:
     def update(self, t_device: float, t_rx: float) -> float:
         """Update the map from device time to run time by one message, and return the run time [s] at which it was sent.
 
-        The estimate is never later than `t_rx` and never decreases. It is `t_rx` for the first message of a map. A
-        message with the device time of the message before does not change the map.
+        The estimate is never later than `t_rx`. It decreases only after a message whose device time was not finite. It
+        is `t_rx` for the first message of a map. A message with the device time of the message before does not change
+        the map.
 
         Parameters
         ----------

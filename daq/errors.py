@@ -46,7 +46,7 @@ def closest_name(name: str, known: Iterable[str]) -> str | None:
     from difflib import SequenceMatcher  # imported here, because only errors need it
 
     def likeness(a: str, b: str) -> float:
-        """Return the similarity of two names, 0 to 1; above 1 if one begins with the other."""
+        """Return the similarity of two names, 0 to 1; above 1 if one begins with the other, of 3 characters or more."""
         a, b = (text.lower().replace("-", "_") for text in (a, b))
         begins = min(len(a), len(b)) >= SHORTEST_STEM and (a.startswith(b) or b.startswith(a))
         return SequenceMatcher(None, a, b).ratio() + begins

@@ -180,7 +180,8 @@ class Device:
     protocol
         Name of its protocol, such as "vectornav".
     port
-        Absolute path, or an address of the network; a CAN port begins with `slcan:` or `socketcan:`.
+        Absolute path, or an address of the network; a CAN port begins with `slcan:` or `socketcan:`. In the rig of a
+        log it is as it was written.
     baud
         Baud rate of a serial port [bit/s].
     bitrate

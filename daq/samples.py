@@ -330,7 +330,7 @@ class PortHealth:
         Mean of receive time minus estimated sample time [s]; NaN for a device without a clock, or before its first
         sample.
     clock_spread
-        Standard deviation of the same difference [s]; NaN for a device without a clock.
+        Standard deviation of the same difference [s]; NaN for a device without a clock, or before its second sample.
     """
 
     port: str
@@ -358,7 +358,7 @@ class Frame(NamedTuple):
     t_rx
         Run time at which the read of the sample's bytes returned [s].
     t_device
-        Time by the clock of the device [s] (any origin); NaN if the device has no clock.
+        Time by the clock of the device [s] (any origin); NaN if the sample has no such time.
     """
 
     sample: Sample

@@ -86,7 +86,7 @@ class DeviceLoop(threading.Thread):
     setpoints : Setpoints, optional
         Schedule of the thrusters of the device. None if the device drives no thruster.
     driver : DeviceDriver, optional
-        Encoder of the set-points, which may also send messages of its own. None if nothing is sent to the device.
+        Encoder of the set-points, which may also send messages of its own. None for a device without a driver.
     on_lost : Callable
         Function that is called with a reason after the first command if the port is lost or the computer was suspended,
         even while the thrusters are at rest. It is also called if this thread was stopped for a while under thrust.
@@ -106,8 +106,8 @@ class DeviceLoop(threading.Thread):
         """Prepare the thread that serves the port of one device. It is not started, and the port is not opened.
 
         `decoder` decodes the received bytes, and `sink` is the queue of the log. `setpoints` is the schedule of the
-        device's thrusters (None without one), and `driver` encodes the messages to the device (None if nothing is
-        sent). `on_lost` is called with a reason if the port is lost, or this thread or the computer was stopped, so
+        device's thrusters (None without one), and `driver` encodes the messages to the device (None without one).
+        `on_lost` is called with a reason if the port is lost, or this thread or the computer was stopped, so
         that an old command could have been repeated.
         """
         super().__init__(name=f"port {device.name}", daemon=True)

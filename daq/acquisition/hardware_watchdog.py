@@ -15,7 +15,9 @@ DISARM = b"V"  # the "magic close" of the kernel's watchdog API
 
 
 class HardwareWatchdog:
-    """Watchdog timer of the computer: until `close` the computer restarts if `beat` is not called for 10 s.
+    """Watchdog timer of the computer: until `close` the computer restarts if `beat` is not called for its time-out.
+
+    The time-out is 10 s, or that of a timer whose time-out is fixed.
 
     Parameters
     ----------

@@ -144,9 +144,9 @@ class DriverRequest:
 
 @dataclass(frozen=True)
 class StreamSamples:
-    """Request of the parent to the acquisition process: send all further logged samples to the parent.
+    """Request of the parent to the acquisition process: send the samples that are logged from now on to the parent.
 
-    It cannot be cancelled. A second request changes nothing.
+    Events and samples of transducers are not sent. The request cannot be cancelled. A second request changes nothing.
     """
 
 
@@ -272,7 +272,8 @@ def encode_message(message: Message) -> bytes:
 def decode_message(line: bytes | bytearray) -> Message:
     """Return the message between processes that `encode_message` has written as one line of JSON.
 
-    Any other line raises an error (ValueError, KeyError, TypeError, ...), because both processes run the same program.
+    An invalid line raises an error (such as ValueError, KeyError or TypeError), because both processes run the same
+    program.
     """
     name, values = json.loads(line)
     kind = _TYPES[name]

@@ -250,8 +250,8 @@ class Process:
     def _request_end(self, reason: str, unrequested: bool) -> None:
         """Store the `reason` to end the acquisition, upon which the main loop ends. Only the first reason counts.
 
-        `unrequested` is whether the acquisition ends without a request of the parent. Recording then goes on for 1 s,
-        and the end is logged as "stop" instead of "end".
+        With `unrequested`, recording goes on for 1 s, and the end is logged as "stop" instead of "end". This is for an
+        end that the parent did not request.
         """
         if not self._end_reason:
             self._end_reason, self._unrequested = reason, unrequested
@@ -339,9 +339,9 @@ class Process:
     def _shut_down(self) -> None:
         """Command zero, wait until zero was repeated, end all threads, close the log and report the end to the parent.
 
-        The wait for zero takes at most 3 s (`_may_close`). Autopilots that this run has armed are disarmed. The
-        heartbeats to the watchdog go on until the ports are closed. If the parent is gone or hangs, and therefore
-        cannot print the last line of the run, this method prints that line.
+        The wait for zero takes at most about 3 s (`_may_close`), and the heartbeats to the watchdog go on meanwhile.
+        Autopilots that this run has armed are disarmed. After an unrequested end this method prints the last line of
+        the run if the parent is gone or hangs, and therefore cannot print it.
         """
         self._command_zero()
         self._send_heartbeat(at_once=True)
@@ -440,7 +440,8 @@ def main() -> None:
     """Run the acquisition process: receive the configuration from the parent, open the log, and record until the end.
 
     The arguments of the process are the file descriptors of the sockets to the parent and, if thrust will be commanded,
-    to the watchdog. An error at the start is reported to the parent as a `Failed` message.
+    to the watchdog. If the log cannot be opened, or there is no watchdog, this is reported to the parent as a `Failed`
+    message.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     link = AcquisitionChannel(socket.socket(fileno=int(sys.argv[1])))

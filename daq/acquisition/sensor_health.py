@@ -134,7 +134,8 @@ class SensorHealth:
         """Return whether the samples of a form repeat the same values for too long, as a dead sensor does.
 
         A form is the class of a sample together with which of its compared fields are not NaN; there must be a sample
-        of it. Too long is at least the number of samples and the time in STUCK_LIVE, for example 20 attitudes in 5 s.
+        of it. Too long is at least the number of samples and at least the time in STUCK_LIVE, for example 20 attitudes
+        and 5 s.
         Return False for a form that the device has not sent for this time, while it has sent others.
         """
         same, limit = self._same[form], STUCK_LIVE[form[0]]

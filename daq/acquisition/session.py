@@ -216,8 +216,8 @@ class Acquisition:
         Raises
         ------
         SeatrialError
-            If the rig lacks a thruster, a command is NaN or beyond `limits.n_max`, a time is not finite, or the process
-            has ended.
+            If the rig lacks a thruster, a command is NaN or beyond `limits.n_max` or 1, a time is not finite, or the
+            process has ended.
         """
         limit = min(self.rig.limits.n_max, 1.0)
         for t, row in rows:
@@ -285,13 +285,13 @@ class Acquisition:
     def alive(self) -> None:
         """Report that the program that commands thrust is still working.
 
-        It must be called every 0.1 s (wall) while thrust is commanded. After 0.25 s without a call, and without a call
-        of `schedule`, the acquisition process commands zero and ends.
+        It must be called every 0.1 s (wall) while thrust is commanded. If thrust is commanded or scheduled, and this
+        method and `schedule` are not called for 0.25 s, the acquisition process commands zero and ends.
         """
         self._alive.set()
 
     def status(self) -> Status:
-        """Return the newest status of the acquisition, at most about 50 ms (wall) old. After `stop` it is the last one.
+        """Return the newest status of the acquisition, usually at most about 50 ms (wall) old; after `stop` the last.
 
         Raises
         ------
@@ -396,9 +396,9 @@ class Acquisition:
     def _describe_crash(self) -> str:
         """Return the error message, in one line, for an acquisition process that has ended without a last message.
 
-        It contains the exit status of the process, the last line of its standard error, and the note that the watchdog
-        has written beside the log, if there is one. The method waits up to 2 s for the process and 5 s for the watchdog
-        to end (wall).
+        It contains the exit status of the process, the last line of the output of process and watchdog, and the note
+        that the watchdog has written beside the log, if there is one. The method waits up to 2 s for the process and
+        5 s for the watchdog to end (wall).
         """
         code = "none yet"
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -422,10 +422,10 @@ class Acquisition:
             raise SeatrialError(self._failure)
 
     def _wait_until(self, condition: Callable[[], bool], seconds: float, failure: str) -> None:
-        """Wait until the function `condition` returns true. It is called again after each message of the process.
+        """Wait until the function `condition` returns true. It is called again when the process sends a message.
 
-        Raise SeatrialError after `seconds` (wall), with the words `failure` in the message, such as "did not start",
-        or as soon as the acquisition process fails.
+        A message with samples does not count. Raise SeatrialError after `seconds` (wall), with the words `failure` in
+        the message, such as "did not start", or as soon as the acquisition process fails.
         """
         with self._changed:
             if not self._changed.wait_for(lambda: condition() or self._failure, timeout=seconds):

@@ -63,8 +63,8 @@ class PortStatus:
     expected
         Samples per run second by the rig file (`rate_hz`).
     rate
-        Measured samples per run second over the last few seconds, of the kind to which `expected` applies; NaN before
-        the second sample.
+        Measured samples per run second over the last few seconds, of the kind to which `expected` applies; NaN while
+        there are too few samples for a rate.
     age
         Run seconds since the last sample of any kind, except transducers; infinite before the first.
     samples
@@ -83,9 +83,10 @@ class PortStatus:
     bytes_in
         Number of received bytes.
     latency
-        Mean of receive time minus estimated sample time [s]; NaN for a device without a clock.
+        Mean of receive time minus estimated sample time [s]; NaN for a device without a clock, or before its first
+        sample.
     latency_spread
-        Standard deviation of the same difference [s]; NaN for a device without a clock.
+        Standard deviation of the same difference [s]; NaN for a device without a clock, or before its second sample.
     message
         Fault of the port in one line, else `remark`; empty without both.
     remark

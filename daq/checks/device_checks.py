@@ -153,7 +153,8 @@ def _check_rate(source: str, device: Device | None, log: Log, tables: Tables, ga
     NMEA 2000 bus not all samples count (`_rated_times`). Of an autopilot only the attitudes count. Its attitudes in the
     first third of their time, at most in the first 10 s, are left out, because the autopilot then still sends at its
     own rates. The rate of an autopilot in a log imported from a tlog is reported and not compared. The samples of all
-    controllers of a bus count together. A device without tables has no finding, except an autopilot.
+    controllers of a bus count together. A device without tables has no finding, except an autopilot whose rate is
+    compared.
 
     Parameters
     ----------
@@ -304,11 +305,12 @@ def _constant_intervals(kind: type, table: Any) -> Iterator[tuple[float, float]]
 def _check_ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
     """Check noise, specific force and mounting of an AHRS in a log, and yield the findings.
 
-    Faults are white noise above 2 deg in yaw or 0.05 rad/s in yaw rate; lower noise of both is reported, if that of the
-    yaw rate is known. Warnings are a median specific force that differs from 9.81 m/s2 by more than 15 %, and a median
-    roll or pitch beyond 20 deg. Samples in turns above 0.1 rad/s do not count for the specific force if more than 5 %
-    others remain. Quantities that the AHRS does not report, and noise of fewer than 23 values, are not checked. `table`
-    has the samples of the AHRS, `name` is the device in the findings, and `rig` is not used.
+    Faults are white noise above 2 deg in yaw or 0.05 rad/s in yaw rate. If there is no such fault, the noise is
+    reported, provided that of the yaw rate is known. Warnings are a median specific force that differs from 9.81 m/s2
+    by more than 15 %, and a median roll or pitch beyond 20 deg. Samples in turns above 0.1 rad/s do not count for the
+    specific force if more than 5 % others remain. Quantities that the AHRS does not report, and noise of fewer than 23
+    values, are not checked. `table` has the samples of the AHRS, `name` is the device in the findings, and `rig` is not
+    used.
     """
     is_quiet, noises = True, dict[str, float]()
     for column, (limit, unit) in NOISE.items():
@@ -504,8 +506,8 @@ def _check_port_counters(source: str, log: Log) -> Iterator[Finding]:
     """Check the last counters of the port of the device `source` in a log, and yield the findings.
 
     Warnings are checksum errors, more than one and more than 0.1 % of the frames; unparsed bytes, more than 200 plus
-    1 % of the received ones; any dropped sample; and any loss of the port. A log without counters of the port has no
-    finding.
+    1 % of the received ones; any dropped sample; and any reopening of the port after a loss. A log without counters of
+    the port has no finding.
     """
     if source not in log.sources(PortHealth) or not (rows := log.health(source)):
         return
@@ -541,10 +543,10 @@ def _check_port_counters(source: str, log: Log) -> Iterator[Finding]:
 def _check_shaft_speeds(log: Log) -> Iterator[Finding]:
     """Yield a finding for each speed controller whose shaft speed stays exactly equal while its command changes.
 
-    The speed must stay equal for more than 2 s, and the command must change by more than 0.1 of full command, at the
-    latest 1 s before the end of this time, because the shaft responds with a delay. Not checked are a speed of zero,
-    controllers without commands in the log, and those with fewer than 20 samples. A controller has at most one finding:
-    a warning if its telemetry saturates (`_is_limit`), otherwise a fault.
+    The speed must stay equal for more than 2 s, and the commands within this time must differ by more than 0.1 of full
+    command. Those of its last second do not count, because the shaft responds with a delay. Not checked are a speed of
+    zero, controllers without commands in the log, and those with fewer than 20 samples. A controller has at most one
+    finding: a warning if its telemetry saturates (`_is_limit`), otherwise a fault.
     """
     for source in log.sources(Esc):
         for node in log.nodes(Esc, source):
@@ -605,9 +607,9 @@ def _is_limit(value: float, held: Any, rpm: Any, commands: Any) -> bool:
 def _check_imported_signals(log: Log) -> Iterator[Finding]:
     """Check the imported signals of a log, and yield the findings.
 
-    They are about rows that the import left out, unknown inputs, damaged or repeated time stamps, missing sections of
-    outputs, and outputs with the same value in all of more than 20 samples. A log that was not imported has no finding,
-    except about the signals of transducers, which are checked like outputs.
+    They are, for example, about rows that the import left out, unknown inputs, damaged or repeated time stamps, missing
+    sections of outputs, and outputs with the same value in all of more than 20 samples. A log that was not imported has
+    no finding, except about the signals of transducers, which are checked like outputs.
     """
     by_map = log.attachments.get("import.toml", b"").replace(b"'", b'"')
     yield from check_rows_left_out(log.metadata)

@@ -58,10 +58,11 @@ class HeldValues(NamedTuple):
 def held_values(columns: Sequence[FloatArray]) -> HeldValues | None:
     """Decide whether a table repeats each measurement of a slow sensor in several rows, by the values of the sensor.
 
-    The table does so if four conditions are fulfilled. At least 15 % of the rows repeat the row before. At least 15 %
-    of the values stay for more than one row. Changes follow each other at a regular pace (80 % of the distances). The
-    resolution of the sensor does not explain the repeats: at most half of the changes are by one step of the
-    resolution, and the repeats are at least twice as many as these changes.
+    The table does so if four conditions are fulfilled. At least 15 % of the rows repeat the row before; unusually long
+    repeats of one value do not count for this. At least 15 % of the values stay for more than one row. Changes follow
+    each other at a regular pace (80 % of the distances). The resolution of the sensor does not explain the repeats: at
+    most half of the changes are by one step of the resolution, and the repeats are at least twice as many as these
+    changes.
 
     Parameters
     ----------
@@ -98,7 +99,7 @@ def held_signals(t: FloatArray, signals: Mapping[str, FloatArray]) -> dict[str, 
     Signals that one sensor measures at once, such as x and y (TOGETHER), are judged together. Signals are also of one
     sensor if 80 % of the rows in which they change are common, and a signal too coarse to be judged alone, with at
     least 10 changes, if 95 % of its changes are in rows of the sensor. A signal that is measured less often than every
-    5 s (SLOWEST_S) is taken for a set-point and left out.
+    5 s (SLOWEST_S) is taken for a set-point, and does not count as a sensor.
 
     Parameters
     ----------

@@ -60,11 +60,12 @@ def check_thruster_coverage(log: Log) -> Iterator[Finding]:
     """Compare the speed controllers of each bus in a log with the thrusters of its rig, and yield the findings.
 
     A controller without a thruster in the rig, and a thruster without `rpm_max`, give a warning. A thruster whose
-    controller has no sample and got no command gives a fault. The rate of each controller is reported, without pauses
-    of 60 s or more. A controller with fewer than half of the samples of the most frequent controller on its bus gives a
-    warning. Rates are not reported if the most frequent controller has fewer than 10 samples. Thrusters behind an
-    autopilot are left out, except for `rpm_max`. Buses without any telemetry, or without a thruster in the rig, are
-    left out too. `rpm_max` may be missing if the log has no other speed than zero. A log without a rig has no finding.
+    controller has no sample and got no command gives a fault. The rate of each thruster's controller is reported,
+    without pauses of 60 s or more. A controller with fewer than half of the samples of the most frequent controller on
+    its bus gives a warning. Rates are not reported if the most frequent controller has fewer than 10 samples. Thrusters
+    behind an autopilot are left out, except for `rpm_max`. Buses without any telemetry, or without a thruster in the
+    rig, are left out too. `rpm_max` may be missing if the log has no other speed than zero. A log without a rig has no
+    finding.
     """
     rig = log.rig
     if rig is None:

@@ -355,8 +355,8 @@ def _check_order_and_size(mission: Mission, root: TomlTable) -> None:
 
     The checks are: there is at least one segment, the first time is not negative, each segment begins after the last
     time of the one before, the mission ends after the last time, no command exceeds `n_max` in magnitude, and the ramps
-    of the slew limit have at most 1,000,000 rows (MAX_RAMP_ROWS). `root` is the root table of the file; error messages
-    name the file and the key by it.
+    of the slew limit can have at most 1,000,000 rows (MAX_RAMP_ROWS). `root` is the root table of the file; error
+    messages name the file and the key by it.
     """
     if not mission.segments:
         raise root.error("segment", "missing; a mission needs at least one [[segment]]: add one")
@@ -418,7 +418,7 @@ def save_new_mission(mission: Mission, path: Path) -> None:
 
 
 def dump_mission(mission: Mission) -> str:
-    """Return the text of a mission.toml, from which `parse_mission` returns an equal mission.
+    """Return the text of a mission.toml, from which `parse_mission` returns an equal mission if the mission is valid.
 
     Numbers are written without rounding. The mission is not checked here.
     """

@@ -132,10 +132,12 @@ def check_parameters(
 
 
 def _required_names(p: Mapping[str, float], thrusters: Sequence[Thruster]) -> list[str]:
-    """Return the names of the needed parameters that this version of ArduPilot Rover certainly has.
+    """Return the names of the needed parameters that this version of ArduPilot Rover should have.
 
-    If one of them is not answered, the message was lost. `p` are the values of the answered parameters by name; they
-    show whether the version is 4.7 or newer. `thrusters` are those behind the autopilot.
+    If one of them is not answered, the message was probably lost. Only those of battery failsafe and fence may be
+    lacking. `p` are the values of the answered parameters by name; they show whether the version is 4.7 or newer.
+    `thrusters` are those behind the autopilot. Parameters that other functions of this module check for an answer, and
+    SCHED_LOOP_RATE, are left out.
     """
     newer, _ = GROUND_STATION_NAMES
     # `_check_failsafes` checks one of the GROUND_STATION_NAMES, and `_check_thruster` the RCMAP parameter of its side.

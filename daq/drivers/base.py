@@ -27,11 +27,12 @@ class LinkRole(enum.StrEnum):
     LISTEN
         Nothing is sent.
     ASK
-        Requests of message rates and parameters are sent, but no heartbeat and no command.
+        Requests of message rates, parameters and the round trip are sent, and requests of the operator, but no
+        heartbeat and no set-point.
     DRIVE
         The program is the ground station: it sends heartbeats, requests and commands.
     RESCUE
-        The watchdog sends only zero commands, in place of the process that drove.
+        The watchdog sends only zero commands and disarms, in place of the process that drove.
     """
 
     # Nothing is sent. Even a heartbeat would have an effect: an autopilot takes it for that of its ground station.

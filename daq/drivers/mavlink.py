@@ -432,7 +432,7 @@ class MavlinkDriver(DeviceDriver):
         """Return the frame of the first command in the queue, if it is due at wall time `now` [s]; else no bytes.
 
         It is due every 0.4 s (ANSWER_S) until it is answered. A command that was sent 4 times (TRIES) without an answer
-        is removed, and "no answer" is stored as its answer.
+        is removed, and "no answer" is stored as its answer. A message rate then counts as refused.
         """
         while self._commands:
             command = self._commands[0]

@@ -195,7 +195,7 @@ class Messages(NamedTuple):
         """Return the first bytes of the data of each message as an array of the numpy type `dtype`, shape (n,).
 
         The data are those after the head. The result is a copy. The caller checks first that no message is shorter than
-        `dtype`; otherwise an item also contains bytes of the next record.
+        `dtype`; otherwise an item also contains bytes of the next record, or IndexError is raised at the end.
         """
         return rows_at(self.buffer, self.offsets + MESSAGE_HEAD.itemsize, dtype)
 
@@ -217,7 +217,7 @@ def scan(chunks: list[tuple[Buffer, bytes]], register: Callable[[int, bytes], No
     chunks
         Bytes of each chunk, and the entries of its message indexes as bytes (see `index_entries`). At least one chunk.
     register
-        Function that receives opcode and content of each schema and channel record in the chunks.
+        Function that receives opcode and content of each schema and channel record that is found.
 
     Returns
     -------
@@ -226,9 +226,10 @@ def scan(chunks: list[tuple[Buffer, bytes]], register: Callable[[int, bytes], No
 
     Notes
     -----
-    Index entries beyond the end of a chunk are ignored. If another entry is not the offset of a whole message, or its
-    message overlaps another one, all entries of its chunk are ignored. All bytes outside the messages of the used
-    entries are scanned record by record. An invalid record ends the scan up to the next used entry or the next chunk.
+    Index entries outside a chunk, or too near to its end for the head of a message, are ignored. If another entry is
+    not the offset of a whole message, or its message overlaps another one, all entries of its chunk are ignored. All
+    bytes outside the messages of the used entries are scanned record by record. An invalid record, or too many other
+    records, end the scan up to the next used entry or the next chunk.
     """
     buffer = chunks[0][0] if len(chunks) == 1 else np.concatenate([data for data, _ in chunks])
     bounds = np.cumsum([0, *(len(data) for data, _ in chunks)])
@@ -306,8 +307,8 @@ def rows_at(buffer: Buffer, offsets: Offsets, dtype: np.dtype[Any]) -> NDArray[A
     """Return the items of the numpy type `dtype` that begin at the `offsets` of a byte buffer, shape (n,).
 
     The items are copied, in the order of the offsets, and may overlap. Without offsets the result is empty. An item
-    that goes beyond the end of the buffer raises IndexError, or ValueError if the buffer is shorter than one item. The
-    offsets must not be negative; this is not checked.
+    that goes beyond the end of the buffer raises IndexError or ValueError. The offsets must not be negative; this is
+    not checked.
     """
     return _records_at(buffer, offsets, dtype.itemsize).view(dtype) if len(offsets) else np.zeros(0, dtype)
 

@@ -112,14 +112,14 @@ class RawLog:
     Raises
     ------
     SeatrialError
-        If the file cannot be opened, is empty or is no MCAP file.
+        If the file cannot be read, is empty or is no MCAP file.
     """
 
     def __init__(self, path: Path, growing: bool = False) -> None:
         """Open an MCAP file and read its index, from its summary or, without a valid one, from all its records.
 
         With `growing`, a record that is cut off at the end of the file is not read yet: `extend` reads it when it is
-        whole. Raise SeatrialError if the file cannot be opened, is empty or is no MCAP file.
+        whole. Raise SeatrialError if the file cannot be read, is empty or is no MCAP file.
         """
         self.path = path
         self._growing = growing
@@ -224,8 +224,9 @@ class RawLog:
     ) -> Iterator[Messages]:
         """Yield the messages of some channels and log times in file order, a few chunks (groups of messages) at a time.
 
-        A yielded batch may be empty. Chunks without such messages are not read. Damaged chunks are left out, with a
-        warning. If the file has far more messages than a real log of its size, the rest is left out, with a warning.
+        A yielded batch may be empty. A chunk that cannot have such messages by its index is not read. Damaged chunks
+        are left out, with one warning each. If the read chunks have far more messages than a real log of this size, the
+        rest is left out, with a warning.
 
         Parameters
         ----------
@@ -296,8 +297,8 @@ class RawLog:
     def _batches(self, numbers: Offsets) -> Iterator[list[int]]:
         """Split the numbers of chunks, shape (n,), into lists of chunks to read together.
 
-        The order is kept. The chunks of a list have about 4 MiB of uncompressed data (BATCH_BYTES); a larger chunk may
-        be alone. No list is empty.
+        The order is kept. The chunks of a list have up to about 4 MiB of uncompressed data (BATCH_BYTES); a list with a
+        larger chunk has more. No list is empty.
         """
         group = np.cumsum(self._chunks["size"][numbers]) // BATCH_BYTES
         for part in np.split(numbers, np.flatnonzero(np.diff(group)) + 1):
@@ -305,10 +306,10 @@ class RawLog:
                 yield part.tolist()
 
     def _read_messages(self, numbers: list[int], register: Callable[[int, bytes], None]) -> Messages:
-        """Return all messages of the chunks with these numbers. Damaged chunks are left out, with a warning.
+        """Return the messages of the chunks with these numbers. Chunks that `_read_chunk` cannot return are left out.
 
         Opcode and content of schemas and channels in the chunks are passed to `register`. The result has no messages if
-        all chunks are damaged.
+        all chunks are left out.
         """
         chunks = []
         for number in numbers:
@@ -363,8 +364,8 @@ class RawLog:
     def _read_summary(self) -> bool:
         """Read the index of the MCAP file from the summary at its end. Return True if the index was read.
 
-        Return False, and use nothing, if the file has no summary, or if the summary has no checksum, is damaged, or
-        does not cover the whole file. The caller then reads all records instead.
+        Return False, and use nothing, if the file has no usable summary: for example, if the summary has no checksum,
+        is damaged, or does not cover the whole file. The caller then reads all records instead.
         """
         size = self._size
         try:
@@ -392,9 +393,9 @@ class RawLog:
         """Use a decoded summary as the index of the MCAP file, and return True.
 
         Chunks, channels, schemas, counts, span of log times, attachments, metadata and the profile of the header are
-        stored, and `complete` becomes True. A damaged attachment or metadata record is left out, with a warning. False
-        is returned, and nothing stored, if the summary does not cover the whole file, or if its statistics are missing
-        or contradict it.
+        stored, and `complete` becomes True. A damaged header, attachment or metadata record is left out, with a
+        warning. False is returned, and nothing stored, if the summary does not cover the whole file, if its chunks
+        overlap, or if its statistics are missing or have other numbers of chunks or channels.
         """
         chunks, statistics = summary.chunks, summary.statistics
         if statistics is None or (statistics.chunk_count, statistics.channel_count) != (
@@ -432,8 +433,9 @@ class RawLog:
 
         After an unknown opcode or a length beyond the file, the search continues at the next whole zstd chunk. If only
         the content of a record is damaged, only this record is left out. The first footer ends the search. Messages
-        without a channel record are not counted. All these faults, and a missing footer, cause warnings. If the file is
-        undamaged but has no footer, most chunks are counted by their message indexes and not read here.
+        without a channel record are not counted. All these faults cause warnings. A missing footer causes one too, but
+        not in a growing file. If the file is undamaged but has no footer, chunks with message indexes are usually
+        counted by them and not read here.
         """
         whole = self._find_records(found := _FoundChunks(), len(MCAP0_MAGIC))
         self._chunks, self._seen = found.chunks(), np.zeros(len(found.at), np.int8)
@@ -571,7 +573,7 @@ class RawLog:
         """Read what can be read of a record of the MCAP file after which no whole zstd chunk follows, and warn.
 
         Of a cut chunk, the existing zstd blocks, or data without compression, are added to `found`, because they may
-        contain messages. A cut record of another kind, and a cut chunk with lz4, are left out.
+        contain messages. A cut record of another kind, and a cut chunk with lz4 or with damaged data, are left out.
 
         Parameters
         ----------
@@ -585,7 +587,7 @@ class RawLog:
         Returns
         -------
         bool
-            True if the file is only cut off there; False if the opcode is invalid, so that the file is damaged.
+            False if the opcode is invalid, so that the file is damaged; True otherwise.
         """
         if unknown:
             self._warn(f"damaged at byte {at}: the rest of the file is left out")

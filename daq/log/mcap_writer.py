@@ -104,7 +104,7 @@ class LogWriter:
     SeatrialError
         If the file cannot be created, or if a later write fails. After a failed write the file is closed. It then has a
         footer only if the disk was full and the reserved disk space (ballast) had room for the footer. Every later call
-        of `channel`, `add`, `tick` or `flush` raises the same error.
+        of `channel`, `add`, `tick` or `flush` raises SeatrialError.
     """
 
     def __init__(
@@ -294,8 +294,8 @@ class LogWriter:
     def _close_on_error(self) -> Iterator[None]:
         """Close the log file and raise SeatrialError if a write within the `with` block fails.
 
-        If the disk was full, but the reserved space had room for the records, the end of the file is written first, and
-        `DiskFull` is raised too.
+        If the disk was full, but the reserved space had room for the records, the end of the file is written first if
+        there is room for it too. `DiskFull` is raised in both cases.
         """
         try:
             yield
@@ -321,8 +321,8 @@ class LogWriter:
     def _close_and_raise(self, error: OSError, complete: bool) -> NoReturn:
         """Close the log file and raise the error of a failed write: DiskFull if the disk is full, or SeatrialError.
 
-        The error is also stored: later calls raise it again. `complete` is whether the file contains every message and
-        its footer.
+        The error is also stored, and `_require_open` raises it again. `complete` is whether the file contains every
+        message and its footer.
         """
         self._close_file()
         self._failed = self._write_error(error, complete)
@@ -369,8 +369,8 @@ class Output(Protocol):
 class RecordWriter:
     """Encoder of the records of one MCAP file, with messages in zstd chunks (compressed groups).
 
-    A chunk ends at `flush`, or when it is longer than `chunk_bytes`. Errors of the stream pass through every method; do
-    not use the writer after an error.
+    A chunk ends at `flush`, at `finish`, or with the message that makes it longer than `chunk_bytes`. Errors of the
+    stream pass through every method; do not use the writer after an error.
 
     Parameters
     ----------
@@ -451,7 +451,8 @@ class RecordWriter:
     def register_schema(self, name: str, encoding: str, data: bytes) -> int:
         """Add the definition of a message type to the MCAP file, and return the number of its schema, from 1.
 
-        The definition is written with the current chunk, and again in the summary. Each call gives a new number.
+        The definition is appended to the current chunk, and is also written in the summary. Each call gives a new
+        number.
 
         Parameters
         ----------
@@ -471,8 +472,8 @@ class RecordWriter:
     def register_channel(self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]) -> int:
         """Add a topic to the MCAP file and return the number of its channel, from 1.
 
-        The record of the channel is written with the current chunk, and again in the summary. Each call gives a new
-        number, also for the same topic.
+        The record of the channel is appended to the current chunk, and is also written in the summary. Each call gives
+        a new number, also for the same topic.
 
         Parameters
         ----------
@@ -596,9 +597,10 @@ class RecordWriter:
         self._stream.write(end + summary + offsets + _encode_record(footer) + MCAP0_MAGIC)
 
     def _statistics(self) -> Statistics:
-        """Return the MCAP statistics record: the numbers of records of each kind, and the first and last log time.
+        """Return the MCAP statistics record: numbers of records, messages by channel, and span of the log times.
 
-        Only messages in written chunks count. Without one both times are 0.
+        The span is the smallest and the largest log time. Only messages in written chunks count. Without one both times
+        are 0.
         """
         return Statistics(
             attachment_count=self._n_attachments,

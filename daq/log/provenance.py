@@ -21,8 +21,9 @@ _PACKAGES = ("seatrial", "mcap", "numpy", "pyserial", "python-can", "zstandard")
 def git_hash() -> str:
     """Return the git commit of the running source code, 40 hexadecimal digits, for the metadata of a log.
 
-    The suffix `-dirty` marks a tree with uncommitted changes. The result is "none" if the folder above `daq` is not the
-    top of a git repository, and if git fails or takes more than 5 s. It is computed once for each process.
+    The suffix `-dirty` marks uncommitted changes of files that git tracks. The result is "none" if the folder above
+    `daq` is not the top of a git repository, and if git fails or takes more than 5 s. It is computed once for each
+    process.
     """
     folder = Path(__file__).resolve().parents[1]
     if not (folder.parent / ".git").exists():

@@ -129,14 +129,15 @@ class Log:
     def extend(self) -> bool:
         """Add the messages that were written to a growing log since it was opened or since the last call.
 
-        Return whether anything was added. `start` and `end` of views (`part`) that exist already do not change, but
-        their methods find the new messages in their interval. Tables that `keeping_tables` keeps do not change. A
-        segment that a recorder has started since is not added: open the log again.
+        Return whether anything was added. Views (`part`) that exist already keep their `start` and `end` and what they
+        have computed, such as `counts`. Their tables that are read later have the new messages in their interval.
+        Tables that `keeping_tables` keeps do not change. A segment that a recorder has started since is not added: open
+        the log again.
 
         Raises
         ------
         SeatrialError
-            If the file was replaced by another file.
+            If the file was closed since, and another file has replaced it.
         """
         if not self._file.extend():
             return False
@@ -220,7 +221,8 @@ class Log:
     def duration(self) -> float:
         """Time from the receipt of the first message to that of the last [s]; 0 if the log has no messages.
 
-        For a view (`part`), the length of its interval, cut to the log.
+        For a view (`part`), the length of its interval, cut to the log. It is negative if the interval ends before the
+        log.
         """
         return self.end - self.start
 
@@ -229,7 +231,7 @@ class Log:
         """SHA-256 of the log in hexadecimal digits.
 
         For a log of several segments (files), the bytes of all, in order, are hashed. The value is computed once and
-        kept. OSError is raised if a file cannot be read.
+        kept until `extend` adds messages. OSError is raised if a file cannot be read.
         """
         digest = hashlib.sha256()
         for path in self.paths:
@@ -288,8 +290,8 @@ class Log:
     def types(self) -> dict[str, str]:
         """Return the message type of each topic of the log that has messages, by topic.
 
-        The type is `package/msg/Name`, or "?" if it is unknown. If channels of a topic have different types, that of
-        the last channel is returned.
+        The type is `package/msg/Name`, or "?" if it is unknown. If channels of a topic have different types, the last
+        known one is returned.
         """
         schemas = self._file.schemas
         names = {c.topic: schemas[c.schema_id].name for c in self._file.channels.values() if c.schema_id in schemas}
@@ -308,8 +310,9 @@ class Log:
     def clock_steps(self) -> dict[str, tuple[int, float]]:
         """Number and length of the steps back of the time stamps, by topic: (number of steps, longest step [s]).
 
-        Only steps of more than 0.5 s (CLOCK_STEP_S) from one message to the next count. They show that a clock was set,
-        or that the stamps are from two clocks. Topics without such steps are left out, and so are events.
+        Only steps of more than 0.5 s (CLOCK_STEP_S) from one message to the next count. Possible causes are, for
+        example, a clock that was set, or stamps from two clocks. Topics without such steps are left out, and so are
+        events.
         """
         found = {topic: (item.n_back, item.longest_back) for topic, item in self._spacing.items() if item.n_back}
         found.pop("/event", None)
@@ -434,8 +437,8 @@ class Log:
             Id of the controller or servo output, for `Esc`, `Command` and `Servo`. It may be None if the device has a
             single one. Other kinds do not use it.
         begin, end
-            Interval of the time of receipt [s since 1970]: `begin <= t_rx < end`. Samples outside are not read. The log
-            time counts, which is never earlier than that of the message before.
+            Interval of the time of receipt [s since 1970]: `begin <= t_rx < end`. Samples outside are left out. The log
+            time counts, which a recorder never makes earlier than that of the message before.
 
         Returns
         -------
@@ -517,7 +520,7 @@ class Log:
         return _AhrsTable(self, topic, source, join) if kind is Ahrs else _SampleTable(self, kind, topic)
 
     def _read_tables(self, span: tuple[int, int]) -> dict[tuple[str, tuple[int, int]], NDArray[np.void]]:
-        """Read the samples of all topics of the log in one pass, because each chunk of the file contains all topics.
+        """Read the samples of all devices and signals of the log in one pass, because a chunk contains many topics.
 
         `span` is the interval of log times [ns since 1970]. Return a structured array (n,) by topic and interval.
         Topics with errors are left out. `table` then reads the topic alone and raises the error. An AHRS without
@@ -891,7 +894,7 @@ class _SampleTable(_TopicTable):
 class _NotNumberedError(SeatrialError):
     """Error that the sequence numbers of the Imu messages of an AHRS do not ascend.
 
-    Another program wrote such messages, and they cannot be joined with other topics by sequence number.
+    Such messages cannot be joined with other topics by sequence number. Another program may have written them.
     """
 
 
@@ -905,8 +908,9 @@ class _AhrsTable(_TopicTable):
     topic, source
         Topic of the Imu messages, and name of the device.
     join
-        Whether to add the columns of the companion topics (device times and magnetic field). If it is False, and where
-        a companion message is missing, t_device and the field are NaN, and t_rx is the log time of the Imu message.
+        Whether to add the columns of the companion topics (device times and magnetic field). Without a message of
+        device times, t_device is NaN, and t_rx is the log time of the Imu message. Without a message of the magnetic
+        field, the field is NaN. If `join` is False, both are true for all samples.
     """
 
     def __init__(self, log: Log, topic: str, source: str, join: bool) -> None:
@@ -929,9 +933,9 @@ class _AhrsTable(_TopicTable):
         """Add the next Imu messages of the AHRS, with the device time and magnetic field of the same sequence number.
 
         Messages of these companion topics that arrive before their Imu message wait for one more call, and are then
-        dropped. If the companion of an Imu message is missing, t_device or the magnetic field is NaN, and t_rx is the
-        log time. `_NotNumberedError` is raised if the sequence numbers do not ascend and there are companion topics.
-        SeatrialError is raised if a message cannot be decoded.
+        dropped. Without a message of device times, t_device is NaN, and t_rx is the log time. Without a message of the
+        magnetic field, the field is NaN. `_NotNumberedError` is raised if the sequence numbers do not ascend and there
+        are companion topics. SeatrialError is raised if a message cannot be decoded.
         """
         parts = {n: messages.where(np.isin(messages.heads["channel"], g)) for n, g in self._numbers.items()}
         imu = parts.pop("imu")

@@ -65,7 +65,7 @@ class ReservedSpace:
 
 
 class WholeRecordStream:
-    """Output file of a log that always ends with a whole record, also after a full disk.
+    """Output file of a log that ends with a whole record after a failed write too, for example on a full disk.
 
     The caller, a `RecordWriter`, passes whole records only.
 
@@ -91,8 +91,8 @@ class WholeRecordStream:
     def __init__(self, path: Path) -> None:
         """Create the output file `path` and reserve disk space for its last records.
 
-        Raise OSError if the file exists or cannot be created, or if the disk has too little space for this reservation;
-        in the last case the file is deleted again.
+        Raise OSError if the file exists or cannot be created, or if the space cannot be reserved; in the last case the
+        file is deleted again.
         """
         self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
         # Without this a loss of power may remove the name of the file, and with the name the whole file.
@@ -180,7 +180,7 @@ class WholeRecordStream:
 def sync_folder(folder: Path) -> None:
     """Wait until the names of the files in a folder are on the disk, so that a loss of power cannot remove a new file.
 
-    No error is raised if the folder cannot be opened, or if the operating system does not support this.
+    An OSError is suppressed, for example if the folder cannot be opened, or the operating system does not support this.
     """
     with contextlib.suppress(OSError):
         fd = os.open(folder, os.O_RDONLY)

@@ -197,7 +197,7 @@ class Recorder:
 
         The direction is "rx" for bytes read from the port, and "tx" for bytes written to it; another one raises
         KeyError. If t is NaN, it becomes the log time of the message before. SeatrialError is raised if the file cannot
-        be written.
+        be written; a patient recorder pauses instead if the disk is full.
         """
         log_ns, stamp_ns = self._log_and_stamp_ns(t, t)
         message = cdr_layout(schema.RAW, device.encode()).pack(stamp_ns, _DIRECTIONS[direction], tail=(data,))
@@ -208,7 +208,7 @@ class Recorder:
 
         NUL characters in the texts are left out. If t is NaN, it becomes the log time of the message before. During a
         pause (while the disk is full) the event is kept in memory. SeatrialError is raised if the file cannot be
-        written.
+        written; a patient recorder pauses instead if the disk is full.
         """
         log_ns, stamp_ns = self._log_and_stamp_ns(t, t)
         message = cdr_layout(schema.EVENT, b"").pack(stamp_ns, tail=(_encode_text(kind), _encode_text(text)))
@@ -218,7 +218,7 @@ class Recorder:
         """Write the counters of a device's port (bytes, frames, errors, ...) to the log at time t [s since 1970].
 
         If t is NaN, it becomes the log time of the message before. SeatrialError is raised if the file cannot be
-        written.
+        written; a patient recorder pauses instead if the disk is full.
         """
         log_ns, stamp_ns = self._log_and_stamp_ns(t, t)
         message = cdr_layout(schema.HEALTH, device.encode()).pack(
@@ -240,7 +240,8 @@ class Recorder:
 
         The work is: flush and sync the segment, begin the next segment at the limits of size or time in the rig, and
         delete the oldest segments if the log is too large. During a pause it is only to check, every 0.25 s (wall),
-        whether the full disk has room again. SeatrialError is raised if a file cannot be created or written.
+        whether the full disk has room again, and then to go on with the recording. SeatrialError is raised if a file
+        cannot be created or written; a patient recorder pauses instead if the disk is full.
         """
         if self.paused:
             if time.monotonic() >= self._retry_at:

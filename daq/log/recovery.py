@@ -26,7 +26,7 @@ class RecoveredLog(NamedTuple):
     files
         Number of segments (files of the log) that were read.
     warnings
-        Faults of these segments, and missing segments, one line each; empty if the log was whole.
+        Faults of these segments, and segments that are missing or left out, one line each; empty if the log was whole.
     """
 
     messages: int

@@ -26,9 +26,9 @@ SHARED_METADATA = ("origin", "rig", "host")  # metadata that are equal in all se
 def open_raw(path: Path, growing: bool = False) -> RawLog | SegmentedLog:
     """Open the MCAP log that begins at `path`, with all its segments (files), without decoding its messages.
 
-    Later segments that cannot be read or that belong to another run are left out, with a warning. Missing segments also
-    cause a warning. A file whose metadata have no run clock is opened alone. With `growing`, the last file may still be
-    written, and `extend` of the result reads what is appended.
+    Later segments that cannot be read or that belong to another run are left out, with a warning. Segments that are
+    missing before the last used one also cause a warning. A file whose metadata have no run clock is opened alone. With
+    `growing`, the last file may still be written, and `extend` of the result reads what is appended.
 
     Returns
     -------
@@ -84,7 +84,7 @@ def _recorder_metadata(raw: RawLog) -> dict[str, str]:
 class SegmentedLog:
     """Log of several segments (MCAP files) that are read as one, with the interface of `RawLog`.
 
-    Equal channels (topics) of different files become one channel. Only one file is open at a time.
+    Equal channels (topics) of different files become one channel. `read` and `verify` close each file after its use.
 
     Parameters
     ----------
@@ -116,7 +116,8 @@ class SegmentedLog:
     def extend(self) -> bool:
         """Add the whole records that were appended to the last file since it was opened or since the last call.
 
-        Return whether there were any. Raise SeatrialError if the file was replaced.
+        Return whether there were any. Raise SeatrialError if the file was closed since, and another file has replaced
+        it.
         """
         extended = self.files[-1].extend()
         if extended:
@@ -171,7 +172,8 @@ class SegmentedLog:
         """Yield the messages of all files of the log, one file after the other, some at a time.
 
         The heads of the messages have the numbers of channels in the log, not those in the file. A yielded batch may be
-        empty. A file without messages in the interval is not read. A file is closed after its last message.
+        empty. A file whose span of log times is outside the interval is not read. A file is closed after its last
+        message.
 
         Parameters
         ----------

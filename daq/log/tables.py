@@ -168,8 +168,8 @@ def resample(log: Log, rate: float) -> Resampled:
     over the samples nearest to each time of the grid. The averages, each at the mean time of its samples, are
     interpolated linearly to the grid. The result is NaN in gaps between averages that are longer than 2 s and than five
     times their median distance, and after the last sample. Before its first sample each column is NaN. Values that are
-    NaN or infinite are left out before. Angles [rad] and longitudes are averaged and interpolated over the shortest
-    way.
+    NaN or infinite are left out before. Angles [rad] and longitudes within one turn are averaged and interpolated over
+    the shortest way.
     """
     if not (math.isfinite(rate) and rate > 0.0):
         raise SeatrialError(f"{log.path}: the rate of the table must be positive, not {rate:g} Hz; give another rate")

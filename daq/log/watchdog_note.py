@@ -40,7 +40,8 @@ def write_note(log: Path, text: str) -> None:
 def read_note(log: Path) -> str:
     """Return the note of a watchdog (the file LOG.stop) beside a log, as one line.
 
-    White space, line ends included, becomes single spaces. The text is then cut to 500 characters (MAX_CHARACTERS).
+    Only the first 2000 bytes are read. White space, line ends included, becomes single spaces. The text is then cut to
+    500 characters (MAX_CHARACTERS).
     Other characters that are not printable become escape sequences, which may lengthen the text. The result is empty if
     there is no note, if LOG.stop is not a regular file, or if the file cannot be read.
     """

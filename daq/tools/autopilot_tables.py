@@ -248,8 +248,8 @@ class _AutopilotListener:
         """Request parameters of the autopilot until all have arrived, or until a round of requests brings no answer.
 
         Autopilots do not answer requests for parameters that they do not have. The received values are stored in
-        `parameters`; missing ones are not an error. Parameters that were received before are not requested again. The
-        requests end after `ANSWERS_S` (6 s) of wall time in any case. An error of the port raises PortError.
+        `parameters`; missing ones are not an error. Parameters that were received before are not requested again. After
+        `ANSWERS_S` (6 s) of wall time no further round begins. An error of the port raises PortError.
 
         Parameters
         ----------

@@ -131,8 +131,8 @@ class _ProtocolCandidate:
 
         A larger result is better; a share with checksums counts 0.01 more, so that such a protocol wins ties. The
         result is (0, 0), which excludes the protocol, without samples, with fewer than 5 samples without checksums, or
-        if the share is below 0.2 (0.8 without checksums). Bytes before the first sample do not count if 20 bytes follow
-        it.
+        if the share is below 0.2 (0.8 without checksums). Bytes up to the read with the first sample do not count if 20
+        bytes or more follow.
         """
         if self.samples == 0 or (not self.checked and self.samples < MIN_LINES):
             return 0.0, 0

@@ -22,8 +22,8 @@ def export_log(log: Log, form: str, folder: Path, force: bool = False) -> list[P
     """Write the samples of each device and kind in a log to a file of their own, and the events to events.csv.
 
     Numbers are written with all their digits. Unknown values are empty cells in CSV and NaN in Parquet. Times are
-    seconds since 1970. The events are a CSV file in both formats; without events there is no such file. If a file
-    cannot be written, those written before stay.
+    seconds since 1970, except t_device, the time by the clock of the device. The events are a CSV file in both formats;
+    without events there is no such file. If a file cannot be written, those written before stay.
 
     Parameters
     ----------
@@ -192,7 +192,9 @@ def _variable_names(names: Iterable[str], longest: int) -> dict[str, str]:
 
 
 def _new_path(folder: Path, name: str, ending: str, written: list[Path], force: bool) -> Path:
-    """Return the path of a new file of an export: NAME.ENDING in `folder`, or NAME-2.ENDING if `written` contains it.
+    """Return the path of a new file of an export: NAME.ENDING, or the first of NAME-2.ENDING, ... not in `written`.
+
+    The file is in `folder`.
 
     `written` are the files of this export so far; the path is not added to them, and no file is created. Characters
     other than letters, digits, _ and - become _, because names in a log from a stranger may contain separators. An

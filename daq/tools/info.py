@@ -114,7 +114,7 @@ class LogContent:
     ports
         Last counters of the port of each device, by device.
     events
-        All events, in order of time.
+        All events, in the order of the file.
     warnings
         Faults of the log.
     """

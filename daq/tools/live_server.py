@@ -129,7 +129,8 @@ class LiveServer:
     def publish(self, status: Status) -> None:
         """Send to the clients each sample of a status that is newer than the last sent sample of its source.
 
-        A status has the newest sample of each source, which is a device or a speed controller.
+        A status has the newest sample of each source, which is a device, a further kind of its samples, or a speed
+        controller.
         """
         for source, latest in status.latest.items():
             if latest.t <= self._sent.get(source, -math.inf):

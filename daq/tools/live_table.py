@@ -237,8 +237,8 @@ def _device_cells(port: PortStatus, speed: float, wide: bool) -> list[Text]:
 
     `speed` is the number of run seconds per wall second. A `wide` table has a column for each error counter, a narrow
     one has a single column for all that are not zero. Only a wide table has a last cell with the delay of the samples
-    [wall ms], "-" if it is unknown. Faults have a word or mark beside their colour, except a rate that differs by more
-    than 10 % from the expected rate.
+    [wall ms], "-" if it is unknown. Faults have a word or mark beside their colour, except error counters, and a rate
+    that differs by more than 10 % from the expected rate.
     """
     stale = _is_silent(port, speed)
     off = not abs(port.rate - port.expected) <= RATE_TOLERANCE * port.expected

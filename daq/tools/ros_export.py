@@ -186,10 +186,10 @@ def _odometry_messages(log: Log, ahrs_of: Mapping[str, NDArray[np.void]], types:
     """Yield ROS odometry and transforms of the boat's reference point at the times of the first AHRS with a heading.
 
     Position and velocity are interpolated linearly between the fixes before and after each time. Times outside the
-    fixes, and between fixes more than 2 s apart, are left out. Nothing is yielded without a heading or without two
-    fixes of one receiver. The lever arm of the receiver in the rig is corrected. An unknown pitch, roll, height, rate
-    or velocity becomes 0; rates and velocities are then marked by their variance. `ahrs_of` has the table of samples of
-    each AHRS, and `types` are the message classes of rosbags by name.
+    fixes, and within a gap of more than 2 s between two fixes, are left out. Nothing is yielded without a heading or
+    without two fixes of one receiver. The lever arm of the receiver in the rig is corrected. An unknown pitch, roll,
+    height, rate or velocity becomes 0; rates and velocities are then marked by their variance. `ahrs_of` has the table
+    of samples of each AHRS, and `types` are the message classes of rosbags by name.
     """
     headed = [rows for rows in ahrs_of.values() if np.isfinite(rows["yaw"]).any()]
     fixed = [(name, rows[_has_position(rows)]) for name in log.sources(Gnss) for rows in [log.table(Gnss, name)]]

@@ -23,7 +23,7 @@ class PortError(Exception):
 
 
 class Port(ABC):
-    """Interface of a port. Serial ports read and write bytes, CAN ports complete 16-byte `struct can_frame`.
+    """Interface of a port. CAN ports read and write complete 16-byte `struct can_frame`, other ports any bytes.
 
     Attributes
     ----------
@@ -70,8 +70,8 @@ class Port(ABC):
     def take_over(self) -> None:
         """Open the port in place of another process that hangs or dies, so that zero thrust can be commanded.
 
-        A UDP port is opened although the other process still has it. Other ports are opened as by `open`, which fails
-        until that process has ended.
+        A UDP port is opened although the other process still has it. Other ports are opened as by `open`, which may
+        fail until that process has ended, for example at a serial port.
 
         Raises
         ------

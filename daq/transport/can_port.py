@@ -112,8 +112,8 @@ class SlcanPort(Port):
     def open(self) -> None:
         """Open the serial port of the CAN adapter, then its channel.
 
-        PortError is raised if the serial port cannot be opened, or if slcan has no command for this bit rate. A refusal
-        by the adapter is noticed later, by `read`.
+        PortError is raised if the serial port cannot be opened or does not accept the commands, or if slcan has no
+        command for this bit rate. A refusal by the adapter is noticed later, by `read`.
         """
         try:
             commands = slcan.open_channel(self._bitrate)

@@ -80,7 +80,10 @@ def live_page(log: Path) -> Iterator[str]:
 
 
 def _yield_to_the_recording() -> None:
-    """Give this process the lowest priority, limited memory, and the first place when the system runs out of memory."""
+    """Give this process the lowest priority, limited memory, and the first place when the system runs out of memory.
+
+    What the system does not allow is left out without an error.
+    """
     if hasattr(os, "sched_setscheduler"):
         with contextlib.suppress(OSError):  # a real-time priority of the parent is inherited
             os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
