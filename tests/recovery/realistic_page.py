@@ -44,8 +44,9 @@ of full or of double size is added, which no file declares. Two missions of 400 
         --out docs/data/realistic-boats.jsonl
     python -m tests.recovery.realistic_page
 
-{n_effects} of the {n_all} effects were run, with `--effects`: those that were expected to change the motion most. So
-the shares below are not those of all effects.
+On boat {seed}, 20 of the {n_all} effects were run, with `--effects`: those that were expected to change the motion most.
+The other boats have other imperfections, and an effect each that was drawn at random (`--seeds 1 --seed BOAT`). So the
+shares below are not those of all effects.
 
 The column *matters* is known only to the study: the error ten seconds ahead of a model with everything but this effect,
 over that of the model with it. The smaller the ratio, the less a trial of this length can show.
@@ -115,7 +116,6 @@ def document(rows: Sequence[Row]) -> str:
         stated=" and ".join(f"{100 * r.probability:.0f} % {how}" for how, r in NAME_RECORDS.items()),
         certainty=as_markdown(certainty([*rows, *clean])),
         n=len(rows),
-        n_effects=len({r["effect"] for r in rows}),
         n_all=len(all_large(0)),
         identified=ways.count("identified"),
         ambiguous=ways.count("ambiguous"),
@@ -157,7 +157,9 @@ def certainty(rows: Sequence[Row]) -> list[list[str]]:
 
 def table(rows: Sequence[Row]) -> list[list[str]]:
     """Return the table of all boats: effect, size, importance, answer, error, masses, processor time."""
-    lines = [["effect", "size", "true value", "matters", "answer", "10 s error, after / before", *MASSES, "CPU s"]]
+    lines = [
+        ["effect", "boat", "size", "true value", "matters", "answer", "10 s error, after / before", *MASSES, "CPU s"]
+    ]
     for r in sorted(rows, key=lambda r: -(r.get("dominance") or 0.0)):
         size = make_effect(r["effect"], r["seed"], KINDS[r["kind"]].scale).parameters
         shown = ", ".join(f"{n} = {v:.3g}" for n, v in list(size.items())[:2])
@@ -167,7 +169,7 @@ def table(rows: Sequence[Row]) -> list[list[str]]:
         matters = "" if r.get("dominance") is None else f"{r['dominance']:.2f}"
         z = [f"{r['z'][n]:+.1f} s.e." if n in r["z"] else "" for n in MASSES]
         error, cpu = f"{change:.2f}" if r["found"] else "", f"{r['cpu']:.0f}"
-        lines.append([r["effect"], SIZES[r["kind"]], shown, matters, found, error, *z, cpu])
+        lines.append([r["effect"], str(r["seed"]), SIZES[r["kind"]], shown, matters, found, error, *z, cpu])
     return lines
 
 
