@@ -44,9 +44,9 @@ of full or of double size is added, which no file declares. Two missions of 400 
         --out docs/data/realistic-boats.jsonl
     python -m tests.recovery.realistic_page
 
-On boat {seed}, 20 of the {n_all} effects were run, with `--effects`: those that were expected to change the motion most.
-The other boats have other imperfections, and an effect each that was drawn at random (`--seeds 1 --seed BOAT`). So the
-shares below are not those of all effects.
+On boat {seed}, 20 of the {n_all} effects were run, with `--effects`: those that were expected to change the motion
+most. The other boats have other imperfections, and an effect each that was drawn at random (`--seeds 1 --seed BOAT`).
+So the shares below are not those of all effects.
 
 The column *matters* is known only to the study: the error ten seconds ahead of a model with everything but this effect,
 over that of the model with it. The smaller the ratio, the less a trial of this length can show.
