@@ -350,12 +350,11 @@ def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, as_js
 @horizon_option
 @rate_option
 @workers_options
-@click.option(
-    "--out",
-    type=FOLDER,
+@output_option(
+    FOLDER,
+    "Folder for the results; a run that was interrupted continues there.",
     default=Path("fleet"),
     show_default=True,
-    help="Folder for the results; a run that was interrupted continues there.",
 )
 @click.option("--force", is_flag=True, help="Start again: replace the results in --out.")
 def fleet(logs: tuple[Path, ...], out: Path, workers: Any, force: bool, **how: Any) -> None:

@@ -201,7 +201,7 @@ def _horizontal_by_options(source: str, options: Sequence[str], sensors: Sequenc
     unknown = [o for o in options if o not in (*kinds, *currents, SYMMETRIC)]
     if unknown or (SYMMETRIC in options and "general" in options):
         others = f"{', '.join(currents)} or {SYMMETRIC} (not with general, which has no thrusters)"
-        raise SeatrialError(f"no model {source!r}: the options of horizontal are {', '.join(kinds)}, and {others}")
+        raise SeatrialError(f"no model {source!r}; after horizontal: give one of {', '.join(kinds)}, and {others}")
     propulsion: Any = next((o for o in options if o in kinds), "shaft")
     chosen = [s for s in SENSORS if s in sensors] if sensors is not None else None
     current = "no-current" not in options
@@ -232,9 +232,7 @@ def _nomoto_by_options(source: str, options: Sequence[str], sensors: Sequence[st
     from seatrial.ident.models.nomoto import SEEN, nomoto_model
 
     if [o for o in options if o != "sampled"] not in ([], ["no-current"], ["random-walk-current"]):
-        raise SeatrialError(
-            f"no model {source!r}: the options of nomoto are sampled, and no-current or random-walk-current"
-        )
+        raise SeatrialError(f"no model {source!r}; after nomoto: give sampled, and no-current or random-walk-current")
     chosen = SEEN if sensors is None else [s for s in SEEN if s in sensors] or SEEN
     model = nomoto_model(chosen, current="no-current" not in options, sampled="sampled" in options)
     return replace(model + current_walk(), source=source) if "random-walk-current" in options else model

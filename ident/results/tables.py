@@ -720,8 +720,12 @@ def model_uncertainty_notes(found: ModelUncertainty | None, fit: Fit) -> list[st
     most = sorted((name for name, factor in grown.items() if factor >= LEAST_GROWTH), key=lambda n: -grown[n])
     factors = ", ".join(f"{name} {grown[name]:.2g}" for name in most[:3])
     return [
-        f"{counted(len(found.candidates), 'possible effect')} still pass{'es' * (len(found.candidates) == 1)} the "
-        "score tests, and each would shift the estimates: `seatrial ident diagnose` searches for missing effects. The "
-        "standard errors include this uncertainty of the model"
-        + (f"; most by these factors: {factors}." if factors else ", which increases none of them by 5 %.")
+        f"By the score tests {counted(len(found.candidates), 'effect')} may be missing, each of which would shift the "
+        "estimates: `seatrial ident diagnose` searches for missing effects. The standard errors include this "
+        "uncertainty of the model"
+        + (
+            f"; it increases them most by these factors: {factors}."
+            if factors
+            else ", which adds less than 5 % to them."
+        )
     ]

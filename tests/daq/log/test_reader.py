@@ -91,7 +91,8 @@ def test_salvage_makes_a_whole_file(whole: Path, tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["killed.mcap", "whole.mcap"]
 
 
-def test_info(whole: Path, tmp_path: Path) -> None:
+def test_info(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("COLUMNS", raising=False)  # the workers of pytest have it, and tables would be folded
     done = CliRunner().invoke(cli.info, [str(whole)], catch_exceptions=False)
     assert done.exit_code == 0
     for text in ("complete", "test rig", "Ada", "/gnss/gnss", "/dev/ttyUSB0", "mission.toml", "round 0: Trondheim"):

@@ -75,7 +75,7 @@ def test_wandering_current_makes_the_position_less_certain() -> None:
 
 
 def test_unknown_option_gives_a_one_line_error() -> None:
-    with pytest.raises(SeatrialError, match="options of horizontal are shaft, command, force, general"):
+    with pytest.raises(SeatrialError, match="after horizontal: give one of shaft, command, force, general"):
         make_model("horizontal:sail")
 
 
