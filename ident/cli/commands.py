@@ -369,15 +369,13 @@ def fleet(logs: tuple[Path, ...], out: Path, workers: Any, force: bool, **how: A
       seatrial ident fleet logs/*.mcap --thruster thruster/model.toml --out fleet
       seatrial ident fleet logs/*.mcap --backend dask --scheduler tcp://192.168.1.5:8786 --out fleet
     """
-    from rich.console import Console
-
     from seatrial.ident.report import print_result
     from seatrial.ident.workflows.fleet import FleetRequest, fit_fleet
     from seatrial.ident.workflows.vehicle_model import VehicleRequest
 
     request = FleetRequest(logs, VehicleRequest((), (), out, **with_estimation_options(how)), out, workers, force)
     result = fit_fleet(request, command_line(), Lines(err=True)).result
-    print_result(result, Console(highlight=False))
+    print_result(result, make_console())
     click.echo(f"table: {result.table}")
     if not result.fitted:
         raise click.exceptions.Exit(1)
