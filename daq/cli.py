@@ -265,7 +265,8 @@ class _ImportGroup(click.Group):
         """Parse the arguments, after `map` was put before them if the first one is no sub-command and no help option.
 
         Return the arguments that are left for the sub-command, as the method of click does. Without arguments the help
-        text is printed. A first argument that is no file, and is spelt like a sub-command, is a usage error.
+        text is printed. It is a usage error if the first argument is no existing file or folder, and is probably a
+        misspelling or an abbreviation of a sub-command (`closest_name`).
         """
         if args and args[0] not in (*self.commands, "-h", "--help"):
             near = closest_name(args[0], self.commands)
@@ -386,7 +387,8 @@ def import_mavlink(file: Path, rig_path: Path | None, system: int | None, out: P
     """Turn FILE, a ground station's tlog or an ArduPilot DataFlash log (BIN), into a log.
 
     With --rig the outputs become the thrusters' n; without it they stay pulses in us, servo_1, servo_2, ... With
-    --system the autopilot with this system id is read from a tlog; without it the first one with a heartbeat.
+    --system the autopilot with this system id is read from a tlog; without it the first one with a heartbeat. Without
+    -o the log gets the name of FILE, in the current folder. A log that exists is replaced only with --force.
 
     \b
     Example:

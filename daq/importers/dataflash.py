@@ -154,11 +154,12 @@ class _MessageConverter:
         ]
 
     def _on_rcou(self, m: Any) -> Found:
-        """Convert a DataFlash RCOU message to one Servo sample for each output, with its pulse width [us].
+        """Convert a DataFlash RCOU message to Servo samples with the pulse width [us], one for each output in use.
 
-        If the rig has thrusters with an output of this autopilot, these are their outputs of 1 to 14. Each also has the
-        command (-1 to 1) by the scale of the rig; the command is 0 without a pulse, and that of a reversed thruster
-        changes its sign. Otherwise these are the outputs of 1 to 14 that have had a pulse.
+        Of the outputs 1 to 14, those that drive thrusters of the rig are in use. Their samples also have the command
+        (-1 to 1) by the scale of the rig: 0 without a pulse, and with the opposite sign for a reversed thruster. If no
+        thruster of the rig has an output of this autopilot, or without a rig, the outputs that have had a pulse in the
+        log so far are in use, and their samples have no command (NaN).
         """
         found: Found = []
         for node in range(1, 15):

@@ -360,7 +360,10 @@ class Output(Protocol):
     """Interface of the file to which a `RecordWriter` writes whole records."""
 
     def write(self, data: bytes, /) -> object:
-        """Write all bytes to the file, or raise OSError."""
+        """Write all bytes to the file, or raise OSError. The returned value is not used.
+
+        It may be anything, such as the number of bytes that files of Python return.
+        """
 
     def tell(self) -> int:
         """Return the number of bytes written to the file so far."""

@@ -662,10 +662,11 @@ class ConstrainedObjective:
         return ProfilePoint(s, self.top - value, whole(rest))
 
     def _evaluate_with_flat_information(self, z: Array) -> Evaluation:
-        """Return the evaluation at z (n,), in which coordinates with a flat likelihood get a least curvature.
+        """Return the evaluation at z (n,), with enough information in the coordinates whose likelihood is flat.
 
-        The least total information of such a coordinate is its entry in ``flat``. Without information it would take a
-        very long step.
+        Where the information plus the curvature of such a coordinate is less than its entry in ``flat``, the curvature
+        is increased, so that the sum is equal to the entry. With less information the search would take a very long
+        step along this coordinate.
         """
         at = self.problem.evaluate(z)
         return Evaluation(

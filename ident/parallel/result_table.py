@@ -94,8 +94,8 @@ class ResultTable:
     def add(self, rows: Sequence[Row]) -> None:
         """Add the rows of a task, and replace the file if the time for this has come.
 
-        A column that a row does not have is None. The file is replaced after 10 s at the earliest, and so rarely that
-        this takes at most 5 % of the time.
+        A column that a row does not have is None. The file is replaced at the earliest 10 s after the last replacement
+        (the first time: after the table was opened), and so rarely that this takes at most 5 % of the time.
         """
         self._new += rows
         if time.monotonic() - self._written > max(INTERVAL_S, self._took / SHARE):

@@ -143,10 +143,11 @@ def thruster_case(seconds: float = 100.0) -> Case:
 
 
 def kinematic_case(seconds: float = 400.0) -> Case:
-    """Return the study case of surge, sway and yaw with measured attitude and body rates as inputs (`kinematic_model`).
+    """Return the study case of surge and sway, with measured attitude and body rates as inputs (`kinematic_model`).
 
-    The mission lasts ``seconds`` [s], with both thrusters in steps. The boat rolls by 3 and pitches by 2 degrees
-    (amplitudes). Accelerometers are sampled at 10 Hz, position and velocity at 5 Hz.
+    The model has no yaw equation, because the heading and the yaw rate are among these inputs. The mission lasts
+    ``seconds`` [s], with both thrusters in steps. The boat rolls by 3 and pitches by 2 degrees (amplitudes).
+    Accelerometers are sampled at 10 Hz, position and velocity at 5 Hz.
     """
     t = _row_times(seconds, 0.1)
     n = _shaft_speeds(random_levels(t, lambda rng: rng.uniform(-0.5, 1.0, 2), (3.0, 10.0), MISSION_SEED), 0.1)

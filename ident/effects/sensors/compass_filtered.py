@@ -30,9 +30,11 @@ def _set_filter_rates(s: Signals) -> None:
 
 
 def _add_deviation(s: Signals) -> None:
-    """Add the compass deviation after the heading filter to the output of the heading [rad], in place.
+    """Add the error of the filtered heading, which the compass deviation causes, to the heading output [rad], in place.
 
-    Rotate the output of the body velocity by the same angle.
+    The error is the output of the heading filter if its input is the compass deviation, a sum of four terms such as
+    ``dev_f1s sin psi``. Each term after the filter is the term less its state ``behind_...`` (`_set_filter_rates`). The
+    output of the body velocity is rotated by the same angle, because it was computed with the erroneous heading.
     """
     p, x, psi = s.p, s.x, s.x.psi
     deviation = p.dev_f1s * (np.sin(psi) - x.behind_1s) + p.dev_f1c * (np.cos(psi) - x.behind_1c)
