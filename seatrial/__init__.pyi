@@ -10,6 +10,7 @@ from .api.fits import fit as fit
 from .api.fleet import FittedFleet as FittedFleet
 from .api.fleet import fit_many as fit_many
 from .api.loading import Saved as Saved
+from .api.loading import SavedDiagnosis as SavedDiagnosis
 from .api.loading import export as export
 from .api.loading import linearise as linearise
 from .api.loading import load as load

@@ -131,9 +131,9 @@ class DeviceDriver(ABC):
         """
 
     def opened(self, now: float) -> None:
-        """Discard what the driver has stored about the link to the device, because the port was opened (again).
+        """Discard the stored state of the link to the device. It is called whenever the port was opened.
 
-        The default does nothing. `now` is wall time [s].
+        A driver that stores no such state does not override this method. `now` is wall time [s].
         """
         return
 

@@ -124,7 +124,7 @@ def is_tlog(head: bytes) -> bool:
 
 
 def _mavlink_device(rig: Rig | None) -> Device | None:
-    """Return the MAVLink device (autopilot) of a rig, or None without a rig.
+    """Return the MAVLink device (autopilot) of a rig. Return None if `rig` is None.
 
     Raise SeatrialError unless the rig has exactly one such device.
     """

@@ -165,7 +165,7 @@ class WholeRecordStream:
         return os.fstat(self._fd).st_nlink == 0
 
     def flush(self) -> None:
-        """Do nothing, because the file is written without a buffer."""
+        """Return at once: `write` has no buffer, so nothing remains to be written."""
 
     def sync(self) -> None:
         """Wait until the written data of the file are on the disk. Raise OSError if the disk reports an error."""

@@ -106,7 +106,7 @@ class PageServer(ThreadingHTTPServer):
         self._free = threading.Semaphore(MAX_CONNECTIONS)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer a connection in a thread of its own. With 16 open connections, a further one is closed at once."""
+        """Start a thread that answers a connection. If 16 connections are open, close a further connection at once."""
         if not self._free.acquire(blocking=False):
             self.shutdown_request(request)
             return
@@ -157,7 +157,7 @@ class _PageRequest(BaseHTTPRequestHandler):
         self._send(status, kind, content)
 
     def _refuse_method(self) -> None:
-        """Refuse any other method than GET: nothing can be changed."""
+        """Refuse any method other than GET, because a request must not change anything."""
         self._send(HTTPStatus.METHOD_NOT_ALLOWED, "text/plain; charset=utf-8", b"only GET\n", {"Allow": "GET"})
 
     do_HEAD = do_POST = do_PUT = do_DELETE = do_PATCH = do_OPTIONS = do_TRACE = do_CONNECT = _refuse_method
@@ -207,7 +207,7 @@ class _PageRequest(BaseHTTPRequestHandler):
         self._send(HTTPStatus(code), "text/plain; charset=utf-8", f"{HTTPStatus(code).phrase}\n".encode())
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Print nothing: the terminal belongs to the command."""
+        """Ignore the message, because the command alone prints on the terminal."""
 
 
 @cache

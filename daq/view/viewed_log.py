@@ -274,7 +274,7 @@ class ViewedLog:
         return self._tables[topic]
 
     def _rig(self) -> Rig | None:
-        """Return the rig of the log; None if it has none, or one that cannot be read."""
+        """Return the rig of the log; None if the log has no rig, or if its rig cannot be read."""
         with contextlib.suppress(SeatrialError):
             return self._log.rig if self._log is not None else None
         return None

@@ -403,13 +403,13 @@ def robust_option(f: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def reml_option(default: bool | None = True) -> Callable[..., Any]:
-    """Return a decorator that adds ``--reml/--no-reml``, the choice of restricted maximum likelihood, to a command.
+    """Return a decorator that adds ``--reml/--no-reml`` to a command. The option selects restricted maximum likelihood.
 
     Parameters
     ----------
     default : bool or None
-        Value if the option is not given. With None the command receives None, and uses the setting of the fit that it
-        studies.
+        Value if the user does not give the option. If it is None, the command receives None, and uses the setting of
+        the fit that it studies.
     """
     return click.option(
         "--reml/--no-reml",

@@ -114,10 +114,11 @@ def assess_alternatives(
                 [],
                 [s for s in remaining if s.name in set(search_round.chosen.effect.alternatives) - evidence.beside],
             )
+        still_found = _alternatives_still_found(search_round.chosen.effect, remaining, len(chosen))
         reasons = [
             *_strong_remaining_test_reasons(strong, evidence.n),
             *_many_remaining_tests_reasons(remaining, policy),
-            *_remaining_alternative_reasons(search_round.chosen.effect, remaining, len(chosen)),
+            *_remaining_alternative_reasons(still_found),
             *_nonparametric_curve_reasons(chosen, search_round, unaffected, policy),
         ]
         reasons += [
@@ -138,11 +139,9 @@ def assess_alternatives(
             *evidence.reservations,
         ]
         others = [q.effect.name for q in _competing_refits(search_round, policy)]
-        unexamined = {*evidence.untested, *explained}
-        if len(chosen) > 1:  # as in _remaining_alternative_reasons
-            unexamined |= {s.name for s in remaining}
+        open_names = {*evidence.untested, *explained, *still_found}
         others += [
-            name for name in search_round.chosen.effect.alternatives if name in unexamined and name not in others
+            name for name in search_round.chosen.effect.alternatives if name in open_names and name not in others
         ]
         name = search_round.chosen.effect.name
         found.append(EffectAttribution(name, "ambiguous" if reasons else "identified", tuple(reasons), tuple(others)))
@@ -180,14 +179,21 @@ def _many_remaining_tests_reasons(remaining: Sequence[Score], policy: SearchPoli
     ]
 
 
-def _remaining_alternative_reasons(effect: Effect, remaining: Sequence[Score], n_added: int) -> list[str]:
-    """Return the reason for ambiguity that a declared alternative of the effect still passes its score test, else [].
+def _alternatives_still_found(effect: Effect, remaining: Sequence[Score], n_added: int) -> list[str]:
+    """Return the names of the declared alternatives of an effect that still pass their score tests, strongest first.
 
     A declared alternative is an effect that `Effect.alternatives` lists. The size of its score does not matter. The
-    rule applies only if several effects were added (``n_added`` > 1): they may then together take the place of that
-    alternative. ``remaining`` are the scores that pass on the last model, among others of the alternatives.
+    list is empty if only one effect was added (``n_added``): several may together take the place of an alternative.
+    ``remaining`` are the scores that pass on the last model.
     """
-    alternatives = [s.name for s in remaining if s.name in effect.alternatives] if n_added > 1 else []
+    return [s.name for s in remaining if s.name in effect.alternatives] if n_added > 1 else []
+
+
+def _remaining_alternative_reasons(alternatives: Sequence[str]) -> list[str]:
+    """Return the reason for ambiguity that a declared alternative still passes its score test; [] without such a one.
+
+    ``alternatives`` are the names of these alternatives (`_alternatives_still_found`). The reason names the first.
+    """
     return [f"with this effect the score tests still find its alternative {alternatives[0]}"] if alternatives else []
 
 
@@ -440,27 +446,27 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
     - No effect was selected, although candidates were fitted: the experiment of the best refit of each round, if it
       has one.
     """
-    lines = []
+    refits = [q for r in diagnosis.rounds for q in r.refits]
+    titles = {s.name: s.name for s in diagnosis.remaining} | {q.effect.name: q.effect.title for q in refits}
+    kinds = {s.name: s.kind for s in diagnosis.remaining} | {q.effect.name: q.effect.kind for q in refits}
     by_name = {j.effect: j for j in diagnosis.attributions}
+    lines = []
     for search_round in diagnosis.rounds:
         if search_round.chosen is None or search_round.chosen.effect.name not in by_name:
             if not diagnosis.effects and search_round.refits and search_round.refits[0].effect.experiment:
                 e = search_round.refits[0].effect
                 lines.append(f"To test whether {e.title} is present: {e.experiment}.")
             continue
-        effect, attribution = search_round.chosen.effect, by_name.get(search_round.chosen.effect.name)
-        titles = {q.effect.name: q.effect.title for r in diagnosis.rounds for q in r.refits}
-        tested = {s.name for s in diagnosis.remaining}
-        others = [r for r in attribution.not_excluded if r in titles or r in tested] if attribution is not None else []
-        for competitor in others[:1]:
-            title = titles.get(competitor, competitor)
-            lines.append(f"To distinguish {effect.title} from {title}: {effect.experiment}.")
-            named = {q.effect.name for r in diagnosis.rounds for q in r.refits if q.effect.kind is EffectKind.CATALOGUE}
-            named |= {s.name for s in diagnosis.remaining if s.kind is EffectKind.CATALOGUE}
-            if {effect.name, competitor} <= named and not reason_without_mission(diagnosis.before.model):
+        effect = search_round.chosen.effect
+        attribution = by_name[effect.name]
+        competitor = next((name for name in attribution.not_excluded if name in titles), None)
+        if competitor is not None:
+            lines.append(f"To distinguish {effect.title} from {titles[competitor]}: {effect.experiment}.")
+            of_catalogue = kinds[effect.name] is kinds[competitor] is EffectKind.CATALOGUE
+            if of_catalogue and not reason_without_mission(diagnosis.before.model):
                 lines.append(
                     f"`seatrial mission design MODEL --discriminate {effect.name},{competitor}` generates the mission."
                 )
-        if attribution is not None and attribution.attribution == "ambiguous" and not others:
+        elif attribution.attribution == "ambiguous":
             lines.append(f"To test whether it is {effect.title}: {effect.experiment}.")
     return " ".join(lines) or None

@@ -91,8 +91,7 @@ class Content:
 
         Only these are exported.
         """
-        used = parameters_of(self.model)
-        return tuple(p for p in self.model.parameters if p.name in used)
+        return _exported(self.model)
 
     @cached_property
     def history(self) -> History:
@@ -162,8 +161,7 @@ def collect_content(saved: SavedModel, *, name: str | None = None, nuisance: boo
         random walks are not.
     """
     model, removed = (saved.model, ()) if nuisance else without_nuisance(saved.model)
-    used = parameters_of(model)
-    own = [p for p in model.parameters if p.name in used]
+    own = _exported(model)
     values = model.values
     noise = [values[s.noise] if isinstance(s.noise, str) else float(s.noise) for s in model.states]
     extra = equivalent_noise(saved.model, model)
@@ -185,6 +183,29 @@ def collect_content(saved: SavedModel, *, name: str | None = None, nuisance: boo
         {n: tau for n, tau in zip(outputs, extra.noise_time_scale, strict=True) if tau > 0.0},
         extra.states_without_noise,
         tuple(e.name for e in model.effects),
+    )
+
+
+def _exported(model: Model) -> tuple[Parameter, ...]:
+    """Return the parameters of a model on which its rates or outputs depend, in the order of the model."""
+    used = parameters_of(model)
+    return tuple(p for p in model.parameters if p.name in used)
+
+
+def with_model(content: Content, model: Model, errors: Mapping[str, float]) -> Content:
+    """Return the content with another model, and with the identifiers, values and standard errors of this model.
+
+    ``errors`` are standard errors by parameter; a parameter without one gets NaN. Everything else stays.
+    """
+    own = _exported(model)
+    return replace(
+        content,
+        model=model,
+        states=identifiers(s.name for s in model.states),
+        inputs=identifiers(i.name for i in model.inputs),
+        parameters=identifiers(p.name for p in own),
+        values=tuple(p.value for p in own),
+        errors=tuple(errors.get(p.name, math.nan) for p in own),
     )
 
 

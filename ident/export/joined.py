@@ -17,7 +17,7 @@ import numpy as np
 from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from seatrial.ident.data import TIME_INPUT, WORK_INPUT, WORK_UNIT
 from seatrial.ident.estimation import SavedModel, thrust_scale_of
-from seatrial.ident.export.codegen import Content, collect_content, identifiers, parameters_of, without_nuisance
+from seatrial.ident.export.codegen import Content, collect_content, with_model, without_nuisance
 from seatrial.ident.model import EffectKind, Input, Model, ModelFunction, ModelKind, Parameter, Signals, State
 
 BENCH_ONLY = ("bench", "sensor")  # places of effects of the tank, the rig and its sensors, which a boat does not have
@@ -129,22 +129,14 @@ def join(boat: Content, thrusters: Mapping[str, SavedModel], *, own_curve: bool 
     for d in drives:
         _check_range(boat, d)
     joined = _joined_model(model, drives, own_curve)
-    used = parameters_of(joined)
-    exported = [p for p in joined.parameters if p.name in used]
     errors = dict(boat.saved.errors)
     for d in drives:
         errors |= {d.own(n): e for n, e in d.saved.errors.items()}
     benches = [collect_content(replace(d.saved, model=d.model)) for d in drives]
     extra = len(joined.states) - len(model.states) - sum(len(b.states) for b in benches)  # the state of the work
     return replace(
-        boat,
-        model=joined,
+        with_model(boat, joined, errors),
         effects=(*boat.effects, *(f"{e.name} ({d.name or d.input})" for d in drives for e in d.model.effects)),
-        states=identifiers(s.name for s in joined.states),
-        inputs=identifiers(i.name for i in joined.inputs),
-        parameters=identifiers(p.name for p in exported),
-        values=tuple(p.value for p in exported),
-        errors=tuple(errors.get(p.name, np.nan) for p in exported),
         state_noise=(*boat.state_noise, *(q for b in benches for q in b.state_noise), *([0.0] * extra)),
         remarks=(*boat.remarks, *_remarks(drives, own_curve)),
     )
@@ -413,28 +405,22 @@ def with_thrust_input(boat: Content) -> Content:
     if WORK_INPUT in {i.name for i in inputs}:
         raise SeatrialError("--thrust-input: an effect needs the work of the shafts; use a model without it")
     changed = replace(changed, inputs=inputs, stages=stages)
-    used = parameters_of(changed)
-    if {"c1", "c2"} & used:
+    found = with_model(boat, changed, boat.saved.errors)
+    if {"c1", "c2"} & {p.name for p in found.exported_parameters}:
         warnings.warn(
             "an effect of the model needs the shaft speed, whose slope by the thrust is infinite at rest; start an "
             "optimisation from a small thrust",
             SeatrialWarning,
             stacklevel=3,
         )
-    exported = [p for p in changed.parameters if p.name in used]
     validity = dict(boat.saved.validity)
     for shaft, force in shafts.items():
         if shaft in validity:
             low, high = (c1 * n * abs(n) + c2 * n * n for n in validity.pop(shaft))
             validity[force] = (low, high)
     return replace(
-        boat,
-        model=changed,
+        found,
         saved=replace(boat.saved, validity=validity),
-        inputs=identifiers(i.name for i in inputs),
-        parameters=identifiers(p.name for p in exported),
-        values=tuple(p.value for p in exported),
-        errors=tuple(boat.saved.errors.get(p.name, np.nan) for p in exported),
         thrust_curve=(c1, c2),
         remarks=(
             *boat.remarks,

@@ -9,15 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.daq.errors import SeatrialError
-from seatrial.ident.engine import VectorisedModel
 from seatrial.ident.estimation import SavedModel
-from seatrial.ident.export.codegen import collect_content
-from seatrial.ident.model import Model
+from seatrial.ident.export.codegen import without_nuisance
+from seatrial.ident.export.rates import Rates
 from seatrial.ident.numerics import Array
 
-POSE = ("x", "y", "psi")  # integrals of the velocities, on which the dynamics in still water do not depend
-CURRENT = ("V_x", "V_y")
-STEP = 1e-5  # step of the central differences, in the unit of each state and input
 BALANCED = 1e-6  # largest rate at the operating point, in the unit of each state per second
 TRIALS = (0.1, 0.4, 0.8)  # initial values of the inputs: at zero the thrust has no slope
 
@@ -135,77 +131,28 @@ def linearise(saved: SavedModel, speed: float) -> Linearisation:
         If the model has no forward speed, if ``speed`` is zero or not finite, or if no operating point is found with
         shaft speeds and commands (inputs ``n_...``) from -1 to 1. Forces have no limit.
     """
-    model = collect_content(saved).model
-    names = [s.name for s in model.states if s.name not in POSE]
-    if "u" not in names:
+    model, _ = without_nuisance(saved.model)
+    rates = Rates(model)
+    if "u" not in rates.names:
         raise SeatrialError(
             f"model {model.name} has no forward speed u among its states, so it has no such operating point; "
             "use a model with u, such as horizontal"
         )
     if not np.isfinite(speed) or speed == 0.0:
         raise SeatrialError(f"speed {speed:g} m/s: give a speed other than zero, at which the model has a slope")
-    rates = _Rates(model, names)
     x0, u0 = _operating_point(rates, speed)
     for name, value in zip(rates.inputs, u0, strict=True):
         if name.startswith("n_") and abs(value) > 1.0:
             raise SeatrialError(
                 f"{speed:g} m/s needs {name} = {value:.2f}, more than full; choose a speed that the boat reaches"
             )
-    A = np.column_stack([rates.slope(x0, u0, j, None) for j in range(len(names))])
-    B = np.column_stack([rates.slope(x0, u0, None, j) for j in range(len(rates.inputs))])
+    A, B = (derivatives(x0[None], u0[None])[0] for derivatives in (rates.by_states, rates.by_inputs))
     values = model.values
     delays = {i: float(values["tau_n"]) for i in rates.inputs if "tau_n" in values and i in rates.delayed}
-    return Linearisation(speed, tuple(names), rates.inputs, A, B, x0, u0, delays)
+    return Linearisation(speed, rates.names, rates.inputs, A, B, x0, u0, delays)
 
 
-class _Rates:
-    """Rates of the dynamic states of a model as a function of these states and of its inputs, in still water.
-
-    Attributes
-    ----------
-    names : list of str
-        Names of the n dynamic states.
-    inputs : tuple of str
-        Names of the m inputs, without their delayed copies.
-    delayed : frozenset of str
-        Inputs that have delayed copies.
-    """
-
-    def __init__(self, model: Model, names: list[str]) -> None:
-        """Set up the rates of the states ``names`` of a model. The current has the value zero, for still water."""
-        self.names = names
-        self.inputs = tuple(i.name for i in model.inputs if not i.tap)
-        self.delayed = frozenset(i.tap_of for i in model.inputs if i.tap)
-        self._own = [self.inputs.index(i.tap_of if i.tap else i.name) for i in model.inputs]
-        self._at = [k for k, s in enumerate(model.states) if s.name in names]
-        self._n = len(model.states)
-        self._rowwise = VectorisedModel(model)
-        self._values = np.array([0.0 if n in CURRENT else v for n, v in model.values.items()])
-
-    def __call__(self, x: Array, u: Array) -> Array:
-        """Return the rates (n,) at dynamic states x (n,) and inputs u (m,), with position and heading zero.
-
-        Delayed copies of an input have its present value.
-        """
-        whole = np.zeros((1, self._n))
-        whole[0, self._at] = x
-        found: Array = self._rowwise(whole, u[self._own][None, :], self._values)[0]
-        return found[self._at]
-
-    def slope(self, x: Array, u: Array, state: int | None, entry: int | None) -> Array:
-        """Return the derivatives (n,) of the rates by the state or the input with this index (central difference).
-
-        One of ``state`` and ``entry`` (index of an input) is None.
-        """
-        dx, du = np.zeros(x.size), np.zeros(u.size)
-        if state is not None:
-            dx[state] = STEP
-        if entry is not None:
-            du[entry] = STEP
-        return (self(x + dx, u + du) - self(x - dx, u - du)) / (2.0 * STEP)
-
-
-def _operating_point(rates: _Rates, speed: float) -> tuple[Array, Array]:
+def _operating_point(rates: Rates, speed: float) -> tuple[Array, Array]:
     """Return the states (n,) and inputs (m,) that keep straight motion at a forward speed [m/s] through the water.
 
     The surge speed has this value and the yaw rate is zero; the other states and the inputs are found by least squares
@@ -232,12 +179,18 @@ def _operating_point(rates: _Rates, speed: float) -> tuple[Array, Array]:
         x[free] = z[: len(free)]
         return x, z[len(free) :]
 
+    def residuals(z: Array) -> Array:
+        """Return the rates (n,) at the unknowns ``z``."""
+        x, u = unpacked(z)
+        found: Array = rates(x[None], u[None])[0]
+        return found
+
     best: Array | None = None
     smallest = np.inf
     for size in TRIALS:
         start = np.concatenate([np.zeros(len(free)), np.full(m, np.copysign(size, speed))])
         start[: len(free)] += [start[-1] if rates.names[k].startswith("n_") else 0.0 for k in free]
-        found = least_squares(lambda z: rates(*unpacked(z)), start, xtol=1e-14, ftol=1e-14, gtol=1e-14)
+        found = least_squares(residuals, start, xtol=1e-14, ftol=1e-14, gtol=1e-14)
         if np.abs(found.fun).max(initial=0.0) < smallest:
             smallest, best = float(np.abs(found.fun).max(initial=0.0)), found.x
     if best is None or smallest > BALANCED:

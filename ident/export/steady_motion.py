@@ -6,13 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from seatrial.ident.engine import VectorisedModel
 from seatrial.ident.export.codegen import without_nuisance
-from seatrial.ident.export.linearisation import CURRENT, POSE
+from seatrial.ident.export.rates import Rates
 from seatrial.ident.model import Model
 from seatrial.ident.numerics import Array
 
-STEP = 1e-5  # step of the derivatives by the states, in their units
 FIRST_STEP_S, LAST_STEP_S, GROWTH, STEPS = 0.1, 1e6, 1.5, 80  # step of time in the search [s], and its growth
 STEADY = 1e-7  # largest rate of a steady motion, in the unit of each state per second
 RELATIVE_STEP = 1e-4  # step of the derivatives by the parameters, as a part of their standard errors
@@ -75,16 +73,16 @@ def steady_motion(
     which ends as Newton's method. The errors are those of the implicit function theorem: ``dx/dp = -J^-1 df/dp``.
     """
     reduced, _ = without_nuisance(model)
-    rates = _Rates(reduced, held)
-    u = rates.with_copies(np.atleast_2d(u))
-    x = np.zeros((len(u), rates.n))
+    rates, u = Rates(reduced, held), np.atleast_2d(u)
+    n = len(rates.names)
+    x = np.zeros((len(u), n))
     step = FIRST_STEP_S
     for _ in range(STEPS):
-        slope = rates.slope(x, u)
-        x = x + np.linalg.solve(np.eye(rates.n) / step - slope, rates(x, u)[..., None])[..., 0]
+        slope = rates.by_states(x, u)
+        x = x + np.linalg.solve(np.eye(n) / step - slope, rates(x, u)[..., None])[..., 0]
         step = min(step * GROWTH, LAST_STEP_S)
     rest = np.abs(rates(x, u)).max(axis=1)
-    slope = rates.slope(x, u)
+    slope = rates.by_states(x, u)
     # A motion is steady in practice only if it is stable: the real parts of all poles are negative.
     good = np.isfinite(x).all(axis=1) & (rest < STEADY)
     good &= np.array([bool((np.linalg.eigvals(s).real < 0.0).all()) if np.isfinite(s).all() else False for s in slope])
@@ -93,7 +91,7 @@ def steady_motion(
 
 
 def _errors(
-    rates: _Rates,
+    rates: Rates,
     x: Array,
     u: Array,
     slope: Array,
@@ -111,7 +109,7 @@ def _errors(
         return sd
     at, inputs = x[good], u[good]
     known = np.nan_to_num(covariance[np.ix_(used, used)])
-    found = np.zeros((len(at), rates.n, len(used)))
+    found = np.zeros((len(at), len(rates.names), len(used)))
     for j, k in enumerate(used):
         size = RELATIVE_STEP * np.sqrt(known[j, j])
         if size > 0.0:
@@ -120,55 +118,3 @@ def _errors(
     variance = np.einsum("rip,pq,riq->ri", by_estimate, known, by_estimate)
     sd[good] = np.sqrt(np.maximum(variance, 0.0))
     return sd
-
-
-class _Rates:
-    """Rates of the dynamic states of a model for many rows of states and inputs, in still water.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Names of the n dynamic states.
-    n : int
-        Their number.
-    parameters : tuple of str
-        Names of the parameters, without the current.
-    """
-
-    def __init__(self, model: Model, held: tuple[str, ...]) -> None:
-        """Set up the rates of a model without nuisance states. Current and states ``held`` have the value zero."""
-        self.names = tuple(s.name for s in model.states if s.name not in (*POSE, *held))
-        self.n = len(self.names)
-        self.parameters = tuple(n for n in model.values if n not in CURRENT)
-        self._at = [k for k, s in enumerate(model.states) if s.name in self.names]
-        self._size, self._all = len(model.states), list(model.values)
-        inputs = [i.name for i in model.inputs if not i.tap]
-        self._own = [inputs.index(i.tap_of if i.tap else i.name) for i in model.inputs]
-        self._values = np.array([0.0 if n in CURRENT else v for n, v in model.values.items()])
-        self._model = VectorisedModel(model)
-
-    def with_copies(self, u: Array) -> Array:
-        """Return the inputs (n_rows, m) with their delayed copies, which have the same values."""
-        return u[:, self._own]
-
-    def __call__(self, x: Array, u: Array, values: Array | None = None) -> Array:
-        """Return the rates (n_rows, n) at states x (n_rows, n) and inputs u, with position and heading zero."""
-        whole = np.zeros((len(x), self._size))
-        whole[:, self._at] = x
-        found: Array = self._model(whole, u, self._values if values is None else values)[:, self._at]
-        return found
-
-    def slope(self, x: Array, u: Array) -> Array:
-        """Return the derivatives (n_rows, n, n) of the rates by the states: central differences."""
-        columns = []
-        for j in range(self.n):
-            d = np.zeros(self.n)
-            d[j] = STEP
-            columns.append((self(x + d, u) - self(x - d, u)) / (2.0 * STEP))
-        return np.stack(columns, axis=2)
-
-    def by_parameter(self, x: Array, u: Array, name: str, size: float) -> Array:
-        """Return the derivatives (n_rows, n) of the rates by one parameter: central differences with step ``size``."""
-        d = np.zeros(self._values.size)
-        d[self._all.index(name)] = size
-        return (self(x, u, self._values + d) - self(x, u, self._values - d)) / (2.0 * size)

@@ -5,6 +5,7 @@ from .drawing import band as band
 from .drawing import dots as dots
 from .drawing import line_trace as line_trace
 from .drawing import stacked as stacked
+from .formatting import GRAMS_PER_NEWTON as GRAMS_PER_NEWTON
 from .formatting import degrees_for as degrees_for
 from .formatting import typeset_unit as typeset_unit
 from .page import figure_page as figure_page

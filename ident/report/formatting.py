@@ -7,6 +7,8 @@ import re
 
 SUPER = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 DEGREES = 180.0 / math.pi
+STANDARD_GRAVITY = 9.80665  # m/s2 (CGPM 1901)
+GRAMS_PER_NEWTON = 1000.0 / STANDARD_GRAVITY  # as data sheets of thrusters give their thrust
 _RADIANS = re.compile(r"^(\(?)rad(\^?2|²)?(?![A-Za-z])")
 _POWER = re.compile(r"(?<=[A-Za-z)])\^?(-?\d)")
 MEANINGS = {

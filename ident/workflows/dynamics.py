@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Literal
 
 import numpy as np
 
@@ -56,7 +57,7 @@ def dynamics_of(fitted: FittedModel) -> Dynamics | None:
     curves = [c for c in curves if np.isfinite(c.value).sum() > 2]
     reached = [np.nanmax(c.value) for c in curves if c.motion == "straight"]
     linear = _linear_models(model, float(reached[0])) if reached else []
-    steps = _steps(linear[len(linear) // 2 - (len(linear) % 2 == 0)], drives) if linear else []
+    steps = _steps(linear[(len(linear) - 1) // 2], drives) if linear else []
     if not curves and not linear:
         return None
     delays = dict(linear[0].delays) if linear else {}
@@ -157,7 +158,7 @@ def _steps(linear: Linearisation, drives: _Drives) -> list[StepResponse]:
     growing = linear.time_constants[linear.time_constants < 0.0]
     length = min([LONGEST_S, CONSTANTS * float(constants.max(initial=1.0)), *(-growing)])
     t, size = np.linspace(0.0, length, TIMES), STEP * drives.high
-    wanted: list[tuple[str, Sequence[str]]] = [("straight", ("u",)), ("turn", ("r", "v"))]
+    wanted: list[tuple[Literal["straight", "turn"], Sequence[str]]] = [("straight", ("u",)), ("turn", ("r", "v"))]
     found = []
     for motion, quantities in wanted:
         if motion == "turn" and not drives.two_sided:
@@ -168,7 +169,7 @@ def _steps(linear: Linearisation, drives: _Drives) -> list[StepResponse]:
             value = size * np.sum([sign * r[quantity] for sign, r in responses], axis=0)
             found.append(
                 StepResponse(
-                    speed=linear.speed, motion="turn" if motion == "turn" else "straight", step=size,
+                    speed=linear.speed, motion=motion, step=size,
                     quantity=quantity, unit=UNITS[quantity], t=t, value=value,
                 )
             )  # fmt: skip

@@ -14,7 +14,7 @@ import socket
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -206,8 +206,7 @@ def settings_of(vehicle: VehicleRequest) -> dict[str, Any]:
     for option in fields(vehicle):
         value = getattr(vehicle, option.name)
         if value != getattr(default, option.name):
-            plain = {f.name: getattr(value, f.name) for f in fields(value)} if is_dataclass(value) else value
-            found[option.name] = msgspec.to_builtins(plain, enc_hook=str)
+            found[option.name] = msgspec.to_builtins(value, enc_hook=str)
     files = {"thruster": vehicle.thruster}
     if is_own_model(vehicle.model):
         files["model"] = Path(vehicle.model.rpartition(":")[0])
@@ -229,7 +228,8 @@ def _hashed(paths: Sequence[Path], reporter: Reporter) -> list[FleetLog]:
     found = dict[str, FleetLog]()
     for path in dict.fromkeys(paths):
         try:
-            digest = open_log(path).sha256
+            with open_log(path) as log:
+                digest = log.sha256
         except (SeatrialError, OSError):
             digest = str(path)
         if digest in found:
@@ -252,7 +252,7 @@ class _Ignored:
 def _fit_log(vehicle: VehicleRequest, log: FleetLog) -> list[Row]:
     """Fit the model to one log in a worker process, and return a row of the table for each parameter."""
     began = time.process_time()
-    done: VehicleFit = fit_vehicle(replace(vehicle, logs=[log.path]), "", _Ignored())
+    done: VehicleFit = fit_vehicle(replace(vehicle, logs=[log.path]), "", _Ignored(), with_dynamics=False)
     result = done.result
     of_log: Row = {
         "model": result.fit.model,
@@ -408,9 +408,9 @@ def _between_logs(name: str, rows: Sequence[Mapping[str, Any]], level: float) ->
     parts = [json.loads(r["prior_parts"]) for r in rows]
     common = np.array([[p.get(prior, 0.0) for prior in sorted({n for p in parts for n in p})] for p in parts])
     own = np.maximum(errors**2 - (common**2).sum(axis=1), LEAST_OWN * errors**2)
-    covariance = np.diag(own) + common @ common.T if common.size else own
-    scatter, mean, error = between_log_variance(values, covariance)
-    p = float(chi2_sf(_cochran_q(values, np.diag(own) + common @ common.T), len(rows) - 1))
+    covariance = np.diag(own) + common @ common.T
+    scatter, mean, error = between_log_variance(values, covariance if common.size else own)
+    p = float(chi2_sf(_cochran_q(values, covariance), len(rows) - 1))
     return FleetParameter(
         name=name,
         meaning=rows[0]["meaning"],

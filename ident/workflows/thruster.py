@@ -49,7 +49,7 @@ from seatrial.ident.estimation import EstimationOptions, Fit, FittedModel, Recor
 from seatrial.ident.model import Model, command_of, commanded_thrusters, shaft_speed_of
 from seatrial.ident.models import thruster_model
 from seatrial.ident.numerics import Array
-from seatrial.ident.report import write_report
+from seatrial.ident.report import GRAMS_PER_NEWTON, write_report
 from seatrial.ident.reporter import Reporter
 from seatrial.ident.results import (
     BenchTables,
@@ -74,7 +74,6 @@ from seatrial.ident.workflows.electrical import electrical_channels
 from seatrial.ident.workflows.model_inputs import check_horizon, check_names
 from seatrial.ident.workflows.output import write_all
 
-GRAMS_PER_NEWTON = 1000.0 / 9.80665
 BODE_HZ = (0.02, 10.0)  # range of the frequency response of the shaft
 BODE_POINTS = 200
 LOOKUP_ROWS = 101  # of lookup.csv

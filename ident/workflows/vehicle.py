@@ -74,7 +74,7 @@ def write_vehicle_fit(done: VehicleFit, out: Path) -> None:
     write_all(out, done.result, done.fitted.fit, validity(done.fitted), rates=sensor_rates(done.fitted))
 
 
-def fit_vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> VehicleFit:
+def fit_vehicle(request: VehicleRequest, command: str, reporter: Reporter, with_dynamics: bool = True) -> VehicleFit:
     """Fit a vehicle model to logs, and evaluate it on these and on the validation logs. No file is written.
 
     Parameters
@@ -85,6 +85,8 @@ def fit_vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Ve
         Command line, for the provenance.
     reporter : Reporter
         Receives progress and warnings.
+    with_dynamics : bool
+        Whether the result has steady motion, poles and step responses of the model.
 
     Returns
     -------
@@ -135,7 +137,7 @@ def fit_vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Ve
             problem.unused,
             loaded[0].vehicle.get("length"),
             tested,
-            dynamics_of(fitted),
+            dynamics_of(fitted) if with_dynamics else None,
         ),
     )
     return VehicleFit(fitted, result)

@@ -6,6 +6,7 @@ import atexit
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, TypeVar, Unpack
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from seatrial.api import plots, tables
 from seatrial.api.figures import Figure
+from seatrial.api.findings import DiagnosisFindings
 from seatrial.api.logs import Log, PathLike, as_paths
 from seatrial.api.messages import Messages, errors_of_users
 from seatrial.daq.errors import SeatrialError, closest_name
@@ -25,7 +27,7 @@ if TYPE_CHECKING:
     from seatrial.ident.diagnosis import Diagnosis
     from seatrial.ident.estimation import FittedModel, RecordEvaluation
     from seatrial.ident.results import DiagnosisResult, FitResult, VehicleResult
-    from seatrial.ident.validation import RecordPrediction
+    from seatrial.ident.validation import PredictionEvaluation, RecordPrediction
     from seatrial.ident.workflows.diagnose import DiagnosedModel
     from seatrial.ident.workflows.vehicle import VehicleFit
     from seatrial.ident.workflows.vehicle_model import VehicleRequest
@@ -185,8 +187,8 @@ class FitReport:
 
     @property
     def answer(self) -> str:
-        """Main conclusion of the fit in one or two sentences, as in its report."""
-        return self.result.answer
+        """Main conclusion of the fit in a few sentences, as in its report; a doubt about it follows."""
+        return tables.conclusion(self.result)
 
     @property
     def warnings(self) -> list[str]:
@@ -418,11 +420,19 @@ class FittedResult(FitReport):
         """
         return plots.residual_figure(self.residuals(on), channels)
 
+    @cached_property
+    def _evaluation(self) -> PredictionEvaluation:
+        """Evaluation of the model over the horizon of its result."""
+        from seatrial.ident.validation import evaluate
+
+        return evaluate(self.fitted, self.result.horizon_seconds)
+
     def _evaluated(self, on: Role | None, horizon: float) -> tuple[RecordPrediction, ...]:
         """Return the predictions of each record of the data ``on``, as `_views` selects them, over ``horizon`` [s]."""
         from seatrial.ident.validation import evaluate
 
-        evaluation = evaluate(self.fitted, horizon)
+        is_own = horizon == self.result.horizon_seconds
+        evaluation = self._evaluation if is_own else evaluate(self.fitted, horizon)
         role = "validation" if self._views(on) is self.fitted.validation else "estimation"
         return evaluation.sets[role].records
 
@@ -457,7 +467,7 @@ class FittedVehicle(FittedResult):
 
 
 @dataclass(frozen=True, repr=False)
-class FittedDiagnosis(FittedResult):
+class FittedDiagnosis(DiagnosisFindings, FittedResult):
     """Diagnosis of a model: the effects that it lacks, and the model with these effects. `diagnose` returns it.
 
     Attributes
@@ -475,43 +485,6 @@ class FittedDiagnosis(FittedResult):
     result: DiagnosisResult
     found: Diagnosis
     effects_file: Path | None = None
-
-    @property
-    def effects(self) -> dict[str, str]:
-        """Attribution of each effect that was added to the model, by name of the effect.
-
-        It is ``identified`` (no competing model explains the data as well), ``ambiguous`` (a competing model is nearly
-        as good, or a part remains unexplained) or ``nonparametric`` (a curve without a name). Empty without effects.
-        """
-        return {e.name: e.attribution for e in self.result.effects}
-
-    @property
-    def probabilities(self) -> dict[str, float]:
-        """Probability that the name of an effect is right, by name; empty without effects.
-
-        It is the share of names with the same attribution that were right on simulated boats with known effects
-        (docs/realistic-boats.md). Curves without a name, and effects of thruster models, have no entry.
-        """
-        return {e.name: e.probability for e in self.result.effects if e.probability is not None}
-
-    @property
-    def detectable(self) -> dict[str, dict[str, float]]:
-        """Smallest size that the data would have shown with a probability of 80 %, by effect and parameter.
-
-        The effects are those of the catalogue that the model lacks. Sizes are in the units of the result. An effect
-        that the estimated parameters explain at any size has an empty dictionary.
-        """
-        return {e.name: {p.name: p.size for p in e.sizes} for e in self.result.detectable}
-
-    @property
-    def recommended_experiment(self) -> str | None:
-        """Experiments that would show which effect is missing, as sentences, with a command line where there is one.
-
-        They are for ambiguous effects and effects with competing ones. Without an added effect they are for the best
-        effect of each round. None if no experiment is recommended. If the diagnosed model was no file, the command
-        names ``model.toml``: save the model, and give the path of this file.
-        """
-        return self.result.recommended_experiment
 
     def save(self, folder: PathLike) -> Path:
         """Write model.toml with the effects, result.json and report.html, as ``seatrial ident diagnose``.

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seatrial.api import tables
+from seatrial.api.findings import DiagnosisFindings
 from seatrial.api.fits import FittedDiagnosis, FittedVehicle, Series, known_options, model_path
 from seatrial.api.logs import PathLike
 from seatrial.api.messages import errors_of_users
@@ -106,8 +107,11 @@ class Saved:
 
     @property
     def answer(self) -> str:
-        """Main conclusion of the result in one or two sentences, as in its report; empty if no result was loaded."""
-        return "" if self.result is None else str(self.result.answer)
+        """Main conclusion of the result in a few sentences, as in its report; empty if no result was loaded.
+
+        A doubt about the conclusion of a diagnosis follows.
+        """
+        return "" if self.result is None else tables.conclusion(self.result)
 
     def summary(self) -> str:
         """Return the estimates as a table in text if the loaded result is that of a fit, otherwise its `answer`.
@@ -155,6 +159,11 @@ class Saved:
         return f"<Saved {self.path}: {name}>" + (f"\n{self.answer}" if self.answer else "")
 
 
+@dataclass(frozen=True, repr=False)
+class SavedDiagnosis(DiagnosisFindings, Saved):
+    """Files of a diagnosis that were read from disk. `load` returns it if the result is that of a diagnosis."""
+
+
 def load(path: PathLike) -> Saved:
     """Load what a command or ``save`` has written: model.toml, result.json, or a folder with one of them or both.
 
@@ -166,7 +175,8 @@ def load(path: PathLike) -> Saved:
     Returns
     -------
     Saved
-        The model, the result, or both; what was not found is None.
+        The model, the result, or both; what was not found is None. For the result of a diagnosis it is a
+        `SavedDiagnosis`, which also has the findings.
 
     Raises
     ------
@@ -179,18 +189,18 @@ def load(path: PathLike) -> Saved:
     >>> print(saved.summary())
     """
     from seatrial.ident.estimation import load_model
-    from seatrial.ident.results import read_result
+    from seatrial.ident.results import DiagnosisResult, read_result
 
     path = Path(path)
     if not path.exists():
         raise SeatrialError(f"{path}: no such file or folder; give a {MODEL}, a {RESULT}, or their folder")
-    if not path.is_dir():
-        is_result = path.suffix == ".json"
-        return Saved(path, None if is_result else load_model(path), read_result(path) if is_result else None)
-    model, result = path / MODEL, path / RESULT
-    if not (model.exists() or result.exists()):
+    files = [path / MODEL, path / RESULT] if path.is_dir() else [path]
+    found = {file.suffix == ".json": file for file in files if file.exists()}
+    if not found:
         raise SeatrialError(f"{path}: contains neither {MODEL} nor {RESULT}; give the folder of a result")
-    return Saved(path, load_model(model) if model.exists() else None, read_result(result) if result.exists() else None)
+    saved = load_model(found[False]) if False in found else None
+    read = read_result(found[True]) if True in found else None
+    return (SavedDiagnosis if isinstance(read, DiagnosisResult) else Saved)(path, saved, read)
 
 
 def simulate(

@@ -7,7 +7,7 @@ import math
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from seatrial.ident.results import FitResult, ParameterRow
+    from seatrial.ident.results import FitResult, ParameterRow, Result
 
 NORMAL_95 = 1.959964  # standard deviations of a normal distribution on each side of its 95 % interval
 COLUMNS = ("", "estimate", "s.e.", "2.5 %", "97.5 %", "t", "unit", "origin")
@@ -70,10 +70,15 @@ def statistics(row: ParameterRow) -> Statistics:
     )  # fmt: skip
 
 
+def conclusion(result: Result) -> str:
+    """Return the main conclusion of a result, followed by its caveat, which only a diagnosis may have."""
+    return " ".join(filter(None, (result.answer, getattr(result, "caveat", None))))
+
+
 def summary(result: FitResult) -> str:
     """Return the result of a fit as text: its conclusion, a table of the estimates, fixed parameters and warnings.
 
-    Method and log-likelihood come first, then the conclusion (`result.answer`). Flags, which name problems of single
+    Method and log-likelihood come first, then the `conclusion`. Flags, which name problems of single
     estimates, follow the table.
     """
     fit = result.fit
@@ -81,7 +86,7 @@ def summary(result: FitResult) -> str:
         f"{fit.model}: {fit.method}{', REML' if fit.restricted else ''}, {fit.message}",
         f"log-likelihood {fit.log_likelihood:.2f}" if fit.log_likelihood is not None else "log-likelihood not finite",
         "",
-        result.answer,
+        conclusion(result),
         "",
     ]
     rows = [statistics(row) for row in fit.parameters]

@@ -42,7 +42,6 @@ def section(canvas: Canvas, result: NoiseResult) -> Section:
 
 
 ROOT_HOUR, HOUR = 60.0, 3600.0  # square root of an hour, and an hour, in s
-STANDARD_GRAVITY = 9.80665  # m/s2
 
 
 def data_sheet(c: ChannelNoise) -> tuple[tuple[float, str], tuple[float, str], tuple[float, str]]:
@@ -57,7 +56,7 @@ def data_sheet(c: ChannelNoise) -> tuple[tuple[float, str], tuple[float, str], t
         walk = degrees * HOUR * ROOT_HOUR
         return (degrees * ROOT_HOUR, "deg/√h"), (degrees * HOUR, "deg/h"), (walk, "deg/h/√h")
     if c.unit in ("m/s2", "m/s^2"):
-        micro_g = 1e6 / STANDARD_GRAVITY
+        micro_g = 1e6 / formatting.STANDARD_GRAVITY
         return (ROOT_HOUR, "m/s/√h"), (micro_g, "µg"), (micro_g * ROOT_HOUR, "µg/√h")
     factor, unit = formatting.degrees_for(c.unit)
     return (factor, f"{unit or '1'}/√Hz"), (factor, unit), (factor, f"{unit or '1'}/√s")

@@ -11,7 +11,6 @@ from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Canvas, Cell, Grid, Heading, Lines, Plot, Prose, Section, Table
 from seatrial.ident.results import ShaftResponse, SteadyBench, ThrusterResult, Trace
 
-GRAMS_PER_NEWTON = 1000.0 / 9.80665
 LEAST_W = 1.0  # smallest electrical power at which the efficiency is shown [W]
 STEPS, BEFORE_S, AFTER_S = 6, 0.5, 2.5  # number of enlarged steps, and time shown before and after each [s]
 HELD_S = 1.5  # least time after an enlarged step in which the command is constant [s]
@@ -38,7 +37,7 @@ def steady_section(canvas: Canvas, result: ThrusterResult) -> Section:
     plots.append(_points(canvas, *command, shown[1], shown[0], "Shaft speed against command"))
     if np.isfinite(table.power).any():
         plots.append(_points(canvas, *shown, table.power, "electrical power [W]", "Electrical power"))
-        grams = GRAMS_PER_NEWTON * _newtons_per_watt(table)
+        grams = formatting.GRAMS_PER_NEWTON * _newtons_per_watt(table)
         if np.isfinite(grams).any():
             plots.append(_points(canvas, *shown, grams, "thrust / power [g/W]", "Efficiency"))
     if np.isfinite(table.torque).any():
@@ -81,7 +80,7 @@ def _steady_table(table: SteadyBench) -> Table:
         columns.append(("rev/min", table.rpm_max * table.n, 4))
     columns += [("force [N]", table.force, 4), ("± s.e.", table.force_se, 2), ("voltage [V]", table.voltage, 4)]
     columns += [("current [A]", table.current, 3), ("power [W]", table.power, 3), ("N/W", newtons, 3)]
-    columns += [("g/W", GRAMS_PER_NEWTON * newtons, 3), ("torque [N m]", table.torque, 3)]
+    columns += [("g/W", formatting.GRAMS_PER_NEWTON * newtons, 3), ("torque [N m]", table.torque, 3)]
     used = [column for column in columns if np.isfinite(column[1]).any()]
     rows = [
         [Cell(formatting.plain(float(values[i]), digits), "num") for _, values, digits in used]

@@ -19,24 +19,10 @@ import pytest
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.parallel import Workers, run_many
 from tests.ident.parallel import chores
+from tests.ident.reports import Kept
 
 ROOT = Path(__file__).resolve().parents[3]
-needs_dask = pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="dask is not installed")
 LOKY = Workers(2, "loky")
-
-
-class Kept:
-    """Reporter that keeps its lines."""
-
-    def __init__(self) -> None:
-        self.steps: list[str] = []
-        self.warnings: list[str] = []
-
-    def progress(self, text: str) -> None:
-        self.steps.append(text)
-
-    def warning(self, text: str) -> None:
-        self.warnings.append(text)
 
 
 @pytest.fixture(scope="module")
@@ -58,14 +44,13 @@ def test_every_backend_gives_the_same_values() -> None:
     assert os.getpid() not in processes
 
 
-@needs_dask
 def test_tasks_run_on_the_workers_of_a_dask_cluster(cluster: Any) -> None:
     reporter = Kept()
     workers = Workers(backend="dask", scheduler=cluster.scheduler_address)
     found = [o.value for o in run_many(range(12), chores.square, workers, reporter) if o.value]
     assert sorted(v for v, _ in found) == [k * k for k in range(12)]
     assert {p for _, p in found} == {w.pid for w in cluster.workers.values()}
-    assert reporter.steps == ["Dask cluster of 2 workers"]
+    assert reporter.lines == ["Dask cluster of 2 workers"]
     assert not reporter.warnings
 
 
@@ -110,7 +95,6 @@ def test_task_that_always_kills_its_process_fails_and_the_others_do_not() -> Non
     assert not found
 
 
-@needs_dask
 def test_dask_task_of_a_killed_worker_is_run_again(cluster: Any, tmp_path: Path) -> None:
     marks = [tmp_path / f"{'victim' if k == 1 else 'other'}{k}" for k in range(6)]
     workers = Workers(backend="dask", scheduler=cluster.scheduler_address)
@@ -119,13 +103,16 @@ def test_dask_task_of_a_killed_worker_is_run_again(cluster: Any, tmp_path: Path)
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="ray is not installed")
+@pytest.mark.skipif(
+    importlib.util.find_spec("ray") is None,
+    reason="ray takes 240 MB, and is no part of the extra all: pip install 'seatrial[ray]'",
+)
 def test_ray_task_of_a_killed_process_is_run_again(tmp_path: Path) -> None:
     marks = [tmp_path / f"{'victim' if k == 1 else 'other'}{k}" for k in range(6)]
     reporter = Kept()
     found = list(run_many(marks, chores.die_once, Workers(2, "ray"), reporter))
     assert sorted(o.value or "" for o in found) == sorted(m.name for m in marks)
-    assert reporter.steps == ["Ray cluster of 2 cores"]
+    assert reporter.lines == ["Ray cluster of 2 cores"]
     assert len(reporter.warnings) == 1
 
 
@@ -174,7 +161,6 @@ def test_workers_that_do_not_exist(arguments: tuple[Any, ...], says: str) -> Non
         Workers(*arguments)
 
 
-@needs_dask
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nowhere"])
 def test_scheduler_that_does_not_answer(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("seatrial.ident.parallel.workers.REACH_S", 0.5)
@@ -182,7 +168,6 @@ def test_scheduler_that_does_not_answer(address: str, monkeypatch: pytest.Monkey
         list(run_many(range(2), chores.square, Workers(backend="dask", scheduler=address)))
 
 
-@needs_dask
 def test_workers_with_another_version_are_refused(cluster: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("seatrial.ident.parallel.workers.version", lambda name: "9.9")
     says = r"worker tcp://\S+ has seatrial \S+, and this computer has 9\.9: pip install 'seatrial\[ident,dask\]==9\.9'"
@@ -190,7 +175,6 @@ def test_workers_with_another_version_are_refused(cluster: Any, monkeypatch: pyt
         list(run_many(range(2), chores.square, Workers(backend="dask", scheduler=cluster.scheduler_address)))
 
 
-@needs_dask
 def test_tasks_of_a_worker_with_threads_take_turns() -> None:
     from distributed import LocalCluster
 

@@ -4,7 +4,6 @@ command.
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import re
 import subprocess
@@ -335,7 +334,6 @@ def test_study_runs_on_any_joblib_backend(backend: str, tmp_path: Path) -> None:
     assert [r["d"] for r in rows] == [r["d"] for r in alone]
 
 
-@pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="dask is not installed")
 def test_study_on_a_dask_cluster_gives_the_numbers_of_one_process(tmp_path: Path) -> None:
     from distributed import LocalCluster
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
 import re
@@ -29,6 +28,7 @@ from seatrial.ident.results.result_file import read_result
 from seatrial.ident.workflows import fleet
 from seatrial.ident.workflows.fleet import FleetRequest, fit_fleet, fleet_result
 from seatrial.ident.workflows.vehicle_model import VehicleRequest
+from tests.ident.reports import Kept
 from tests.missions import boat_log, boat_with
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -43,20 +43,6 @@ VEHICLE = VehicleRequest(
     score_tests=False,
 )
 VARIES = ("cpu", "memory", "worker")  # columns that differ from run to run
-
-
-class Kept:
-    """Reporter that keeps its lines."""
-
-    def __init__(self) -> None:
-        self.steps: list[str] = []
-        self.warnings: list[str] = []
-
-    def progress(self, text: str) -> None:
-        self.steps.append(text)
-
-    def warning(self, text: str) -> None:
-        self.warnings.append(text)
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +74,6 @@ def test_two_processes_give_the_numbers_of_one(logs: list[Path], alone: fleet.Fl
     assert alone.result.fitted == 4
 
 
-@pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="dask is not installed")
 def test_dask_cluster_gives_the_numbers_of_one_process(
     logs: list[Path], alone: fleet.FleetFits, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -146,11 +131,11 @@ def test_second_run_fits_only_the_rest(logs: list[Path], tmp_path: Path, monkeyp
     fitted: list[str] = []
     fit_vehicle = fleet.fit_vehicle
 
-    def count(request: VehicleRequest, *rest: Any) -> Any:
+    def count(request: VehicleRequest, *rest: Any, **options: Any) -> Any:
         fitted.append(Path(request.logs[0]).name)
         if "run2" in fitted[-1] and not repaired:
             raise SeatrialError("no disk")
-        return fit_vehicle(request, *rest)
+        return fit_vehicle(request, *rest, **options)
 
     monkeypatch.setattr(fleet, "fit_vehicle", count)
     repaired = False
@@ -159,7 +144,7 @@ def test_second_run_fits_only_the_rest(logs: list[Path], tmp_path: Path, monkeyp
     repaired, reporter = True, Kept()
     second = fit_fleet(FleetRequest(logs, VEHICLE, tmp_path, Workers(1)), "", reporter)
     assert fitted == ["run1.mcap", "run2.mcap", "run2.mcap", "run3.mcap", "run4.mcap"]
-    assert "1 of 4 logs have a fit already" in reporter.steps
+    assert "1 of 4 logs have a fit already" in reporter.lines
     assert (second.result.fitted, second.result.failed) == (4, ())
     part = fit_fleet(FleetRequest(logs[2:], VEHICLE, tmp_path, Workers(1)), "", Kept())
     assert len(fitted) == 5
@@ -206,7 +191,7 @@ def test_interrupted_run_keeps_its_fits(many: list[Path], tmp_path: Path) -> Non
     assert 1 <= len(done) < len(many)
     reporter = Kept()
     found = fit_fleet(FleetRequest(many, VEHICLE, tmp_path, Workers(1)), "", reporter)
-    assert f"{len(done)} of {len(many)} logs have a fit already" in reporter.steps
+    assert f"{len(done)} of {len(many)} logs have a fit already" in reporter.lines
     assert found.result.fitted == len(many)
 
 

@@ -1,0 +1,78 @@
+"""Rates of the dynamic states of a model in still water, and their derivatives by states, inputs and parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from seatrial.ident.engine import VectorisedModel
+from seatrial.ident.model import Model
+from seatrial.ident.numerics import Array
+
+POSE = ("x", "y", "psi")  # integrals of the velocities, on which the dynamics in still water do not depend
+CURRENT = ("V_x", "V_y")
+STEP = 1e-5  # step of the central differences, in the unit of each state and input
+
+
+class Rates:
+    """Rates of the dynamic states of a model for many rows of states and inputs, in still water.
+
+    Position, heading, the current and the states that are held are zero. Delayed copies of an input have its value.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Names of the n dynamic states.
+    inputs : tuple of str
+        Names of the m inputs, without their delayed copies.
+    delayed : frozenset of str
+        Inputs that have delayed copies.
+    parameters : tuple of str
+        Names of the parameters, without the current.
+    """
+
+    def __init__(self, model: Model, held: tuple[str, ...] = ()) -> None:
+        """Set up the rates of a model without nuisance states. The states ``held`` are zero and have no rate."""
+        self.names = tuple(s.name for s in model.states if s.name not in (*POSE, *held))
+        self.inputs = tuple(i.name for i in model.inputs if not i.tap)
+        self.delayed = frozenset(i.tap_of for i in model.inputs if i.tap)
+        self.parameters = tuple(n for n in model.values if n not in CURRENT)
+        self._at = [k for k, s in enumerate(model.states) if s.name in self.names]
+        self._own = [self.inputs.index(i.tap_of if i.tap else i.name) for i in model.inputs]
+        self._size, self._all = len(model.states), list(model.values)
+        self._values = np.array([0.0 if n in CURRENT else v for n, v in model.values.items()])
+        self._rowwise = VectorisedModel(model)
+
+    def __call__(self, x: Array, u: Array, values: Array | None = None) -> Array:
+        """Return the rates (n_rows, n) at dynamic states x (n_rows, n) and inputs u (n_rows, m).
+
+        ``values`` (n_parameters,) replace the parameter values of the model.
+        """
+        whole = np.zeros((len(x), self._size))
+        whole[:, self._at] = x
+        found: Array = self._rowwise(whole, u[:, self._own], self._values if values is None else values)
+        return found[:, self._at]
+
+    def by_states(self, x: Array, u: Array) -> Array:
+        """Return the derivatives (n_rows, n, n) of the rates by the dynamic states."""
+        return _differences(lambda d: self(x + d, u), x.shape[1])
+
+    def by_inputs(self, x: Array, u: Array) -> Array:
+        """Return the derivatives (n_rows, n, m) of the rates by the inputs."""
+        return _differences(lambda d: self(x, u + d), u.shape[1])
+
+    def by_parameter(self, x: Array, u: Array, name: str, size: float) -> Array:
+        """Return the derivatives (n_rows, n) of the rates by one parameter: central differences with step ``size``."""
+        d = np.zeros(self._values.size)
+        d[self._all.index(name)] = size
+        return (self(x, u, self._values + d) - self(x, u, self._values - d)) / (2.0 * size)
+
+
+def _differences(rates: Callable[[Array], Array], n: int) -> Array:
+    """Return the derivatives (n_rows, n_rates, n) of rates by each of n variables: central differences.
+
+    ``rates`` is a function of the change (n,) of the variables.
+    """
+    columns = [(rates(d) - rates(-d)) / (2.0 * STEP) for d in STEP * np.eye(n)]
+    return np.stack(columns, axis=2)

@@ -1,0 +1,57 @@
+"""Findings of a diagnosis in the Python interface: those of a diagnosis of this process, and of one read from disk."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from seatrial.ident.results import DiagnosisResult
+
+
+class DiagnosisFindings:
+    """Findings of a diagnosis: the effects that a model lacks, how certain they are, and what the data could show.
+
+    Attributes
+    ----------
+    result : DiagnosisResult
+        Content of result.json.
+    """
+
+    result: DiagnosisResult
+
+    @property
+    def effects(self) -> dict[str, str]:
+        """Attribution of each effect that was added to the model, by name of the effect.
+
+        It is ``identified`` (no competing model explains the data as well), ``ambiguous`` (a competing model is nearly
+        as good, or a part remains unexplained) or ``nonparametric`` (a curve without a name). Empty without effects.
+        """
+        return {e.name: e.attribution for e in self.result.effects}
+
+    @property
+    def probabilities(self) -> dict[str, float]:
+        """Probability that the name of an effect is right, by name; empty without effects.
+
+        It is the share of names with the same attribution that were right on simulated boats with known effects
+        (docs/realistic-boats.md). Curves without a name, and effects of thruster models, have no entry.
+        """
+        return {e.name: e.probability for e in self.result.effects if e.probability is not None}
+
+    @property
+    def detectable(self) -> dict[str, dict[str, float]]:
+        """Smallest size that the data would have shown with a probability of 80 %, by effect and parameter.
+
+        The effects are those of the catalogue that the model lacks. Sizes are in the units of the result. An effect
+        that the estimated parameters explain at any size has an empty dictionary.
+        """
+        return {e.name: {p.name: p.size for p in e.sizes} for e in self.result.detectable}
+
+    @property
+    def recommended_experiment(self) -> str | None:
+        """Experiments that would show which effect is missing, as sentences, with a command line where there is one.
+
+        They are for ambiguous effects and effects with competing ones. Without an added effect they are for the best
+        effect of each round. None if no experiment is recommended. If the diagnosed model was no file, the command
+        names ``model.toml``: save the model, and give the path of this file.
+        """
+        return self.result.recommended_experiment
