@@ -18,7 +18,7 @@ from seatrial.bench import mission_generators
 from seatrial.bench.mission_text import describe_mission
 from seatrial.daq.config import Mission, load_mission, load_rig, save_mission
 from seatrial.daq.errors import SeatrialError, counted
-from seatrial.daq.options import FiniteRange, output_option, view_option
+from seatrial.daq.options import FiniteRange, output_option, parsed_by, view_option
 from seatrial.daq.rig import LOAD_CELLS, Rig
 
 if TYPE_CHECKING:
@@ -275,15 +275,14 @@ def show(mission_path: Path) -> None:
     click.echo(describe_mission(load_mission(mission_path)))
 
 
-def _parse_thruster_names(_context: click.Context, _parameter: click.Parameter, text: str) -> tuple[str, str]:
+def _parse_thruster_names(text: str) -> tuple[str, str]:
     """Return the names of the left and the right thruster from ``text``, the value "LEFT,RIGHT" of `--thrusters`.
 
-    Spaces around a name are removed. Raises click.BadParameter if there are not exactly two names or one is empty. The
-    function is a callback of click, which also passes the context and the parameter; they are not used.
+    Spaces around a name are removed. Raise ValueError if there are not exactly two names, or if one is empty.
     """
     names = [name.strip() for name in text.split(",")]
     if len(names) != 2 or not all(names):
-        raise click.BadParameter(f"give two names with a comma between them, such as left,right, not '{text}'")
+        raise ValueError(f"give two names with a comma between them, such as left,right, not '{text}'")
     return names[0], names[1]
 
 
@@ -301,7 +300,7 @@ def _parse_thruster_names(_context: click.Context, _parameter: click.Parameter, 
     metavar="LEFT,RIGHT",
     default="left,right",
     show_default=True,
-    callback=_parse_thruster_names,
+    callback=parsed_by(_parse_thruster_names),
     help="Names in the rig of the left and the right thruster.",
 )
 @output_option(FILE, "The mission file to write; it must not exist.", required=True)

@@ -218,12 +218,12 @@ def info(log: Path, as_json: bool) -> None:
     from seatrial.daq.log import open_log
     from seatrial.daq.tools import log_content, show_log
 
-    if as_json:
-        with open_log(log) as opened:
-            print_json(log_content(opened))
-        return
     with open_log(log) as opened:
-        show_log(log_content(opened), make_console())
+        content = log_content(opened)
+    if as_json:
+        print_json(content)
+    else:
+        show_log(content, make_console())
 
 
 @click.command()
@@ -535,14 +535,9 @@ def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml
 
 def _rig_of(found: Sequence[DiscoveredDevice]) -> str:
     """Return the text of a rig file with the discovered devices that have a protocol of a rig file."""
-    from seatrial.daq.new_rig import RigDraft, Value, device_of, name_devices, rig_text
-    from seatrial.daq.protocol import DEVICES
+    from seatrial.daq.new_rig import RigDraft, Value, drafts_of, rig_text
 
-    known = [device for device in found if device.protocol in DEVICES]
-    alone = sum(device.protocol == "mavlink" for device in known) < 2
-    names = name_devices([device.protocol for device in known])
-    devices = [device_of(device, name, alone) for device, name in zip(known, names, strict=True)]
-    return rig_text(RigDraft(Value("boat", False), devices))
+    return rig_text(RigDraft(Value("boat", False), drafts_of(found)))
 
 
 @click.command()

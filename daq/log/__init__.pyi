@@ -14,6 +14,7 @@ from .recovery import recover_log as recover_log
 from .schema import NODE_TOPICS as NODE_TOPICS
 from .segments import first_segment_of as first_segment_of
 from .segments import first_segments as first_segments
+from .segments import segment_path as segment_path
 from .tables import LogTable as LogTable
 from .tables import Resampled as Resampled
 from .tables import log_tables as log_tables

@@ -78,8 +78,6 @@ class DeviceDraft:
         Comment above the table.
     tables
         Text of the tables of a discovered autopilot, which then has its [[thruster]] tables; "" otherwise.
-    drives
-        Whether `tables` contains [[thruster]] tables.
     """
 
     name: str
@@ -91,7 +89,11 @@ class DeviceDraft:
     newton_per_count: Number | None = None
     about: str = ""
     tables: str = ""
-    drives: bool = False
+
+    @property
+    def drives(self) -> bool:
+        """Whether `tables` contains [[thruster]] tables."""
+        return "[[thruster]]" in self.tables.splitlines()
 
 
 @dataclass(frozen=True)
@@ -200,7 +202,7 @@ def name_devices(protocols: Sequence[str]) -> list[str]:
     return names
 
 
-def device_of(found: DiscoveredDevice, name: str, alone: bool = True) -> DeviceDraft:
+def _device_of(found: DiscoveredDevice, name: str, alone: bool = True) -> DeviceDraft:
     """Return the draft of a discovered device. Its port, baud rate and rate count as given, because it was received.
 
     An unknown rate becomes the usual one of the protocol, which is then a default. An autopilot brings the text of its
@@ -226,8 +228,15 @@ def device_of(found: DiscoveredDevice, name: str, alone: bool = True) -> DeviceD
         rate,
         about=found.says,
         tables=tables,
-        drives="[[thruster]]" in tables.replace("no [[thruster]]", ""),
     )
+
+
+def drafts_of(found: Sequence[DiscoveredDevice]) -> list[DeviceDraft]:
+    """Return the drafts of the discovered devices whose protocol is that of a rig file, each with a name."""
+    known = [device for device in found if device.protocol in DEVICES]
+    alone = sum(device.protocol == "mavlink" for device in known) < 2
+    names = name_devices([device.protocol for device in known])
+    return [_device_of(device, name, alone) for device, name in zip(known, names, strict=True)]
 
 
 def usual_rate(protocol: str) -> float:

@@ -22,7 +22,7 @@ from seatrial.daq.new_rig.draft import (
     RigDraft,
     ThrusterDraft,
     Value,
-    device_of,
+    drafts_of,
     drivers_of,
     name_devices,
     reports,
@@ -33,10 +33,9 @@ from seatrial.daq.new_rig.draft import (
 )
 from seatrial.daq.protocol import DEVICES
 from seatrial.daq.rig import LOAD_CELLS, NAME
-from seatrial.daq.tools import SLCAN, DiscoveredDevice
+from seatrial.daq.tools import SIDES, SLCAN, DiscoveredDevice
 
-BESIDE_M = 0.3  # assumed distance of a thruster from the middle of the boat [m]
-SIDES = {"left": -BESIDE_M, "right": BESIDE_M}  # assumed position to starboard [m] by name
+BESIDE_M = dict(SIDES.values())  # assumed position to starboard [m] by name
 Answer = TypeVar("Answer")
 
 
@@ -317,11 +316,7 @@ def _searched(
     all_ports = search() if wanted else ()
     buses = [device.port for device in all_ports if device.port.startswith("socketcan:")]
     buses += [f"slcan:{device.port}" for device in all_ports if device.protocol == SLCAN]
-    known = [device for device in all_ports if device.protocol in DEVICES]
-    alone = sum(device.protocol == "mavlink" for device in known) < 2
-    names = name_devices([device.protocol for device in known])
-    drafts = [device_of(device, name, alone) for device, name in zip(known, names, strict=True)]
-    return [_completed(draft, answers, interview) for draft in drafts], buses
+    return [_completed(draft, answers, interview) for draft in drafts_of(all_ports)], buses
 
 
 def _named_devices(
@@ -448,7 +443,7 @@ def _thrusters(
                 answers.nodes[k] if answers.nodes else None, f"node of {name}", usual_node, _node_parser(driver)
             )
         )
-        beside = (0.0, 0.0 if kind == "bench" else SIDES.get(name, 0.0), 0.0)
+        beside = (0.0, 0.0 if kind == "bench" else BESIDE_M.get(name, 0.0), 0.0)
         positions.append(
             interview.value(
                 answers.positions.get(name), f"position of {name}: forward, starboard, down [m]", beside, parse_position

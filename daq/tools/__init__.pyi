@@ -1,3 +1,4 @@
+from .autopilot_tables import SIDES as SIDES
 from .autopilot_tables import DiscoveredAutopilot as DiscoveredAutopilot
 from .autopilot_tables import identify_autopilot as identify_autopilot
 from .discovery import SLCAN as SLCAN

@@ -1,5 +1,4 @@
 from .browser import prepare_browser as prepare_browser
-from .decimation import decimate as decimate
 from .live_process import live_page as live_page
 from .server import PageServer as PageServer
 from .server import listen as listen

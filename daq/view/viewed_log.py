@@ -20,7 +20,7 @@ from seatrial.daq.checks import check_devices, worst_first
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.geometry import local_ned
 from seatrial.daq.importers.import_map import parse_import_map
-from seatrial.daq.log import Log, LogTable, log_tables, open_log, schema
+from seatrial.daq.log import Log, LogTable, log_tables, open_log, schema, segment_path
 from seatrial.daq.rig import Rig, Thruster
 from seatrial.daq.samples import Ahrs, Autopilot, Battery, Command, Gnss, PortHealth, Scalar
 from seatrial.daq.view.columns import Columns
@@ -208,7 +208,7 @@ class ViewedLog:
     def _has_continued(self, log: Log) -> bool:
         """Return whether a recorder has started the next segment (file) of a log, or writes its last file again."""
         number = log.paths[-1].stem.removeprefix(self.path.stem).removeprefix(".")
-        following = self.path.with_suffix(f".{int(number or 0) + 1}{self.path.suffix}")
+        following = segment_path(self.path, int(number or 0) + 1)
         return following.exists() or (not log.complete and self._is_written(log))
 
     def _is_written(self, log: Log) -> bool:

@@ -187,7 +187,7 @@ class FitReport:
 
     @property
     def answer(self) -> str:
-        """Main conclusion of the fit in a few sentences, as in its report; a doubt about it follows."""
+        """Main conclusion of the fit in a few sentences, as in its report; its caveat follows."""
         return tables.conclusion(self.result)
 
     @property

@@ -109,7 +109,7 @@ class Saved:
     def answer(self) -> str:
         """Main conclusion of the result in a few sentences, as in its report; empty if no result was loaded.
 
-        A doubt about the conclusion of a diagnosis follows.
+        The caveat of a diagnosis follows its conclusion.
         """
         return "" if self.result is None else tables.conclusion(self.result)
 

@@ -19,13 +19,13 @@ import pytest
 from click.testing import CliRunner
 
 from seatrial import command_line
-from seatrial.daq.config import load_rig
+from seatrial.daq.config import load_rig, parse_rig
 from seatrial.daq.log import open_log
-from seatrial.daq.new_rig import name_devices
+from seatrial.daq.new_rig import RigDraft, Value, drafts_of, name_devices, rig_text
 from seatrial.daq.new_rig.questions import WantedDevice, parse_devices
 from seatrial.daq.protocol import BUILT_IN
 from seatrial.daq.samples import Ahrs, Esc, Gnss
-from seatrial.daq.tools import DiscoveredDevice
+from seatrial.daq.tools import DiscoveredAutopilot, DiscoveredDevice
 from tests.bench.mock_process import mock_process
 from tests.daq.tools.test_discovery import SAYS, device
 
@@ -276,3 +276,14 @@ def test_devices_have_names_and_numbers() -> None:
         WantedDevice("nmea", "/dev/a", 9600, 5.0),
         WantedDevice("vesc"),
     ]
+
+
+@pytest.mark.parametrize(
+    ("parameters", "drives"), [({}, False), ({"SERVO1_FUNCTION": 73.0, "SERVO3_FUNCTION": 74.0}, True)]
+)
+def test_an_autopilot_drives_only_if_its_thrusters_are_known(parameters: dict[str, float], drives: bool) -> None:
+    """Without parameters the text mentions [[thruster]] only in a caveat, and the rig gets no limits of thrust."""
+    rover = DiscoveredAutopilot("udp:127.0.0.1:14550", "", "mavlink", vehicle="ArduPilot Rover", parameters=parameters)
+    (draft,) = drafts_of([rover])
+    assert draft.drives is drives
+    assert bool(parse_rig(rig_text(RigDraft(Value("boat"), [draft])), Path("rig.toml")).thrusters) is drives
