@@ -431,8 +431,8 @@ def _connect_watchdog(rig: Rig, path: Path) -> Heartbeat:
     except (OSError, EOFError) as error:
         why = str(error) or "it ended"
         raise SeatrialError(
-            f"the watchdog process did not start ({why}), and no thrust is commanded without it; remove this cause, or "
-            "check the limits on memory and processes"
+            f"the watchdog process did not start ({why}), and no thrust is commanded without it; remove the cause, "
+            "or check the limits of the operating system on memory and processes"
         ) from error
 
 

@@ -129,7 +129,7 @@ def read_can(path: Path, options: SourceOptions) -> list[Table]:
     if not rows and options.rig is not None:
         raise SeatrialError(
             f"{path}: none of its {counted(len(frames), 'frame')} belongs to a device of {options.rig}; correct "
-            "the ports, protocols and node numbers of its CAN devices"
+            f"the ports, protocols and node numbers of the CAN devices in {options.rig}"
         )
     if not rows and options.protocol:
         raise SeatrialError(
@@ -324,6 +324,6 @@ def import_can(path: Path, rig_path: Path, *, out: Path | None = None, force: bo
         if not n_samples:  # raised inside the block: an existing log is then not replaced
             raise SeatrialError(
                 f"{path}: none of its {counted(len(frames), 'frame')} belongs to a device of {rig_path}; correct "
-                "the ports, protocols and node numbers of its CAN devices"
+                f"the ports, protocols and node numbers of the CAN devices in {rig_path}"
             )
     return target, f"{counted(n_samples, 'sample')} of {counted(len(frames), 'frame')}"

@@ -45,7 +45,7 @@ def refuse_data_of_other_files(path: Path, file: Any) -> None:
             if not isinstance(group.get(name, getlink=True), h5py.HardLink):
                 raise SeatrialError(
                     f"{place} is a link to another place, and only data in the file itself is imported; save the data "
-                    "there"
+                    "in the file itself"
                 )
             node = group[name]
             address = h5py.h5o.get_info(node.id).addr
@@ -59,5 +59,5 @@ def refuse_data_of_other_files(path: Path, file: Any) -> None:
                 if properties.get_layout() not in layouts or properties.get_external_count():
                     raise SeatrialError(
                         f"{place} has its data in another file, and only data in the file itself is imported; save the "
-                        "data there"
+                        "data in the file itself"
                     )

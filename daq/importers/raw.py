@@ -72,7 +72,8 @@ def import_raw(
         advice = "check the protocol"
         if isinstance(decoder, nmea.Decoder) and decoder.remark:  # the decoder has left out magnetic headings
             advice = "its headings are magnetic, and a capture has no declination; set the compass to true headings"
-        raise SeatrialError(f"{path}: no {protocol} samples in {decoder.frames} complete frames ({wrong}); {advice}")
+        received = counted(decoder.frames, f"complete {protocol} message")
+        raise SeatrialError(f"{path}: {received}, and no sample in them ({wrong}); {advice}")
     if isinstance(decoder, vectornav.Decoder):
         frames, n_left_out = _without_duplicate_quantities(frames)
         wrong += f"; {counted(n_left_out, 'ASCII sample')} left out, contained in binary samples" * bool(n_left_out)

@@ -194,7 +194,9 @@ def _remaining_alternative_reasons(alternatives: Sequence[str]) -> list[str]:
 
     ``alternatives`` are the names of these alternatives (`_alternatives_still_found`). The reason names the first.
     """
-    return [f"with this effect the score tests still find its alternative {alternatives[0]}"] if alternatives else []
+    if not alternatives:
+        return []
+    return [f"with this effect the score test of '{alternatives[0]}', one of its alternatives, is still significant"]
 
 
 def _form_correction_reasons(chosen: Sequence[Refit], refit: Refit, policy: SearchPolicy) -> list[str]:
@@ -395,7 +397,9 @@ def _explained_by_parameters_reasons(effect: Effect, explained: Collection[str])
     if effect.name in explained:
         return ["the model's estimated parameters explain nearly all of this effect"]
     names = [name for name in effect.alternatives if name in explained]
-    return [f"the model's estimated parameters explain nearly all of its alternative {name}" for name in names]
+    return [
+        f"the model's estimated parameters explain nearly all of '{name}', one of its alternatives" for name in names
+    ]
 
 
 def _failed_candidate_reasons(search_round: Round) -> list[str]:

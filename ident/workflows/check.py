@@ -150,7 +150,7 @@ def with_findings(
         rest = f" ({counted(len(refused) - 1, 'more fault')})" if len(refused) > 1 else ""
         raise SeatrialError(
             f"{name}: {where}{first.text} [{first.code}]{rest}; "
-            f"{first.advice}. `seatrial check` lists all findings; --despite-faults fits the log unchanged"
+            f"{first.advice}. `seatrial check` lists all findings; to fit the log with its faults, add --despite-faults"
         )
     rows = [f._asdict() | {"spoils": invalidates_fit(f, uses_shaft_speeds)} for f in reported]
     return replace(log, about=log.about | {"findings": rows})

@@ -121,7 +121,9 @@ def test_remaining_scores_are_no_reason_against_an_effect_that_keeps_its_size_be
     assert second.attribution == "ambiguous"
     # An alternative that was not fitted beside the effect may still be there in its place.
     (first, _) = assess_alternatives(rounds, replace(evidence, beside=frozenset({"other-0"})))
-    assert first.reasons == ("with this effect the score tests still find its alternative yaw-bias",)
+    assert first.reasons == (
+        "with this effect the score test of 'yaw-bias', one of its alternatives, is still significant",
+    )
 
 
 def test_a_small_curve_is_no_reason_against_an_effect_that_keeps_its_size() -> None:
@@ -193,7 +195,7 @@ def test_alternative_that_the_fitted_parameters_imitate_is_not_excluded() -> Non
     hidden = replace(score("reverse-thrust", 5.0), tolerance=4e-4)
     (found,) = assess_alternatives([one_round(linear)], AttributionEvidence((), N, nominal=[hidden]))
     assert (found.attribution, found.not_excluded) == ("ambiguous", ("reverse-thrust",))
-    why = "the model's estimated parameters explain nearly all of its alternative reverse-thrust"
+    why = "the model's estimated parameters explain nearly all of 'reverse-thrust', one of its alternatives"
     assert found.reasons == (why,)
     (itself,) = assess_alternatives(
         [one_round(refit("reverse-thrust", 90.0))], AttributionEvidence((), N, nominal=[hidden])
