@@ -24,7 +24,7 @@ HULL = {
     "d_rr": 5.0,
 }
 STEP, EVERY = 0.01, 10  # s, of the integration; steps between two rows of the table
-NOISE = {"psi": 0.01, "r": 0.005, "x": 0.05, "y": 0.05}
+NOISE = {"psi": 0.01, "r": 0.005, "x": 0.05, "y": 0.05, "vx": 0.05, "vy": 0.05, "ax": 0.05, "ay": 0.05}
 UNITS = {"psi": "rad", "r": "rad/s", "x": "m", "y": "m"}
 Forces = Callable[[np.ndarray, np.ndarray], Sequence[float]]
 
@@ -35,7 +35,7 @@ class OwnBoat(NamedTuple):
     Attributes
     ----------
     inputs : dict
-        Range (lowest, highest) of each input, by name; the first is the propeller, the second an angle [rad].
+        Range (lowest, highest) of each of the two inputs, by name. The first changes every 5 s, the second every 3 s.
     forces : Callable
         Function of the inputs and of the additional states.
     states : int
@@ -69,20 +69,31 @@ BOATS = {
 }
 
 
-def write_run(boat: OwnBoat, path: Path, seed: int, seconds: float = 200.0) -> None:
-    """Write a CSV of a run with random steps of the inputs: time, inputs, measured heading, yaw rate and position."""
+def simulated_run(boat: OwnBoat, seed: int, seconds: float) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Return the times and the columns of a run with random steps of the inputs: inputs, and measured signals."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, seconds, STEP)
     u = np.column_stack(
         [_steps(rng, t, *limits, every) for limits, every in zip(boat.inputs.values(), (5.0, 3.0), strict=True)]
     )
-    x, y, psi, _, _, r = _motion(boat, u)[::EVERY, :6].T
-    measured = {"psi": psi, "r": r, "x": x, "y": y}
-    columns = [v + NOISE[name] * rng.normal(size=v.size) for name, v in measured.items()]
+    motion = _motion(boat, u)[:, :6]
+    change = np.diff(motion[:, 3:5], axis=0, append=motion[-1:, 3:5])[::EVERY] / STEP
+    x, y, psi, surge, sway, r = motion[::EVERY].T
+    vx, vy = surge * np.cos(psi) - sway * np.sin(psi), surge * np.sin(psi) + sway * np.cos(psi)
+    ax, ay = change[:, 0] - sway * r, change[:, 1] + surge * r
+    measured = {"psi": psi, "r": r, "x": x, "y": y, "vx": vx, "vy": vy, "ax": ax, "ay": ay}
+    noisy = {name: v + NOISE[name] * rng.normal(size=v.size) for name, v in measured.items()}
+    return t[::EVERY], dict(zip(boat.inputs, u[::EVERY].T, strict=True)) | noisy
+
+
+def write_run(boat: OwnBoat, path: Path, seed: int, seconds: float = 200.0) -> None:
+    """Write a CSV of a run with random steps of the inputs: time, inputs, measured heading, yaw rate and position."""
+    t, columns = simulated_run(boat, seed, seconds)
+    wanted = {name: columns[name] for name in (*boat.inputs, *UNITS)}
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(["t", *boat.inputs, *measured])
-        writer.writerows(np.column_stack([t[::EVERY], u[::EVERY], *columns]).round(6).tolist())
+        writer.writerow(["t", *wanted])
+        writer.writerows(np.column_stack([t, *wanted.values()]).round(6).tolist())
 
 
 def import_map(boat: OwnBoat) -> str:
