@@ -58,13 +58,17 @@ def test_the_tests_that_a_page_names_exist(page: Path) -> None:
     assert not [f"{file}::{test}" for file, test in named if f"\ndef {test}(" not in (ROOT / file).read_text("utf-8")]
 
 
+def shell_commands(page: Path) -> list[str]:
+    """Return the command lines of the shell blocks of a page, in order."""
+    return [line for block in blocks(page, "sh") for line in block.replace("\\\n", " ").splitlines() if line]
+
+
 def shell_lines() -> Iterator[tuple[str, str]]:
     """Return (where, command line) of everything that a reader may copy."""
     for page in PAGES:
-        for block in blocks(page, "sh"):
-            for line in block.replace("\\\n", " ").splitlines():
-                if line.startswith("seatrial "):
-                    yield name(page), line
+        for line in shell_commands(page):
+            if line.startswith("seatrial "):
+                yield name(page), line
         for block in blocks(page, "console"):
             for line in block.splitlines():
                 if line.startswith("$ seatrial "):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import importlib.util
 import re
+import shlex
+import shutil
 import subprocess
 import sys
 import types
@@ -29,6 +31,8 @@ from seatrial.ident.estimation.output_error import simulate
 from seatrial.ident.model.structure import Model
 from seatrial.ident.models.catalogue import make_model
 from seatrial.ident.models.horizontal import horizontal_model
+from tests.own_boats import BOATS, HULL, import_map, write_run
+from tests.test_docs import shell_commands
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -240,7 +244,8 @@ def test_a_broken_package_is_named_and_hides_no_other(
 
 
 def test_the_models_of_the_how_to_are_the_examples() -> None:
-    for text, name in zip(blocks("own-model", "python"), ("own_model", "rolling"), strict=True):
+    names = ("own_model", "outboard", "lags", "rolling")
+    for text, name in zip(blocks("own-model", "python"), names, strict=True):
         example = (ROOT / f"docs/examples/{name}.py").read_text(encoding="utf-8")
         assert text.strip() in example
 
@@ -302,3 +307,25 @@ def test_a_user_model_works_with_all_commands(tmp_path: Path) -> None:
         error = saved.errors[title]
         assert 0.0 < error < 0.1 * truth
         assert abs(saved.model.parameter(title).value - truth) < 4.0 * error
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("own", BOATS)
+def test_a_user_model_of_the_how_to_finds_the_truth(own: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The command of the page fits the model to runs of a boat that is simulated by separate code."""
+    boat = BOATS[own]
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(ROOT / "docs/examples" / own.partition(":")[0], tmp_path)
+    Path("map.toml").write_text(import_map(boat))
+    for seed in (1, 2):
+        write_run(boat, Path(f"run{seed}.csv"), seed)
+    (fit,) = [line for line in shell_commands(how_to("own-model")) if f"--model {own} " in line]
+    for line in ("seatrial import map.toml run1.csv run2.csv --out-dir .", fit):
+        with pytest.raises(SystemExit) as left:
+            command_line.main(shlex.split(line)[1:])
+        assert left.value.code == 0, line
+    saved = load_model(Path("vehicle/model.toml"))
+    for name, truth in (HULL | boat.truth).items():
+        error = saved.errors[name]
+        assert 0.0 < error < 0.05 * abs(truth), name
+        assert abs(saved.model.parameter(name).value - truth) < 3.0 * error, name

@@ -5,15 +5,20 @@ date.
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
 import re
 import subprocess
 import sys
+import time
 from html.parser import HTMLParser
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
+
+from tests.ident.pages import CHROMIUM, browser
 
 ROOT = Path(__file__).resolve().parents[1]
 # Elements that a browser fetches by itself when it opens a page.
@@ -73,6 +78,111 @@ def test_every_page_of_the_docs_is_in_the_navigation(site: Path) -> None:
 def test_the_page_of_figures_and_the_page_of_tables_both_exist(site: Path) -> None:
     assert (site / "thesis-figures.html").read_bytes() == (ROOT / "docs/thesis.html").read_bytes()
     assert "thesis-figures.html" in Fetched(site / "thesis.html").links
+
+
+class Browser:
+    """Headless Chromium with one page, driven by the DevTools protocol over a pipe. It resolves no name of a host.
+
+    ``requested`` has the addresses that the page and its frames have requested, in order.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.requested: list[str] = []
+        to_browser, self._commands = os.pipe()
+        self._replies, from_browser = os.pipe()
+        options = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking"]
+        options += [f"--user-data-dir={folder / 'profile'}", "--host-resolver-rules=MAP * ~NOTFOUND"]
+        ends = f"exec 3<&{to_browser} 4>&{from_browser}; exec "  # Chromium reads from 3 and writes to 4
+        self._process = subprocess.Popen(
+            ["bash", "-c", ends + '"$@"', "bash", str(CHROMIUM), *options, "--remote-debugging-pipe", "about:blank"],
+            pass_fds=(to_browser, from_browser),
+            stderr=subprocess.DEVNULL,
+        )
+        os.close(to_browser)
+        os.close(from_browser)
+        self._left, self._id, self._session = b"", 0, ""
+        targets = self.call("Target.getTargets")["targetInfos"]
+        page = next(t["targetId"] for t in targets if t["type"] == "page")
+        self._session = self.call("Target.attachToTarget", targetId=page, flatten=True)["sessionId"]
+        self.call("Network.enable")
+
+    def call(self, method: str, **params: Any) -> dict[str, Any]:
+        """Send a command, and return its result."""
+        self._id += 1
+        message = {"id": self._id, "method": method, "params": params}
+        if self._session:
+            message["sessionId"] = self._session
+        os.write(self._commands, json.dumps(message).encode() + b"\0")
+        while True:
+            reply = self._next()
+            if reply.get("method") == "Network.requestWillBeSent":
+                self.requested.append(reply["params"]["request"]["url"])
+            if reply.get("id") == self._id:
+                assert "error" not in reply, reply
+                return dict(reply["result"])
+
+    def _next(self) -> dict[str, Any]:
+        while b"\0" not in self._left:
+            part = os.read(self._replies, 1 << 16)
+            assert part, "the browser has ended"
+            self._left += part
+        message, _, self._left = self._left.partition(b"\0")
+        return dict(json.loads(message))
+
+    def value(self, expression: str) -> Any:
+        """Return the value of an expression in the page."""
+        return self.call("Runtime.evaluate", expression=expression, returnByValue=True)["result"].get("value")
+
+    def wait(self, expression: str, seconds: float = 30.0) -> Any:
+        """Return the value of an expression in the page, as soon as it is true."""
+        end = time.monotonic() + seconds
+        while not (value := self.value(expression)):
+            assert time.monotonic() < end, expression
+            time.sleep(0.05)
+        return value
+
+    def close(self) -> None:
+        self._session = ""
+        self.call("Browser.close")
+        os.close(self._commands)
+        os.close(self._replies)
+        self._process.wait(30)
+
+
+LINKS = "[...document.querySelectorAll('.md-search-result__link')].map(link => link.href)"
+
+
+@browser
+@pytest.mark.slow
+@pytest.mark.parametrize("page", ["index.html", "how-to/python.html"])
+def test_the_search_works_from_the_disk_without_a_network(site: Path, tmp_path: Path, page: str) -> None:
+    """A word that is typed into the field gives pages that contain it, and no other host is asked."""
+    chrome = Browser(tmp_path)
+    try:
+        chrome.call("Page.navigate", url=(site / page).as_uri())
+        chrome.wait("document.readyState == 'complete' && !!document.querySelector('.md-search__input')")
+        chrome.value("document.querySelector('.md-search__input').focus()")
+        for letter in "antenna":
+            chrome.call("Input.dispatchKeyEvent", type="keyDown", text=letter, key=letter)
+            chrome.call("Input.dispatchKeyEvent", type="keyUp", key=letter)
+        links = chrome.wait(f"(links => links[0]?.includes('h=antenna') && links)({LINKS})")
+        assert len(links) > 3
+        first = Path(re.sub(r"[?#].*", "", links[0]).removeprefix("file://"))
+        assert "antenna" in first.read_text(encoding="utf-8")
+        assert first.parent.name != "decisions"
+    finally:
+        chrome.close()
+    assert any("search_index.js" in address for address in chrome.requested)
+    outside = [address for address in chrome.requested if not address.startswith(("file:", "data:", "blob:", "about:"))]
+    assert not outside
+
+
+def test_the_index_of_the_search_contains_every_page(site: Path) -> None:
+    text = (site / "search/search_index.js").read_text(encoding="utf-8")
+    index = json.loads(text.removeprefix("var __index = "))
+    pages = {entry["location"].partition("#")[0] for entry in index["docs"]}
+    built = {str(p.relative_to(site)) for p in site.rglob("*.html")} - {"404.html", "thesis-figures.html"}
+    assert built <= pages
 
 
 def script(name: str) -> ModuleType:

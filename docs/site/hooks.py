@@ -1,6 +1,7 @@
 """Hooks of MkDocs.
 
 Pages that are missing in the navigation are added to the section of their folder. Equations are converted to MathML.
+The search lists decisions after other pages.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import Any
 from latex2mathml.converter import convert
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
 
 # Folder of a page -> the section of mkdocs.yml that it belongs to.
 SECTIONS = {
@@ -23,6 +25,7 @@ SECTIONS = {
     "decisions": "Decisions",
 }
 ELSEWHERE = "Project"
+DECISION_BOOST = 0.1  # factor on the score of a decision in the search, so that pages for users come first
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -42,6 +45,13 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
                 raise ValueError(f"mkdocs.yml: no section {title!r} for docs/{page.src_uri}")
             section.append(page.src_uri)
     return files
+
+
+def on_page_markdown(text: str, page: Page, **_: Any) -> str:
+    """Lower the rank of decisions in the search, and return the text of the page unchanged."""
+    if page.file.src_uri.startswith("decisions/"):
+        page.meta.setdefault("search", {"boost": DECISION_BOOST})
+    return text
 
 
 EQUATION = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
