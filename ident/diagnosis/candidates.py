@@ -250,14 +250,15 @@ class TrajectoryLinearisation:
         n, m = len(self.model.states), begin[0].size
         x = np.concatenate([self.x.T, np.zeros((m, len(self.x)))]).T
         steps, step_of = self.steps
+        matrices = [_constant_coefficients(rowwise, x, u, values, m) for values in all_values]
+        if any(A is None for A in matrices):
+            h = self.record.h[:-1]
+            return list(rowwise.integrate_last_states(self.x, u, np.stack(all_values), h, np.stack(begin)))
         found = []
-        for z, values in zip(begin, all_values, strict=True):
-            if not _has_constant_coefficients(rowwise, x, u, values, m):
-                found.append(rowwise.integrate_last_states(self.x, u, values, self.record.h[:-1], z))
-                continue
+        for z, values, A in zip(begin, all_values, matrices, strict=True):
+            assert A is not None
             drive = np.stack(rowwise.columns(x, u, values)[n : n + m], axis=1)
-            A = rowwise.rate_jacobian(x[:1], u[:1], values)[0, n:, n:]
-            transition, weight = (matrices[step_of] for matrices in _discretised_dynamics(A, steps))
+            transition, weight = (each[step_of] for each in _discretised_dynamics(A, steps))
             mean = (drive[:-1] + drive[1:]) / 2
             found.append(_solved_recursion(transition, np.einsum("kij,kj->ki", weight, mean), z))
         return found
@@ -301,18 +302,25 @@ def _initial_states(larger: Model, effect: Effect, values: Array) -> Array:
     return np.array([named[s.x0] if isinstance(s.x0, str) else s.x0 for s in effect.states], dtype=np.float64)
 
 
-def _has_constant_coefficients(rowwise: VectorisedModel, x: Array, u: Array, values: Array, m: int) -> bool:
-    """Return whether the last m states of a model obey linear equations with constant coefficients.
+def _constant_coefficients(rowwise: VectorisedModel, x: Array, u: Array, values: Array, m: int) -> Array | None:
+    """Return the matrix (m, m) of the last m states of a model if their equations are linear and do not change in time.
 
-    The derivatives of their rates by these states are compared at the first, middle and last rows of states x
-    (n_rows, n_states) and inputs u, with the last states as they are and increased by one. Other rows are not compared.
-    ``rowwise`` is the model, and ``values`` are its parameter values.
+    Return None otherwise. The changes of their rates by steps of one
+    in each of these states are compared at the first, middle and last rows of states x (n_rows, n_states) and inputs u,
+    from the last states as they are and from these plus one. Other rows are not compared. ``rowwise`` is the model, and
+    ``values`` are its parameter values.
     """
     rows = [0, len(x) // 2, len(x) - 1]
-    at = np.concatenate([x[rows], x[rows]])
-    at[3:, -m:] += 1.0
-    slopes = rowwise.rate_jacobian(at, np.concatenate([u[rows], u[rows]]), values)[:, -m:, -m:]
-    return bool(np.allclose(slopes, slopes[0], rtol=1e-6, atol=1e-9))
+    n = x.shape[1]
+    start = np.concatenate([x[rows], x[rows]])
+    start[3:, -m:] += 1.0
+    moved = np.tile(start, (m + 1, 1, 1))  # the points themselves, then each state increased by one
+    moved[np.arange(1, m + 1), :, np.arange(n - m, n)] += 1.0
+    inputs = np.tile(u[rows], (2 * (m + 1), 1))
+    rates = np.stack(rowwise.columns(moved.reshape(-1, n), inputs, values)[n - m : n], axis=1)
+    by_state = rates.reshape(m + 1, len(start), m)
+    slopes = (by_state[1:] - by_state[0]).transpose(1, 2, 0)
+    return slopes[0] if np.allclose(slopes, slopes[0], rtol=1e-6, atol=1e-9) else None
 
 
 def _discretised_dynamics(A: Array, steps: Array) -> tuple[Array, Array]:

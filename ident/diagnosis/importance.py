@@ -268,7 +268,8 @@ def _fit_with_effects(
     for refit in kept:
         model = model + refit.effect
     model = model.with_values({n: last.values[n] for n in model.values if n in last.values})
+    start = after.fit.start_values(model)
     if settings is not ROUGH_SEARCH:
-        return fit_and_evaluate(model, records, validation_data, settings=settings)
+        return fit_and_evaluate(model, records, validation_data, settings=settings, start=start)
     with quick_compilation(sum(r.n_rows for r in records)):
-        return fit_and_evaluate(model, records, validation_data, settings=ROUGH_SEARCH)
+        return fit_and_evaluate(model, records, validation_data, settings=ROUGH_SEARCH, start=start)

@@ -12,7 +12,7 @@ It is valid also if the innovations are not white.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -475,6 +475,32 @@ class ScoreEquations:
         n_fitted, gain = self.prior.gradient.size, self.coefficients_on_fitted
         information = self.normal.information - self.normal.information[:n_fitted].T @ gain
         return information, self.normal.score - gain.T @ (self.normal.score[:n_fitted] + self.prior.gradient)
+
+    def columns_of(self, name: str, scan: Mapping[str, float]) -> dict[str, int]:
+        """Return the index of each column of a candidate by the name of the column; empty if it has none.
+
+        ``scan`` are the values of its scanned parameters by name.
+        """
+        placed = next((i for i in self.indices if i.columns.name == name and i.columns.scan == scan), None)
+        return {} if placed is None else dict(zip(placed.names, placed.at, strict=True))
+
+    def shifts(self, name: str, scan: Mapping[str, float], step: Mapping[str, float]) -> dict[str, float]:
+        """Return the change of each estimate, by full name, if a candidate enters the model with the given values.
+
+        Empty if the equations have no columns of this candidate.
+
+        Parameters
+        ----------
+        name, scan
+            Name of the candidate, and the values of its scanned parameters by name.
+        step
+            Values of its parameters by the name of their column, as changes from those of the candidate. Names without
+            a column are ignored.
+        """
+        placed = self.columns_of(name, scan)
+        at = [k for n, k in placed.items() if n in step]
+        change = -self.coefficients_on_fitted[:, at] @ np.array([step[n] for n in placed if n in step])
+        return dict(zip(self.parameters, change.tolist(), strict=True)) if at else {}
 
     def one_step(self, at: NDArray[np.int64], weight: Array) -> Array:
         """Return the estimates of some parameters of candidates after one Newton step from zero, without a refit.

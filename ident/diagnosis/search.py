@@ -42,6 +42,7 @@ from seatrial.ident.diagnosis.common_errors import (
     common_errors_for,
     fit_common_errors,
     given_common_errors,
+    prior_information,
     score_common_errors,
 )
 from seatrial.ident.diagnosis.findings import (
@@ -619,6 +620,32 @@ def score_all(
     return best, [s for s in best if score_test_passes(s, scores, policy)]
 
 
+@dataclass(frozen=True)
+class _TestedModel:
+    """Score tests of a fitted model, kept in case that the search comes back to it.
+
+    Attributes
+    ----------
+    fitted
+        The fitted model.
+    tested
+        Names of the candidates, and of the common errors that were not in the model.
+    policy
+        Thresholds of the tests.
+    equations
+        Score equations.
+    scores, passing
+        Scores of all candidates, and those that pass; the largest criterion first.
+    """
+
+    fitted: FittedModel
+    tested: tuple[frozenset[str], frozenset[str]]
+    policy: SearchPolicy
+    equations: ScoreEquations
+    scores: list[Score]
+    passing: list[Score]
+
+
 class _Search:
     """Forward selection and backward elimination of effects on one set of data.
 
@@ -678,6 +705,7 @@ class _Search:
         self.nominal: FittedModel | None = None
         self.scores: list[Score] = []  # of all candidates on the last model
         self.untried: list[Score] = []  # scores that passed when the largest number of effects had been added
+        self._tested: list[_TestedModel] = []
         self.n = sum(r.n_rows for r in records)
 
     def scored(self, fitted: FittedModel) -> tuple[list[Score], list[Score]]:
@@ -697,9 +725,15 @@ class _Search:
         ValueError
             If a matrix of the score tests cannot be factored, so that the residuals cannot be tested.
         """
+        tested = frozenset(self.candidates), frozenset(self.common)
+        for known in self._tested:  # a removed effect may lead back to an earlier model
+            if known.fitted is fitted and known.tested == tested and known.policy == self.policy:
+                self.equations, self.scores = known.equations, known.scores
+                return known.scores, known.passing
         try:
             self.equations = score_equations(fitted, self.records, self.candidates | self.common)
             self.scores, passed = score_all(fitted, self.records, self.candidates, self.policy, self.equations)
+            self._tested.append(_TestedModel(fitted, tested, self.policy, self.equations, self.scores, passed))
             return self.scores, passed
         except np.linalg.LinAlgError as problem:
             names = ", ".join(r.name for r in self.records)
@@ -922,12 +956,15 @@ class _Search:
         strongest = [s for s in remaining if not s.nonparametric and s.name in self.candidates]
         beside = strongest[: self.policy.n_beside]
         model, fitted = current.fit.model, current
-        for score in beside:
-            model = model + next(_with_initial_values(self.candidates[score.name], score))
+        joint = self._joint_steps(beside)
+        added = [(e := self.candidates[s.name], next(_with_initial_values(e, s)), s) for s in joint]
+        for _, start, _ in added:
+            model = model + start
         try:
             if beside:
+                begin = self._shifted_estimates(current, added)
                 with quick_compilation(self.n):
-                    fitted = fit_and_evaluate(model, self.records, (), settings=self.rough)
+                    fitted = fit_and_evaluate(model, self.records, (), settings=self.rough, start=begin)
         except FIT_ERRORS:
             return frozenset(), frozenset()
         kept = set[str]()
@@ -1062,8 +1099,11 @@ class _Search:
             assert idle.prediction is not None
             effect = next(c.effect for c in chosen if c.effect.name == idle.effect)
             self.reporter.progress(f"fitting without {effect.title}, which is not worth its parameters")
+            kept = [c for c in chosen if c.effect is not effect]
             try:
-                current = fit_without(base, current, chosen, effect, self.records, self.validation_data, self.exact)
+                current = self._exact_fit_with(kept) or fit_without(
+                    base, current, chosen, effect, self.records, self.validation_data, self.exact
+                )
             except FIT_ERRORS as problem:
                 stuck[idle.effect] = str(problem)
                 continue
@@ -1072,6 +1112,21 @@ class _Search:
                 not effect.kind.nonparametric
             ):  # the last score tests include every parametric effect that the model lacks
                 self.candidates[effect.name] = effect
+
+    def _exact_fit_with(self, kept: Sequence[Refit]) -> FittedModel | None:
+        """Return the exact fit with the effects of ``kept`` only, if the search passed through this model.
+
+        None if no round ended with these effects, or if the common errors were added after an effect.
+        """
+        if self.common_errors is not None and self.common_errors.after:
+            return None
+        wanted, so_far = {c.effect.name for c in kept}, set[str]()
+        for r in self.rounds:
+            if r.chosen is not None:
+                so_far.add(r.chosen.effect.name)
+                if so_far == wanted:
+                    return r.chosen.fitted
+        return None
 
     def _run_round(self, current: FittedModel, scores: list[Score], passed: list[Score]) -> Round:
         """Refit the best candidates that passed, and choose the refit to add.
@@ -1199,9 +1254,14 @@ class _Search:
         """
         again = current.fit.model + rough.effect
         reason = ""
-        for begin in (rough.fitted.fit.model, again, again.with_values(_half_values(rough.effect))):
+        at_rough = rough.fitted.fit.start_values(rough.fitted.fit.model)
+        for begin, values in (
+            (rough.fitted.fit.model, at_rough),
+            (again, {}),
+            (again.with_values(_half_values(rough.effect)), {}),
+        ):
             try:
-                fitted = fit_and_evaluate(begin, self.records, self.validation_data, settings=self.exact)
+                fitted = fit_and_evaluate(begin, self.records, self.validation_data, settings=self.exact, start=values)
                 compared = comparison(current, fitted, rough.effect, self.policy)
                 (gain, t), prediction = compared.gain, compared.prediction
             except FIT_ERRORS as problem:
@@ -1261,9 +1321,9 @@ class _Search:
         best, reason = None, ""
         for start in _with_initial_values(effect, score):
             try:
-                fitted = fit_and_evaluate(
-                    current.fit.model + start, self.records, self.validation_data, settings=self.rough
-                )
+                model = current.fit.model + start
+                begin = self._shifted_estimates(current, [(effect, start, score)])
+                fitted = fit_and_evaluate(model, self.records, self.validation_data, settings=self.rough, start=begin)
                 gain = 2 * (fitted.fit.log_posterior - current.fit.log_posterior)
                 compared = comparison(current, fitted, effect, self.policy)
                 total, t = compared.gain
@@ -1278,6 +1338,52 @@ class _Search:
             if best.gain > -self.policy.max_loss:
                 break
         return UntestedCandidate(effect, reason) if best is None else best
+
+    def _shifted_estimates(
+        self, current: FittedModel, added: Sequence[tuple[Effect, Effect, Score]]
+    ) -> dict[str, float]:
+        """Return initial values, by full name, for a refit of the current model with one or more effects.
+
+        They are the estimates of the current model, shifted as the score equations expect it for the effects with their
+        initial values. Without the shift, the first step of the search would only make up for the added effects. Empty
+        if no model was scored.
+
+        Parameters
+        ----------
+        current
+            Fitted model, which was scored last.
+        added
+            For each effect: the effect with its own values, the effect with its initial values, and its score.
+        """
+        if self.equations is None:
+            return {}
+        values = current.fit.start_values(current.fit.model)
+        # The likelihood is not quadratic in a parameter that has a logarithm as its coordinate.
+        linear = {p.full_name: p for p in current.fit.parameters if p.transform != "log"}
+        for effect, start, score in added:
+            own = {p.name: p.value for p in effect.parameters}
+            step = {p.name: p.value - own[p.name] for p in start.parameters if p.name in score.step}
+            for name, change in self.equations.shifts(effect.name, score.scan, step).items():
+                if name in values and name in linear:
+                    low, high = linear[name].bounds
+                    values[name] = min(max(values[name] + change, low), high)
+        return values
+
+    def _joint_steps(self, scores: Sequence[Score]) -> list[Score]:
+        """Return copies of scores of parametric candidates, with one-step estimates for all of them together.
+
+        The estimates of a single score hold for its candidate alone: candidates that explain the same residuals would
+        be counted twice. A score without columns in the score equations (``waves``) is returned as it is.
+        """
+        if self.equations is None or len(scores) < 2:
+            return list(scores)
+        placed = [self.equations.columns_of(s.name, s.scan) for s in scores]
+        tested = [{n: k for n, k in at.items() if n in s.step} for s, at in zip(scores, placed, strict=True)]
+        weight = [prior_information(self.candidates[s.name], list(at)) for s, at in zip(scores, tested, strict=True)]
+        columns = np.array([k for at in tested for k in at.values()], dtype=np.int64)
+        values = iter(self.equations.one_step(columns, np.concatenate(weight)).tolist())
+        joint = [{name: next(values) for name in at} for at in tested]
+        return [replace(s, step=step) if step else s for s, step in zip(scores, joint, strict=True)]
 
 
 def _predicts_better(first: Refit, second: Refit) -> bool:

@@ -13,7 +13,7 @@ from seatrial.ident.numerics import Array
 
 ca.GlobalOptions.setNumpyMode(-1)  # plain numpy functions on symbols stay symbolic
 
-ROWS = 32  # rows of states and inputs for which one call evaluates the Jacobian
+ROWS = 32  # rows of states and inputs that one call of a CasADi function evaluates
 
 
 class VectorisedModel:
@@ -35,6 +35,7 @@ class VectorisedModel:
         """Store the model, whose functions are evaluated in each call. Nothing is compiled yet."""
         self.model = model
         self.n_states, self.n_outputs = len(model.states), len(model.outputs)
+        self._integrators: dict[tuple[int, int], Any] = {}
 
     def __call__(self, x: Array, u: Array, values: Array) -> Array:
         """Return the rates, followed by the outputs, of all rows.
@@ -94,30 +95,63 @@ class VectorisedModel:
     def integrate_last_states(self, x: Array, u: Array, values: Array, steps: Array, begin: Array) -> Array:
         """Integrate the last states of the model along a given trajectory of the others, by Heun's method.
 
+        Several sets of parameter values are integrated together, each from its own start.
+
         Parameters
         ----------
         x : Array (n_rows, n_known)
             Known trajectory of the first states, which the last states do not change.
         u : Array (n_rows, n_inputs)
             Inputs.
-        values : Array (n_parameters,)
-            Values of the parameters.
+        values : Array (n_sets, n_parameters)
+            Values of the parameters, one row for each set.
         steps : Array (n_rows - 1,)
             Time from each row to the next one [s].
-        begin : Array (n_states - n_known,)
-            Last states at the first row.
+        begin : Array (n_sets, n_states - n_known)
+            Last states at the first row, for each set.
 
         Returns
         -------
-        Array (n_rows, n_states - n_known)
-            The last states at each row.
+        Array (n_sets, n_rows, n_states - n_known)
+            The last states at each row, for each set.
         """
-        known, last = x.shape[1], self.n_states - x.shape[1]
-        z, step = ca.SX.sym("z", last), ca.SX.sym("step")
+        n_sets, last = begin.shape
+        rows = np.concatenate([x, u], axis=1)
+        here, there = np.zeros((ROWS, rows.shape[1])), np.zeros((ROWS, rows.shape[1]))
+        lengths, z = np.zeros(ROWS), np.ascontiguousarray(begin, dtype=np.float64)
+        p = np.tile(np.asarray(values, dtype=np.float64), (ROWS, 1, 1))
+        after = np.empty((ROWS, n_sets, last))
+        buffer, evaluate = self._steps_of_last_states(x.shape[1], n_sets).buffer()
+        for k, argument in enumerate((z, here, there, lengths, p)):
+            buffer.set_arg(k, argument.data)
+        buffer.set_res(0, after.data)
+        found = np.empty((n_sets, len(x), last))
+        found[:, 0] = z
+        for first in range(0, len(x) - 1, ROWS):
+            size = min(ROWS, len(x) - 1 - first)
+            lengths[:] = 0.0  # the steps after the last row do not change the states
+            here[:size], there[:size] = rows[first : first + size], rows[first + 1 : first + 1 + size]
+            lengths[:size] = steps[first : first + size]
+            evaluate()
+            found[:, first + 1 : first + 1 + size] = after[:size].swapaxes(0, 1)
+            z[:] = after[size - 1]
+        return found
+
+    def _steps_of_last_states(self, known: int, n_sets: int) -> Any:
+        """Return the CasADi function that integrates the states after the first ``known`` over 32 steps in each call.
+
+        Its arguments are the last states of all ``n_sets`` sets of parameter values, then the first states and inputs
+        at the start and at the end of each step, the lengths of the steps, and the sets of values for each step. Its
+        result has the last states after each step. The function is stored and used again.
+        """
+        if (known, n_sets) in self._integrators:
+            return self._integrators[known, n_sets]
+        symbols, _, _ = self._symbolic_model
+        z, step = ca.SX.sym("z", self.n_states - known), ca.SX.sym("step")
         here, there, p = (
-            ca.SX.sym("here", known + u.shape[1]),
-            ca.SX.sym("there", known + u.shape[1]),
-            ca.SX.sym("p", len(values)),
+            ca.SX.sym("here", known + symbols[1].numel()),
+            ca.SX.sym("there", known + symbols[1].numel()),
+            ca.SX.sym("p", symbols[2].numel()),
         )
 
         def rates(state: Any, row: Any) -> Any:
@@ -129,12 +163,11 @@ class VectorisedModel:
             return found[known : self.n_states]
 
         first = rates(z, here)
-        after = z + step / 2 * (first + rates(z + step * first, there))
+        after = ca.densify(z + step / 2 * (first + rates(z + step * first, there)))
         one_step = ca.Function("one_step", [z, here, there, step, p], [after])
-        all_steps = one_step.mapaccum("all_steps", len(x) - 1)
-        rows = np.concatenate([x, u], axis=1).T
-        found = all_steps(begin, rows[:, :-1], rows[:, 1:], steps[None], np.tile(values[:, None], len(x) - 1))
-        return np.concatenate([begin[None], np.asarray(found).T])
+        all_sets = one_step.map("all_sets", "serial", n_sets, [1, 2, 3], [])
+        self._integrators[known, n_sets] = found = all_sets.mapaccum("all_steps", ROWS)
+        return found
 
     def _evaluate_jacobian(self, function: Any, n: int, x: Array, u: Array, values: Array) -> Array:
         """Return a Jacobian for all rows of states and inputs, shape (n_rows, n, n_states).

@@ -39,8 +39,8 @@ QUADRATIC_GAIN = 3.0  # the objective is nearly quadratic if a step gains less l
 ROUNDING = 1e-12  # relative tolerance in the comparison with a bound: z + (bound - z) may differ from the bound
 MAX_BFGS_PAIRS = 12  # largest number of steps in a BFGS correction
 # From this number of rejected steps on, the value of a step is computed before its derivatives, which take ten times as
-# long. Before, the first evaluation of the value alone would have to compile its kernel.
-FEWEST_REJECTED = 3
+# long. Most searches reject no step, and need no compiled function of the value alone.
+FEWEST_REJECTED = 1
 
 
 @dataclass(frozen=True)

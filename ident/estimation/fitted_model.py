@@ -297,6 +297,7 @@ def fit_and_evaluate(
     validation_data: ValidationData,
     options: EstimationOptions | None = None,
     settings: SearchSettings | None = None,
+    start: Mapping[str, float] | None = None,
 ) -> FittedModel:
     """Fit the model to the records, and evaluate the fit on the validation data.
 
@@ -316,6 +317,8 @@ def fit_and_evaluate(
         Method, outliers and noise. None: prediction error, without outliers and REML.
     settings
         Accuracy and effort of the search. None: the defaults of `SearchSettings`.
+    start
+        Initial values by full name, which replace those of the model (`fit`). None: no such values.
 
     Raises
     ------
@@ -326,12 +329,12 @@ def fit_and_evaluate(
     model = options.with_mean_order(model)
     initial, rows = reset_collapsed_noise(model, records), [r.for_model(model) for r in records]
 
-    def fitted_from(start: Mapping[str, float]) -> Fit:
-        """Fit the model to all records from its initial values, of which ``start`` (by parameter) replaces some.
+    def fitted_from(replaced: Mapping[str, float]) -> Fit:
+        """Fit the model to all records from its initial values, of which ``replaced`` (by parameter) replaces some.
 
         Options and settings are those of the caller. ValueError is raised if the model cannot be evaluated there.
         """
-        return fit(initial, rows, options, settings, start=start)
+        return fit(initial, rows, options, settings, start={**(start or {}), **replaced})
 
     full_fit = fitted_from({})
     if model.start_grid is not None and settings.robust_errors:

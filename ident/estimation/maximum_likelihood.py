@@ -265,6 +265,18 @@ class Fit:
                 return float(self.values[i]), float(self.errors[i])
         return self.model.parameter(name).value, float("nan")
 
+    def start_values(self, model: Model) -> dict[str, float]:
+        """Return the estimates by full name, as initial values for a fit of another model to the same records.
+
+        Estimates of parameters that ``model`` lacks or does not estimate, and of other per-record kind, are left out.
+        """
+        known = {p.name: p for p in model.parameters if p.free}
+        return {
+            p.full_name: float(value)
+            for p, value in zip(self.parameters, self.values, strict=True)
+            if p.name in known and known[p.name].per_record == (p.segment is not None)
+        }
+
     @property
     def distance_left(self) -> float | None:
         """Distance of the estimates from the maximum in standard errors; None up to 0.14, which does not matter."""

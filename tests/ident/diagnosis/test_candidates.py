@@ -182,7 +182,7 @@ def test_states_of_a_towed_line_equal_an_independent_integration() -> None:
     x = np.zeros((t.size, len(states)))
     x[:, states.index("u")], x[:, states.index("r")] = motion(t)
     u = np.zeros((t.size, len(larger.inputs)))
-    found = VectorisedModel(larger).integrate_last_states(x, u, values, np.diff(t), np.array([3.0, 0.0]))
+    found = VectorisedModel(larger).integrate_last_states(x, u, values[None], np.diff(t), np.array([[3.0, 0.0]]))[0]
 
     def rate(at: float, z: np.ndarray) -> list[float]:
         surge, turn = (float(v) for v in motion(at))

@@ -16,8 +16,10 @@ from seatrial.ident.diagnosis.score_test import (
     ScoreEquations,
     SensitivityColumns,
 )
+from seatrial.ident.diagnosis.search import _Search
 from seatrial.ident.estimation import Fit
 from seatrial.ident.model import Effect, Parameter
+from seatrial.ident.reporter import QUIET
 
 N = 3000
 
@@ -52,6 +54,34 @@ def test_shift_is_the_change_of_the_estimates_by_a_refit_with_the_candidate() ->
     for k, added in enumerate(([2], [3, 4])):
         refitted = np.linalg.lstsq(columns[:, [0, 1, *added]], y, rcond=None)[0][:2]
         np.testing.assert_allclose(found.shifts[k], refitted - without, rtol=1e-8)
+
+
+def test_shifts_for_given_values_are_those_of_a_regression_with_these_values() -> None:
+    columns, y, equations = regression()
+    without = np.linalg.lstsq(columns[:, :2], y, rcond=None)[0]
+    given = {"b": 0.7, "c": -0.4, "unknown": 5.0}
+    refitted = np.linalg.lstsq(columns[:, :2], y - columns[:, 3:] @ np.array([0.7, -0.4]), rcond=None)[0]
+    found = equations.shifts("two", {}, given)
+    np.testing.assert_allclose([found["m_u"], found["m_r"]], refitted - without, rtol=1e-8)
+    assert equations.shifts("three", {}, given) == {}
+    assert equations.shifts("two", {"scanned": 1.0}, given) == {}
+    assert equations.shifts("two", {}, {"unknown": 5.0}) == {}
+
+
+def test_joint_steps_of_candidates_are_those_of_one_regression() -> None:
+    """The candidates are correlated, so that the sum of their own estimates explains a part twice."""
+    columns, y, equations = regression()
+    effects = [Effect(n, n, {}, tuple(Parameter(p, 0.0) for p in of)) for n, of in (("one", "a"), ("two", "bc"))]
+    search = _Search([], [], {e.name: e for e in effects}, QUIET)
+    search.equations = equations
+    own = [Score("one", 1.0, 1, 1.0, {"a": 9.0}, {}), Score("two", 1.0, 2, 1.0, {"b": 9.0, "c": 9.0}, {})]
+    waves = Score("waves", 1.0, 1, 1.0, {"A": 2.0}, {"f_wave": 0.5})
+    one, two = search._joint_steps(own)
+    expected = np.linalg.lstsq(columns, y, rcond=None)[0][2:]
+    np.testing.assert_allclose([one.step["a"], two.step["b"], two.step["c"]], expected, rtol=1e-8)
+    search.candidates["waves"] = Effect("waves", "waves", {}, (Parameter("A", 0.0),))
+    assert search._joint_steps([own[0], waves])[1] == waves
+    assert search._joint_steps(own[:1]) == own[:1]
 
 
 def test_prior_of_a_candidate_limits_the_shift() -> None:

@@ -414,7 +414,7 @@ def test_effects_that_do_not_pay_are_removed(monkeypatch: pytest.MonkeyPatch) ->
 def test_effect_is_kept_if_its_removal_could_not_be_tested(monkeypatch: pytest.MonkeyPatch) -> None:
     """This holds if the importance is unknown, and if the exact fit without the effect fails."""
     mine, whole = a_search(), blank()
-    mine.rounds = [Round((), (), (r,), r) for r in (refit("hump", 900.0), refit("cubic", 300.0))]
+    mine.rounds = [Round((), (), (r,), r) for r in (refit("cubic", 900.0), refit("hump", 300.0))]
     weights = (EffectImportance("cubic", 10.0, 1.1, 20.0, 0.3, FELL), EffectImportance("hump", NAN, NAN, untested="x0"))
 
     def fails(*_: Any) -> Any:
@@ -426,6 +426,33 @@ def test_effect_is_kept_if_its_removal_could_not_be_tested(monkeypatch: pytest.M
     assert current is whole
     assert removed == []
     assert [w.untested for w in found] == ["not finite", "x0"]
+
+
+def test_removal_of_the_last_effect_returns_to_the_fit_before_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The exact fit of the round before has the remaining effects, so that nothing is fitted."""
+    mine = a_search()
+    first, last = refit("hump", 900.0), refit("cubic", 300.0)
+    mine.rounds = [Round((), (), (r,), r) for r in (first, last)]
+    weights = {n: EffectImportance(n, 10.0, 1.1, 20.0, t, FELL) for n, t in (("hump", 9.0), ("cubic", 0.3))}
+
+    def importance(_base: Any, _current: Any, chosen: Any, *_: Any) -> tuple[EffectImportance, ...]:
+        return tuple(weights[c.effect.name] for c in chosen)
+
+    monkeypatch.setattr(search, "effect_importance", importance)
+    monkeypatch.setattr(search, "Comparison", lambda *_: blank(prediction=FELL))
+    monkeypatch.setattr(search, "fit_without", lambda *_: pytest.fail("fitted again"))
+    current, _, removed = mine.backward_elimination(blank(), blank(), blank())
+    assert current is first.fitted
+    assert [r.effect.name for r in removed] == ["cubic"]
+
+
+def test_removal_fits_again_if_common_errors_came_after_an_effect(monkeypatch: pytest.MonkeyPatch) -> None:
+    mine = a_search()
+    mine.rounds = [Round((), (), (r,), r) for r in (refit("hump", 900.0), refit("cubic", 300.0))]
+    mine.common_errors = CommonErrorsFit((), blank(), after=("hump",))
+    assert mine._exact_fit_with([mine.rounds[0].refits[0]]) is None
+    mine.common_errors = CommonErrorsFit((), blank(), after=())
+    assert mine._exact_fit_with([mine.rounds[0].refits[0]]) is mine.rounds[0].refits[0].fitted
 
 
 def test_effects_are_kept_if_the_model_without_them_cannot_be_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
