@@ -7,10 +7,9 @@ diagonal are the same in both. The lateral position of a thruster changes its si
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Sequence
 
-from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.daq.errors import SeatrialError, warn
 from seatrial.ident.estimation import thrust_scale_of
 from seatrial.ident.export.codegen import Content, provenance_lines
 from seatrial.ident.models import SIDES
@@ -122,11 +121,9 @@ def _added_masses(content: Content, mass: float | None, inertia: float | None) -
             "`ident vehicle --thruster FILE` or `--fix c1=VALUE`"
         )
     if scale.relative_yaw:
-        warnings.warn(
+        warn(
             "the arms of the thrusters were not given, so inertia and damping in yaw are right only for the arms in "
-            "the file; fit the boat with a rig file that has them",
-            SeatrialWarning,
-            stacklevel=3,
+            "the file; fit the boat with a rig file that has them"
         )
     return total[0] - mass, total[1] - mass, total[2] - inertia
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,7 @@ from seatrial.api.fits import FittedDiagnosis, FittedVehicle, Series, known_opti
 from seatrial.api.logs import PathLike
 from seatrial.api.messages import errors_of_users
 from seatrial.api.plots import prediction_figure
-from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.daq.errors import SeatrialError, warn
 
 if TYPE_CHECKING:
     from seatrial.api.figures import Figure
@@ -313,7 +312,7 @@ def linearise(model: PathLike | Saved | FittedVehicle | FittedDiagnosis, speed: 
         text = (
             f"{speed:g} m/s is outside the speeds of the fitted data, {low:.3g} to {high:.3g} m/s; choose one of these"
         )
-        warnings.warn(text, SeatrialWarning, stacklevel=2)
+        warn(text)
     return found
 
 
