@@ -82,6 +82,21 @@ def require_new(path: Path, force: bool = False, option: str = "-o") -> None:
         raise SeatrialError(f"{path}: the file exists already; --force replaces it, {option} names another")
 
 
+def require_parent(path: Path) -> None:
+    """Raise SeatrialError if the folder in which an output is to be created does not exist, or is a file.
+
+    A folder that cannot be examined is accepted; the writer reports an error.
+    """
+    try:
+        mode = os.stat(path.parent).st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        raise SeatrialError(f"{path}: there is no folder {path.parent}; create it, or name another output") from None
+    except OSError:
+        return
+    if not stat.S_ISDIR(mode):
+        raise SeatrialError(f"{path}: {path.parent} is a file and no folder; name another output")
+
+
 @contextlib.contextmanager
 def new_file(path: Path, force: bool = True) -> Iterator[Path]:
     """Yield the path of a scratch file beside an output, for a `with` block that writes it.
@@ -99,12 +114,13 @@ def new_file(path: Path, force: bool = True) -> Iterator[Path]:
     Raises
     ------
     SeatrialError
-        If the output may not be created (see `require_new`).
+        If the output may not be created (see `require_new` and `require_parent`).
     OSError
         If the output cannot be written. The error has the name of the output, not of the scratch file. An OSError of
         the block without a file name gets this name too; one with the name of another file is not changed.
     """
     require_new(path, force)
+    require_parent(path)
     scratch = path.with_name(f".{path.name[:200]}.{secrets.token_hex(8)}.part")  # random: nobody can guess the name
     note_scratch(scratch)
     try:
@@ -154,7 +170,7 @@ def write_output(path: Path, content: str | bytes, force: bool = True) -> None:
     Raises
     ------
     SeatrialError
-        If the output may not be created (see `require_new`).
+        If the output may not be created (see `require_new` and `require_parent`).
     OSError
         If the output cannot be written.
     """

@@ -230,7 +230,7 @@ def export(out: Path | None, **how: Any) -> None:
     """
     from seatrial.daq.errors import printable
     from seatrial.daq.files import write_output
-    from seatrial.ident.workflows.export import ExportRequest, export_model
+    from seatrial.ident.workflows.export import ExportRequest, export_model, warn_of_module_name
 
     request = ExportRequest(**how)
     if out is None and request.target == "fmu":
@@ -241,6 +241,7 @@ def export(out: Path | None, **how: Any) -> None:
     else:
         write_output(out, exported.content)
         click.echo(f"wrote {printable(str(out))}")
+        warn_of_module_name(out, request.target)
 
 
 ident.add_command(export)

@@ -107,7 +107,8 @@ def join(boat: Content, thrusters: Mapping[str, SavedModel], *, own_curve: bool 
     -----
     SeatrialWarning
         If a thrust curve that is replaced differs from that of its bench model by more than 2 % of the largest thrust,
-        or if the shaft speeds of the boat's data exceed the range of the bench test by more than 5 % of full speed.
+        if a bench model has effects of the load cell or the tank, or if the shaft speeds of the boat's data exceed the
+        range of the bench test by more than 5 % of full speed.
     """
     model = boat.model
     if model.kind is not ModelKind.VEHICLE:
@@ -127,6 +128,12 @@ def join(boat: Content, thrusters: Mapping[str, SavedModel], *, own_curve: bool 
         _check_curves(boat, with_curve)
     for d in drives:
         _check_range(boat, d)
+        gone = [e.name for e in d.saved.model.effects if not e.kind.nuisance and e not in d.model.effects]
+        if gone:
+            warn(
+                f"thruster {d.name or d.input}: {', '.join(gone)} of its bench test is left out; a boat has no load "
+                "cell and no tank"
+            )
     joined = _joined_model(model, drives, own_curve)
     errors = dict(boat.saved.errors)
     for d in drives:
@@ -161,7 +168,7 @@ def _drives(model: Model, thrusters: Mapping[str, SavedModel]) -> list[Drive]:
             )
     names = [name or "n" for name in found.values()]
     if unknown := [n for n in thrusters if n and n not in names]:
-        raise SeatrialError(f"--thruster {unknown[0]}=...: the boat has no such thruster; it has {', '.join(names)}")
+        raise SeatrialError(f"--thruster: the boat has no thruster {unknown[0]!r}; it has {', '.join(names)}")
     drives = []
     for (input_, name), shown in zip(found.items(), names, strict=True):
         saved = thrusters.get(shown, thrusters.get(""))

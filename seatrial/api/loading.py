@@ -49,6 +49,8 @@ class ExportOptions(TypedDict, total=False):
         Mass of the boat without added mass [kg]; needed for Gazebo and VRX.
     inertia : float
         Moment of inertia about the vertical axis without added inertia [kg m2]; needed for Gazebo and VRX.
+    force : bool
+        Whether an existing file may be replaced; False by default.
     """
 
     name: str
@@ -59,6 +61,7 @@ class ExportOptions(TypedDict, total=False):
     source_only: bool
     mass: float
     inertia: float
+    force: bool
 
 
 @dataclass(frozen=True, repr=False)
@@ -329,12 +332,12 @@ def export(
     model : path, `Saved`, `FittedVehicle` or `FittedDiagnosis`
         The model.
     folder : path
-        Folder for the file; it is created if it does not exist. An existing file of the same name is replaced.
+        Folder for the file; it is created if it does not exist.
     format : str
         ``python``, ``casadi``, ``c``, ``ros2``, ``fmu`` (FMI 2.0 co-simulation), ``gazebo`` or ``vrx``.
     **options
         `ExportOptions`: name, with_disturbance_states, thruster, thrust_curve, thrust_input, source_only, mass,
-        inertia.
+        inertia, force.
 
     Returns
     -------
@@ -344,20 +347,26 @@ def export(
     Raises
     ------
     SeatrialError
-        If the model cannot be exported in this format, or if an option is unknown or does not fit the model.
+        If the model cannot be exported in this format, if an option is unknown or does not fit the model or the format,
+        or if the file exists and ``force`` is False.
+
+    Warns
+    -----
+    SeatrialWarning
+        If the format cannot have a part of the model, or if a name or value has to be changed.
 
     Examples
     --------
     >>> st.export(fit, "simulink", "fmu", name="boat", thruster="thruster/model.toml")
     PosixPath('simulink/boat.fmu')
     """
-    from seatrial.daq.files import write_output
+    from seatrial.daq.files import require_new, write_output
     from seatrial.ident.workflows.export import ExportRequest, Target, export_model
 
     given: dict[str, Any] = known_options(options, ExportOptions)
     if format not in (targets := get_args(Target)):
         raise SeatrialError(f"there is no format {format!r}; choose {', '.join(targets)}")
-    benches = given.pop("thruster", {})
+    benches, force = given.pop("thruster", {}), given.pop("force", False)
     thrusters = benches if isinstance(benches, Mapping) else {"": benches}
     with errors_of_users(), model_path(model) as path:
         exported = export_model(
@@ -365,7 +374,9 @@ def export(
         )
     file = Path(folder) / exported.file_name
     file.parent.mkdir(parents=True, exist_ok=True)
-    write_output(file, exported.content)
+    with errors_of_users():
+        require_new(file, force, "folder or name")
+        write_output(file, exported.content, force)
     return file
 
 
