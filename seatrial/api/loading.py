@@ -183,7 +183,7 @@ def load(path: PathLike) -> Saved:
     Raises
     ------
     SeatrialError
-        If there is no such file, if a folder has neither file, or if a file cannot be read.
+        If there is no such file, if a folder has neither file, if a file cannot be read, or if it is a log.
 
     Examples
     --------
@@ -196,6 +196,8 @@ def load(path: PathLike) -> Saved:
     path = Path(path)
     if not path.exists():
         raise SeatrialError(f"{path}: no such file or folder; give a {MODEL}, a {RESULT}, or their folder")
+    if path.suffix == ".mcap":
+        raise SeatrialError(f"{path}: is a log, not a model or a result; open it with st.open_log")
     files = [path / MODEL, path / RESULT] if path.is_dir() else [path]
     found = {file.suffix == ".json": file for file in files if file.exists()}
     if not found:

@@ -430,6 +430,7 @@ def test_navigated_states_are_those_of_the_files(logs: list[Path], fit: st.Fitte
         ),
         (lambda logs, fit: st.diagnose("nowhere", logs[0]), "nowhere: no such file"),
         (lambda logs, fit: st.compare([fit], logs[2]), "a comparison needs two models or more"),
+        (lambda logs, fit: st.load(logs[0]), r"run1.mcap: is a log, not a model or a result; open it with st.open_log"),
         (lambda logs, fit: st.load(logs[0].parent), "contains neither model.toml nor result.json"),
         (lambda logs, fit: st.thruster(logs[0], stroke=2), "there is no option 'stroke'"),
         (lambda logs, fit: st.thruster(st.open_log(logs[0], start=5.0)), "a thruster is fitted to whole logs"),
