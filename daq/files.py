@@ -114,13 +114,12 @@ def new_file(path: Path, force: bool = True) -> Iterator[Path]:
     Raises
     ------
     SeatrialError
-        If the output may not be created (see `require_new` and `require_parent`).
+        If the output may not be created (see `require_new`).
     OSError
         If the output cannot be written. The error has the name of the output, not of the scratch file. An OSError of
         the block without a file name gets this name too; one with the name of another file is not changed.
     """
     require_new(path, force)
-    require_parent(path)
     scratch = path.with_name(f".{path.name[:200]}.{secrets.token_hex(8)}.part")  # random: nobody can guess the name
     note_scratch(scratch)
     try:
@@ -174,6 +173,7 @@ def write_output(path: Path, content: str | bytes, force: bool = True) -> None:
     OSError
         If the output cannot be written.
     """
+    require_parent(path)
     with new_file(path, force) as scratch:
         opened = os.open(scratch, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666)
         with os.fdopen(opened, "wb") as file:
