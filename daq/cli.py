@@ -144,6 +144,8 @@ def log(rig: Path, duration: float | None, out: Path | None, ask: bool, serve: b
             outer.callback(lambda: console.print(node.summary(), markup=False))
         deadline = math.inf if duration is None else clock.now() + duration
         watch(acquisition, loaded, clock, deadline, stop, console)
+        if not stop.is_set():
+            acquisition.end_reason = f"the duration of {duration:g} s has ended"
     last = acquisition.status()
     console.print(log_summary(last, path), soft_wrap=True, markup=False)
     if not any(port.samples for port in last.ports.values()):

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import sys
+import warnings
 from collections.abc import Iterable
 
 NEAR = 0.75  # similarity of two names by difflib, from which one is probably a misspelling of the other
+OWN_FRAMES = ("seatrial", "contextlib")  # packages whose calls are not shown as the place of a warning
 SHORTEST_STEM = 3  # characters of a name that may stand for a longer one, such as rate for rate_hz
 
 
@@ -29,6 +32,19 @@ class SeatrialWarning(RuntimeWarning):
 
     The message is ONE clear line, which the command line prints as it prints that of an error.
     """
+
+
+def warn(text: str) -> None:
+    """Issue a `SeatrialWarning` whose file and line are those of the user's code that called this software.
+
+    Frames of seatrial and of `contextlib`, whose context managers stand between two functions of seatrial, are skipped.
+    ``text`` is one clear line.
+    """
+    # `skip_file_prefixes` of `warnings.warn` would do this, but exists only from Python 3.12.
+    level, frame = 1, sys._getframe()
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in OWN_FRAMES:
+        level, frame = level + 1, frame.f_back
+    warnings.warn(text, SeatrialWarning, stacklevel=level)
 
 
 def counted(number: int, word: str) -> str:

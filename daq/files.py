@@ -82,6 +82,21 @@ def require_new(path: Path, force: bool = False, option: str = "-o") -> None:
         raise SeatrialError(f"{path}: the file exists already; --force replaces it, {option} names another")
 
 
+def require_parent(path: Path) -> None:
+    """Raise SeatrialError if the folder in which an output is to be created does not exist, or is a file.
+
+    A folder that cannot be examined is accepted; the writer reports an error.
+    """
+    try:
+        mode = os.stat(path.parent).st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        raise SeatrialError(f"{path}: there is no folder {path.parent}; create it, or name another output") from None
+    except OSError:
+        return
+    if not stat.S_ISDIR(mode):
+        raise SeatrialError(f"{path}: {path.parent} is a file and no folder; name another output")
+
+
 @contextlib.contextmanager
 def new_file(path: Path, force: bool = True) -> Iterator[Path]:
     """Yield the path of a scratch file beside an output, for a `with` block that writes it.
@@ -154,10 +169,11 @@ def write_output(path: Path, content: str | bytes, force: bool = True) -> None:
     Raises
     ------
     SeatrialError
-        If the output may not be created (see `require_new`).
+        If the output may not be created (see `require_new` and `require_parent`).
     OSError
         If the output cannot be written.
     """
+    require_parent(path)
     with new_file(path, force) as scratch:
         opened = os.open(scratch, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666)
         with os.fdopen(opened, "wb") as file:

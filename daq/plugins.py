@@ -14,12 +14,11 @@ Groups of entry points, and the objects that they name:
 
 from __future__ import annotations
 
-import warnings
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import TypeVar
 
-from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.daq.errors import SeatrialError, warn
 
 T = TypeVar("T")
 
@@ -80,7 +79,7 @@ def load_or_warn(point: EntryPoint, kind: type[T]) -> T | None:
     try:
         return load_plugin(point, kind)
     except SeatrialError as error:
-        warnings.warn(f"{error}; until then it is left out", SeatrialWarning, stacklevel=2)
+        warn(f"{error}; until then it is left out")
         return None
 
 

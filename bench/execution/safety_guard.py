@@ -1410,17 +1410,16 @@ class Fence:
 
         A position is doubtful if the boat cannot have reached it: more than 20 m plus 15 m/s times the time from the
         receiver's last accepted position, or a reported speed above 15 m/s. Before the first accepted position only the
-        speed counts. A doubtful one is stored until a later accepted position follows (the receiver's first accepted
-        one does not count). If a newer position is doubtful while one is stored, return False for it: the jump is
-        confirmed, whether or not both are close to each other.
+        speed counts. A doubtful one is stored until a later accepted position follows. If a newer position is doubtful
+        while one is stored, return False for it: the jump is confirmed, whether or not both are close to each other.
         """
         last = self._last.get(name)
+        step, reach = 0.0, JUMP_M
         if last is not None:
             step = EARTH_RADIUS_M * math.hypot(here.north - last.north, here.east - last.east)
-            if step <= JUMP_M + JUMP_SPEED * max(here.t - last.t, 0.0) and not here.speed > JUMP_SPEED:
-                self._doubted.pop(name, None)
-                return False
-        elif not here.speed > JUMP_SPEED:
+            reach += JUMP_SPEED * max(here.t - last.t, 0.0)
+        if step <= reach and not here.speed > JUMP_SPEED:
+            self._doubted.pop(name, None)
             return False
         # The same fix is seen in several statuses; only a newer one confirms it.
         if here.t > self._doubted.setdefault(name, here.t):

@@ -152,7 +152,15 @@ class StreamSamples:
 
 @dataclass(frozen=True)
 class Stop:
-    """Request of the parent to the acquisition process: command zero, close the log and end."""
+    """Request of the parent to the acquisition process: command zero, close the log and end.
+
+    Attributes
+    ----------
+    reason
+        Text of the event "end" in the log.
+    """
+
+    reason: str = "closed on request"
 
 
 @dataclass(frozen=True)

@@ -277,7 +277,7 @@ class Process:
             case StreamSamples():
                 self._writer.stream = self._writer.stream or SampleStream()
             case Stop():
-                self._request_end("closed on request", unrequested=False)
+                self._request_end(message.reason, unrequested=False)
 
     def _append_setpoints(self, message: ScheduleSetpoints) -> None:
         """Append set-points of the parent to the schedules of the devices, and wake the threads of their ports.

@@ -85,6 +85,11 @@ class Acquisition:
         Whether to request parameters and the rates of the rig from autopilots. Without `drive` and `ask` no message is
         sent to autopilots.
 
+    Attributes
+    ----------
+    end_reason : str
+        Text of the event "end" in the log. It may be changed until the end.
+
     Notes
     -----
     A failure of the parent cannot leave thrust on. If the parent ends, or if while thrust is commanded it sends nothing
@@ -109,6 +114,7 @@ class Acquisition:
         `metadata` of the log are bytes and texts by name. `drive` is whether thrust will be commanded; a watchdog
         process is then started too. `ask` is whether data are requested from autopilots.
         """
+        self.end_reason = Stop().reason
         self._drive = drive
         self._role = LinkRole.DRIVE if drive else LinkRole.ASK if ask else LinkRole.LISTEN
         self.rig, self.path, self.clock = rig, Path(path), clock
@@ -319,7 +325,7 @@ class Acquisition:
         try:
             with contextlib.suppress(OSError):  # the process is ending by itself; its errors are raised below
                 if not self._gone:
-                    self._link.send(Stop())
+                    self._link.send(Stop(self.end_reason))
             self._wait_until(lambda: self._gone, STOP_S, "did not close the log")
         finally:
             self._release_processes()

@@ -14,14 +14,13 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
-from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
+from seatrial.daq.errors import SeatrialError, counted, warn
 from seatrial.daq.protocol import EXTENDED
 
 DAY = 86400.0  # s
@@ -208,7 +207,7 @@ def read_text_frames(path: Path, dialect: str) -> list[BusFrame]:
         )
     if strange:
         text = f"{path}: {counted(len(strange), 'line')} left out, not CAN frames; check the first, line {strange[0]}"
-        warnings.warn(text, SeatrialWarning, stacklevel=2)
+        warn(text)
     return _with_continuous_times(log, dialect_of_log.name, frames)
 
 

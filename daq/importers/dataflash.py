@@ -14,7 +14,6 @@ import math
 import os
 import struct
 import tempfile
-import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
@@ -23,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
+from seatrial.daq.errors import SeatrialError, counted, warn
 from seatrial.daq.importers.damage import is_chain
 from seatrial.daq.importers.write_log import Timed
 from seatrial.daq.protocol import FIXES, HALF_MS, mode_name
@@ -44,7 +43,8 @@ class _MessageConverter:
     """Converter of the messages of an ArduPilot DataFlash log to samples, with one method for each type of message.
 
     `joined` completes the samples after the whole log has been read. If no shaft speed of the log is negative, the
-    speeds are magnitudes, and each gets the sign of the command of its output, if this is known and not zero.
+    speeds are magnitudes, and each gets the sign of the command of its output, if this is known and not zero. Otherwise
+    those of the reversed thrusters of the rig change their sign, as in MAVLink.
 
     Attributes
     ----------
@@ -54,6 +54,8 @@ class _MessageConverter:
         Method for each type of message: it takes a message of DFReader and returns the list of samples in it.
     parameters : dict
         Parameters of the autopilot so far, by name.
+    is_signed : bool
+        Whether the shaft speeds so far have a sign: one of them is negative.
     """
 
     def __init__(self, rig: Rig | None, device: Device | None) -> None:
@@ -65,11 +67,12 @@ class _MessageConverter:
         self.vehicle = NO_TYPE  # MAV_TYPE
         thrusters = [t for t in rig.thrusters if device is not None and t.device == device.name] if rig else []
         self._outputs = {t.node: (t.output, -1.0 if t.reversed else 1.0) for t in thrusters if t.output is not None}
+        self._reversed = {t.node for t in thrusters if t.reversed}
         self._imu: list[tuple[float, ...]] = []  # time [s], angular rates [rad/s] and specific forces [m/s2]
         self._ages: dict[float, float] = {}  # time of the message of a fix -> s since the fix arrived
         self._seen: set[int] = set()  # outputs that have had a pulse
         self._n: dict[int, float] = {}  # last command of each output, -1 to 1
-        self._is_signed = False  # whether the shaft speeds of the log have a sign
+        self.is_signed = False
         self.take: dict[str, Callable[[Any], Found]] = {
             "IMU": self._on_imu, "ATT": self._on_att, "GPS": self._on_gps, "RCOU": self._on_rcou, "ESC": self._on_esc,
             "BAT": self._on_bat, "MSG": self._on_msg, "MODE": self._on_mode, "ARM": self._on_arm,
@@ -105,8 +108,9 @@ class _MessageConverter:
 
         An attitude gets rates and specific forces of the IMU message nearest in time, if the log has IMU messages. If
         no shaft speed of the log is negative, each gets the sign of the command of its output; it stays as it is if the
-        command is zero or unknown. The age of a fix is subtracted from its estimated time and from its device time, so
-        that they are those of its arrival. Other samples are unchanged.
+        command is zero or unknown. If one is negative, those of reversed thrusters change their sign. The age of a fix
+        is subtracted from its estimated time and from its device time, so that they are those of its arrival. Other
+        samples are unchanged.
         """
         times = np.array([row[0] for row in self._imu])
         middle = (times[1:] + times[:-1]) / 2
@@ -115,7 +119,9 @@ class _MessageConverter:
             if isinstance(sample, Ahrs) and self._imu:
                 imu = self._imu[int(np.searchsorted(middle, row.t))][1:]
                 sample = Ahrs(sample.yaw, sample.pitch, sample.roll, *imu)
-            if isinstance(sample, Esc) and not self._is_signed and abs(sample.duty) > 0.0:  # a magnitude without sign
+            if isinstance(sample, Esc) and self.is_signed:
+                sample = replace(sample, rpm=-sample.rpm) if sample.node in self._reversed else sample
+            elif isinstance(sample, Esc) and abs(sample.duty) > 0.0:  # a magnitude without sign
                 sample = replace(sample, rpm=math.copysign(sample.rpm, sample.duty))
             age = self._ages.get(row.t, 0.0) if isinstance(sample, Gnss) else 0.0
             yield Timed(Frame(sample, t_rx, t_device - age), row.t - age)
@@ -180,7 +186,7 @@ class _MessageConverter:
         controller is the instance in the message plus 1. Store whether a speed was negative.
         """
         node = m.Instance + 1
-        self._is_signed = self._is_signed or m.RPM < 0.0
+        self.is_signed = self.is_signed or m.RPM < 0.0
         return [Esc(node, m.RPM, m.Curr, self._n.get(node, NAN), m.Volt, m.Temp)]
 
     def _on_bat(self, m: Any) -> Found:
@@ -298,7 +304,12 @@ def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[
     remarks += [stopped] * bool(stopped)
     for remark in remarks:
         advice = "if these data matter, copy the file from the autopilot again, or export them to CSV"
-        warnings.warn(f"{path}: {remark}; {advice}", SeatrialWarning, stacklevel=2)
+        warn(f"{path}: {remark}; {advice}")
+    if reader.is_signed and rig is None:
+        warn(
+            f"{path}: the shaft speeds have a sign, and without a rig reversed thrusters are unknown: their speeds "
+            "are positive astern; import with the rig file"
+        )
     n_unread = max(skipped, 0) + n_taken_out
     read = [counted(n_messages, "message"), f"{counted(n_unread, 'byte')} not understood", *remarks]
     return list(reader.joined(rows)), ", ".join(read), reader.parameters

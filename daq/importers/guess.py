@@ -743,7 +743,9 @@ def _unrecognised_lines(tables: Sequence[Table], candidates: Sequence[Candidate]
             except SeatrialError:
                 continue
             if np.isfinite(values).any():
-                line = _signal_line(table, MapSignal("NAME", (column,), "1"), Clock(), Clock())
+                stated = f" [{table.units[column]}]" if column in table.units else ""
+                unit = read_name(column + stated).unit or "1"
+                line = _signal_line(table, MapSignal("NAME", (column,), unit), Clock(), Clock())
                 lines.append(f"  # {line},  # {np.nanmin(values):.4g} .. {np.nanmax(values):.4g}")
     if not lines:
         return []

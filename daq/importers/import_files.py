@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from fnmatch import fnmatch
@@ -13,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from seatrial.daq.checks import too_many_rows_missing, unknown_times
-from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
+from seatrial.daq.errors import SeatrialError, counted, warn
 from seatrial.daq.importers.import_map import ImportMap, Piece, Source, load_import_map
 from seatrial.daq.importers.missing_inputs import gap_lines
 from seatrial.daq.importers.signals import Held, RowsLeftOut, SignalData, Signals, coarse_advice, read_signals
@@ -77,7 +76,7 @@ def import_files(
             _write_piece(import_map, data, piece, target, force, [map_path, *files, *_files_named_in_map(import_map)])
             written.append(target)
         for remark in (remark for source_file in data for remark in source_file.remarks):
-            warnings.warn(remark, SeatrialWarning, stacklevel=2)
+            warn(remark)
         spoiled += [
             (source_file.path, row) for source_file in data for row in source_file.signals.left_out if _is_too_many(row)
         ]

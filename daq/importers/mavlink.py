@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -13,7 +12,7 @@ import numpy as np
 
 from seatrial.daq.clock import ClockMap
 from seatrial.daq.drivers import ParameterMismatch, check_parameters
-from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
+from seatrial.daq.errors import SeatrialError, counted, warn
 from seatrial.daq.importers.dataflash import firmware_type, read_dataflash
 from seatrial.daq.importers.write_log import Timed, clock_steps, replacing, sha256_of, warn_of_early_dates
 from seatrial.daq.log import LOG_FORMAT, NANO, LogWriter, cdr_layout, collect_provenance, schema
@@ -180,7 +179,7 @@ def read_tlog(
                 f"{path}: system {system} is imported; the log also contains system {names}: choose one with "
                 "--system, or with `system` in the import map"
             )
-            warnings.warn(text, SeatrialWarning, stacklevel=2)
+            warn(text)
     samples = make_sample_converter(device, rig) if device is not None and rig is not None else SampleConverter()
     decoder = MavlinkDecoder(samples, system, component)
     parameters: dict[str, float] = {}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import warnings
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import fields, replace
@@ -14,12 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from seatrial.daq.config import default_decoder
-from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
+from seatrial.daq.errors import SeatrialError, counted, warn
 from seatrial.daq.importers.write_log import SignalRow, write_frames
 from seatrial.daq.protocol import Decoder, nmea, ubx, vectornav
 from seatrial.daq.samples import Ahrs, Frame, Gnss, LoadCell, Transducer
 
 _NAMES: dict[type, str] = {Ahrs: "ahrs", Gnss: "gnss", LoadCell: "load_cell"}
+_MAGNETIC = "its magnetic headings are left out, because a capture has no declination; set the compass to true headings"
 _CHUNK_BYTES = 1 << 16
 OTHER_CALENDAR_S = 300 * nmea.DAY  # s; a larger jump of the date cannot happen within a run
 LONGEST_PAUSE_S = 600.0  # s; longest pause between two parts of the same run
@@ -70,8 +70,8 @@ def import_raw(
     wrong = f"{counted(decoder.checksum_errors, 'checksum error')}, {counted(decoder.unparsed_bytes, 'byte')} unparsed"
     if not frames:
         advice = "check the protocol"
-        if isinstance(decoder, nmea.Decoder) and decoder.remark:  # the decoder has left out magnetic headings
-            advice = "its headings are magnetic, and a capture has no declination; set the compass to true headings"
+        if isinstance(decoder, nmea.Decoder) and decoder.left_out_headings:
+            advice = _MAGNETIC
         received = counted(decoder.frames, f"complete {protocol} message")
         raise SeatrialError(f"{path}: {received}, and no sample in them ({wrong}); {advice}")
     if isinstance(decoder, vectornav.Decoder):
@@ -79,7 +79,9 @@ def import_raw(
         wrong += f"; {counted(n_left_out, 'ASCII sample')} left out, contained in binary samples" * bool(n_left_out)
     if isinstance(decoder, nmea.Decoder) and decoder.two_receivers:
         why = "since only one position per time is kept"
-        warnings.warn(f"{path}: {decoder.two_receivers}, {why}", SeatrialWarning, stacklevel=2)
+        warn(f"{path}: {decoder.two_receivers}, {why}")
+    if isinstance(decoder, nmea.Decoder) and decoder.left_out_headings:
+        warn(f"{path}: {_MAGNETIC}")
     if not rate and isinstance(decoder, (nmea.Decoder, ubx.Decoder)):
         frames = _with_corrected_dates(path, frames)
     names = [_signal_name(frame) for frame in frames]
@@ -221,7 +223,7 @@ def _with_corrected_dates(path: Path, frames: list[Frame]) -> list[Frame]:
     counts = {"moved": int(np.count_nonzero(moved)), "left out": int(left_out.sum())}
     places = [f"{counted(n, 'sample')} {action}" for action, n in counts.items() if n]
     text = "wrong dates: the receiver had not received the date yet, or its week number started again (1024 weeks)"
-    warnings.warn(f"{path}: {text}; {' and '.join(places)}: check the date of the log", SeatrialWarning, stacklevel=3)
+    warn(f"{path}: {text}; {' and '.join(places)}: check the date of the log")
     rows = zip(frames, moved.tolist(), left_out.tolist(), strict=True)
     return [_at_device_time(frame, frame.t_device + days) if days else frame for frame, days, out in rows if not out]
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import time
-import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from seatrial.daq.clock import CLOCK_STEP_S
-from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
+from seatrial.daq.errors import SeatrialError, counted, warn
 from seatrial.daq.files import new_file
 from seatrial.daq.importers.signals import SignalData
 from seatrial.daq.log import LOG_FORMAT, NANO, LogWriter, cdr_layout, collect_provenance, discard_note, schema
@@ -269,7 +268,7 @@ def warn_of_early_dates(out: Path, first: float, last: float, reads: Sequence[Pa
     written = [file.stat().st_mtime for file in files if file.is_file() and file.suffix != ".toml"]
     line = early_dates(first, last, [*written, time.time()])
     if line:
-        warnings.warn(f"{out}: {line}", SeatrialWarning, stacklevel=3)
+        warn(f"{out}: {line}")
     return line
 
 
@@ -306,7 +305,7 @@ def clock_steps(out: Path, samples: Iterable[tuple[str, Frame, float]]) -> list[
         for device, back in steps.items()
     ]
     for line in lines:
-        warnings.warn(f"{out}: {line}; import the data of each clock separately", SeatrialWarning, stacklevel=2)
+        warn(f"{out}: {line}; import the data of each clock separately")
     return lines
 
 

@@ -123,7 +123,11 @@ def _parse_nodes(text: str) -> list[int]:
 )
 @click.option("--newton-per-count", type=float, help="Gain of the load cell [N/count; default: 0.001].")
 @_limit_options
-@click.option("--yes", is_flag=True, help="Ask nothing: take the defaults, which the file marks.")
+@click.option(
+    "--yes",
+    is_flag=True,
+    help="Ask nothing; needs --devices or --from-found. Other values are defaults, which the file marks.",
+)
 @click.option("--force", is_flag=True, help=f"Replace {RIG} and {CHECKLIST} if they exist.")
 def init(folder: Path, yes: bool, force: bool, **options: Any) -> None:
     """Write a rig file and a checklist of the first run to FOLDER (default: here).
@@ -144,7 +148,7 @@ def init(folder: Path, yes: bool, force: bool, **options: Any) -> None:
         require_new(path, force, "FOLDER")
     interview = Interview(not yes and sys.stdin.isatty() and sys.stderr.isatty())
     if not (interview.at_terminal or options["devices"] or options["search"]):
-        raise click.UsageError("without a terminal, give the devices with --devices, --from-found or both")
+        raise click.UsageError("without questions, give the devices with --devices, --from-found or both")
     draft, kind = draft_rig(_answers(options), folder.absolute().name or "rig", interview, _search)
     text = rig_text(_with_head(draft, kind))
     # The parser of rig files decides what is valid. An invalid answer is found here, and nothing has been written yet.

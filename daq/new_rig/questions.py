@@ -183,14 +183,14 @@ def parse_devices(text: str) -> list[WantedDevice]:
         if len(rest) > 3:
             raise ValueError(f"{part!r} has more parts than PROTOCOL@PORT@BAUD@HZ")
         port, baud, rate = [*rest, "", "", ""][:3]
-        found.append(
-            WantedDevice(
-                protocol,
-                port,
-                parse_whole(baud, 1) if baud else None,
-                parse_positive(rate) if rate else None,
-            )
-        )
+        try:
+            what = "baud rate"
+            bits = parse_whole(baud, 1) if baud else None
+            what = "rate in Hz"
+            found.append(WantedDevice(protocol, port, bits, parse_positive(rate) if rate else None))
+        except ValueError as problem:
+            form = "write PROTOCOL@PORT@BAUD@HZ, such as nmea@/dev/ttyUSB1@38400@5"
+            raise ValueError(f"the {what} of {part!r}: {problem}; {form}") from None
     return found
 
 

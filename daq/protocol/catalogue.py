@@ -6,11 +6,10 @@ The module of a decoder is imported when the decoder is made, so that a rig file
 from __future__ import annotations
 
 import importlib.util
-import warnings
 from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
-from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.daq.errors import SeatrialError, warn
 from seatrial.daq.plugins import load_or_warn, load_plugin, plugins
 from seatrial.daq.protocol.decoder import Decoder
 from seatrial.daq.rig import Device, Rig
@@ -266,11 +265,9 @@ class DeviceTypes(Mapping[str, DeviceType]):
         yield from BUILT_IN
         for name in plugins(GROUP):
             if name in BUILT_IN:
-                warnings.warn(
+                warn(
                     f"a package adds a protocol {name!r} to {GROUP}, but this name is built in; the added protocol is "
-                    "ignored: rename it in the package",
-                    SeatrialWarning,
-                    stacklevel=2,
+                    "ignored: rename it in the package"
                 )
             else:
                 yield name

@@ -91,6 +91,11 @@ class Decoder(StreamDecoder[Frame]):
         """
         return self._sentences.epochs.remark
 
+    @property
+    def left_out_headings(self) -> bool:
+        """Whether magnetic headings are left out, because neither the stream nor the rig has the declination."""
+        return bool(self._sentences.headings.remark)
+
     def flush(self) -> list[Frame]:
         """Return the GNSS sample of the last epoch (the sentences with the same time) at the end of the stream.
 

@@ -56,9 +56,9 @@ class TopicContent:
     longest_gap
         Longest time between two messages [s]; NaN if it is unknown.
     signal
-        Name of the imported signal; "" for other topics. The next three are "" then.
+        Name of the imported signal; None for other topics. The next three are None then.
     role, unit, hold
-        Input or output, unit, and interpolation between the samples of the signal.
+        Input or output, unit, and interpolation between the samples of the signal. The unit is None if it is unknown.
     """
 
     topic: str
@@ -66,10 +66,10 @@ class TopicContent:
     messages: int
     rate: float
     longest_gap: float
-    signal: str = ""
-    role: str = ""
-    unit: str = ""
-    hold: str = ""
+    signal: str | None = None
+    role: str | None = None
+    unit: str | None = None
+    hold: str | None = None
 
 
 @dataclass(frozen=True)
@@ -104,9 +104,9 @@ class LogContent:
     samples, messages
         Number of samples, and of all messages.
     first_segment
-        File with the begin of the log if `path` is a later segment; otherwise "".
+        File with the begin of the log if `path` is a later segment; otherwise None.
     metadata
-        Metadata by name.
+        Metadata by name; None if a text is empty.
     attachments
         Size [bytes] of each attachment by name.
     topics
@@ -128,8 +128,8 @@ class LogContent:
     duration: float
     samples: int
     messages: int
-    first_segment: str
-    metadata: Mapping[str, str]
+    first_segment: str | None
+    metadata: Mapping[str, str | None]
     attachments: Mapping[str, int]
     topics: Sequence[TopicContent]
     ports: Mapping[str, PortHealth]
@@ -164,8 +164,8 @@ def log_content(log: Log) -> LogContent:
         log.duration if log.counts else math.nan,
         sum(log.counts[topic] for topic, kind in types.items() if kind in schema.SAMPLE_TYPES) if log.counts else 0,
         sum(log.counts.values()),
-        "" if first is None else first.name,
-        dict(log.metadata),
+        None if first is None else first.name,
+        {name: text or None for name, text in log.metadata.items()},
         {name: len(data) for name, data in log.attachments.items()},
         _topics(log) if log.counts else (),
         {device: log.health(device)[-1][1] for device in log.sources(PortHealth)},
@@ -183,7 +183,7 @@ def _topics(log: Log) -> list[TopicContent]:
         row = TopicContent(topic, type_name, log.counts[topic], rate, gap)
         if topic in signals:
             name = signals[topic]
-            row = replace(row, signal=name, role=log.role(name), unit=log.unit(name), hold=log.hold(name))
+            row = replace(row, signal=name, role=log.role(name), unit=log.unit(name) or None, hold=log.hold(name))
         found.append(row)
     return found
 
@@ -204,11 +204,12 @@ def show_log(content: LogContent, console: Console) -> None:
     else:
         console.print("no messages")
     if content.first_segment:
-        number = escape(content.metadata["segment"])
+        number = escape(content.metadata["segment"] or "")
         console.print(f"  segment {number} of {escape(content.first_segment)}; open that file for the whole log")
     for key, words in _ABOUT.items():
-        if content.metadata.get(key) and (key, content.metadata[key]) != ("speed", "1.0"):
-            console.print(f"  {words}: {escape(content.metadata[key])}")
+        text = content.metadata.get(key)
+        if text and (key, text) != ("speed", "1.0"):
+            console.print(f"  {words}: {escape(text)}")
     for name, size in content.attachments.items():
         console.print(f"  attached: {escape(name)} ({counted(size, 'byte')})")
     if content.topics:
@@ -232,7 +233,7 @@ def _topic_table(topics: Sequence[TopicContent]) -> Table:
     for column in table.columns[2:5]:
         column.justify = "right"
     for row in topics:
-        note = f"{row.role} [{row.unit}], hold {row.hold}" if row.signal else ""
+        note = f"{row.role} [{row.unit or ''}], hold {row.hold}" if row.signal else ""
         numbers = (str(row.messages), _number_text(row.rate, 2), _number_text(row.longest_gap, 4))
         table.add_row(escape(row.topic), escape(row.type), *numbers, *[escape(note)] * with_signals)
     return table

@@ -230,7 +230,7 @@ def export(out: Path | None, **how: Any) -> None:
     """
     from seatrial.daq.errors import printable
     from seatrial.daq.files import write_output
-    from seatrial.ident.workflows.export import ExportRequest, export_model
+    from seatrial.ident.workflows.export import ExportRequest, export_model, warn_of_module_name
 
     request = ExportRequest(**how)
     if out is None and request.target == "fmu":
@@ -241,6 +241,7 @@ def export(out: Path | None, **how: Any) -> None:
     else:
         write_output(out, exported.content)
         click.echo(f"wrote {printable(str(out))}")
+        warn_of_module_name(out, request.target)
 
 
 ident.add_command(export)
@@ -340,7 +341,7 @@ def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, as_js
 
 
 @ident.command(short_help="Fit a model of the boat to each of many logs.")
-@click.argument("logs", nargs=-1, required=True, type=LOG)
+@click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path))
 @model_options
 @robust_option
 @reml_option()
@@ -360,9 +361,10 @@ def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, as_js
 def fleet(logs: tuple[Path, ...], out: Path, workers: Any, force: bool, **how: Any) -> None:
     """Fit one model of the boat to each of LOGS separately, and compare the estimates of the logs.
 
-    A log that fails does not end the others. The results in the folder --out are fits.parquet, with a row for each log
-    and parameter, and result.json, with the differences between the logs. An interrupted run continues there, and only
-    logs without a fit are fitted. The exit status is 1 if no fit converged.
+    A log that fails, also one that is missing or cannot be read, does not end the others. The results in the folder
+    --out are fits.parquet, with a row for each log and parameter, and result.json, with the differences between the
+    logs. An interrupted run continues there, and only logs without a fit are fitted. The exit status is 1 if a log has
+    no fit or its fit did not converge.
 
     \b
     Example:
@@ -377,7 +379,8 @@ def fleet(logs: tuple[Path, ...], out: Path, workers: Any, force: bool, **how: A
     result = fit_fleet(request, command_line(), Lines(err=True)).result
     print_result(result, make_console())
     click.echo(f"table: {result.table}")
-    if not result.fitted:
+    if result.fitted < result.n_logs:
+        click.echo(f"{result.n_logs - result.fitted} of {result.n_logs} logs have no fit", err=True)
         raise click.exceptions.Exit(1)
 
 

@@ -111,6 +111,7 @@ def parse_thruster_files(context: click.Context, parameter: click.Parameter, ite
     ----------
     items : sequence of str
         Texts, for example ``left=bench/model.toml``. A text that is the path of an existing file or folder is a path.
+        Spaces around a name are ignored.
 
     Returns
     -------
@@ -120,13 +121,16 @@ def parse_thruster_files(context: click.Context, parameter: click.Parameter, ite
     Raises
     ------
     click.BadParameter
-        If a file does not exist, or if a thruster has two files.
+        If a file does not exist, if a name is blank, or if a thruster has two files.
     """
     found: dict[str, Path] = {}
     for item in items:
         name, sign, path = item.partition("=")
         if not sign or Path(item).exists():
             name, path = "", item
+        elif not name.strip():
+            raise click.BadParameter(f"{item!r} has no name of a thruster; write NAME=FILE, or FILE for all")
+        name, path = name.strip(), path.strip() if sign and not Path(path).exists() else path
         if name in found:
             raise click.BadParameter(f"{name or 'all thrusters'}: two files; give each thruster one, as NAME=FILE")
         found[name] = MODEL.convert(path, parameter, context)
@@ -293,13 +297,14 @@ def _store_force(context: click.Context, _parameter: click.Parameter, force: boo
     context.meta["force"] = force
 
 
-def check_output(context: click.Context, _parameter: click.Parameter, out: Path | None) -> Path | None:
+def check_output(context: click.Context, parameter: click.Parameter, out: Path | None) -> Path | None:
     """Check the file or folder ``out`` of ``--out``, and return it unchanged, also None (click callback).
 
     Raises
     ------
     SeatrialError
         If ``out`` is a file, or a folder with a result.json, and ``--force`` is not given. With or without ``--force``:
+        if the option takes a file and its folder does not exist;
         if ``out``, or a model.toml, result.json, result.parquet or report.html in it, is a symbolic link to a file or
         to nothing.
     """
@@ -312,6 +317,10 @@ def check_output(context: click.Context, _parameter: click.Parameter, out: Path 
     exists = out is not None and (out.is_file() or (out / "result.json").exists())
     if exists and not context.meta["force"]:
         raise SeatrialError(f"{out}: exists already; --force replaces it, or give another name")
+    if out is not None and parameter.type is FILE:  # a folder for results is created with its parents
+        from seatrial.daq.files import require_parent
+
+        require_parent(out)
     return out
 
 

@@ -23,7 +23,6 @@ a model.
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -39,7 +38,7 @@ from numpy.typing import NDArray
 
 from seatrial.daq.checks import Finding, unknown_times
 from seatrial.daq.config import parse_toml
-from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
+from seatrial.daq.errors import SeatrialError, counted, warn
 from seatrial.daq.geometry import local_ned
 from seatrial.daq.log import Log, open_log
 from seatrial.daq.rig import Rig, Thruster
@@ -768,7 +767,7 @@ def parts_with_sensors(log: LoadedLog) -> list[LoadedLog]:
             f"used; check the sensors with `seatrial check {path}` ({gap_line(gaps)})"
         )
     omitted = f"; {short} {'is' if n_short == 1 else 'are'} left out" if n_short else ""
-    warnings.warn(f"{path}: {gap_line(gaps)}{omitted}", SeatrialWarning, stacklevel=2)
+    warn(f"{path}: {gap_line(gaps)}{omitted}")
     # The findings on the devices belong to the whole log. They are reported once, with the first part.
     return [replace(part, device_faults=log.device_faults if k == 0 else ()) for k, part in enumerate(found)]
 

@@ -26,6 +26,7 @@ from seatrial.ident.diagnosis.acceptance import improves_prediction, is_accepted
 from seatrial.ident.diagnosis.findings import Diagnosis, EffectAttribution, EffectImportance, Refit, Round
 from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
 from seatrial.ident.diagnosis.score_test import Score
+from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import AT_BOUND, Fit, FittedModel, ReportedEstimates
 from seatrial.ident.experiment_design import reason_without_mission
 from seatrial.ident.model import Effect, EffectKind, Parameter
@@ -445,7 +446,8 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
     -----
     - An effect with competing models that were fitted, or whose score test still passes: its experiment, and the
       command that designs a mission to distinguish it from the closest of them. The command is left out if one of both
-      is a nonparametric effect or a difference between runs, or if no mission can be designed for the model.
+      is a nonparametric effect, a user-defined effect or a difference between runs, or if no mission can be designed
+      for the model.
     - An ambiguous effect without such competing models: its experiment.
     - No effect was selected, although candidates were fitted: the experiment of the best refit of each round, if it
       has one.
@@ -467,6 +469,7 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
         if competitor is not None:
             lines.append(f"To distinguish {effect.title} from {titles[competitor]}: {effect.experiment}.")
             of_catalogue = kinds[effect.name] is kinds[competitor] is EffectKind.CATALOGUE
+            of_catalogue &= {effect.name, competitor} <= set(catalogue())
             if of_catalogue and not reason_without_mission(diagnosis.before.model):
                 lines.append(
                     f"`seatrial mission design MODEL --discriminate {effect.name},{competitor}` generates the mission."

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
-import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 from types import MappingProxyType, ModuleType
 
 import seatrial.ident.effects
-from seatrial.daq.errors import SeatrialWarning
+from seatrial.daq.errors import warn
 from seatrial.daq.plugins import load_or_warn, plugins
 from seatrial.ident.model import Effect, built_in
 
@@ -45,11 +44,9 @@ def catalogue() -> Mapping[str, Effect]:
     for point in plugins(GROUP).values():
         for effect in _effects_of_plugin(load_or_warn(point, object), point.value):
             if effect.name in found:
-                warnings.warn(
+                warn(
                     f"the effect {effect.name!r} of the package {point.value} is left out, because another effect has "
-                    "this name; rename it",
-                    SeatrialWarning,
-                    stacklevel=2,
+                    "this name; rename it"
                 )
             else:
                 found[effect.name] = effect
@@ -78,11 +75,9 @@ def _effects_of_plugin(loaded: object, place: str) -> tuple[Effect, ...]:
     effects = loaded if isinstance(loaded, (list, tuple)) else (loaded,)
     found = tuple(effect for effect in effects if isinstance(effect, Effect))
     if len(found) < len(effects) and loaded is not None:
-        warnings.warn(
+        warn(
             f"the effects of the package {place} are left out; name a seatrial.ident.model.Effect, or a list of them, "
-            "in its entry point",
-            SeatrialWarning,
-            stacklevel=3,
+            "in its entry point"
         )
         return ()
     return found

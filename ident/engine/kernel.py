@@ -9,7 +9,6 @@ from __future__ import annotations
 import ctypes
 import math
 import threading
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import contextmanager
@@ -20,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from seatrial.daq.errors import SeatrialWarning
+from seatrial.daq.errors import warn
 from seatrial.ident.engine import jit
 from seatrial.ident.engine.array_layout import Layout
 from seatrial.ident.numerics import Array
@@ -136,11 +135,7 @@ class Kernel:
             compiled = jit.AVAILABLE
             if not compiled and not _warned:
                 _warned.append("llvmlite")
-                warnings.warn(
-                    "llvmlite is not installed: estimation works, but thousands of times slower; pip install llvmlite",
-                    SeatrialWarning,
-                    stacklevel=2,
-                )
+                warn("llvmlite is not installed: estimation works, but thousands of times slower; pip install llvmlite")
         self._loop: Loop = self._compile_loop() if compiled else self._interpreting_loop()
 
     @classmethod

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,7 +12,7 @@ import numpy as np
 import tomlkit
 
 from seatrial.daq.config import parse_toml, read_text
-from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.daq.errors import SeatrialError, warn
 from seatrial.daq.files import write_output
 from seatrial.ident.data import FrameOrigin
 from seatrial.ident.effects import catalogue, input_response_effects, nonparametric_effect
@@ -327,7 +326,7 @@ def model_file(path: Path) -> Path:
     it. If a result.json stands for its model, a warning names the model.
     """
     if path.name == RESULT and path.is_file() and (beside := path.with_name(MODEL)).is_file():
-        warnings.warn(f"{path}: this is a result file; its model {beside} is used", SeatrialWarning, stacklevel=2)
+        warn(f"{path}: this is a result file; its model {beside} is used")
         return beside
     inside = path / MODEL
     return inside if inside.is_file() else path

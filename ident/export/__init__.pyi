@@ -1,3 +1,4 @@
+from .codegen import prefix as prefix
 from .formats import export as export
 from .formats import file_name as file_name
 from .linearisation import Linearisation as Linearisation

@@ -15,6 +15,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import groupby
 from typing import Any
 
 import casadi as ca
@@ -380,14 +381,22 @@ def header(content: Content, target: str) -> list[str]:
 def _input_lines(content: Content) -> list[str]:
     """Return the header lines of the inputs, one for each input of the equations.
 
-    If there are delayed copies of an input (taps), a last line explains their names.
+    Three or more delayed copies of one signal, one after the other, have a common line. If there are numbered copies
+    (taps), a last line explains their names.
     """
-    lines, taps = [], [i for i in content.model.inputs if i.tap]
-    for j, (n, i) in enumerate(zip(content.inputs, content.model.inputs, strict=True)):
-        if i.tap:
-            lines.append(f"  u[{j}] {n}: {i.tap_of}, {i.delay:g} s ago")
-        else:
-            lines.append(f"  u[{j}] {n} {_unit_text(i.unit)}{_input_meaning(i)}")
+    lines, taps = list[str](), [i for i in content.model.inputs if i.tap]
+    numbered = enumerate(zip(content.inputs, content.model.inputs, strict=True))
+    for signal, group in groupby(numbered, lambda item: item[1][1].tap_of):
+        copies = [(f"u[{j}] {n}", i) for j, (n, i) in group]
+        if signal and len(copies) >= SHORTEST_GROUP:
+            (first, i), (last, end) = copies[0], copies[-1]
+            lines.append(f"  {first} to {last}: {signal} {_unit_text(i.unit)}, {i.delay:g} to {end.delay:g} s ago")
+            continue
+        for name, i in copies:
+            if i.tap:
+                lines.append(f"  {name}: {i.tap_of}, {i.delay:g} s ago")
+            else:
+                lines.append(f"  {name} {_unit_text(i.unit)}{_input_meaning(i)}")
     if taps:
         step = taps[0].delay / taps[0].tap
         lines.append(f"  NAME_ago_K (NAME~K in seatrial) is the input NAME delayed by K times {step:g} s.")
@@ -479,6 +488,7 @@ def comment(content: Content, i: int) -> str:
     return " ".join(" ".join(part for part in (_unit_text(p.unit), origin, p.meaning) if part).split())
 
 
+SHORTEST_GROUP = 3  # smallest number of delayed copies of a signal that have a common line in the header
 ATOM, UNARY, PRODUCT, SUM = 100, 30, 20, 10  # precedence of an expression: a higher number binds more tightly
 MAX_INLINE = 50  # characters; a longer expression becomes a variable of its own
 NAMED = {  # prefix of the variable that holds such a function of a named quantity: cos(psi) is cos_psi

@@ -80,6 +80,11 @@ def export(saved: SavedModel, target: str, **options: Unpack[ExportOptions]) -> 
     SeatrialError
         If the models cannot be joined, the inputs cannot be thrusts, the FMU cannot be compiled, or the target needs
         other options.
+
+    Warns
+    -----
+    SeatrialWarning
+        If the file cannot have a part of the model, with its name, or if the user has to fill in a value.
     """
     content = collect_content(saved, name=options.get("name"), nuisance=options.get("nuisance", False))
     if thrusters := options.get("thrusters"):

@@ -7,12 +7,12 @@ diagonal are the same in both. The lateral position of a thruster changes its si
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Sequence
 
-from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.daq.errors import SeatrialError, warn
 from seatrial.ident.estimation import thrust_scale_of
 from seatrial.ident.export.codegen import Content, provenance_lines
+from seatrial.ident.export.history import delayed_inputs
 from seatrial.ident.models import SIDES
 
 # Parameters of the equations of motion that become elements of a block
@@ -20,6 +20,9 @@ MASSES, DAMPING = ("m_u", "m_v", "m_r"), ("d_u", "d_uu", "d_v", "d_vv", "d_r", "
 GAZEBO_NAMES = ("xU", "xUabsU", "yV", "yVabsV", "nR", "nRabsR")
 VRX_NAMES = ("xU", "xUU", "yV", "yVV", "nR", "nRR")
 ADDED_MASS_NAMES = ("xDotU", "yDotV", "nDotR")
+ARMS, CURVE, CURRENT = ("y_arm", "y_left", "y_right"), ("c1", "c2"), ("V_x", "V_y")
+MOTION = ("x", "y", "psi", "u", "v", "r")  # states of Gazebo itself
+ROUNDING = 5e-3  # of the fitted sum: a mass that is larger by less is this sum, with rounded digits
 LINK = "base_link"
 
 
@@ -38,8 +41,14 @@ def write_gazebo(content: Content, *, mass: float | None = None, inertia: float 
     Raises
     ------
     SeatrialError
-        If ``mass`` or ``inertia`` is missing, not positive or larger than that of the model, if the model lacks a mass
-        or a damping, or if the scale of its thrust is unknown.
+        If ``mass`` or ``inertia`` is missing, not positive or more than 0.5 % larger than that of the model, if the
+        model lacks a mass or a damping, or if the scale of its thrust is unknown.
+
+    Warns
+    -----
+    SeatrialWarning
+        Always, that the inertias in roll and pitch have to be filled in. Also, with their names, if the model has parts
+        that the blocks lack; if an added mass is zero; and if the arms of the thrusters are unknown.
 
     Notes
     -----
@@ -72,7 +81,7 @@ def write_gazebo(content: Content, *, mass: float | None = None, inertia: float 
 def write_vrx(content: Content, *, mass: float | None = None, inertia: float | None = None) -> str:
     """Return an SDF model with the blocks of a boat for VRX: inertial, SimpleHydrodynamics and Thruster plugins.
 
-    Arguments and errors are those of `write_gazebo`. All coefficients of this plugin are positive.
+    Arguments, errors and warnings are those of `write_gazebo`. All coefficients of this plugin are positive.
     """
     added = _added_masses(content, mass, inertia)
     values = content.model.values
@@ -110,10 +119,11 @@ def _added_masses(content: Content, mass: float | None, inertia: float | None) -
     for option, own, unit, sums in (("--mass", mass, "kg", total[:2]), ("--inertia", inertia, "kg m2", total[2:])):
         if not 0.0 < own < math.inf:
             raise SeatrialError(f"{option} {own:g}: give a positive number, in {unit}")
-        if own > min(sums):
+        if own > (1.0 + ROUNDING) * min(sums):
             raise SeatrialError(
                 f"{option} {own:g} {unit} is more than the fitted sum with added mass, {min(sums):.4g} {unit}, so the "
-                "added mass would be negative; check the value, and the thrust with which the model was fitted"
+                f"added mass would be {min(sums) - own:.3g} {unit}; check the value, and the thrust with which the "
+                "model was fitted"
             )
     scale = thrust_scale_of(content.saved.model)
     if scale.relative:
@@ -122,23 +132,43 @@ def _added_masses(content: Content, mass: float | None, inertia: float | None) -
             "`ident vehicle --thruster FILE` or `--fix c1=VALUE`"
         )
     if scale.relative_yaw:
-        warnings.warn(
+        warn(
             "the arms of the thrusters were not given, so inertia and damping in yaw are right only for the arms in "
-            "the file; fit the boat with a rig file that has them",
-            SeatrialWarning,
-            stacklevel=3,
+            "the file; fit the boat with a rig file that has them"
         )
-    return total[0] - mass, total[1] - mass, total[2] - inertia
+    added = {"surge": total[0] - mass, "sway": total[1] - mass, "yaw": total[2] - inertia}
+    if none := [axis for axis, value in added.items() if value <= 0.0]:
+        warn(
+            f"the added mass in {' and '.join(none)} is zero, because the value given is the fitted sum of mass and "
+            "added mass; a boat alone weighs less: weigh it"
+        )
+    return max(added["surge"], 0.0), max(added["sway"], 0.0), max(added["yaw"], 0.0)
 
 
 def _inertial(mass: float | None, inertia: float | None, added: Sequence[str]) -> list[str]:
-    """Return the lines of the element ``inertial``, with the lines ``added`` of the added mass."""
+    """Return the lines of the element ``inertial``, with the lines ``added`` of the added mass.
+
+    Warn that the inertias in roll and pitch are placeholders.
+
+    Notes
+    -----
+    A missing ixx or iyy is 1 in SDF, and a link with ixx + iyy < izz is refused as impossible. The placeholder izz is
+    possible for every izz, and right for the pitch of a slender boat.
+    """
+    warn(
+        "the inertias in roll and pitch (ixx, iyy) are not in a model of the horizontal motion and equal izz in the "
+        "file: fill in those of your boat before you simulate roll and pitch"
+    )
+    izz = _number(inertia or 0.0)
     return [
         "      <inertial>",
         f"        <mass>{_number(mass or 0.0)}</mass>",
         "        <inertia>",
-        "          <!-- ixx and iyy: roll and pitch are not part of the model -->",
-        f"          <izz>{_number(inertia or 0.0)}</izz>",
+        "          <!-- FILL IN ixx (roll) and iyy (pitch) [kg m2]: the model has no roll and pitch, so these are",
+        "               placeholders, equal to izz. Gazebo refuses ixx + iyy < izz. -->",
+        f"          <ixx>{izz}</ixx>",
+        f"          <iyy>{izz}</iyy>",
+        f"          <izz>{izz}</izz>",
         "        </inertia>",
         *added,
         "      </inertial>",
@@ -146,9 +176,11 @@ def _inertial(mass: float | None, inertia: float | None, added: Sequence[str]) -
 
 
 def _sdf(content: Content, target: str, remarks: Sequence[str], inertial: Sequence[str], plugin: Sequence[str]) -> str:
-    """Return the text of an SDF model with a comment at the top."""
-    omitted = [*content.effects, *(["current"] if "V_x" in content.model.values else [])]
-    omitted += [f"shaft {s.name}" for s in content.model.states if s.name in ("n_left", "n_right")]
+    """Return the text of an SDF model with a comment at the top. Warn of the parts of the model that it lacks."""
+    omitted = _omitted(content)
+    if omitted:
+        warn(f"the blocks for {target.split()[0]} cannot have these parts of the model: {', '.join(omitted)}")
+    omitted += ["current"] if CURRENT[0] in content.model.values else []
     lines = [
         *provenance_lines(content, target),
         "",
@@ -177,6 +209,25 @@ def _sdf(content: Content, target: str, remarks: Sequence[str], inertial: Sequen
             "",
         ]
     )
+
+
+def _omitted(content: Content) -> list[str]:
+    """Return names of the parts of a model that the blocks lack: effects, shafts, delays, states, parameters.
+
+    The current, which belongs to a run and not to the boat, is not among them.
+    """
+    model = content.model
+    of_effects = {x.name for e in model.effects for part in (e.states, e.parameters, e.inputs) for x in part}
+    states = [s.name for s in model.states if s.name not in {*MOTION, *of_effects}]
+    delayed = delayed_inputs(i for i in model.inputs if i.name not in of_effects)
+    known = {*MASSES, *DAMPING, *ARMS, *CURRENT, *of_effects, *CURVE, *(f"{c}_{side}" for c in CURVE for side in SIDES)}
+    other = [p.name for p in content.exported_parameters if p.name not in known]
+    return [
+        *content.effects,
+        *(f"{'shaft' if n.startswith('n_') else 'state'} {n}" for n in (*states, *content.removed_states)),
+        *(f"delay of {n}" for n in delayed),
+        *([f"parameters {' '.join(other)}"] if other else []),
+    ]
 
 
 def _thrusters(content: Content) -> list[str]:

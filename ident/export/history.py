@@ -7,6 +7,7 @@ compute the inputs of the equations from it, as `seatrial.ident.data.record.buil
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from seatrial.ident.data import COMMANDS, SHAFTS, TIME_INPUT, WORK_INPUT
@@ -51,6 +52,11 @@ class History:
         """Longest delay of each physical input [s]; zero if no copy of the input has a positive delay."""
         pairs = list(zip(self.sources, self.delays, strict=True))
         return tuple(max([0.0, *(d for s, d in pairs if s == k)]) for k in range(len(self.inputs)))
+
+
+def delayed_inputs(inputs: Iterable[Input]) -> list[str]:
+    """Return the names of the signals of which the inputs have a copy of earlier values, each once."""
+    return list(dict.fromkeys(i.tap_of for i in inputs if i.tap_of and i.delay > 0.0))
 
 
 def history_of(model: Model) -> History:

@@ -7,14 +7,13 @@ the inputs are commands. `with_thrust_input` replaces shaft speeds by thrusts, w
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.daq.errors import SeatrialError, warn
 from seatrial.ident.data import TIME_INPUT, WORK_INPUT, WORK_UNIT
 from seatrial.ident.estimation import SavedModel, thrust_scale_of
 from seatrial.ident.export.codegen import Content, collect_content, with_model, without_nuisance
@@ -108,7 +107,8 @@ def join(boat: Content, thrusters: Mapping[str, SavedModel], *, own_curve: bool 
     -----
     SeatrialWarning
         If a thrust curve that is replaced differs from that of its bench model by more than 2 % of the largest thrust,
-        or if the shaft speeds of the boat's data exceed the range of the bench test by more than 5 % of full speed.
+        if a bench model has effects of the load cell or the tank, or if the shaft speeds of the boat's data exceed the
+        range of the bench test by more than 5 % of full speed.
     """
     model = boat.model
     if model.kind is not ModelKind.VEHICLE:
@@ -128,6 +128,12 @@ def join(boat: Content, thrusters: Mapping[str, SavedModel], *, own_curve: bool 
         _check_curves(boat, with_curve)
     for d in drives:
         _check_range(boat, d)
+        gone = [e.name for e in d.saved.model.effects if not e.kind.nuisance and e not in d.model.effects]
+        if gone:
+            warn(
+                f"thruster {d.name or d.input}: {', '.join(gone)} of its bench test is left out; a boat has no load "
+                "cell and no tank"
+            )
     joined = _joined_model(model, drives, own_curve)
     errors = dict(boat.saved.errors)
     for d in drives:
@@ -162,7 +168,7 @@ def _drives(model: Model, thrusters: Mapping[str, SavedModel]) -> list[Drive]:
             )
     names = [name or "n" for name in found.values()]
     if unknown := [n for n in thrusters if n and n not in names]:
-        raise SeatrialError(f"--thruster {unknown[0]}=...: the boat has no such thruster; it has {', '.join(names)}")
+        raise SeatrialError(f"--thruster: the boat has no thruster {unknown[0]!r}; it has {', '.join(names)}")
     drives = []
     for (input_, name), shown in zip(found.items(), names, strict=True):
         saved = thrusters.get(shown, thrusters.get(""))
@@ -227,12 +233,10 @@ def _check_curves(boat: Content, drives: list[Drive]) -> None:
         own = model.values["c1"] * SPEEDS * abs(SPEEDS) + model.values["c2"] * SPEEDS**2
         worst = int(np.argmax(abs(bench - own)))
         if abs(bench - own)[worst] > DIFFERENT * abs(bench).max():
-            warnings.warn(
+            warn(
                 f"thruster {d.name}: at the shaft speed {SPEEDS[worst]:.2g} its bench model has {bench[worst]:.3g} N "
                 f"and the boat model {own[worst]:.3g} N; masses and damping were fitted with the latter; fit the boat "
-                "again with `ident vehicle --thruster`, and compare rpm_max of both rigs",
-                SeatrialWarning,
-                stacklevel=3,
+                "again with `ident vehicle --thruster`, and compare rpm_max of both rigs"
             )
 
 
@@ -245,11 +249,9 @@ def _check_range(boat: Content, drive: Drive) -> None:
     if covered is None or needed is None or drive.input.startswith("f_"):
         return
     if needed[0] < covered[0] - MARGIN or needed[1] > covered[1] + MARGIN:
-        warnings.warn(
+        warn(
             f"thruster {drive.name}: the boat ran with shaft speeds from {needed[0]:.2f} to {needed[1]:.2f}, but its "
-            f"bench test covers {covered[0]:.2f} to {covered[1]:.2f}; the thrust beyond is extrapolated",
-            SeatrialWarning,
-            stacklevel=3,
+            f"bench test covers {covered[0]:.2f} to {covered[1]:.2f}; the thrust beyond is extrapolated"
         )
 
 
@@ -407,11 +409,9 @@ def with_thrust_input(boat: Content) -> Content:
     changed = replace(changed, inputs=inputs, stages=stages)
     found = with_model(boat, changed, boat.saved.errors)
     if {"c1", "c2"} & {p.name for p in found.exported_parameters}:
-        warnings.warn(
+        warn(
             "an effect of the model needs the shaft speed, whose slope by the thrust is infinite at rest; start an "
-            "optimisation from a small thrust",
-            SeatrialWarning,
-            stacklevel=3,
+            "optimisation from a small thrust"
         )
     validity = dict(boat.saved.validity)
     for shaft, force in shafts.items():

@@ -1,10 +1,12 @@
-"""Export to plain Python: one file that imports only ``math``."""
+"""Export to plain Python: one file that imports only the standard library."""
 
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Sequence
+from itertools import groupby
 
 from seatrial.ident.data import WORK_UNIT
 from seatrial.ident.export.codegen import PYTHON, Content, Program, comment, header
@@ -13,6 +15,7 @@ from seatrial.ident.export.python_simulation import NEEDED_FOR_PAST, PAST, SIMUL
 
 FUNCTION_CALL = re.compile(r"\b([a-z][a-z0-9]*)\(")
 BUILT_IN = {"abs", "min", "max", "float"}
+MARGIN = 0.05  # by which a measured shaft speed may exceed full speed, or the data of the fit
 RESERVED = {"x", "u", "p", "dt", "f", "h", "step", "inf", "nan"}
 STEP_FUNCTION = '''
 def step(x, u, dt, p=P):
@@ -34,7 +37,7 @@ def shaft_speed(thrust):
 
 
 def write(content: Content) -> str:
-    """Return the text of the Python file of a model, from its collected content. The file imports only ``math``.
+    """Return the text of the Python file of a model, from its collected content. It imports only the standard library.
 
     Raise ValueError if the model uses an operation that the export lacks.
     """
@@ -53,15 +56,30 @@ def write(content: Content) -> str:
             *([SHAFT_SPEED] if content.thrust_curve else []),
         ]
     )
+    limits = _limits(content)
     imported = sorted(
         NEEDED_FOR_PAST
         | {n for n in FUNCTION_CALL.findall(body) if n in _math_functions()}
-        | {n for n in ("inf", "nan") if re.search(rf"\b{n}\b", body)}
+        | {n for n in ("inf", "nan") if re.search(rf"\b{n}\b", limits + body)}
     )
     head = [*header(content, "Python"), "", "Simulation has one value for each physical input and keeps their past."]
     parts = [*("# " + line if line else "#" for line in head), ""]
-    parts += [f"from math import {', '.join(imported)}", ""] if imported else []
-    return "\n".join([*parts, *constants(content), "", body])
+    parts += ["from difflib import get_close_matches", f"from math import {', '.join(imported)}", ""]
+    return "\n".join([*parts, *constants(content), limits, "", body])
+
+
+def _limits(content: Content) -> str:
+    """Return the line of the largest allowed size of each physical input of a `Simulation`.
+
+    A shaft speed or command is relative to full speed, so 1.05 is the limit. Data of the fit that exceed 1 raise it.
+    All other inputs have none.
+    """
+    limits = []
+    for name, signal in zip(content.physical_inputs, content.history.inputs, strict=True):
+        relative = not signal.unit and re.fullmatch(r"n(_.*)?", name)
+        covered = max([1.0, *map(abs, content.validity.get(name, ()))])
+        limits.append(round((1.0 + MARGIN) * covered, 4) if relative else math.inf)
+    return f"LIMITS = {_tuple_text(limits)}  # largest size of each physical input: 1 is full speed, with a margin"
 
 
 def _math_functions() -> set[str]:
@@ -122,8 +140,14 @@ def constants(content: Content) -> list[str]:
 
 
 def _tuple_text(items: Sequence[str | float]) -> str:
-    """Return a tuple of texts or numbers as Python code; with more than eight items there are eight in each line."""
+    """Return a tuple of texts or numbers as Python code; with more than eight items there are eight in each line.
+
+    A long tuple of few different items, one group after the other, is a sum: ``(0,) * 49 + (1,) * 49``.
+    """
     words = [json.dumps(item, ensure_ascii=False) if isinstance(item, str) else repr(item) for item in items]
+    groups = [(word, len(list(group))) for word, group in groupby(words)]
+    if len(words) > 8 and len(groups) <= 4:
+        return " + ".join(f"({word},) * {n}" for word, n in groups)
     if len(words) > 8:
         return "(\n" + "".join(f"    {', '.join(words[k : k + 8])},\n" for k in range(0, len(words), 8)) + ")"
     return f"({', '.join(words)}{',' * (len(words) == 1)})"

@@ -102,7 +102,7 @@ class Simulation:
     x : sequence of float, optional
         States at the start; zero by default.
     p : dict
-        Parameters.
+        All parameters, for example {**P, "m_u": 40.0}.
     inputs : sequence of float, optional
         Physical inputs before the start, which were constant; zero by default.
     hold : "zero" or "linear", optional
@@ -115,22 +115,29 @@ class Simulation:
         States now.
     t, work : float
         Time since the start [s], and the value of the input `work`.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is unknown or missing, if a value is not a finite number, or if an input exceeds LIMITS. The
+        methods check their values in the same way.
     """
 
     def __init__(self, dt, x=None, p=P, inputs=None, hold=None):
+        _check_parameters(p)
         self.dt, self.p = dt, p
         self._linear, self._counts, self._parts = _plan(dt, hold)
         self.reset(x, inputs)
 
     def reset(self, x=None, inputs=None):
         """Start again, with these states and with these physical inputs before the start; zero by default."""
-        before = _numbers(inputs, PHYSICAL_INPUTS, "inputs")
+        before = _inputs(inputs)
         self.x, self.t, self.work = _numbers(x, STATES, "states"), 0.0, 0.0
         self._latest, self._past = before, [[value] * (n - 1) for value, n in zip(before, self._counts)]
 
     def step(self, inputs):
         """Return the states after a step with these physical inputs, in the order of PHYSICAL_INPUTS."""
-        inputs = _numbers(inputs, PHYSICAL_INPUTS, "inputs")
+        inputs = _inputs(inputs)
         values = self._values(inputs)
         for duration, lines in self._parts:
             first, last = _ends(lines, values)
@@ -141,7 +148,7 @@ class Simulation:
 
     def inputs_now(self, inputs=None):
         """Return the inputs of f and h now, at the start of a step with these physical inputs; by default the last."""
-        given = self._latest if inputs is None else _numbers(inputs, PHYSICAL_INPUTS, "inputs")
+        given = self._latest if inputs is None else _inputs(inputs)
         return _ends(self._parts[0][1], self._values(given))[0]
 
     def outputs(self, inputs=None):
@@ -156,11 +163,49 @@ class Simulation:
 
 
 def _numbers(values, names, what):
-    """Return the values as a list of floats, which are zero by default."""
-    numbers = [0.0] * len(names) if values is None else [float(value) for value in values]
-    if len(numbers) != len(names):
-        raise ValueError(f"{len(numbers)} {what}, but the model has {len(names)}: {', '.join(names)}")
+    """Return the values as a list of finite floats, which are zero by default."""
+    if values is None:
+        return [0.0] * len(names)
+    if isinstance(values, (dict, str)) or not hasattr(values, "__iter__"):
+        raise ValueError(f"{what} is {values!r}: give a list of the numbers {', '.join(names)}")
+    values = list(values)
+    if len(values) != len(names):
+        raise ValueError(f"{len(values)} {what}, but the model has {len(names)}: {', '.join(names)}")
+    return [_number(name, value) for name, value in zip(names, values)]
+
+
+def _number(name, value):
+    """Return the value of a named quantity as a float; ValueError if it is not a finite number."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = nan
+    if not isfinite(number):
+        raise ValueError(f"{name} is {value!r}: give a finite number")
+    return number
+
+
+def _inputs(values):
+    """Return physical inputs as a list of floats, which are zero by default; ValueError if one exceeds LIMITS."""
+    numbers = _numbers(values, PHYSICAL_INPUTS, "inputs")
+    for name, number, limit in zip(PHYSICAL_INPUTS, numbers, LIMITS):
+        if abs(number) > limit:
+            raise ValueError(f"{name} is {number!r}: give -1 to 1, where 1 is full speed ahead")
     return numbers
+
+
+def _check_parameters(p):
+    """Raise ValueError if a parameter is unknown, missing or not a finite number."""
+    for name in p:
+        if name not in P:
+            near = get_close_matches(str(name), P, 1)
+            meant = f" Did you mean {near[0]}?" if near else ""
+            raise ValueError(f"the model has no parameter {name!r}; it has {', '.join(P)}.{meant}")
+    missing = [name for name in P if name not in p]
+    if missing:
+        raise ValueError(f"p lacks {', '.join(missing)}: give all parameters, as {{**P, 'NAME': value}}")
+    for name, value in p.items():
+        _number(name, value)
 
 
 def _step_along(x, first, last, dt, p):

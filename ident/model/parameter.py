@@ -272,8 +272,13 @@ class Parameter:
         Raises
         ------
         ValueError
-            If the value is outside the bounds, or not positive with the transform "log".
+            If the value is outside the bounds, not positive with the transform "log", or if ``sd`` is negative or not
+            finite.
         """
+        if not 0.0 <= sd < math.inf:
+            raise ValueError(
+                f"{self.name}: a standard deviation of {sd:g} is impossible; give a positive one, or 0 to fix"
+            )
         if sd == 0.0:
             return replace(self, value=float(value), free=False, considered=False, origin=origin)
         prior = (float(value), float(sd))

@@ -168,7 +168,7 @@ def fleet_table(result: FleetResult) -> Table:
     left = len(result.parameters) - len(shown)
     table = titled_table(f"Between the logs{f' ({left} noise parameters in result.json)' if left else ''}")
     table.padding = (0, 1, 0, 0)
-    table.add_column("", no_wrap=True)
+    table.add_column("parameter", no_wrap=True)
     for title in ("logs", "mean ± s.e.", "sd", "s.e. of a log", "scatter", "p"):
         table.add_column(Text(title), justify="right", no_wrap=True)
     table.add_column("", no_wrap=True)
@@ -192,8 +192,8 @@ def failed_tables(result: FleetResult) -> list[Table]:
         if rows:
             more = f" (first {MAX_FAILED} of {len(rows)}; all in result.json)" if len(rows) > MAX_FAILED else ""
             table = titled_table(f"{title}{more}")
-            table.add_column("", style="bold", overflow="ellipsis", max_width=36, no_wrap=True)
-            table.add_column("")
+            table.add_column("log", style="bold", overflow="ellipsis", max_width=36, no_wrap=True)
+            table.add_column("reason")
             for row in rows[:MAX_FAILED]:
                 table.add_row(Text(row.log), Text(row.reason))
             tables.append(table)

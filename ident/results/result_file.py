@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import hashlib
 import math
-import warnings
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 
-from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.daq.errors import SeatrialError, warn
 from seatrial.daq.files import write_output
 from seatrial.ident.data import FrameOrigin
 from seatrial.ident.numerics import Array
@@ -178,11 +177,7 @@ def _curves_beside(path: Path | None, sha256: str) -> dict[str, Array]:
     try:
         return read_parquet(path, sha256)
     except FileNotFoundError:
-        warnings.warn(
-            f"{path}: is missing, so the result has no curves over time; copy this file beside the result.json",
-            SeatrialWarning,
-            stacklevel=4,
-        )
+        warn(f"{path}: is missing, so the result has no curves over time; copy this file beside the result.json")
         return {}
 
 

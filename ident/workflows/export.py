@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from keyword import iskeyword
 from pathlib import Path
 from typing import Literal
 
-from seatrial.daq.errors import SeatrialError
+from seatrial.daq.errors import SeatrialError, warn
 from seatrial.ident.estimation import load_model, model_file
-from seatrial.ident.export import export, file_name
+from seatrial.ident.export import export, file_name, prefix
 
+MODULES = ("python", "casadi")  # targets whose files are Python modules
+BLOCKS = ("gazebo", "vrx")
 Target = Literal["python", "casadi", "c", "ros2", "fmu", "gazebo", "vrx"]
 
 
@@ -68,8 +71,14 @@ def export_model(request: ExportRequest) -> ExportedModel:
     Raises
     ------
     SeatrialError
-        If a model cannot be read or exported, or if an option does not fit it.
+        If a model cannot be read or exported, or if an option does not fit it or its target.
+
+    Warns
+    -----
+    SeatrialWarning
+        If ``request.name`` is not a valid name and another one is used, and as `seatrial.ident.export.export`.
     """
+    _check_options(request)
     saved = load_model(request.model)
     thrusters = {name: load_model(model_file(path)) for name, path in request.thrusters.items()}
     try:
@@ -88,3 +97,28 @@ def export_model(request: ExportRequest) -> ExportedModel:
     except ValueError as problem:
         raise SeatrialError(f"{request.model}: {problem}") from problem
     return ExportedModel(file_name(saved, request.target, request.name), content)
+
+
+def _check_options(request: ExportRequest) -> None:
+    """Raise SeatrialError if an option has no effect on the target, and warn if the name has to be changed."""
+    unused = {
+        "--mass": request.mass is not None and request.target not in BLOCKS,
+        "--inertia": request.inertia is not None and request.target not in BLOCKS,
+        "--source-only": request.source_only and request.target != "fmu",
+        "--with-disturbance-states": request.with_disturbance_states and request.target in BLOCKS,
+    }
+    for option, is_unused in unused.items():
+        if is_unused:
+            raise SeatrialError(f"{option} has no effect on an export to {request.target}; leave it out")
+    if request.thrust_curve == "boat" and not request.thrusters:
+        raise SeatrialError("--thrust-curve chooses between the curves of boat and bench; give --thruster, or leave it")
+    if request.name is not None and (valid := prefix(request.name)) != request.name:
+        warn(f"the name {request.name!r} is not valid in the file and becomes {valid}")
+
+
+def warn_of_module_name(file: Path, target: Target) -> None:
+    """Warn if an exported Python file has a name that ``import`` cannot have. Other targets are not checked."""
+    if target in MODULES and (file.suffix != ".py" or not file.stem.isidentifier() or iskeyword(file.stem)):
+        stem = prefix(file.name.removesuffix(".py"))
+        valid = f"{stem}_model.py" if iskeyword(stem) else f"{stem}.py"
+        warn(f"{file.name}: Python cannot import a file of this name; {valid} would be a valid one")

@@ -132,7 +132,8 @@ def fit_many(
     Returns
     -------
     FittedFleet
-        Estimates of all logs and the differences between them. A log that fails is listed with the reason.
+        Estimates of all logs and the differences between them. A log that fails, also one that is missing, is
+        listed with the reason.
 
     Raises
     ------
@@ -157,7 +158,7 @@ def fit_many(
         raise SeatrialError("the logs have different windows: open all of them with the same start and end")
     with errors_of_users():
         vehicle, progress = vehicle_request((), (), model, window, options)
-        paths, folder = as_paths(logs), None if out is None else Path(out)
+        paths, folder = as_paths(logs, existing=False), None if out is None else Path(out)
         request = FleetRequest(paths, vehicle, folder, Workers(jobs, backend, scheduler), force)
         done = fit_fleet(request, f"seatrial.fit_many({len(paths)} logs, model={model!r})", Messages(progress))
     return FittedFleet(done.result, done.table)

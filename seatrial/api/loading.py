@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,7 @@ from seatrial.api.fits import FittedDiagnosis, FittedVehicle, Series, known_opti
 from seatrial.api.logs import PathLike
 from seatrial.api.messages import errors_of_users
 from seatrial.api.plots import prediction_figure
-from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.daq.errors import SeatrialError, warn
 
 if TYPE_CHECKING:
     from seatrial.api.figures import Figure
@@ -50,6 +49,8 @@ class ExportOptions(TypedDict, total=False):
         Mass of the boat without added mass [kg]; needed for Gazebo and VRX.
     inertia : float
         Moment of inertia about the vertical axis without added inertia [kg m2]; needed for Gazebo and VRX.
+    force : bool
+        Whether an existing file may be replaced; False by default.
     """
 
     name: str
@@ -60,6 +61,7 @@ class ExportOptions(TypedDict, total=False):
     source_only: bool
     mass: float
     inertia: float
+    force: bool
 
 
 @dataclass(frozen=True, repr=False)
@@ -181,7 +183,7 @@ def load(path: PathLike) -> Saved:
     Raises
     ------
     SeatrialError
-        If there is no such file, if a folder has neither file, or if a file cannot be read.
+        If there is no such file, if a folder has neither file, if a file cannot be read, or if it is a log.
 
     Examples
     --------
@@ -194,6 +196,8 @@ def load(path: PathLike) -> Saved:
     path = Path(path)
     if not path.exists():
         raise SeatrialError(f"{path}: no such file or folder; give a {MODEL}, a {RESULT}, or their folder")
+    if path.suffix == ".mcap":
+        raise SeatrialError(f"{path}: is a log, not a model or a result; open it with st.open_log")
     files = [path / MODEL, path / RESULT] if path.is_dir() else [path]
     found = {file.suffix == ".json": file for file in files if file.exists()}
     if not found:
@@ -313,7 +317,7 @@ def linearise(model: PathLike | Saved | FittedVehicle | FittedDiagnosis, speed: 
         text = (
             f"{speed:g} m/s is outside the speeds of the fitted data, {low:.3g} to {high:.3g} m/s; choose one of these"
         )
-        warnings.warn(text, SeatrialWarning, stacklevel=2)
+        warn(text)
     return found
 
 
@@ -330,12 +334,12 @@ def export(
     model : path, `Saved`, `FittedVehicle` or `FittedDiagnosis`
         The model.
     folder : path
-        Folder for the file; it is created if it does not exist. An existing file of the same name is replaced.
+        Folder for the file; it is created if it does not exist.
     format : str
         ``python``, ``casadi``, ``c``, ``ros2``, ``fmu`` (FMI 2.0 co-simulation), ``gazebo`` or ``vrx``.
     **options
         `ExportOptions`: name, with_disturbance_states, thruster, thrust_curve, thrust_input, source_only, mass,
-        inertia.
+        inertia, force.
 
     Returns
     -------
@@ -345,20 +349,26 @@ def export(
     Raises
     ------
     SeatrialError
-        If the model cannot be exported in this format, or if an option is unknown or does not fit the model.
+        If the model cannot be exported in this format, if an option is unknown or does not fit the model or the format,
+        or if the file exists and ``force`` is False.
+
+    Warns
+    -----
+    SeatrialWarning
+        If the format cannot have a part of the model, or if a name or value has to be changed.
 
     Examples
     --------
     >>> st.export(fit, "simulink", "fmu", name="boat", thruster="thruster/model.toml")
     PosixPath('simulink/boat.fmu')
     """
-    from seatrial.daq.files import write_output
+    from seatrial.daq.files import require_new, write_output
     from seatrial.ident.workflows.export import ExportRequest, Target, export_model
 
     given: dict[str, Any] = known_options(options, ExportOptions)
     if format not in (targets := get_args(Target)):
         raise SeatrialError(f"there is no format {format!r}; choose {', '.join(targets)}")
-    benches = given.pop("thruster", {})
+    benches, force = given.pop("thruster", {}), given.pop("force", False)
     thrusters = benches if isinstance(benches, Mapping) else {"": benches}
     with errors_of_users(), model_path(model) as path:
         exported = export_model(
@@ -366,7 +376,9 @@ def export(
         )
     file = Path(folder) / exported.file_name
     file.parent.mkdir(parents=True, exist_ok=True)
-    write_output(file, exported.content)
+    with errors_of_users():
+        require_new(file, force, "folder or name")
+        write_output(file, exported.content, force)
     return file
 
 

@@ -288,10 +288,11 @@ def check(logs: PathLike | Sequence[PathLike]) -> Findings:
     return Findings(worst_first(log_findings(check_log, as_paths(logs))))
 
 
-def as_paths(logs: PathLike | Log | Sequence[PathLike | Log]) -> list[Path]:
+def as_paths(logs: PathLike | Log | Sequence[PathLike | Log], existing: bool = True) -> list[Path]:
     """Return the paths of one log or of several logs, given as paths or as `Log`. The window of a `Log` is not used.
 
-    The order is kept, and a log that is given twice is returned twice. Only its existence is checked.
+    The order is kept, and a log that is given twice is returned twice. Only its existence is checked, with
+    ``existing``.
 
     Raises
     ------
@@ -303,6 +304,6 @@ def as_paths(logs: PathLike | Log | Sequence[PathLike | Log]) -> list[Path]:
     if not paths:
         raise SeatrialError("no log was given; give at least one path")
     for path in paths:
-        if not path.exists():
+        if existing and not path.exists():
             raise SeatrialError(f"{path}: no such file or folder; give the path of a log")
     return paths

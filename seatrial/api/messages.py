@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import re
 import sys
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.daq.errors import SeatrialError, warn
 
 # Arguments of the functions of `seatrial` by the command-line option. An option without an entry stays as it is.
 ARGUMENTS = {
@@ -48,7 +47,7 @@ class Messages:
 
     def warning(self, text: str) -> None:
         """Issue a Python warning with this text and the category `SeatrialWarning`, which the user may filter."""
-        warnings.warn(in_python(text), SeatrialWarning, stacklevel=4)
+        warn(in_python(text))
 
 
 @contextmanager

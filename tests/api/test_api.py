@@ -261,8 +261,8 @@ def test_linearisation_is_shown_in_a_few_lines_and_warns_outside_the_data(fit: s
 def test_export_writes_the_file_of_the_command(fit: st.FittedVehicle, tmp_path: Path) -> None:
     fit.save(tmp_path / "vehicle")
     run("ident", "export", tmp_path / "vehicle", "--to", "c", "--name", "boat", "-o", tmp_path / "command.h")
-    for model in (fit, tmp_path / "vehicle", st.load(tmp_path / "vehicle")):
-        path = st.export(model, tmp_path / "out", "c", name="boat")
+    for k, model in enumerate((fit, tmp_path / "vehicle", st.load(tmp_path / "vehicle"))):
+        path = st.export(model, tmp_path / "out", "c", name="boat", force=k > 0)
         assert path == tmp_path / "out/boat.h"
         assert path.read_text() == (tmp_path / "command.h").read_text()
     path = st.export(fit, tmp_path / "out", "fmu", source_only=True)
@@ -270,13 +270,22 @@ def test_export_writes_the_file_of_the_command(fit: st.FittedVehicle, tmp_path: 
     assert path.read_bytes().startswith(b"PK")
     names = [st.export(fit, tmp_path / "out", t).name for t in ("python", "casadi", "ros2")]
     assert names == ["horizontal.py", "horizontal_casadi.py", "horizontal.yaml"]
+    with pytest.raises(SeatrialError, match=r"horizontal.py: the file exists already; force=True replaces it, folder"):
+        st.export(fit, tmp_path / "out", "python")
+    with pytest.warns(
+        SeatrialWarning, match="the name 'my boat' is not valid in the file and becomes my_boat"
+    ) as found:
+        st.export(fit, tmp_path / "out", "c", name="my boat")
+    assert [w.filename for w in found] == [__file__]
+    with pytest.raises(SeatrialError, match=r"^mass has no effect on an export to python; leave it out"):
+        st.export(fit, tmp_path, "python", mass=30.0)
     with pytest.raises(SeatrialError, match="give mass and inertia"):
         st.export(fit, tmp_path, "gazebo")
     with pytest.raises(SeatrialError, match="there is no format 'matlab'; choose python, casadi"):
         st.export(fit, tmp_path, "matlab")  # type: ignore[arg-type]
     with pytest.raises(SeatrialError, match="there is no option 'thrusters'; did you mean 'thruster'"):
         st.export(fit, tmp_path, "c", thrusters="x")  # type: ignore[call-arg]
-    with pytest.raises(SeatrialError, match=r"thruster bow=...: the boat has no such thruster"):
+    with pytest.raises(SeatrialError, match=r"^thruster: the boat has no thruster 'bow'"):
         st.export(fit, tmp_path, "c", thruster={"bow": tmp_path / "vehicle"})
 
 
@@ -421,6 +430,7 @@ def test_navigated_states_are_those_of_the_files(logs: list[Path], fit: st.Fitte
         ),
         (lambda logs, fit: st.diagnose("nowhere", logs[0]), "nowhere: no such file"),
         (lambda logs, fit: st.compare([fit], logs[2]), "a comparison needs two models or more"),
+        (lambda logs, fit: st.load(logs[0]), r"run1.mcap: is a log, not a model or a result; open it with st.open_log"),
         (lambda logs, fit: st.load(logs[0].parent), "contains neither model.toml nor result.json"),
         (lambda logs, fit: st.thruster(logs[0], stroke=2), "there is no option 'stroke'"),
         (lambda logs, fit: st.thruster(st.open_log(logs[0], start=5.0)), "a thruster is fitted to whole logs"),

@@ -119,9 +119,6 @@ def test_only_a_regular_file_is_replaced(tmp_path: Path) -> None:
     for path in (tmp_path / "pipe", tmp_path, Path("/dev/null")):
         with pytest.raises(SeatrialError, match="exists already, and is a folder, a pipe or a device"):
             write_output(path, "x")
-    with pytest.raises(OSError, match="No such file") as caught:
-        write_output(tmp_path / "no/folder.txt", "x")
-    assert caught.value.filename == str(tmp_path / "no/folder.txt")
 
 
 def test_only_files_are_read(tmp_path: Path) -> None:
@@ -134,3 +131,11 @@ def test_only_files_are_read(tmp_path: Path) -> None:
                 require_file(tmp_path / name)
     with pytest.raises(SeatrialError, match="cannot be read: No such file"):
         require_file(tmp_path / "nothing")
+
+
+def test_an_output_in_a_folder_that_does_not_exist_is_reported(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    with pytest.raises(SeatrialError, match=r"no/x.py: there is no folder .*/no; create it, or name another output"):
+        write_output(tmp_path / "no/x.py", "text")
+    with pytest.raises(SeatrialError, match=r"x.py: .*/file is a file and no folder; name another output"):
+        write_output(tmp_path / "file/x.py", "text")

@@ -921,6 +921,16 @@ def test_a_fix_without_a_position_moves_neither_the_start_nor_the_fence(lat: flo
     assert "101 m from the start" in fence.reason("gnss", Gnss(T, 41.18 + 101.0 * METRE, -8.7, fix=3), T + 11.0)
 
 
+def test_a_doubtful_first_fix_does_not_confirm_a_later_jump() -> None:
+    """The first fix has an impossible speed, the next ones are good, and then one single position is wrong."""
+    fence = guard_module.Fence(100.0, {})
+    assert fence.reason("gnss", Gnss(T, 41.18, -8.7, fix=3, speed=40.0), T) == ""
+    assert fence.reason("gnss", Gnss(T, 41.18, -8.7, fix=3), T + 1.0) == ""
+    far = Gnss(T, 41.18 + 1000.0 * METRE, -8.7, fix=3)
+    assert fence.reason("gnss", far, T + 2.0) == ""
+    assert "1000 m from the start" in fence.reason("gnss", far, T + 3.0)  # a second one confirms it
+
+
 def test_a_saturated_reading_now_and_then_does_not_stop(tmp_path: Path) -> None:
     guard = SafetyGuard(rig_of(tmp_path, force_n=60.0), 1.0, ("left",))
     for k in range(1, 60):

@@ -28,7 +28,7 @@ MESSAGES: list[ipc.Message] = [
     ipc.LogEvent("step", "1"),
     ipc.DriverRequest("fcu", "mode", 4.0),
     ipc.StreamSamples(),
-    ipc.Stop(),
+    ipc.Stop("the duration has ended"),
     ipc.StatusReport(STATUS),
     ipc.SampleBatch([StreamedSample("ahrs", Ahrs(1.0, math.nan, 0.2), 1.5)], 3),
     ipc.Failed("the disk is full"),

@@ -587,3 +587,11 @@ def test_the_import_command_writes_a_log(tmp_path: Path) -> None:
     done = run.invoke(cli.import_, [str(out), str(path), "-o", str(tmp_path / "run.mcap")])
     assert done.stdout == f"{tmp_path / 'run.mcap'}\n"
     assert run.invoke(cli.import_, [str(out)]).exit_code == 2
+
+
+def test_a_column_that_is_not_recognised_has_the_unit_of_its_name(tmp_path: Path) -> None:
+    rows = "\n".join(f"{0.1 * k:.1f},{k % 7 - 3},{0.01 * k:.2f},{k}" for k in range(50))
+    (tmp_path / "run.csv").write_text(f"time_s,steering_deg,tank (m),lamp\n{rows}\n", encoding="utf-8")
+    text = guess_map(tmp_path / "run.csv").text
+    for column, unit in (("steering_deg", "deg"), ("tank (m)", "m"), ("lamp", "1")):
+        assert f'# {{ name = "NAME", column = "{column}", unit = "{unit}" }},  # ' in text

@@ -165,12 +165,13 @@ FORMATS = {
     "PARM": (6, "QNf", "<Q16sf", "TimeUS,Name,Value"), "ARM": (7, "QB", "<QB", "TimeUS,ArmState"),
     "EV": (8, "QB", "<QB", "TimeUS,Id"), "ERR": (9, "QBB", "<QBB", "TimeUS,Subsys,ECode"),
     "IMU": (10, "QBffffff", "<QB6f", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
+    "ESC": (13, "QBffff", "<QB4f", "TimeUS,Instance,RPM,Volt,Curr,Temp"),
     "GPA": (11, "QBI", "<QBI", "TimeUS,I,SMS"), "MSG": (12, "QZ", "<Q64s", "TimeUS,Message"),
 }  # fmt: skip
 
 
-def dataflash(path: Path, firmware: str = "ArduRover V4.7.0 (1a2b3c4d)") -> None:
-    """Write two seconds of a boat that turns, at 10 Hz."""
+def dataflash(path: Path, firmware: str = "ArduRover V4.7.0 (1a2b3c4d)", rpm: float | None = None) -> None:
+    """Write two seconds of a boat that turns, at 10 Hz. `rpm` is the speed of the third output; None for no speeds."""
     out = b""
     for name, (number, form, code, columns) in FORMATS.items():
         size = 3 + struct.calcsize(code)
@@ -188,6 +189,7 @@ def dataflash(path: Path, firmware: str = "ArduRover V4.7.0 (1a2b3c4d)") -> None
         out += add("ATT", us, 0, 100, 0, -200, 0, 9000 + 100 * k, 0.0, 0.0)
         out += add("IMU", us + 90, 0, 0.0, 0.0, 0.1 * k, 0.0, 0.0, -9.8)  # written later in the same loop
         out += add("RCOU", us, 1700, 0, 1300)
+        out += add("ESC", us, 2, rpm, 15.0, 3.0, 30.0) if rpm is not None else b""
         out += add("BAT", us, 0, 15.5, 15.5, 4.0, 0.0, 0.0, 2500, 0, 77)
         if k == 3:
             out += add("MODE", us, 4, 4, 1) + add("MSG", us, b"a text") + add("MSG", us, firmware.encode())
@@ -330,25 +332,42 @@ def test_a_dataflash_log_becomes_a_log(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("has_rig", "reported", "found"),
+    ("has_rig", "node", "reported", "found"),
     [
-        (False, (-1200.0, 900.0), (-1200.0, 900.0)),
-        (True, (-1200.0, 900.0), (-1200.0, 900.0)),  # astern while the output is ahead: the shaft still turns
-        (True, (1200.0, 900.0), (1200.0, -900.0)),  # speeds are magnitudes
-        (False, (1200.0, 900.0), (1200.0, 900.0)),
+        (False, 1, (-1200.0, 900.0), (-1200.0, 900.0)),
+        (True, 1, (-1200.0, 900.0), (-1200.0, 900.0)),  # astern while the output is ahead: the shaft still turns
+        (True, 3, (-1200.0, 900.0), (1200.0, -900.0)),  # reversed in the rig, as for MAVLink
+        (True, 1, (1200.0, 900.0), (1200.0, -900.0)),  # speeds are magnitudes
+        (True, 3, (1200.0, 900.0), (-1200.0, 900.0)),  # the commands of a reversed thruster have the other sign
+        (False, 1, (1200.0, 900.0), (1200.0, 900.0)),
     ],
 )
 def test_the_sign_of_a_shaft_speed_follows_from_the_rig_or_the_data(
-    has_rig: bool, reported: tuple[float, ...], found: tuple[float, ...]
+    has_rig: bool, node: int, reported: tuple[float, ...], found: tuple[float, ...]
 ) -> None:
     rig = mav_rig() if has_rig else None
     reader = _MessageConverter(rig, None if rig is None else rig.device("autopilot"))
     rows = []
     for rpm, pulse in zip(reported, (1700, 1300), strict=True):
-        reader.take["RCOU"](SimpleNamespace(C1=pulse))
-        (esc,) = reader.take["ESC"](SimpleNamespace(Instance=0, RPM=rpm, Curr=3.0, Volt=15.0, Temp=30.0))
+        reader.take["RCOU"](SimpleNamespace(C1=pulse, C3=pulse))
+        (esc,) = reader.take["ESC"](SimpleNamespace(Instance=node - 1, RPM=rpm, Curr=3.0, Volt=15.0, Temp=30.0))
         rows.append(Timed(Frame(esc, 1.0, 1.0), 1.0))
     assert tuple(row.frame.sample.rpm for row in reader.joined(rows) if isinstance(row.frame.sample, Esc)) == found
+
+
+def test_speeds_of_unknown_direction_are_reported(tmp_path: Path) -> None:
+    """Without a rig nobody knows whether the third thruster is reversed; with it, its speed is positive forward."""
+    path = tmp_path / "00000001.BIN"
+    dataflash(path, rpm=-900.0)
+    with pytest.warns(SeatrialWarning, match=r"BIN: the shaft speeds have a sign, .* reversed .* import with the rig"):
+        out, _ = import_mavlink(path, out=tmp_path / "alone.mcap")
+    with open_log(out) as log:
+        assert set(log.table(Esc, "autopilot", 3)["rpm"]) == {-900.0}
+    out, _ = import_mavlink(path, rig=mav_rig(), out=tmp_path / "rig.mcap")
+    with open_log(out) as log:
+        assert set(log.table(Esc, "autopilot", 3)["rpm"]) == {900.0}
+    dataflash(path, rpm=900.0)
+    import_mavlink(path, out=tmp_path / "magnitude.mcap")
 
 
 def test_lost_frames_and_parameters_of_a_tlog_are_reported(tmp_path: Path) -> None:

@@ -322,3 +322,21 @@ def test_two_days_in_one_capture_stay_two_days(tmp_path: Path) -> None:
     out, _ = import_raw("nmea", path, out=tmp_path / "run.mcap")
     with open_log(out) as log:
         assert log.end - log.start > 2 * nmea.DAY
+
+
+@pytest.mark.parametrize("protocol", ["nmea", "ubx"])
+def test_magnetic_headings_that_are_left_out_are_reported(protocol: str, tmp_path: Path) -> None:
+    capture = tmp_path / "boat.nmea"
+    fixes = [sentence(f"GPGGA,1200{k:02}.00,4110.80,N,00842.00,W,1,10,0.9,10.0,M,50.0,M,,") for k in range(5)]
+    date = sentence("GPZDA,120000.00,05,05,2025,00,00")
+    capture.write_bytes(date + b"".join(fix + sentence("HCHDG,90.0,,,,") for fix in fixes))
+    with pytest.warns(
+        SeatrialWarning, match=r"boat.nmea: its magnetic headings are left out, .* set the compass to true"
+    ):
+        out, _ = import_raw(protocol, capture, out=tmp_path / "a.mcap")
+    with open_log(out) as log:
+        assert len(log.table(Gnss, "gnss")) == 5
+        assert not log.sources(Ahrs)
+    known = [sentence("HCHDG,90.0,,,2.0,W") for _ in fixes]  # with a variation they are used
+    capture.write_bytes(date + b"".join(a + b for a, b in zip(fixes, known, strict=True)))
+    import_raw(protocol, capture, out=tmp_path / "b.mcap")

@@ -53,8 +53,31 @@ def test_a_new_rig_runs_with_simulated_devices(tmp_path: Path) -> None:
         assert log.sources(Ahrs) == ["ahrs"]
         assert log.sources(Gnss) == ["gnss"]
         assert len(log.sources(Esc)) >= 1
+        assert list(log.events())[-1][1:] == ("end", "the duration of 2 s has ended")
     assert check.returncode == 0, check.stdout + check.stderr
     assert "fault" not in check.stdout.split("0 faults")[0]
+
+
+@pytest.mark.parametrize(
+    ("device", "line"),
+    [
+        ("nmea@/dev/gnss@fast", "the baud rate of 'nmea@/dev/gnss@fast': 'fast' is not a whole number"),
+        ("nmea@/dev/gnss@0", "the baud rate of 'nmea@/dev/gnss@0': 0 is less than 1"),
+        ("nmea@/dev/gnss@38400@often", "the rate in Hz of 'nmea@/dev/gnss@38400@often': 'often' is not a number"),
+    ],
+)
+def test_a_wrong_number_of_a_device_is_named(device: str, line: str, tmp_path: Path) -> None:
+    form = "write PROTOCOL@PORT@BAUD@HZ, such as nmea@/dev/ttyUSB1@38400@5"
+    with pytest.raises(ValueError, match=f"^{re.escape(line)}; {form}$"):
+        parse_devices(f"vectornav,{device}")
+    done = CliRunner().invoke(command_line.cli, ["init", str(tmp_path), "--yes", "--devices", device])
+    assert done.exit_code == 2
+    assert line in " ".join(done.output.split())
+
+
+def test_help_of_yes_says_what_it_needs() -> None:
+    shown = " ".join(CliRunner().invoke(command_line.cli, ["init", "--help"]).output.split())
+    assert "--yes Ask nothing; needs --devices or --from-found." in shown
 
 
 def test_values_that_nobody_has_given_are_marked(tmp_path: Path) -> None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
+from click.testing import CliRunner
 from rich.console import Console
 
+from seatrial.command_line import cli
 from seatrial.daq.importers.write_log import SignalRow, write_frames
 from seatrial.daq.log import open_log
-from seatrial.daq.samples import Ahrs, Esc, Frame, Gnss, Sample
+from seatrial.daq.samples import Ahrs, Esc, Frame, Gnss, Sample, Scalar
 from seatrial.daq.tools import log_content, show_log
 
 
@@ -26,3 +29,20 @@ def test_info_counts_samples_and_their_messages(tmp_path: Path) -> None:
     n_messages = sum(log.counts.values())
     assert n_messages > 2 * len(samples)  # time, IMU and magnetometer of an AHRS, for example
     assert f"9.000 s, {len(samples)} samples in {n_messages} messages" in capture.get()
+
+
+def test_json_has_null_for_what_is_unknown(tmp_path: Path) -> None:
+    rows = [SignalRow(1.0 + k, "wind", Frame(Scalar(2.0), 1.0 + k, 1.0)) for k in range(3)]
+    write_frames(tmp_path / "run.mcap", rows, metadata={"mission": ""}, note="test")
+    done = CliRunner().invoke(cli, ["info", str(tmp_path / "run.mcap"), "--json"], catch_exceptions=False)
+    content = json.loads(done.stdout)
+    assert content["first_segment"] is None
+    assert content["metadata"]["mission"] is None
+    (signal,) = [row for row in content["topics"] if row["topic"] == "/signal/wind"]
+    assert (signal["signal"], signal["unit"], signal["hold"]) == ("wind", None, "linear")
+    others = [row for row in content["topics"] if row is not signal]
+    assert others
+    assert all(row[key] is None for row in others for key in ("signal", "role", "unit", "hold"))
+    assert '""' not in done.stdout
+    shown = CliRunner().invoke(cli, ["info", str(tmp_path / "run.mcap")], catch_exceptions=False)
+    assert "None" not in shown.stdout

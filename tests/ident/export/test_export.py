@@ -5,6 +5,7 @@ right.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from seatrial.daq.errors import SeatrialError
+from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from seatrial.ident.cli.commands import ident
 from seatrial.ident.data.record import Record
 from seatrial.ident.effects.registry import catalogue
@@ -145,7 +146,7 @@ def test_header_describes_inputs_validity_and_omissions(target: str) -> None:
     for words in (
         "made by: seatrial ident vehicle a.mcap --x",
         "a.mcap sha256:12",
-        "n_left_ago_3: n_left, 0.3 s ago",
+        "n_left_ago_1 to u[9] n_left_ago_8: n_left [-], 0.1 to 0.8 s ago",
         "NAME~K",
         "u from -0.5 to 1.2",
         "Left out, as a controller does not need them: b_X, b_Y, b_N, bias_",
@@ -159,7 +160,8 @@ def test_header_describes_inputs_validity_and_omissions(target: str) -> None:
     kept = export(saved(model), target, nuisance=True)
     assert "Left out" not in kept
     assert "tau_b" in kept
-    assert "0.025 s ago" in export(saved(thruster_model()), target)
+    bench = export(saved(thruster_model()), target)
+    assert "u[0] n_cmd_0 to u[48] n_cmd_48: n_cmd [-], 0 to 0.6 s ago" in bench
 
 
 def test_omitted_disturbance_forces_become_process_noise_of_the_same_strength() -> None:
@@ -296,12 +298,60 @@ def test_export_command(target: str, tmp_path: Path) -> None:
     source, out = tmp_path / "model.toml", tmp_path / "out"
     source.write_text(blocks(ROOT / "docs/formats/model.md", "toml")[0], encoding="utf-8")
     words = ["export", str(source), "--to", target, "--name", "my-boat"]
-    done = CliRunner().invoke(ident, [*words, "-o", str(out)], catch_exceptions=False)
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always", SeatrialWarning)
+        done = CliRunner().invoke(ident, [*words, "-o", str(out)], catch_exceptions=False)
+        shown = CliRunner().invoke(ident, words, catch_exceptions=False)
+    lines = [str(w.message) for w in found]
+    assert lines.count("the name 'my-boat' is not valid in the file and becomes my_boat") == 2
     assert done.stdout == f"wrote {out}\n"
-    shown = CliRunner().invoke(ident, words, catch_exceptions=False)
+    unnamed = "out: Python cannot import a file of this name; out.py would be a valid one"
+    assert (unnamed in lines) == (target in ("python", "casadi"))
     assert shown.stdout == out.read_text(encoding="utf-8")
     assert "my_boat" in shown.stdout or target == "python"
     assert "35.53" in shown.stdout
+
+
+@pytest.mark.parametrize(
+    ("name", "valid"),
+    [
+        ("my-boat.py", "my_boat.py"),
+        ("2nd.py", "model_2nd.py"),
+        ("class.py", "class_model.py"),
+        ("boat.txt", "boat_txt.py"),
+    ],
+)
+def test_python_file_that_cannot_be_imported_is_reported(name: str, valid: str, tmp_path: Path) -> None:
+    source = tmp_path / "model.toml"
+    source.write_text(blocks(ROOT / "docs/formats/model.md", "toml")[0], encoding="utf-8")
+    words = ["export", str(source), "--to", "python", "-o"]
+    with pytest.warns(SeatrialWarning, match=f"^{name}: Python cannot import a file of this name; {valid} would be"):
+        CliRunner().invoke(ident, [*words, str(tmp_path / name)], catch_exceptions=False)
+    CliRunner().invoke(ident, [*words, str(tmp_path / valid)], catch_exceptions=False)
+    CliRunner().invoke(ident, [*words[:3], "c", "-o", str(tmp_path / "my-boat.h")], catch_exceptions=False)
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (("python", "--mass", "30"), "--mass has no effect on an export to python; leave it out"),
+        (("fmu", "--inertia", "3", "-o", "x.fmu"), "--inertia has no effect on an export to fmu; leave it out"),
+        (("c", "--source-only"), "--source-only has no effect on an export to c; leave it out"),
+        (("vrx", "--with-disturbance-states"), "--with-disturbance-states has no effect on an export to vrx;"),
+        (
+            ("c", "--thrust-curve", "boat"),
+            "--thrust-curve chooses between the curves of boat and bench; give --thruster",
+        ),
+        (("c", "-o", "nodir/x.h"), "nodir/x.h: there is no folder nodir; create it, or name another output"),
+    ],
+)
+def test_options_that_do_not_fit_are_refused(words: tuple[str, ...], line: str, tmp_path: Path) -> None:
+    source = tmp_path / "model.toml"
+    source.write_text(blocks(ROOT / "docs/formats/model.md", "toml")[0], encoding="utf-8")
+    done = CliRunner().invoke(ident, ["export", str(source), "--to", *words])
+    assert isinstance(done.exception, SeatrialError)
+    assert str(done.exception).startswith(line)
+    assert done.stdout == ""
 
 
 def test_export_command_rejects_a_file_that_is_not_a_model(tmp_path: Path) -> None:

@@ -386,7 +386,7 @@ def test_export_command_writes_an_fmu(tmp_path: Path) -> None:
     compiler()
     source, out = tmp_path / "model.toml", tmp_path / "boat.fmu"
     source.write_text(blocks(ROOT / "docs/formats/model.md", "toml")[0], encoding="utf-8")
-    words = ["export", str(source), "--to", "fmu", "--name", "my-boat"]
+    words = ["export", str(source), "--to", "fmu", "--name", "my_boat"]
     done = CliRunner().invoke(ident, [*words, "-o", str(out)], catch_exceptions=False)
     assert done.stdout == f"wrote {out}\n"
     about = fmpy.read_model_description(out, validate=True)

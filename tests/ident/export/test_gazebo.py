@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
+import warnings
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -15,6 +18,7 @@ from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.engine.vectorised_model import VectorisedModel
 from seatrial.ident.export.formats import export
 from seatrial.ident.model.structure import Model
+from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.models.nomoto import nomoto_model
 from tests.ident.export.test_joined import CURVE, LEFT, boat, files, known
@@ -24,8 +28,19 @@ MASS, INERTIA = 30.0, 4.0
 MODEL = boat(c1=41.0, c2=2.5, V_x=0.0, y_left=-0.35, y_right=0.25, d_u=3.0, d_vv=60.0)
 
 
+def exported(model: Model, target: str = "gazebo", warned: str = "fill in", **options: Any) -> str:
+    """Return the text of the blocks, of which at least one warning has the text `warned`."""
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always", SeatrialWarning)
+        text = export(saved(model), target, **options)
+    assert isinstance(text, str)
+    lines = [str(w.message) for w in found]
+    assert any(re.search(warned, line) for line in lines), lines
+    return text
+
+
 def blocks_of(target: str, model: Model = MODEL) -> ElementTree.Element:
-    text = export(saved(model), target, name="boat", mass=MASS, inertia=INERTIA)
+    text = exported(model, target, name="boat", mass=MASS, inertia=INERTIA)
     root = ElementTree.fromstring(text)
     found = root.find("model")
     assert found is not None
@@ -119,14 +134,50 @@ def test_vrx_blocks_give_the_accelerations_of_the_model_in_one_direction(state: 
 @pytest.mark.parametrize("target", ["gazebo", "vrx"])
 def test_file_states_what_the_blocks_lack(target: str) -> None:
     model = (MODEL + catalogue()["cubic-drag"]).with_values({})
-    text = export(saved(model), target, mass=MASS, inertia=INERTIA)
+    text = exported(model, target, "cannot have these parts of the model: cubic-drag$", mass=MASS, inertia=INERTIA)
     assert "Not in these blocks: cubic-drag, current." in text
     assert "made by: seatrial ident vehicle a.mcap" in text
     assert "- -x" in text  # two hyphens would end the comment
     assert "left: its joint lies 0.35 m to port" in text
-    joined = export(saved(boat()), target, mass=MASS, inertia=INERTIA, thrusters={"": saved(LEFT)})
+    joined = exported(
+        boat(),
+        target,
+        "shaft n_left, shaft n_right, delay of n_cmd_left, delay of n_cmd_right, parameters",
+        mass=MASS,
+        inertia=INERTIA,
+        thrusters={"": saved(LEFT)},
+    )
     assert "shaft n_left, shaft n_right" in joined
     assert "<max_thrust_cmd>41.5</max_thrust_cmd>" in joined
+
+
+@pytest.mark.parametrize("target", ["gazebo", "vrx"])
+def test_blocks_have_a_possible_inertia_and_ask_for_that_of_the_boat(target: str) -> None:
+    """Gazebo refuses a link whose largest moment of inertia exceeds the sum of the others; a missing one is 1."""
+    text = exported(MODEL, target, r"roll and pitch \(ixx, iyy\) .* fill in those of your boat", mass=30.0, inertia=9.0)
+    found = numbers(ElementTree.fromstring(text).find("model/link/inertial/inertia"))
+    assert set(found) == {"ixx", "iyy", "izz"}
+    assert found["izz"] == 9.0 <= found["ixx"] + found["iyy"]
+    assert "FILL IN ixx (roll) and iyy (pitch)" in text
+
+
+def test_delay_and_disturbances_are_named_in_the_warning() -> None:
+    commanded = known(horizontal_model("command"), **CURVE, y_left=-0.3, y_right=0.3)
+    words = "shaft n_left, shaft n_right, delay of n_cmd_left, delay of n_cmd_right, parameters T_n tau_n dead_zone$"
+    exported(commanded, warned=words, mass=30.0, inertia=4.0)
+    exported(with_disturbances(MODEL), warned="model: state b_X, state b_Y, state b_N, ", mass=30.0, inertia=4.0)
+
+
+def test_mass_equal_to_the_printed_sum_means_no_added_mass() -> None:
+    """The refusal without --mass prints the sums with four digits, which may be above the fitted ones."""
+    model = boat(m_u=36.998, m_v=47.0, m_r=9.6849, c1=41.0)
+    with pytest.raises(SeatrialError, match=r"surge 37 kg, sway 47 kg, yaw 9\.685 kg m2"):
+        export(saved(model), "gazebo")
+    text = exported(model, warned=r"added mass in surge and yaw is zero.*weigh it", mass=37.0, inertia=9.685)
+    found = numbers(ElementTree.fromstring(text).find("model/link/inertial/fluid_added_mass"))
+    assert found == {"xx": 0.0, "yy": 10.0, "rr": 0.0}
+    with pytest.raises(SeatrialError, match=r"--mass 37.5 kg .* sum with added mass, 37 kg, .* would be -0.502 kg;"):
+        export(saved(model), "gazebo", mass=37.5, inertia=4.0)
 
 
 def test_missing_and_impossible_values_are_reported() -> None:
@@ -141,10 +192,9 @@ def test_missing_and_impossible_values_are_reported() -> None:
     refuse("--mass 0: give a positive number, in kg", mass=0.0, inertia=4.0)
     refuse("the model nomoto has no m_v", nomoto_model(), mass=30.0, inertia=4.0)
     refuse("the thrust of the model was not given", horizontal_model(), mass=30.0, inertia=4.0)
-    with pytest.warns(SeatrialWarning, match="the arms of the thrusters were not given"):
-        export(saved(known(horizontal_model(), **CURVE)), "vrx", mass=30.0, inertia=4.0)
+    exported(known(horizontal_model(), **CURVE), "vrx", "the arms of the thrusters were not", mass=30.0, inertia=4.0)
     forces = known(horizontal_model("force"), y_left=-0.3, y_right=0.3)
-    assert "The model has no thrust curve" in export(saved(forces), "gazebo", mass=30.0, inertia=4.0)
+    assert "The model has no thrust curve" in exported(forces, mass=30.0, inertia=4.0)
 
 
 def test_export_command_writes_blocks(tmp_path: Path) -> None:
@@ -161,7 +211,8 @@ def test_export_command_writes_blocks(tmp_path: Path) -> None:
         "-o",
         str(tmp_path / "boat.sdf"),
     ]
-    done = CliRunner().invoke(ident, words, catch_exceptions=False)
+    with pytest.warns(SeatrialWarning, match="fill in those of your boat"):
+        done = CliRunner().invoke(ident, words, catch_exceptions=False)
     assert done.exit_code == 0
     found = numbers(ElementTree.parse(tmp_path / "boat.sdf").getroot().find("model/link/inertial"))
     assert found["mass"] == 30.0

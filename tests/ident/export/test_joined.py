@@ -101,6 +101,16 @@ def cascade(values: np.ndarray, dt: float) -> np.ndarray:
     return np.array(found)
 
 
+def test_header_of_a_joined_model_is_short() -> None:
+    """Its equations have 98 inputs, the commands of both thrusters from now to 0.6 s ago, which nobody reads."""
+    text = export(saved(boat()), "python", thrusters=benches())
+    assert isinstance(text, str)
+    head = text.partition("\nfrom math")[0]
+    assert len(head.splitlines()) < 45
+    assert "u[0] n_cmd_left_0 to u[48] n_cmd_left_48: n_cmd_left [-], 0 to 0.6 s ago" in head
+    assert 'INPUT_UNITS = ("",) * 98' in text
+
+
 @pytest.mark.parametrize("dt", [0.0125, 0.05, 0.1])
 def test_joined_export_equals_bench_model_then_boat_model_in_ident(dt: float) -> None:
     values = commands(40)
@@ -172,10 +182,14 @@ def test_effects_of_the_thruster_are_kept_and_those_of_the_tank_are_not() -> Non
         warnings.simplefilter("always", SeatrialWarning)
         content = join(collect_content(saved(boat())), {"": saved(bench)})
     assert "thrust curves" in str(found) or any("its bench model has" in str(w.message) for w in found)
+    gone = "recirculation, cell-lag of its bench test is left out; a boat has no load cell and no tank"
+    for side in ("left", "right"):
+        assert f"thruster {side}: {gone}" in [str(w.message) for w in found]
     assert content.effects == ("thrust-exponent (left)", "thrust-exponent (right)")
     assert content.states == ("x", "y", "psi", "u", "v", "r", "n_left", "n_right")
     assert thrust_of(content, 0.5) == pytest.approx(2 * (40.0 * 0.25 + 1.5 * 0.25) * 0.5**0.4)
-    own = join(collect_content(saved(boat())), {"": saved(bench)}, own_curve=True)
+    with pytest.warns(SeatrialWarning, match=gone):
+        own = join(collect_content(saved(boat())), {"": saved(bench)}, own_curve=True)
     assert thrust_of(own, 0.5) == pytest.approx(2 * (40.0 * 0.25 + 1.5 * 0.25))
     dead = (boat() + effects["dead-band"]).with_values({"n_dead": 0.1})
     reduced = join(collect_content(saved(dead)), {"": saved(LEFT)})
@@ -211,7 +225,7 @@ def test_unsuitable_models_are_refused() -> None:
     in_rpm = replace(boat(), inputs=tuple(replace(i, unit="rev/min") for i in boat().inputs))
     refuse(in_rpm, "the input n_left of the boat model has the unit rev/min, but a bench model gives 1")
     refuse(boat(), "thruster right has no model: give --thruster right=FILE", {"left": saved(LEFT)})
-    refuse(boat(), "the boat has no such thruster; it has left, right", {"bow": saved(LEFT)})
+    refuse(boat(), "the boat has no thruster 'bow'; it has left, right", {"bow": saved(LEFT)})
     refuse(boat(), "the model of thruster left is horizontal, not a bench model", {"": saved(boat())})
     force = known(horizontal_model("force"), y_left=-0.3, y_right=0.3)
     refuse(force, "its bench had no load cell", {"": saved(thruster_model(force=False))})
@@ -307,6 +321,10 @@ def test_export_command_joins_one_file_or_one_for_each_thruster(tmp_path: Path) 
     two = [*words, "--thruster", f"left={bench.parent}", "--thruster", f"right={bench}"]
     assert one.stdout == CliRunner().invoke(ident, two, catch_exceptions=False).stdout
     assert 'PHYSICAL_INPUTS = ("n_cmd_left", "n_cmd_right")' in one.stdout
+    spaced = [*words, "--thruster", f" left = {bench.parent}", "--thruster", f"right= {bench}"]
+    assert one.stdout == CliRunner().invoke(ident, spaced, catch_exceptions=False).stdout
+    blank = CliRunner().invoke(ident, [*words, "--thruster", f" ={bench}"])
+    assert "has no name of a thruster; write NAME=FILE, or FILE for all" in " ".join(blank.output.split())
     twice = CliRunner().invoke(ident, [*words, "--thruster", str(bench), "--thruster", str(bench)])
     assert "all thrusters: two files" in twice.output
     missing = CliRunner().invoke(ident, [*words, "--thruster", "left=nowhere.toml"])

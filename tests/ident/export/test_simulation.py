@@ -5,6 +5,9 @@ They equal the simulation of ident from a log of the physical inputs, and each o
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -213,6 +216,45 @@ def test_invalid_arguments_of_a_simulation_are_reported() -> None:
         space["Simulation"](0.1).step([0.5])
     with pytest.raises(ValueError, match="3 states, but the model has 8"):
         space["Simulation"](0.1, [0.0, 0.0, 0.0])
+
+
+def test_wrong_values_of_a_simulation_are_reported_at_once() -> None:
+    space: dict[str, Any] = {"__name__": "boat"}
+    exec(compile(export(saved(horizontal_model()), "python"), "boat.py", "exec"), space)
+    new, p = space["Simulation"], space["P"]
+
+    def refuse(words: str, create: Callable[[], object]) -> None:
+        with pytest.raises(ValueError, match=words):
+            create()
+
+    sim = new(0.1)
+    refuse("^n_right is nan: give a finite number$", lambda: sim.step([0.5, math.nan]))
+    refuse("^n_left is 'full': give a finite number$", lambda: sim.step(["full", 0.0]))
+    refuse("^n_left is -1500.0: give -1 to 1, where 1 is full speed ahead$", lambda: sim.step([-1500, 0.0]))
+    refuse("n_left is inf", lambda: sim.outputs([math.inf, 0.0]))
+    refuse("n_left is inf", lambda: sim.inputs_now([math.inf, 0.0]))
+    refuse("n_left is inf", lambda: sim.reset(inputs=[math.inf, 0.0]))
+    refuse("r is nan", lambda: new(0.1, x=[0.0] * 5 + [math.nan]))
+    refuse(r"inputs is {'n_left': 1.0}: give a list of the numbers n_left, n_right", lambda: sim.step({"n_left": 1.0}))
+    refuse("inputs is 0.5: give a list", lambda: sim.step(0.5))
+    refuse(
+        r"no parameter 'd_uuu'; it has m_u, m_v, .*y_right. Did you mean d_uu\?", lambda: new(0.1, p=p | {"d_uuu": 1})
+    )
+    refuse("^p lacks m_v, m_r, .*: give all parameters, as {", lambda: new(0.1, p={"m_u": 40.0}))
+    refuse("m_u is nan", lambda: new(0.1, p=p | {"m_u": math.nan}))
+    assert (sim.t, sim.x) == (0.0, [0.0] * 6)
+    sim.step([1.04, -1.0])  # a measured speed may be a little above full speed
+    assert new(0.1, p=p | {"m_u": 74.0}).step([1.0, 1.0])[3] < new(0.1).step([1.0, 1.0])[3]
+
+
+def test_inputs_of_other_units_and_beyond_full_speed_in_the_data_are_accepted() -> None:
+    for model, validity, inputs in (
+        (horizontal_model("force"), {}, [400.0, -380.0]),
+        (horizontal_model(), {"n_left": (-0.9, 1.2)}, [1.25, 1.0]),
+    ):
+        space: dict[str, Any] = {"__name__": "boat"}
+        exec(compile(export(replace(saved(model), validity=validity), "python"), "boat.py", "exec"), space)
+        assert np.isfinite(space["Simulation"](0.1).step(inputs)).all()
 
 
 def test_model_without_delays_has_the_same_interface_and_an_empty_history() -> None:

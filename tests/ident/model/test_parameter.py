@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from seatrial.ident.model.parameter import Parameter
+from seatrial.ident.model.parameter import Parameter, ParameterOrigin
 
 MEMORY = Parameter("tau_b", 1.5, "s", transform="log", bounds=(0.2, 60.0))
 
@@ -29,3 +29,10 @@ def test_value_outside_its_bounds_is_an_error(value: float) -> None:
 def test_bound_of_zero_allows_no_rounding() -> None:
     with pytest.raises(ValueError, match="outside its bounds"):
         Parameter("d_u", -1e-300, bounds=(0.0, np.inf))
+
+
+@pytest.mark.parametrize("sd", [-0.1, np.nan, np.inf])
+def test_an_impossible_standard_deviation_is_an_error(sd: float) -> None:
+    with pytest.raises(ValueError, match=f"^tau_b: a standard deviation of {sd:g} is impossible"):
+        MEMORY.known(1.0, sd, ParameterOrigin.GIVEN)
+    assert MEMORY.known(1.0, 0.2, ParameterOrigin.GIVEN).prior == (1.0, 0.2)

@@ -113,17 +113,25 @@ def test_failed_log_is_a_row_with_its_reason(
     broken, copy = tmp_path / "broken.mcap", tmp_path / "copy.mcap"
     broken.write_bytes(b"no log")
     shutil.copy(logs[0], copy)
+    missing = tmp_path / "missing.mcap"
     words = ("--jobs", "2", *QUICK, "--out", tmp_path / "fleet")
-    run("ident", "fleet", logs[0], broken, copy, logs[1], *words)
+    run("ident", "fleet", logs[0], broken, missing, tmp_path, copy, logs[1], *words, status=1)
     shown = capsys.readouterr()
     assert "copy.mcap: is a copy of" in shown.err
-    assert "fitted to 2 of 3 logs, 1 failed." in shown.out
+    assert "fitted to 2 of 5 logs, 3 failed." in shown.out
+    assert shown.err.rstrip().endswith("3 of 5 logs have no fit")
+    heads = [line.split() for line in shown.out.splitlines()]
+    assert ["log", "reason"] in heads
+    assert ["parameter", "logs"] in [line[:2] for line in heads]
     rows = [r for r in pyarrow.parquet.read_table(tmp_path / "fleet/fits.parquet").to_pylist() if r["error"]]
-    assert [(r["log"], r["parameter"]) for r in rows] == [(str(broken), None)]
-    assert "\n" not in rows[0]["error"]
+    assert {(r["log"], r["parameter"]) for r in rows} == {(str(x), None) for x in (broken, missing, tmp_path)}
+    assert not any("\n" in r["error"] for r in rows)
+    reasons = {r["log"]: r["error"] for r in rows}
+    assert reasons[str(missing)] == "cannot be read: No such file or directory; check its path and permissions"
     result = read_result(tmp_path / "fleet/result.json")
     assert isinstance(result, FleetResult)
-    assert [(f.log, f.reason) for f in result.failed] == [(str(broken), rows[0]["error"])]
+    assert {f.log: f.reason for f in result.failed} == reasons
+    assert st.fit_many([missing], jobs=1).failed == {str(missing): reasons[str(missing)]}
     run("ident", "fleet", broken, *QUICK, "--out", tmp_path / "none", status=1)
 
 

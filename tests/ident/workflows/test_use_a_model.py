@@ -126,6 +126,7 @@ def joined_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.filterwarnings("ignore:the inertias in roll and pitch")  # of the blocks for Gazebo and VRX
 def test_fmu_snippet(joined_folder: Path) -> None:
     code = blocks(PAGE, "python")[4]
     assert run(code, joined_folder) == after(code)

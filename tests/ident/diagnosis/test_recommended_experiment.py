@@ -1,0 +1,49 @@
+"""Tests of the experiment that a diagnosis recommends: the command that designs it is only given if it can run."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from seatrial.ident.diagnosis.adequacy import recommended_experiment
+from seatrial.ident.diagnosis.findings import Diagnosis
+from seatrial.ident.effects import catalogue
+from seatrial.ident.model import Effect
+from seatrial.ident.models import horizontal_model
+
+OWN = replace(catalogue()["cubic-drag"], name="skeg-drag", title="drag of the skeg")  # of a file of the user
+
+
+def ambiguous(effect: Effect, competitor: Effect) -> Diagnosis:
+    """Return a diagnosis that has found an effect and cannot exclude a competitor."""
+    refit = SimpleNamespace(effect=effect)
+    found: Any = SimpleNamespace(
+        before=SimpleNamespace(model=horizontal_model()),
+        effects=(effect.name,),
+        rounds=[SimpleNamespace(chosen=refit, refits=[refit])],
+        remaining=[SimpleNamespace(name=competitor.name, kind=competitor.kind)],
+        attributions=[SimpleNamespace(effect=effect.name, not_excluded=(competitor.name,), attribution="ambiguous")],
+    )
+    return cast(Diagnosis, found)
+
+
+@pytest.mark.parametrize(
+    ("effect", "competitor", "has_command"),
+    [
+        (catalogue()["cubic-drag"], catalogue()["lift"], True),
+        (OWN, catalogue()["lift"], False),
+        (catalogue()["cubic-drag"], OWN, False),
+    ],
+)
+def test_a_mission_is_recommended_only_for_effects_that_its_command_knows(
+    effect: Effect, competitor: Effect, has_command: bool
+) -> None:
+    text = recommended_experiment(ambiguous(effect, competitor))
+    assert text is not None
+    assert text.startswith(f"To distinguish {effect.title} from {competitor.name}: {effect.experiment}.")
+    command = f"`seatrial mission design MODEL --discriminate {effect.name},{competitor.name}` generates the mission."
+    assert (command in text) == has_command
+    assert ("--discriminate" in text) == has_command
