@@ -21,6 +21,7 @@ from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from seatrial.daq.files import write_output
 from seatrial.ident.data import FrameOrigin
 from seatrial.ident.numerics import Array
+from seatrial.ident.results.campaigns import CampaignsResult
 from seatrial.ident.results.commands import (
     DesignResult,
     FleetResult,
@@ -62,6 +63,7 @@ AnyResult = (
     | DesignResult
     | StudyResult
     | FleetResult
+    | CampaignsResult
 )
 
 
