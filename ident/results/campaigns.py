@@ -209,9 +209,13 @@ def campaigns_answer(result: CampaignsResult) -> str:
     if factor is not None and factor.explains and changed:
         sentences.append(
             f"One factor of {format_number(factor.factor)} (95 %: {format_number(factor.low)} to "
-            f"{format_number(factor.high)}) on masses and damping explains the changes of these parameters: so does a "
-            f"thrust that has become {format_number(1.0 / factor.factor)} times as large."
+            f"{format_number(factor.high)}) on masses and damping explains these changes; a thrust that has become "
+            f"{format_number(1.0 / factor.factor)} times as large does the same."
         )
+    one = [e for e in result.effects if e.changed and {e.before, e.after} == {True, False}]
+    only = [f"{e.name} (only {'after' if e.after else 'before'})" for e in one]
+    if only:
+        sentences.append(f"Effects of one campaign: {', '.join(only)}.")
     if (sentence := _errors_sentence(result)) is not None:
         sentences.append(sentence)
     return " ".join(sentences)
