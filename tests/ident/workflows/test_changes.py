@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -141,6 +142,32 @@ def test_one_log_before_and_one_after_claim_nothing(logs: dict[str, list[Path]],
     assert drag.relative == pytest.approx(FASTER - 1.0, abs=0.15)
     # The only log after would be predicted by its own estimates.
     assert [(e.logs, e.values) for e in found.result.errors] == [("after", "before")]
+
+
+@pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")
+def test_the_page_runs_as_written(
+    logs: dict[str, list[Path]],
+    folder: Path,
+    fouled: CampaignsResult,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The fits are in the folder already."""
+    page = (ROOT / "docs/how-to/changes.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"^```python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    for month, campaign in (("may", "before"), ("june", "fouled")):
+        (tmp_path / month).mkdir()
+        for log in logs[campaign]:
+            shutil.copy(log, tmp_path / month)
+    (tmp_path / "changes").mkdir()
+    shutil.copy(folder / "fits.parquet", tmp_path / "changes")
+    monkeypatch.chdir(tmp_path)
+    exec(compile(block, "changes.md", "exec"), {"__name__": "page"})
+    shown = capsys.readouterr().out
+    assert "['d_uu']" in shown
+    assert f" {fouled.answer[:40]}" in shown
+    assert (tmp_path / "changes/report.html").exists()
 
 
 def test_a_log_in_both_campaigns_is_an_error(
