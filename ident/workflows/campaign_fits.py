@@ -367,7 +367,8 @@ def _common_factor(
 
 def _notes(fitted: FittedLogs, parameters: Sequence[ParameterDifference]) -> tuple[str, ...]:
     """Return remarks on what the comparison assumes, and on logs that were left out of single parameters."""
-    held = sorted({p for rows in fitted.rows for r in rows.values() for p in json.loads(r["prior_parts"] or "{}")})
+    priors = {p for rows in fitted.rows for r in rows.values() for p in json.loads(r["prior_parts"] or "{}")}
+    held = sorted(priors - {p.name for p in parameters})
     notes = []
     if held:
         notes.append(

@@ -113,7 +113,7 @@ def _cells(p: ParameterDifference) -> list[Cell | str]:
     verdict = Cell("changed", "strong") if p.changed else Cell("unknown" if p.q is None else "–", "quiet")
     return [
         Cell(p.name, "symbol"),
-        Cell(unit),
+        Cell(unit, "nowrap"),
         *(Cell(n, "num") for n in numbers),
         *(Cell(formatting.probability(v), "num") for v in (p.p, p.q)),
         verdict,

@@ -256,6 +256,10 @@ def test_parameters_that_cannot_be_compared_have_a_reason() -> None:
         "thrust": "known mainly from its prior (81 % of the information)",
         "lost": "no log after determines it",
     }
+    assert found.notes == (
+        "The priors of thrust are the same for both campaigns. If one of these has changed, the change appears in "
+        "other parameters.",
+    )
 
 
 def test_effects_of_the_model_are_present_or_not() -> None:
