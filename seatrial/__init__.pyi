@@ -1,3 +1,5 @@
+from .api.campaigns import CampaignComparison as CampaignComparison
+from .api.campaigns import compare_campaigns as compare_campaigns
 from .api.comparison import Comparison as Comparison
 from .api.comparison import compare as compare
 from .api.figures import Figure as Figure

@@ -89,6 +89,7 @@ LONG = (
     "tests/ident/cli/test_commands.py",
     "tests/test_notebooks.py",
     "tests/ident/workflows/test_fleet.py",
+    "tests/ident/workflows/test_changes.py",
     "tests/ident/models/test_rotations.py",
     "tests/ident/diagnosis/test_thruster_diagnosis.py",
     "tests/ident/workflows/test_thrust_scale.py",

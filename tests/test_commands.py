@@ -54,7 +54,7 @@ def test_every_output_option_has_the_same_names() -> None:
 WITH_RESULT = (
     *("info", "devices", "check", "recover", "mission design"),
     *(f"ident {name}" for name in ("thruster", "vehicle", "diagnose", "study", "noise", "information")),
-    *(f"ident {name}" for name in ("navigate", "compare")),
+    *(f"ident {name}" for name in ("navigate", "compare", "changes")),
 )
 
 

@@ -28,6 +28,7 @@ HEAD = """# Reference of the Python interface
 SI units and radians. Other modules of the package are internal and may change without notice.
 
 """
+WIDTH = 120  # columns of a line of code
 
 
 def main() -> int:
@@ -74,13 +75,19 @@ def member_entry(name: str, value: Any) -> str:
 
 
 def signature(name: str, function: Any) -> str:
-    """Return name and parameters of a function, without types."""
+    """Return name and parameters of a function, without types, with the line breaks of the formatter."""
     parameters = [
         p.replace(annotation=inspect.Parameter.empty) for p in inspect.signature(function).parameters.values()
     ]
     # With the quotes of the formatter, which also formats the code blocks of pages.
     shown = [str(p).replace("'", '"') for p in parameters if p.name != "self"]
-    return f"{name}({', '.join(shown)})"
+    line = f"{name}({', '.join(shown)})"
+    if len(line) <= WIDTH:
+        return line
+    inside = f"    {', '.join(shown)}"
+    if len(inside) > WIDTH:  # one on each line, with a comma after the last one
+        inside = "\n".join(f"    {word}," for word in shown)
+    return f"{name}(\n{inside}\n)"
 
 
 def docstring(text: str) -> str:

@@ -19,6 +19,7 @@ from seatrial.ident.cli.options import (
     LOG,
     MODEL,
     MODEL_SOURCE,
+    GatheringCommand,
     Lines,
     LiveLine,
     check_output,
@@ -303,7 +304,7 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path, as_json: 
 
 @ident.command(short_help="Fit a model of the boat to logs and validate it on others.")
 @click.argument("logs", nargs=-1, required=True, type=LOG)
-@model_options
+@model_options()
 @click.option(
     "--test-homogeneity",
     "homogeneity",
@@ -342,7 +343,7 @@ def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, as_js
 
 @ident.command(short_help="Fit a model of the boat to each of many logs.")
 @click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path))
-@model_options
+@model_options()
 @robust_option
 @reml_option()
 @mean_order_option()
@@ -382,6 +383,70 @@ def fleet(logs: tuple[Path, ...], out: Path, workers: Any, force: bool, **how: A
     if result.fitted < result.n_logs:
         click.echo(f"{result.n_logs - result.fitted} of {result.n_logs} logs have no fit", err=True)
         raise click.exceptions.Exit(1)
+
+
+@ident.command(
+    cls=GatheringCommand, short_help="Find what changed between two campaigns of logs.", options_metavar="[OPTIONS]"
+)
+@click.option(
+    "--before", multiple=True, required=True, type=LOG, metavar="LOG...", help="Logs of the campaign before the change."
+)
+@click.option(
+    "--after", multiple=True, required=True, type=LOG, metavar="LOG...", help="Logs of the campaign after the change."
+)
+@click.option(
+    "--false-discovery-rate",
+    type=FiniteRange(0.0, 0.5, min_open=True),
+    default=0.05,
+    show_default=True,
+    help="Largest expected share of false ones among the changed parameters.",
+)
+@model_options(score_tests=False)
+@robust_option
+@reml_option()
+@mean_order_option()
+@despite_option
+@window_option
+@horizon_option
+@rate_option
+@workers_options
+@trust_option
+@output_option(
+    FOLDER,
+    "Folder for the results; a run that was interrupted continues there.",
+    default=Path("changes"),
+    show_default=True,
+)
+@click.option("--force", is_flag=True, help="Start again: replace the results in --out.")
+@json_option()
+def changes(
+    before: tuple[Path, ...],
+    after: tuple[Path, ...],
+    false_discovery_rate: float,
+    out: Path,
+    workers: Any,
+    force: bool,
+    as_json: bool,
+    **how: Any,
+) -> None:
+    """Fit one model to the logs of two campaigns, and find which parameters and effects differ between them.
+
+    For example, what has a year of fouling changed? The model is fitted to each log separately. The scatter between
+    logs is a random effect, and the false discovery rate of all changes together is held. The logs after are predicted
+    with and without the changes. Two logs of a campaign are the least, three of each are better. The results in the
+    folder --out are fits.parquet, with a row for each log and parameter, result.json and report.html.
+
+    \b
+    Example:
+      seatrial ident changes --before may/*.mcap --after june/*.mcap --thruster thruster/model.toml --out changes
+      seatrial ident changes --before may/*.mcap --after june/*.mcap --model diagnosis/model.toml
+    """
+    from seatrial.ident.workflows.changes import ChangesRequest, find_changes
+    from seatrial.ident.workflows.vehicle_model import VehicleRequest
+
+    vehicle = VehicleRequest((), (), out, **with_estimation_options(how))
+    request = ChangesRequest(before, after, vehicle, out, workers, force, false_discovery_rate)
+    run_workflow(lambda reporter: find_changes(request, command_line(), reporter).result, out, as_json)
 
 
 @ident.command(short_help="Find effects that a model lacks; errors before and after.")

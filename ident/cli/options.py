@@ -459,14 +459,31 @@ def _parse_mean_order(
     return None if second is None else 2 if second else 1
 
 
-def model_options(f: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorate a command with the options of the model of a boat and of its fit.
+def model_options(score_tests: bool = True) -> Callable[..., Any]:
+    """Return a decorator that adds the options of the model of a boat and of its fit to a command.
 
     The command receives ``model``, ``thruster``, ``fixed``, ``initial``, ``priors``, ``effects`` and ``score_tests``.
+
+    Parameters
+    ----------
+    score_tests : bool
+        Default of ``--score-tests``.
     """
-    for option in reversed(MODEL_OPTIONS):
-        f = option(f)
-    return f
+
+    def decorated(f: Callable[..., Any]) -> Callable[..., Any]:
+        """Add the options to the command, so that its help lists them in their order."""
+        f = click.option("--score-tests/--no-score-tests", default=score_tests, show_default=True, help=SCORE_TESTS)(f)
+        for option in reversed(MODEL_OPTIONS):
+            f = option(f)
+        return f
+
+    return decorated
+
+
+SCORE_TESTS = (
+    "Test the fit for missing effects: add the small errors of sensors and hull form if the logs show at least four, "
+    "and widen the standard errors by what remains unexplained."
+)
 
 
 MODEL_OPTIONS = (
@@ -479,7 +496,8 @@ MODEL_OPTIONS = (
         "follows the difference of the sides; :sampled if the times of the outputs are uncertain, which is chosen "
         "automatically for an autopilot's outputs; and the same two options for the current), "
         "kinematic:shaft|force (measured attitude; :yaw adds the yaw equation; and the same two options for the "
-        "current), surge:force|shaft:position|speed|both, yaw:rate|both, or FILE.py:NAME for your own.",
+        "current), surge:force|shaft:position|speed|both, yaw:rate|both, FILE.py:NAME for your own, or a model.toml, "
+        "whose structure and effects are fitted again.",
     ),
     click.option(
         "--thruster",
@@ -513,13 +531,6 @@ MODEL_OPTIONS = (
         metavar="EFFECT",
         help="Add an effect of the catalogue with free parameters (lever-arm, mount, ...); may be repeated.",
     ),
-    click.option(
-        "--score-tests/--no-score-tests",
-        default=True,
-        show_default=True,
-        help="Test the fit for missing effects: add the small errors of sensors and hull form if the logs show at "
-        "least four, and widen the standard errors by what remains unexplained.",
-    ),
 )
 ESTIMATION = ("outlier_model", "reml", "mean_order", "method", "horizon")  # options of ``EstimationOptions``
 
@@ -542,6 +553,28 @@ def with_estimation_options(options: dict[str, Any]) -> dict[str, Any]:
 
     shared = {n: v for n, v in options.items() if n in ESTIMATION}
     return {n: v for n, v in options.items() if n not in ESTIMATION} | {"estimation": EstimationOptions(**shared)}
+
+
+class GatheringCommand(click.Command):
+    """Command whose options in `GATHERED` take all words up to the next option, so that a shell may expand ``*.mcap``.
+
+    The command has no arguments: every word belongs to an option.
+    """
+
+    GATHERED = ("--before", "--after")
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the words of the command line, after the option's name is repeated before each of its words."""
+        spread, gathering = list[str](), ""
+        for word in args:
+            if word.startswith("-"):
+                name, sign, _ = word.partition("=")
+                gathering = name if name in self.GATHERED else ""
+                if not gathering or sign:
+                    spread.append(word)
+            else:
+                spread += [gathering, word] if gathering else [word]
+        return super().parse_args(ctx, spread)
 
 
 class Lines:

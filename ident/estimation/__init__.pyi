@@ -23,7 +23,6 @@ from .fitted_model import without_absent_sensors as without_absent_sensors
 from .fitted_model import without_unknown_noise as without_unknown_noise
 from .homogeneity import HomogeneityTest as HomogeneityTest
 from .homogeneity import ParameterShift as ParameterShift
-from .homogeneity import between_log_variance as between_log_variance
 from .homogeneity import between_runs as between_runs
 from .homogeneity import homogeneity_test as homogeneity_test
 from .homogeneity import parameter_shift as parameter_shift
@@ -37,6 +36,14 @@ from .maximum_likelihood import Method as Method
 from .maximum_likelihood import SearchSettings as SearchSettings
 from .maximum_likelihood import considered_information as considered_information
 from .maximum_likelihood import fit as fit
+from .meta_analysis import LEAST_OWN as LEAST_OWN
+from .meta_analysis import CampaignDifference as CampaignDifference
+from .meta_analysis import Contrast as Contrast
+from .meta_analysis import between_log_variance as between_log_variance
+from .meta_analysis import campaign_difference as campaign_difference
+from .meta_analysis import conditional_mean as conditional_mean
+from .meta_analysis import joint_difference as joint_difference
+from .meta_analysis import mean_of_logs as mean_of_logs
 from .model_file import SavedModel as SavedModel
 from .model_file import load_model as load_model
 from .model_file import model_file as model_file
@@ -69,5 +76,6 @@ from .thrust_scale import ThrustScale as ThrustScale
 from .thrust_scale import contradicted_priors as contradicted_priors
 from .thrust_scale import free_unknown_scale as free_unknown_scale
 from .thrust_scale import least_yaw_inertia as least_yaw_inertia
+from .thrust_scale import model_values as model_values
 from .thrust_scale import reported_units as reported_units
 from .thrust_scale import thrust_scale_of as thrust_scale_of

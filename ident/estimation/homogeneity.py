@@ -3,13 +3,9 @@
 The homogeneity test is the likelihood ratio of a model with one value of a parameter for each log to the model with one
 value for all logs. It also estimates the standard deviation between the logs (the scatter).
 
-Let ``m`` (k,) be the values fitted one for each log, and V their covariance. The scatter tau of the logs beyond V is
-the parameter tau of
-
-    m ~ N(mu 1, V + tau^2 I)
-
-by restricted maximum likelihood (DerSimonian and Laird 1986 give its moment form; Viechtbauer 2005). If the logs
-disagree, the standard error of a common fit is too small; mu and its own standard error are then calibrated.
+The scatter is that of the meta-analysis (`meta_analysis`) of the values fitted one for each log. If the logs disagree,
+the standard error of a common fit is too small; the mean of the meta-analysis and its standard error are then
+calibrated.
 """
 
 from __future__ import annotations
@@ -24,6 +20,7 @@ from seatrial.ident.data import Record
 from seatrial.ident.estimation.fitted_model import FIT_ERRORS
 from seatrial.ident.estimation.likelihood import Likelihood
 from seatrial.ident.estimation.maximum_likelihood import ROUGH_SEARCH, Fit, SearchSettings, fit
+from seatrial.ident.estimation.meta_analysis import between_log_variance
 from seatrial.ident.estimation.standard_errors import AT_BOUND, VAGUE
 from seatrial.ident.model import (
     PARAMETERS,
@@ -222,57 +219,6 @@ def _refit_subset(previous: Fit, model: Model, records: Sequence[Record], which:
         SearchSettings(initial_state="given"),
         start=begin,
     )
-
-
-def between_log_variance(values: Array, covariance: Array) -> tuple[float, float, float]:
-    """Estimate the scatter between values beyond their covariance, by restricted maximum likelihood.
-
-    It is a random-effects model: each log has its own true value, and these are normal with the scatter as standard
-    deviation.
-
-    Parameters
-    ----------
-    values : Array (k,)
-        Estimate of one parameter from each log.
-    covariance : Array (k, k) or (k,)
-        Covariance of these estimates, or their variances if they are independent. Values with a NaN variance are left
-        out.
-
-    Returns
-    -------
-    scatter, mean, mean_error
-        Standard deviation between the logs (0 if the covariance explains the differences), the mean with that scatter,
-        and the standard error of the mean. All are NaN if fewer than two values remain.
-    """
-    variances = covariance if covariance.ndim == 1 else np.diag(covariance)
-    known = np.isfinite(variances)
-    m, ones = values[known], np.ones(int(known.sum()))
-    if m.size < 2:
-        return float("nan"), float("nan"), float("nan")
-    # In the axes of V, all matrices below are diagonal.
-    eigenvalues, rotated, sums = variances[known], m, ones
-    if covariance.ndim == 2:
-        eigenvalues, axes = np.linalg.eigh(covariance[np.ix_(known, known)])
-        rotated, sums = axes.T @ m, axes.T @ ones
-
-    def mean_of(tau: float) -> tuple[float, float, float]:
-        """Return the mean, its information (1 / variance) and twice the restricted log-likelihood for a scatter tau."""
-        w = 1.0 / (eigenvalues + tau**2)
-        information = float(sums**2 @ w)
-        mean = float((sums * rotated) @ w) / information
-        e = rotated - mean * sums
-        return mean, information, float(np.log(w).sum() - np.log(information) - e**2 @ w)
-
-    top = 10.0 * float(m.std() + np.sqrt(variances[known]).max())
-    grid = np.append(0.0, np.geomspace(1e-4 * top, top, 200))
-    from scipy import optimize  # imported here: it takes half a second, and only this test needs it
-
-    near = int(np.argmax([mean_of(float(tau))[2] for tau in grid]))
-    low, high = grid[max(near - 1, 0)], grid[min(near + 1, grid.size - 1)]
-    found = optimize.minimize_scalar(lambda tau: -mean_of(float(tau))[2], bounds=(low, high), method="bounded")
-    tau = 0.0 if near == 0 else float(found.x)
-    mean, information, _ = mean_of(tau)
-    return tau, mean, information**-0.5
 
 
 def between_runs(fitted: Fit) -> dict[str, Effect]:

@@ -13,6 +13,7 @@ over ``T y_arm``). Their standard errors follow from the delta method:
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -227,6 +228,34 @@ def reported_units(model: Model) -> ReportedUnits:
     if not scale.relative_yaw:
         return ReportedUnits(scale, thrust)
     return ReportedUnits(scale, thrust, p["y_arm"] if "y_arm" in p else 0.5 * abs(p["y_right"] - p["y_left"]))
+
+
+def model_values(model: Model, reported: Mapping[str, float]) -> dict[str, float]:
+    """Return values in the units of the model from reported values: the inverse of `ReportedEstimates`.
+
+    Parameters
+    ----------
+    model : Model
+        Model whose force scale decides which values are reported as ratios. Its thrust coefficient c1 is the scale.
+    reported : mapping
+        Reported values by reported name, such as ``m_u/T``. Names that the model does not have are ignored.
+
+    Returns
+    -------
+    dict
+        Values by the names of the model's parameters. Parameters that ``reported`` lacks are left out, and so is a c1
+        that is only a scale.
+    """
+    scale = thrust_scale_of(model)
+    known = {p.name: (p, n) for p in model.parameters if (n := scale.name(p.name, p.unit)) in reported}
+    found = {n: reported[name] for n, (p, name) in known.items() if not any(scale.powers(p.unit))}
+    if scale.relative and "c2" in known:  # reported as c2 / (c1 + c2)
+        share = reported[known["c2"][1]]
+        found["c2"] = model.values["c1"] * share / (1.0 - share)
+    units = reported_units(model.with_values(found))
+    fixed = {"c1", "c2"} if scale.relative else set()
+    ratios = {n: reported[name] / units.factor(p.unit) for n, (p, name) in known.items() if n not in {*found, *fixed}}
+    return found | ratios
 
 
 @dataclass(frozen=True)

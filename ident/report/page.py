@@ -31,6 +31,7 @@ KINDS = {
     "noise": "Sensor noise",
     "navigation": "Navigation",
     "information": "Information in logs",
+    "campaigns": "Changes between campaigns",
 }
 
 

@@ -12,9 +12,12 @@ from rich.text import Text
 
 from seatrial.daq.console import print_prose, print_table
 from seatrial.ident.report import formatting
+from seatrial.ident.report.sections.campaigns import VALUES, change_of, effect_words
 from seatrial.ident.report.sections.parameters import interval, segment_in_words
 from seatrial.ident.report.sections.predictions import by_role, error_words, horizons
 from seatrial.ident.results import (
+    CampaignErrors,
+    CampaignsResult,
     DiagnosisResult,
     EffectParameter,
     EffectRow,
@@ -50,7 +53,7 @@ def titled_table(title: str) -> Table:
 
 
 def tables_of(result: Result) -> list[Table]:
-    """Return the tables for the terminal of a result that is not a fit: of noise, navigation, information or a fleet.
+    """Return the tables for the terminal of a result that is not a fit: of noise, information, many logs and so on.
 
     A result of information has two tables: parameters and segments of the logs. The list is empty for other results
     and for a navigation without GNSS outages.
@@ -63,6 +66,8 @@ def tables_of(result: Result) -> list[Table]:
         return [parameter_table(result), segment_table(result)]
     if isinstance(result, FleetResult):
         return [*([fleet_table(result)] if result.parameters else []), *failed_tables(result)]
+    if isinstance(result, CampaignsResult):
+        return campaign_tables(result)
     return []
 
 
@@ -182,22 +187,80 @@ def fleet_table(result: FleetResult) -> Table:
     return table
 
 
+def campaign_tables(result: CampaignsResult) -> list[Table]:
+    """Return the tables of two campaigns: changes, effects, prediction errors, and what could not be compared.
+
+    Parameters of noise, disturbances and sensors are left out unless they have changed, and so are parameters that are
+    fixed or have a value for each log. Tables without rows are left out.
+    """
+    shown = [p for p in result.parameters if not p.nuisance or p.changed]
+    left = len(result.parameters) - len(shown)
+    tables = list[Table]()
+    if shown:
+        table = titled_table(f"Changes{f' ({left} of noise and disturbances in the report)' if left else ''}")
+        table.padding = (0, 1, 0, 0)
+        table.add_column("", no_wrap=True)
+        for title in ("before ± s.e.", "after ± s.e.", "change (95 %)", "q"):
+            table.add_column(title, justify="right", no_wrap=True)
+        table.add_column("", no_wrap=True)
+        for p in shown:
+            factor, unit = formatting.degrees_for(p.unit)
+            means = (formatting.with_error(factor * m.mean, factor * m.se) for m in (p.before, p.after))
+            style = "bold green" if p.changed else ""
+            words = [Text(w) for w in means]
+            words += [Text(change_of(p), style), Text(formatting.probability(p.q), style), Text(unit)]
+            table.add_row(Text(p.name, style or "bold"), *words)
+        tables.append(table)
+    if result.effects:
+        table = titled_table("Effects")
+        for title in ("effect", "before", "after", ""):
+            table.add_column(title, no_wrap=True)
+        for effect in result.effects:
+            table.add_row(*(Text(word) for word in effect_words(effect)))
+        tables.append(table)
+    if result.errors:
+        tables.append(_campaign_errors_table(result.errors, result.horizon))
+    reasons = [(p.name, p.reason) for p in result.not_compared if not p.reason.startswith(("held", "has its own"))]
+    failed = [(row.log, row.reason) for row in result.failed]
+    found = (("Not compared", "parameter", reasons), ("Failed", "log", failed))
+    tables += [_reasons_table(title, what, rows) for title, what, rows in found if rows]
+    return tables
+
+
+def _campaign_errors_table(errors: Sequence[CampaignErrors], horizon: float) -> Table:
+    """Return the table of the RMS prediction errors on the logs of each campaign, with the values of each model."""
+    channels = list(dict.fromkeys(name for e in errors for name in e.channels))[:MAX_ERROR_CHANNELS]
+    table = titled_table(f"Prediction error (rms) {horizon:g} s ahead")
+    table.add_column("", no_wrap=True)
+    table.add_column("", no_wrap=True, style="dim")
+    for e in errors:
+        table.add_column(f"logs {e.logs}, {VALUES[e.values]}", justify="right")
+    for channel in channels:
+        factor, unit = formatting.degrees_for(next(e.channels[channel].unit for e in errors if channel in e.channels))
+        cells = [e.channels.get(channel) for e in errors]
+        numbers = [error_words(None if c is None or c.after is None else factor * c.after) for c in cells]
+        table.add_row(Text(channel, "bold"), Text(unit), *(Text(n) for n in numbers))
+    return table
+
+
 def failed_tables(result: FleetResult) -> list[Table]:
     """Return the tables of logs without a fit, and of logs whose fit did not converge, with the reasons.
 
-    Each has at most eight rows. A table without rows is left out.
+    A table without rows is left out.
     """
-    tables = []
-    for title, rows in (("Failed", result.failed), ("Not converged", result.unconverged)):
-        if rows:
-            more = f" (first {MAX_FAILED} of {len(rows)}; all in result.json)" if len(rows) > MAX_FAILED else ""
-            table = titled_table(f"{title}{more}")
-            table.add_column("log", style="bold", overflow="ellipsis", max_width=36, no_wrap=True)
-            table.add_column("reason")
-            for row in rows[:MAX_FAILED]:
-                table.add_row(Text(row.log), Text(row.reason))
-            tables.append(table)
-    return tables
+    found = (("Failed", result.failed), ("Not converged", result.unconverged))
+    return [_reasons_table(title, "log", [(row.log, row.reason) for row in rows]) for title, rows in found if rows]
+
+
+def _reasons_table(title: str, what: str, rows: Sequence[tuple[str, str]]) -> Table:
+    """Return a table of logs or parameters (``what``) with a reason for each, at most eight rows."""
+    more = f" (first {MAX_FAILED} of {len(rows)}; all in result.json)" if len(rows) > MAX_FAILED else ""
+    table = titled_table(f"{title}{more}")
+    table.add_column(what, style="bold", overflow="ellipsis", max_width=36, no_wrap=True)
+    table.add_column("reason")
+    for name, reason in rows[:MAX_FAILED]:
+        table.add_row(Text(name), Text(reason))
+    return table
 
 
 def _growth_text(factor: float) -> str:

@@ -20,6 +20,7 @@ from seatrial.daq.errors import SeatrialError, warn
 from seatrial.daq.files import write_output
 from seatrial.ident.data import FrameOrigin
 from seatrial.ident.numerics import Array
+from seatrial.ident.results.campaigns import CampaignsResult
 from seatrial.ident.results.commands import (
     DesignResult,
     FleetResult,
@@ -61,6 +62,7 @@ AnyResult = (
     | DesignResult
     | StudyResult
     | FleetResult
+    | CampaignsResult
 )
 
 

@@ -25,7 +25,7 @@ import numpy as np
 
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import open_log
-from seatrial.ident.estimation import between_log_variance
+from seatrial.ident.estimation import LEAST_OWN, ReportedEstimates, between_log_variance
 from seatrial.ident.models import is_own_model
 from seatrial.ident.numerics import Array, chi2_sf
 from seatrial.ident.parallel import Outcome, ResultTable, Workers, run_many
@@ -33,10 +33,10 @@ from seatrial.ident.reporter import Reporter
 from seatrial.ident.results import FailedLog, FleetParameter, FleetResult, ParameterRow, provenance, write_result
 from seatrial.ident.studies import estimator_code_hash
 from seatrial.ident.workflows.vehicle import VehicleFit, fit_vehicle
-from seatrial.ident.workflows.vehicle_model import VehicleRequest
+from seatrial.ident.workflows.vehicle_model import VehicleRequest, is_saved_model
 
 TABLE = "fits.parquet"
-LEAST_OWN = 1e-6  # least share of the variance of an estimate that does not come from priors, against rounding
+CORRELATION_DIGITS = 9  # decimals of a correlation in the table
 LEVEL = 0.01  # significance level of all parameters together that the logs differ
 COLUMNS: dict[str, type] = {
     "log": str,  # path as given
@@ -45,8 +45,11 @@ COLUMNS: dict[str, type] = {
     "value": float,
     "se": float,
     "prior_parts": str,  # JSON: part of the standard error by name of the parameter whose prior it comes from
+    "correlations": str,  # JSON: correlation with each other estimate of the log, by name; without those of one log
     "unit": str,
     "meaning": str,
+    "effect": str,  # effect that the parameter belongs to; None: the model itself, a disturbance, or a sensor
+    "nuisance": bool,  # of noise, of a disturbance or of an offset of a sensor: no property of the boat
     "free": bool,
     "per_log": bool,  # the true value differs from log to log, as that of the current
     "origin": str,
@@ -154,14 +157,42 @@ def fit_fleet(request: FleetRequest, command: str, reporter: Reporter) -> FleetF
         For example, if fits.parquet has fits with other options, if ``request.out`` is a file, if a library is missing,
         or if a cluster cannot be used.
     """
+    logs = hashed_logs(request.logs, reporter)
+    rows = fit_logs(logs, request, reporter)
+    path = "" if request.out is None else str(request.out / TABLE)
+    result = fleet_result(rows, len(logs), request.vehicle.model, path, command)
+    if request.out is not None:
+        write_result(result, request.out / "result.json")
+    return FleetFits(result, rows)
+
+
+def fit_logs(logs: Sequence[FleetLog], request: FleetRequest, reporter: Reporter) -> Any:
+    """Fit the model to each log in parallel, and return the rows of all estimates (``pyarrow.Table``).
+
+    With a folder, the rows are in its fits.parquet. Fits that the file has already are not repeated, except failed
+    ones.
+
+    Parameters
+    ----------
+    logs : sequence of FleetLog
+        Different logs. Those of the request are not used.
+    request : FleetRequest
+        Options of a fit, folder and workers.
+    reporter : Reporter
+        Receives progress and warnings.
+
+    Raises
+    ------
+    SeatrialError
+        As `fit_fleet`.
+    """
     path = None if request.out is None else request.out / TABLE
     if request.out is not None and request.out.exists() and not request.out.is_dir():
         raise SeatrialError(f"{request.out}: is a file; give a folder with --out")
     if path is not None and request.force:
         path.unlink(missing_ok=True)
-    vehicle = _portable(request.vehicle)
+    vehicle = portable(request.vehicle)
     with ResultTable(path, COLUMNS, "sha256", "error", settings_of(vehicle)) as table:
-        logs = _hashed(request.logs, reporter)
         finished = table.keys
         todo = [log for log in logs if log.sha256 not in finished]
         if len(todo) < len(logs):
@@ -173,11 +204,7 @@ def fit_fleet(request: FleetRequest, command: str, reporter: Reporter) -> FleetF
             end = f"failed: {_reason(outcome)}" if outcome.error else "fitted"
             reporter.progress(f"{n} of {len(todo)}: {outcome.task.name} {end} ({_duration(left)} to go)")
         table.sort("log")
-    rows = _rows_of_logs(table.table(), logs)
-    result = fleet_result(rows, len(logs), vehicle.model, "" if path is None else str(path), command)
-    if request.out is not None:
-        write_result(result, request.out / "result.json")
-    return FleetFits(result, rows)
+    return _rows_of_logs(table.table(), logs)
 
 
 def _duration(seconds: float) -> str:
@@ -185,12 +212,14 @@ def _duration(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
 
 
-def _portable(vehicle: VehicleRequest) -> VehicleRequest:
+def portable(vehicle: VehicleRequest) -> VehicleRequest:
     """Return the options of a fit with absolute paths, so that processes with another working folder find the files."""
     model = vehicle.model
     if is_own_model(model):
         file, _, name = model.rpartition(":")
         model = f"{Path(file).absolute()}:{name}"
+    elif is_saved_model(model):
+        model = str(Path(model).absolute())
     thruster = None if vehicle.thruster is None else vehicle.thruster.absolute()
     return replace(vehicle, model=model, thruster=thruster, out=Path())
 
@@ -210,6 +239,8 @@ def settings_of(vehicle: VehicleRequest) -> dict[str, Any]:
     files = {"thruster": vehicle.thruster}
     if is_own_model(vehicle.model):
         files["model"] = Path(vehicle.model.rpartition(":")[0])
+    elif is_saved_model(vehicle.model):
+        files["model"] = Path(vehicle.model)
     for name, path in files.items():
         if path is not None:
             try:
@@ -219,7 +250,7 @@ def settings_of(vehicle: VehicleRequest) -> dict[str, Any]:
     return found
 
 
-def _hashed(paths: Sequence[Path], reporter: Reporter) -> list[FleetLog]:
+def hashed_logs(paths: Sequence[Path], reporter: Reporter) -> list[FleetLog]:
     """Return the logs with their hashes, each once. A copy of another log is left out with a warning.
 
     A log that cannot be read has its path as hash. Its fit fails with the reason.
@@ -268,10 +299,36 @@ def _fit_log(vehicle: VehicleRequest, log: FleetLog) -> list[Row]:
         "seatrial": result.seatrial,
     }
     parts, own = _prior_parts(done), {p.name for p in done.fitted.model.parameters if p.per_record}
+    correlations, effects, nuisance = _correlations(done), _effects_by_parameter(done), _nuisance_parameters(done)
     return [
-        of_log | {"per_log": row.name in own} | _row_of_parameter(row, parts.get(row.name, {}))
+        of_log
+        | {"per_log": row.name in own, "effect": effects.get(row.name), "nuisance": row.name in nuisance}
+        | _row_of_parameter(row, parts.get(row.name, {}), correlations.get(row.name, {}))
         for row in result.fit.parameters
     ]
+
+
+def _correlations(done: VehicleFit) -> dict[str, dict[str, float]]:
+    """Return the correlation of each estimate with each other one, by their reported names.
+
+    Estimates without a standard error, and those of per-record parameters such as the current, are left out.
+    """
+    found, matrix = dict[str, dict[str, float]](), done.result.fit.correlation.matrix
+    shared = [k for k, p in enumerate(done.fitted.fit.parameters) if p.segment is None and np.isfinite(matrix[k, k])]
+    names = done.result.fit.correlation.names
+    for i in shared:
+        found[names[i]] = {names[j]: round(float(matrix[i, j]), CORRELATION_DIGITS) for j in shared if j != i}
+    return found
+
+
+def _effects_by_parameter(done: VehicleFit) -> dict[str, str]:
+    """Return the name of the effect of each parameter of an effect, by the reported name of the parameter.
+
+    Disturbances and errors of sensors, which are part of the nominal model, are no effects here.
+    """
+    model, scale = done.fitted.fit.model, ReportedEstimates(done.fitted.fit).scale
+    effects = [e for e in model.effects if not e.kind.nuisance]
+    return {scale.name(p.name, p.unit): e.name for e in effects for p in e.parameters}
 
 
 def _peak_memory() -> float:
@@ -314,7 +371,14 @@ def _prior_parts(done: VehicleFit) -> dict[str, dict[str, float]]:
     return found
 
 
-def _row_of_parameter(row: ParameterRow, prior_parts: Mapping[str, float]) -> Row:
+def _nuisance_parameters(done: VehicleFit) -> set[str]:
+    """Return the reported names of the parameters of noise, disturbances and offsets of sensors."""
+    model, scale = done.fitted.fit.model, ReportedEstimates(done.fitted.fit).scale
+    names = {p.name for e in model.effects if e.kind.nuisance for p in e.parameters} | set(model.noise_parameters)
+    return {scale.name(p.name, p.unit) for p in model.parameters if p.name in names}
+
+
+def _row_of_parameter(row: ParameterRow, prior_parts: Mapping[str, float], correlations: Mapping[str, float]) -> Row:
     """Return the columns of the table that belong to one parameter of a fit.
 
     A parameter with its own value in each part of a log that was cut at gaps is ``NAME@PART``.
@@ -324,6 +388,7 @@ def _row_of_parameter(row: ParameterRow, prior_parts: Mapping[str, float]) -> Ro
         "value": row.value,
         "se": row.se,
         "prior_parts": json.dumps(prior_parts),
+        "correlations": json.dumps(correlations),
         "unit": row.unit,
         "meaning": row.meaning,
         "free": row.free,
@@ -405,8 +470,7 @@ def _between_logs(name: str, rows: Sequence[Mapping[str, Any]], level: float) ->
     this covariance, by chi-squared. The logs agree if it is above ``level``.
     """
     values, errors = (np.array([r[key] for r in rows], dtype=float) for key in ("value", "se"))
-    parts = [json.loads(r["prior_parts"]) for r in rows]
-    common = np.array([[p.get(prior, 0.0) for prior in sorted({n for p in parts for n in p})] for p in parts])
+    common = common_errors(rows)
     own = np.maximum(errors**2 - (common**2).sum(axis=1), LEAST_OWN * errors**2)
     covariance = np.diag(own) + common @ common.T
     scatter, mean, error = between_log_variance(values, covariance if common.size else own)
@@ -426,6 +490,16 @@ def _between_logs(name: str, rows: Sequence[Mapping[str, Any]], level: float) ->
         agree=p > level,
         per_log=rows[0]["per_log"],
     )
+
+
+def common_errors(rows: Sequence[Mapping[str, Any]]) -> Array:
+    """Return the parts of the errors of one parameter by the priors of the fits (k, n_priors), for its rows of k logs.
+
+    A prior is the same in all logs, and so is its error. Without priors, n_priors is 0.
+    """
+    parts = [json.loads(r["prior_parts"]) for r in rows]
+    priors = sorted({n for p in parts for n in p})
+    return np.array([[p.get(prior, 0.0) for prior in priors] for p in parts]).reshape(len(rows), len(priors))
 
 
 def _cochran_q(values: Array, covariance: Array) -> float:

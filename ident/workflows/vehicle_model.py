@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from seatrial.daq.errors import SeatrialError
 from seatrial.ident.characterisation import ThrustCurve, load_curve
 from seatrial.ident.data import SHAFTS, WHOLE, LoadedLog, LogSegment, TimeWindows
 from seatrial.ident.estimation import (
@@ -13,12 +14,13 @@ from seatrial.ident.estimation import (
     apply_rig_geometry,
     fix_parameters,
     free_unknown_scale,
+    load_model,
     nominal_model,
     set_initial_values,
     set_priors,
     with_effects,
 )
-from seatrial.ident.model import Model, ParameterOrigin
+from seatrial.ident.model import Model, ModelKind, ParameterOrigin
 from seatrial.ident.models import is_own_model, thrust_calibration
 from seatrial.ident.results import UnusedSignal
 from seatrial.ident.workflows.check import with_estimator_errors, with_noise_floors
@@ -26,6 +28,9 @@ from seatrial.ident.workflows.model_inputs import (
     check_horizon,
     check_names,
     choose_model,
+    hold_lines,
+    in_one_frame,
+    model_of_logs,
     require_one_frame,
     thrust_from,
     unused_signals,
@@ -48,8 +53,8 @@ class VehicleRequest:
     estimation
         Options of the estimator.
     model
-        Name of the structure, FILE.py:NAME for a user-defined model, or ``auto`` for the horizontal model with the
-        inputs that the logs have.
+        Name of the structure, FILE.py:NAME for a user-defined model, the path of a model.toml, or ``auto`` for the
+        horizontal model with the inputs that the logs have.
     thruster
         File of the thrust from a bench test: the model.toml of a thruster model, or of a static curve from command to
         thrust. None: no bench test.
@@ -215,6 +220,11 @@ def considered_notes(model: Model) -> list[str]:
     ]
 
 
+def is_saved_model(source: str) -> bool:
+    """Return whether the name of a model is the path of a model.toml, whose structure and effects a fit then uses."""
+    return source.endswith(".toml")
+
+
 def vehicle_problem(
     request: VehicleRequest, loaded: Sequence[LoadedLog], validation_logs: Sequence[LoadedLog]
 ) -> VehicleProblem:
@@ -223,7 +233,8 @@ def vehicle_problem(
     Parameters
     ----------
     request : VehicleRequest
-        Model and options. With the model ``auto`` and a thrust curve, the model is ``horizontal:force``.
+        Model and options. With the model ``auto`` and a thrust curve, the model is ``horizontal:force``. A model.toml
+        gives the structure with its effects, priors and fixed parameters; its estimates are initial values.
     loaded, validation_logs : sequence of LoadedLog
         Logs for the estimation and for the validation, as loaded. Missing input signals are derived from others.
 
@@ -232,6 +243,8 @@ def vehicle_problem(
     SeatrialError
         If the logs lack signals that the model needs, or if an option does not fit the model.
     """
+    if is_saved_model(request.model):
+        return _saved_problem(request, loaded, validation_logs)
     curve, source = load_curve(request.thruster) if request.thruster is not None else None, request.model
     if curve is not None and source == "auto":
         source = "horizontal:force"
@@ -262,3 +275,30 @@ def vehicle_problem(
     return VehicleProblem(
         model, segments, validation, [*notes, *fixed_notes, *floors], thrust_from(model, loaded), unused
     )
+
+
+def _saved_problem(
+    request: VehicleRequest, loaded: Sequence[LoadedLog], validation_logs: Sequence[LoadedLog]
+) -> VehicleProblem:
+    """Return the model of a model.toml and the data of its fit to other logs. The arguments are as above.
+
+    Positions x and y of all logs are moved to the origin of the saved model. SeatrialError is raised for the model of a
+    thruster, if the logs lack signals of the model, or if an option does not fit the model.
+    """
+    path = Path(request.model)
+    saved = load_model(path)
+    if saved.model.kind is not ModelKind.VEHICLE:
+        raise SeatrialError(f"--model {path}: is no model of a boat; give the model.toml of ident vehicle or diagnose")
+    check_horizon(request.estimation.horizon, loaded, validation_logs)
+    loaded, validation_logs = in_one_frame(saved.model, loaded, validation_logs, saved.origin)
+    curve = load_curve(request.thruster) if request.thruster is not None else None
+    file = None if curve is None else str(request.thruster)
+    model, segments, validation, _ = model_of_logs(saved.model, path, loaded, validation_logs, file)
+    model = with_effects(model, request.effects)
+    model = set_initial_values(set_priors(model, request.priors), request.initial)
+    model, notes = fix_parameters(model, request.thruster if curve is None else None, request.fixed)
+    model, floors = with_noise_floors(model, loaded)
+    check_names(nominal_model(model), request.profiles, len(loaded))
+    notes = [*hold_lines(saved, [*loaded, *validation_logs]), *considered_notes(model), *notes, *floors]
+    unused = unused_signals(model, loaded, validation_logs)
+    return VehicleProblem(model, segments, validation, notes, thrust_from(model, loaded), unused)

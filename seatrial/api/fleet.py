@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 from seatrial.api.fits import FitOptions, Logs, vehicle_request, window_of
 from seatrial.api.logs import PathLike, as_paths
-from seatrial.api.messages import Messages, errors_of_users
+from seatrial.api.messages import Messages, errors_of_users, text_of
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import import_library
 
@@ -77,17 +77,7 @@ class FittedFleet:
 
     def summary(self) -> str:
         """Return the answer, the differences between the logs and the failed logs as text, as the command does."""
-        from io import StringIO
-
-        from rich.console import Console
-
-        from seatrial.ident.report import print_result
-
-        text = StringIO()
-        print_result(
-            self.result, Console(file=text, width=100, highlight=False, color_system=None, force_jupyter=False)
-        )
-        return "\n".join(line.rstrip() for line in text.getvalue().strip("\n").splitlines())
+        return text_of(self.result)
 
     def __repr__(self) -> str:
         """Return a short text for the interpreter: number of logs, and `answer`."""

@@ -6,8 +6,12 @@ import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 from seatrial.daq.errors import SeatrialError, warn
+
+if TYPE_CHECKING:
+    from seatrial.ident.results import Result
 
 # Arguments of the functions of `seatrial` by the command-line option. An option without an entry stays as it is.
 ARGUMENTS = {
@@ -48,6 +52,19 @@ class Messages:
     def warning(self, text: str) -> None:
         """Issue a Python warning with this text and the category `SeatrialWarning`, which the user may filter."""
         warn(in_python(text))
+
+
+def text_of(result: Result) -> str:
+    """Return a result as text: the answer and the tables that the command prints, 100 columns wide."""
+    from io import StringIO
+
+    from rich.console import Console
+
+    from seatrial.ident.report import print_result
+
+    text = StringIO()
+    print_result(result, Console(file=text, width=100, highlight=False, color_system=None, force_jupyter=False))
+    return "\n".join(line.rstrip() for line in text.getvalue().strip("\n").splitlines())
 
 
 @contextmanager

@@ -5,6 +5,7 @@ from __future__ import annotations
 from seatrial.ident.report.blocks import Canvas, Section
 from seatrial.ident.report.sections import (
     answer,
+    campaigns,
     dynamics,
     navigation,
     noise,
@@ -16,6 +17,7 @@ from seatrial.ident.report.sections import (
     thruster,
 )
 from seatrial.ident.results import (
+    CampaignsResult,
     DiagnosisResult,
     FitResult,
     InformationResult,
@@ -64,6 +66,9 @@ def body(canvas: Canvas, result: Result) -> list[Section]:
     elif isinstance(result, InformationResult):
         found = [parameters.information_section(result), parameters.segments_section(canvas, result)]
         found.append(runs.run_section(canvas, result.logs, result.inputs))
+    elif isinstance(result, CampaignsResult):
+        found = [campaigns.changes_section(result), campaigns.errors_section(result)]
+        found += [campaigns.estimates_section(canvas, result), campaigns.logs_section(result)]
     else:
         raise TypeError(
             f"write_report has no page for a {type(result).__name__}: use write_design_page for a design, and "

@@ -10,7 +10,7 @@ from scipy import stats
 
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.data.record import Record
-from seatrial.ident.estimation.homogeneity import between_log_variance, homogeneity_test
+from seatrial.ident.estimation.homogeneity import homogeneity_test
 from seatrial.ident.estimation.maximum_likelihood import EstimationOptions, Method, SearchSettings, fit
 from seatrial.ident.model.parameter import Parameter
 from seatrial.ident.model.structure import Input, Model, Output, Sensor, State, plain_model
@@ -89,28 +89,6 @@ def test_different_logs_are_found_to_differ() -> None:
     assert row.low is not None
     assert row.high is not None
     assert row.low < 40.0 < row.high
-
-
-def test_between_log_variance_of_known_values() -> None:
-    rng = np.random.default_rng(0)
-    found = []
-    for _ in range(200):
-        V = np.diag(rng.uniform(0.5, 2.0, 8) ** 2)
-        found.append(
-            between_log_variance(10.0 + 3.0 * rng.normal(size=8) + np.sqrt(np.diag(V)) * rng.normal(size=8), V)
-        )
-    scatter, mean, error = np.array(found).T
-    assert np.median(scatter) == pytest.approx(3.0, rel=0.15)
-    assert np.std((mean - 10.0) / error) == pytest.approx(1.0, abs=0.2)
-    tau, mean0, error0 = between_log_variance(np.array([5.0, 5.1, 4.9]), np.eye(3))
-    assert tau == 0.0
-    assert (mean0, error0) == pytest.approx((5.0, 3**-0.5))
-
-
-def test_value_without_a_standard_error_is_ignored() -> None:
-    V = np.diag([1.0, np.nan, 1.0])
-    assert between_log_variance(np.array([1.0, 99.0, 3.0]), V)[1] == pytest.approx(2.0)
-    assert np.isnan(between_log_variance(np.array([1.0, 99.0]), np.diag([1.0, np.nan]))[1])
 
 
 @pytest.mark.parametrize("method", ["prediction-error", "output-error"])

@@ -15,6 +15,7 @@ from seatrial.ident.estimation.thrust_scale import (
     contradicted_priors,
     free_unknown_scale,
     least_yaw_inertia,
+    model_values,
     thrust_scale_of,
 )
 from seatrial.ident.model.parameter import ParameterOrigin
@@ -88,6 +89,18 @@ def test_error_of_a_ratio_includes_the_error_of_the_thrust(fitted: Fit) -> None:
     ratio = fitted.estimate("c1")[0] / thrust
     assert (value, error) == (pytest.approx(ratio.mean(), rel=1e-3), pytest.approx(ratio.std(), rel=0.02))
     np.testing.assert_allclose(np.diag(reported.correlation), 1.0)
+
+
+def test_model_values_invert_the_reported_values(fitted: Fit) -> None:
+    reported = ReportedEstimates(fitted)
+    names = {p.name: reported.scale.name(p.name, p.unit) for p in fitted.model.parameters}
+    values = {names[p.name]: reported.estimate(p)[0] for p in fitted.model.parameters}
+    assert {"m_u/T", "c2/T"} <= set(values)
+    assert set(values) != set(fitted.model.values)
+    # The model may have another c2: the thrust follows from c1 and the reported share of c2.
+    other = fitted.model.with_values({"c2": 5.0, "m_u": 1.0})
+    found = model_values(other, values | {"unknown": 1.0})
+    assert found == pytest.approx({n: v for n, v in fitted.model.values.items() if n != "c1"})
 
 
 def test_estimate_far_from_its_prior_is_reported(fitted: Fit) -> None:

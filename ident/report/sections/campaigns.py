@@ -1,0 +1,236 @@
+"""Sections of two campaigns of logs in a report page: changes, prediction errors, estimates by log, and the logs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from seatrial.ident.report import drawing, formatting
+from seatrial.ident.report.blocks import Canvas, Cell, Grid, Heading, Key, Plot, Prose, Section, Table
+from seatrial.ident.report.sections.predictions import error_words
+from seatrial.ident.results import (
+    CampaignErrors,
+    CampaignsResult,
+    EffectDifference,
+    ErrorComparison,
+    ParameterDifference,
+)
+
+VALUES = {"before": "values before", "changed": "with the changes", "after": "values after"}
+COLORS = {"before": drawing.BEFORE, "after": drawing.MODEL}
+SYMBOLS = {"before": "circle-open", "after": "circle"}
+MOST_LABELS = 24  # logs whose names fit beside a figure
+ROW_PX, REST_PX = 20, 62  # height of a log's row in a figure, and of the axis below
+
+
+def change_of(p: ParameterDifference) -> str:
+    """Return the change of a parameter with its 95 % interval as text: ``+24 % (+15 to +33)``.
+
+    Without a relative change, it is in the shown unit of the parameter. Without an interval, only the change is
+    returned.
+    """
+    factor, _ = formatting.degrees_for(p.unit)
+    relative = p.relative is not None and p.difference != 0.0
+    scale = 100.0 * (p.relative or 0.0) / p.difference if relative else factor
+    value, low, high = (
+        None if v is None else _signed(scale * v, relative, scale * p.se) for v in (p.difference, p.low, p.high)
+    )
+    unit = " %" if relative else ""
+    return f"{value}{unit}" if low is None or high is None else f"{value}{unit} ({low} to {high})"
+
+
+def _signed(value: float, percent: bool, error: float) -> str:
+    """Return a number with its sign: whole per cent, one decimal if the ``error`` is below 1 %, or three digits."""
+    if not percent:
+        text = formatting.plain(value)
+        return text if value <= 0.0 else f"+{text}"
+    return f"{round(value, 1 if error < 1.0 else 0) + 0.0:+.{1 if error < 1.0 else 0}f}".replace("-", "−")
+
+
+def effect_words(effect: EffectDifference) -> tuple[str, str, str, str]:
+    """Return an effect as texts: its name, whether it is present before and after, and whether it has changed."""
+    words = {True: "present", False: "not significant", None: "unknown"}
+    return effect.name, words[effect.before], words[effect.after], "changed" if effect.changed else ""
+
+
+def changes_section(result: CampaignsResult) -> Section:
+    """Return the section of the differences of all parameters, of the effects, and of what could not be compared."""
+    columns = (
+        ("parameter", ""), ("", ""), ("before ± s.e.", "num"), ("after ± s.e.", "num"), ("change (95 %)", "num"),
+        ("scatter", "num"), ("p", "num"), ("q", "num"), ("verdict", ""),
+    )  # fmt: skip
+    boat = [p for p in result.parameters if not p.nuisance]
+    rest = [p for p in result.parameters if p.nuisance]
+    rows: list[list[Cell | str]] = [_cells(p) for p in boat]
+    if rest:
+        rows += [[Cell("Noise, disturbances and sensors")], *(_cells(p) for p in rest)]
+    blocks: list[Any] = [Table(columns, rows)] if rows else []
+    lead = (
+        "Means of the separate fits to the logs, with the scatter between logs as a random effect (REML) and intervals "
+        "by Student's t (Hartung and Knapp). A parameter has changed if q, the p value adjusted for the number of "
+        f"parameters (Benjamini and Hochberg), is at most {100 * result.false_discovery_rate:g} %."
+    )
+    lines = []
+    if result.joint is not None and result.joint.p is not None:
+        lines.append(
+            f"All {len(result.joint.parameters)} parameters together: p {_equals(result.joint.p)} for no change at all."
+        )
+    if (f := result.common_factor) is not None and f.explains:
+        factor, low, high = (formatting.plain(v) for v in (f.factor, f.low, f.high))
+        lines.append(
+            f"One factor of {', '.join(f.parameters)} explains the changes of all of them: {factor} "
+            f"(95 %: {low} to {high}; p {_equals(f.p)} for one factor). A change of the thrust does the same."
+        )
+    blocks += [Prose(line) for line in lines]
+    if result.effects:
+        found = [
+            [Cell(w, "code") if k == 0 else Cell(w) for k, w in enumerate(effect_words(e))] for e in result.effects
+        ]
+        blocks += [Heading("Effects"), Table((("effect", ""), ("before", ""), ("after", ""), ("", "")), found)]
+    if result.not_compared:
+        reasons: dict[str, list[str]] = {}
+        for p in result.not_compared:
+            reasons.setdefault(p.reason, []).append(p.name)
+        left = [[Cell(", ".join(names), "code"), Cell(reason)] for reason, names in reasons.items()]
+        blocks += [Heading("Not compared"), Table((("parameter", ""), ("reason", "")), left)]
+    return Section("changes", "Changes", blocks, lead if rows else "")
+
+
+def _equals(p: float) -> str:
+    """Return the text of a p value after the letter p: ``= 0.03`` or ``< 10⁻⁴``."""
+    words = formatting.probability(p)
+    return words if words.startswith("<") else f"= {words}"
+
+
+def _cells(p: ParameterDifference) -> list[Cell | str]:
+    """Return the table cells of one parameter."""
+    factor, unit = formatting.degrees_for(p.unit)
+    before, after = (formatting.with_error(factor * m.mean, factor * m.se) for m in (p.before, p.after))
+    scatter = None if p.scatter is None else factor * p.scatter
+    numbers = (before, after, change_of(p), formatting.plain(scatter, 2))
+    verdict = Cell("changed", "strong") if p.changed else Cell("unknown" if p.q is None else "–", "quiet")
+    return [
+        Cell(p.name, "symbol"),
+        Cell(unit, "nowrap"),
+        *(Cell(n, "num") for n in numbers),
+        *(Cell(formatting.probability(v), "num") for v in (p.p, p.q)),
+        verdict,
+    ]
+
+
+def errors_section(result: CampaignsResult) -> Section:
+    """Return the section of the prediction errors on the logs of each campaign; empty if no log was predicted."""
+    errors = result.errors
+    columns = [("channel", ""), ("", ""), *((f"logs {e.logs}, {VALUES[e.values]}", "num") for e in errors)]
+    channels = dict.fromkeys(name for e in errors for name in e.channels)
+    rows: list[list[Cell | str]] = []
+    for name in channels:
+        factor, unit = formatting.degrees_for(next(e.channels[name].unit for e in errors if name in e.channels))
+        cells = [_error_cell(e.channels.get(name), factor) for e in errors]
+        rows.append([Cell(formatting.titled(name)), Cell(unit), *cells])
+    if any(e.ratio is not None for e in errors):
+        rows.append([Cell("all channels", "strong"), Cell("ratio"), *(_ratio_cell(e) for e in errors)])
+    lead = (
+        f"RMS prediction error {result.horizon:g} s ahead. No log is predicted with values that were estimated from it"
+        ". In brackets: error / error with the values before, on the same logs. The 95 % interval of the ratio over "
+        "all channels is by a jackknife over blocks of time."
+    )
+    return Section("errors", "Prediction errors", [Table(columns, rows)] if rows else [], lead if rows else "")
+
+
+def _error_cell(row: ErrorComparison | None, factor: float) -> Cell:
+    """Return the cell of one error, with its ratio to that with the values before."""
+    if row is None:
+        return Cell("–", "num")
+    words = error_words(None if row.after is None else factor * row.after)
+    if row.before and row.after is not None:
+        words += f" ({formatting.plain(row.after / row.before, 2)})"
+    return Cell(words, f"num {_style(row.verdict)}".strip())
+
+
+def _ratio_cell(e: CampaignErrors) -> Cell:
+    """Return the cell of the ratio of the errors over all channels, with its 95 % interval."""
+    if e.ratio is None:
+        return Cell("1", "num")
+    within = "" if e.low is None else f" ({formatting.plain(e.low, 2)} to {formatting.plain(e.high, 2)})"
+    return Cell(f"{formatting.plain(e.ratio, 2)}{within}", f"num {_style(e.verdict)}".strip())
+
+
+def _style(verdict: str | None) -> str:
+    """Return the CSS class of a significant change of an error; empty without one."""
+    return {"fell": "good", "rose": "bad"}.get(verdict or "", "")
+
+
+def estimates_section(canvas: Canvas, result: CampaignsResult) -> Section:
+    """Return the section of the estimates of each log: a figure for each parameter of the boat, changed ones first."""
+    shown = sorted((p for p in result.parameters if not p.nuisance), key=lambda p: not p.changed)
+    key = Key([("before-dots", "log before, with 95 % interval"), ("after-dots", "log after, with 95 % interval")])
+    lead = (
+        "Line and band: mean of the campaign with its 95 % interval. Errors from priors are left out, because they are "
+        "the same in all logs."
+    )
+    plots = [_estimates_plot(canvas, p) for p in shown]
+    return Section("estimates", "Estimates of each log", [key, Grid(plots, 300)] if plots else [], lead)
+
+
+def _estimates_plot(canvas: Canvas, p: ParameterDifference) -> Plot:
+    """Return the plot of the estimates of one parameter, one row for each log, those before on top."""
+    factor, unit = formatting.degrees_for(p.unit)
+    logs = sorted(p.logs, key=lambda x: x.campaign == "after")
+    place = np.arange(len(logs))[::-1]
+    traces, shapes = [], []
+    variances = {
+        c: 1.0 / sum(1.0 / (x.se**2 + (p.scatter or 0.0) ** 2) for x in logs if x.campaign == c) for c in COLORS
+    }
+    for campaign, mean in (("before", p.before), ("after", p.after)):
+        at = [k for k, x in enumerate(logs) if x.campaign == campaign]
+        color = COLORS[campaign]
+        bars = {"type": "data", "array": [factor * drawing.Z95 * logs[k].se for k in at], "thickness": 1.4, "width": 0}
+        traces.append(
+            {
+                "type": "scatter", "mode": "markers", "name": campaign,
+                "x": [factor * logs[k].value for k in at], "y": place[at].tolist(),
+                "error_x": {**bars, "color": color}, "text": [drawing.escaped(logs[k].log) for k in at],
+                "hovertemplate": "%{text}: %{x:.4g}<extra></extra>",
+                "marker": {"color": color, "symbol": SYMBOLS[campaign], "size": 8, "line": {"width": 1.8}},
+            }
+        )  # fmt: skip
+        rows = {"y0": float(place[at].min()) - 0.5, "y1": float(place[at].max()) + 0.5, "layer": "below"}
+        center = factor * mean.mean
+        shapes.append({"type": "line", "x0": center, "x1": center, "line": {"color": color, "width": 1.6}, **rows})
+        if p.low is not None and p.high is not None:
+            # The interval of the difference, shared between the means by their variances: without errors from priors.
+            half = 0.5 * factor * (p.high - p.low) * (variances[campaign] / sum(variances.values())) ** 0.5
+            fill = "rgba({},{},{},0.16)".format(*(int(color[i : i + 2], 16) for i in (1, 3, 5)))
+            edge = {"type": "rect", "x0": center - half, "x1": center + half, "line": {"width": 0}, "fillcolor": fill}
+            shapes.append({**edge, **rows})
+    names = [_short_name(x.log) for x in logs]
+    labels: dict[str, Any] = {"showticklabels": False}
+    if len(logs) <= MOST_LABELS:
+        labels = {"tickmode": "array", "tickvals": place.tolist(), "ticktext": [drawing.escaped(n) for n in names]}
+    y = {**labels, "range": [-0.7, len(logs) - 0.3], "automargin": True, "showgrid": False}
+    title = f"{p.name}{formatting.bracket(unit)}{', changed' if p.changed else ''}"
+    figure = drawing.single(traces, title, xaxis={"nticks": 5}, yaxis=y, shapes=shapes, hovermode="closest")
+    return canvas.plot(figure, REST_PX + ROW_PX * len(logs), f"Estimates of {p.name} from each log")
+
+
+def _short_name(path: str, most: int = 18) -> str:
+    """Return the file name of a log without its ending; of a longer name than ``most`` characters, the end."""
+    name = path.replace("\\", "/").rsplit("/", 1)[-1].removesuffix(".mcap")
+    return name if len(name) <= most else f"…{name[1 - most :]}"
+
+
+def logs_section(result: CampaignsResult) -> Section:
+    """Return the section of the logs of both campaigns, and of those without a fit."""
+    columns = (("log", ""), ("campaign", ""), ("duration", "num"), ("SHA-256", ""))
+    rows: Sequence[Sequence[Cell | str]] = [
+        [x.log, x.campaign, Cell(formatting.duration(x.duration), "num"), Cell(x.sha256[:16], "code")]
+        for x in result.campaigns
+    ]
+    blocks: list[Any] = [Table(columns, rows)]
+    if result.failed:
+        failed = [[Cell(f.log), Cell(f.reason)] for f in result.failed]
+        blocks += [Heading("Logs without a fit"), Table((("log", ""), ("reason", "")), failed)]
+    return Section("logs", "Logs", blocks)

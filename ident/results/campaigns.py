@@ -1,0 +1,253 @@
+"""Result of the comparison of two campaigns of logs: changes of parameters and effects, and prediction errors."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from msgspec import Meta
+
+from seatrial.daq.errors import counted
+from seatrial.ident.results.commands import FailedLog
+from seatrial.ident.results.parts import Change, ErrorComparison, Part, Result
+from seatrial.ident.results.tables import format_number
+
+Campaign = Literal["before", "after"]
+MOST_NAMES = 4  # changed parameters that the answer has with their sizes
+JOINT_LEVEL = 0.05  # significance level of the joint test
+
+
+class LogEstimate(Part, frozen=True, kw_only=True):
+    """Estimate of one parameter from one log."""
+
+    log: Annotated[str, Meta(description="path of the log")]
+    campaign: Annotated[Campaign, Meta(description="`before` or `after`")]
+    value: Annotated[float, Meta(description="estimate")]
+    se: Annotated[float, Meta(description="standard error without the errors from priors, which all logs share")]
+
+
+class CampaignMean(Part, frozen=True, kw_only=True):
+    """Mean of one parameter over the logs of one campaign, weighted with the scatter and the standard errors."""
+
+    n: Annotated[int, Meta(description="number of logs")]
+    mean: Annotated[float, Meta(description="mean")]
+    se: Annotated[float, Meta(description="standard error of the mean, with the errors from priors")]
+
+
+class ParameterDifference(Part, frozen=True, kw_only=True):
+    """Difference of one parameter between two campaigns.
+
+    The test and the interval are those of Student's t with the number of logs minus two degrees of freedom. If each
+    campaign has a single log, the scatter between logs is unknown, and there is neither a test nor an interval.
+    """
+
+    name: Annotated[str, Meta(description="name of the parameter; a ratio to the thrust is `NAME/T`")]
+    meaning: Annotated[str, Meta(description="meaning in words")]
+    unit: Annotated[str, Meta(description="unit of the values, SI and radians; empty: none")]
+    effect: Annotated[str | None, Meta(description="effect of the parameter; null: the model itself")]
+    nuisance: Annotated[
+        bool,
+        Meta(
+            description="parameter of noise, of a disturbance or of an offset of a sensor, not of the boat; such "
+            "parameters have q values of their own"
+        ),
+    ]
+    before: Annotated[CampaignMean, Meta(description="mean of the campaign before")]
+    after: Annotated[CampaignMean, Meta(description="mean of the campaign after")]
+    difference: Annotated[float, Meta(description="mean after minus mean before")]
+    se: Annotated[float, Meta(description="standard error of the difference; errors from priors cancel in it")]
+    low: Annotated[float | None, Meta(description="95 % interval of the difference; null: two logs only")]
+    high: Annotated[float | None, Meta(description="upper end of the interval")]
+    relative: Annotated[
+        float | None,
+        Meta(description="difference / size of the mean before; null: that is within 3 standard errors of zero"),
+    ]
+    scatter: Annotated[
+        float | None,
+        Meta(description="standard deviation between the logs of a campaign beyond their standard errors"),
+    ]
+    p: Annotated[float | None, Meta(description="p value of no difference; null: two logs only")]
+    q: Annotated[
+        float | None,
+        Meta(description="p value adjusted for the number of parameters (Benjamini and Hochberg); null as `p`"),
+    ]
+    changed: Annotated[bool, Meta(description="verdict: `q` is at most the false discovery rate")]
+    logs: Annotated[tuple[LogEstimate, ...], Meta(description="estimate from each log")]
+
+
+class NotCompared(Part, frozen=True, kw_only=True):
+    """Parameter of the model that cannot be compared between the campaigns."""
+
+    name: Annotated[str, Meta(description="name of the parameter")]
+    meaning: Annotated[str, Meta(description="meaning in words")]
+    reason: Annotated[str, Meta(description="reason in words")]
+
+
+class JointTest(Part, frozen=True, kw_only=True):
+    """Test whether anything differs between the campaigns: all parameters together, with their correlations."""
+
+    p: Annotated[float | None, Meta(description="p value of no difference in any parameter; null: two logs only")]
+    directions: Annotated[int, Meta(description="number of independent directions that were tested")]
+    parameters: Annotated[tuple[str, ...], Meta(description="tested parameters: those that each log determines")]
+
+
+class CommonFactor(Part, frozen=True, kw_only=True):
+    """Common factor of the parameters that are proportional to the thrust: masses, inertia and damping.
+
+    The motion of a boat determines these parameters only as ratios to the thrust. If the thrust has become F times as
+    large and the fits do not know it, all of them become 1 / F times as large.
+    """
+
+    factor: Annotated[float, Meta(description="common factor, after / before")]
+    low: Annotated[float, Meta(description="95 % interval of the factor")]
+    high: Annotated[float, Meta(description="upper end of the interval")]
+    p: Annotated[float, Meta(description="p value of one factor for all these parameters")]
+    parameters: Annotated[tuple[str, ...], Meta(description="the parameters")]
+    explains: Annotated[
+        bool, Meta(description="verdict: the factor differs from 1, and `p` does not reject that it is common")
+    ]
+
+
+class EffectDifference(Part, frozen=True, kw_only=True):
+    """Effect of the model in the two campaigns.
+
+    An effect is present in a campaign if the mean of one of its parameters differs from that without the effect, at the
+    level of 5 % for all its parameters together.
+    """
+
+    name: Annotated[str, Meta(description="name of the effect")]
+    before: Annotated[bool | None, Meta(description="present in the campaign before; null: unknown")]
+    after: Annotated[bool | None, Meta(description="present in the campaign after; null: unknown")]
+    changed: Annotated[bool, Meta(description="a parameter of the effect has changed")]
+
+
+class CampaignErrors(Part, frozen=True, kw_only=True):
+    """RMS prediction errors over the horizon on the logs of one campaign, with the values of one model.
+
+    The values of a campaign are means over its logs without the log that is predicted.
+    """
+
+    logs: Annotated[Campaign, Meta(description="campaign whose logs are predicted")]
+    values: Annotated[
+        Literal["before", "changed", "after"],
+        Meta(
+            description="values of the model: those before, those before with the changed parameters of after, or "
+            "those after"
+        ),
+    ]
+    channels: Annotated[
+        dict[str, ErrorComparison],
+        Meta(description="errors by channel; `before`: with the values before, on the same logs"),
+    ]
+    ratio: Annotated[
+        float | None, Meta(description="error over all channels / error with the values before; null for these")
+    ] = None
+    low: Annotated[float | None, Meta(description="95 % interval of `ratio`; null: the data are too short")] = None
+    high: Annotated[float | None, Meta(description="upper end of the interval")] = None
+    verdict: Annotated[Change | None, Meta(description="verdict on the ratio, by the interval")] = None
+
+
+class CampaignLog(Part, frozen=True, kw_only=True):
+    """Log of a campaign that was fitted."""
+
+    log: Annotated[str, Meta(description="path of the log")]
+    sha256: Annotated[str, Meta(description="SHA-256 of the log")]
+    campaign: Annotated[Campaign, Meta(description="`before` or `after`")]
+    duration: Annotated[float, Meta(description="[s]")]
+
+
+class CampaignsResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="campaigns"):
+    """Result of `seatrial ident changes`: one model on two campaigns of logs, and what differs between them."""
+
+    model: Annotated[str, Meta(description="name of the model as given; `auto`: chosen for each log")]
+    table: Annotated[str, Meta(description="file of all estimates; empty: no file was written")]
+    horizon: Annotated[float, Meta(description="prediction horizon [s]")]
+    false_discovery_rate: Annotated[
+        float, Meta(description="largest expected share of false ones among the changed parameters")
+    ]
+    campaigns: Annotated[tuple[CampaignLog, ...], Meta(description="logs whose fit converged")]
+    failed: Annotated[tuple[FailedLog, ...], Meta(description="logs without a fit, or whose fit did not converge")]
+    parameters: Annotated[tuple[ParameterDifference, ...], Meta(description="compared parameters")]
+    not_compared: Annotated[tuple[NotCompared, ...], Meta(description="other parameters, with the reason")]
+    effects: Annotated[tuple[EffectDifference, ...], Meta(description="effects of the model")]
+    joint: Annotated[JointTest | None, Meta(description="test of all parameters together; null: none was possible")]
+    common_factor: Annotated[
+        CommonFactor | None, Meta(description="null: fewer than three such parameters, or fewer than three logs")
+    ]
+    errors: Annotated[tuple[CampaignErrors, ...], Meta(description="prediction errors")]
+
+    @property
+    def changed(self) -> tuple[ParameterDifference, ...]:
+        """Parameters that have changed, without those of noise, disturbances and sensors."""
+        return tuple(p for p in self.parameters if p.changed and not p.nuisance)
+
+
+def campaigns_answer(result: CampaignsResult) -> str:
+    """Return the answer of a comparison of campaigns: changed parameters, common factor, and prediction errors."""
+    tested = [p for p in result.parameters if not p.nuisance and p.q is not None]
+    changed = [p for p in result.changed if p in tested]
+    rate = f"at a false discovery rate of {100.0 * result.false_discovery_rate:g} %"
+    if not tested and result.parameters:
+        sentences = [
+            "The scatter between logs is unknown with one log before and one after, so no change can be claimed; give "
+            "two or more logs of a campaign."
+        ]
+    elif not tested:
+        sentences = ["No parameter could be compared."]
+    elif changed:
+        found = [_change_text(p) for p in sorted(changed, key=lambda p: p.p or 0.0)]
+        more = f" and {len(found) - MOST_NAMES} more" if len(found) > MOST_NAMES else ""
+        verb = "has" if len(changed) == 1 else "have"
+        begin = f"{len(changed)} of {counted(len(tested), 'parameter')} {verb} changed {rate}"
+        sentences = [f"{begin}: {', '.join(found[:MOST_NAMES])}{more}."]
+    else:
+        sentences = [f"None of {counted(len(tested), 'parameter')} has changed {rate}."]
+        if result.joint is not None and result.joint.p is not None and result.joint.p < JOINT_LEVEL:
+            sentences.append(
+                f"All parameters together differ (p = {result.joint.p:.2g}), but the logs do not determine which."
+            )
+    factor = result.common_factor
+    if factor is not None and factor.explains and changed:
+        sentences.append(
+            f"One factor of {format_number(factor.factor)} (95 %: {format_number(factor.low)} to "
+            f"{format_number(factor.high)}) on masses and damping explains these changes; a thrust that has become "
+            f"{format_number(1.0 / factor.factor)} times as large does the same."
+        )
+    one = [e for e in result.effects if e.changed and {e.before, e.after} == {True, False}]
+    only = [f"{e.name} (only {'after' if e.after else 'before'})" for e in one]
+    if only:
+        sentences.append(f"Effects of one campaign: {', '.join(only)}.")
+    if (sentence := _errors_sentence(result)) is not None:
+        sentences.append(sentence)
+    return " ".join(sentences)
+
+
+def _change_text(p: ParameterDifference) -> str:
+    """Return a changed parameter with its change and the 95 % interval: ``d_uu +24 % (95 %: +15 to +33 %)``.
+
+    Without a relative change, the change is in the unit of the parameter.
+    """
+    low, high = p.low or 0.0, p.high or 0.0
+    if p.relative is None:
+        return f"{p.name} {p.difference:+.3g} {p.unit}".strip() + f" (95 %: {low:+.3g} to {high:+.3g})"
+    scale = 100.0 * p.relative / p.difference
+    return f"{p.name} {100.0 * p.relative:+.0f} % (95 %: {scale * low:+.0f} to {scale * high:+.0f} %)"
+
+
+def _errors_sentence(result: CampaignsResult) -> str | None:
+    """Return the sentence on the prediction errors on the logs after, with the changes if there are any.
+
+    None if these logs were not predicted by both models.
+    """
+    rows = {e.values: e for e in result.errors if e.logs == "after"}
+    kind, row = next(((k, rows[k]) for k in ("changed", "after") if k in rows), ("", None))
+    if row is None or row.ratio is None:
+        return None
+    words = "with the changed parameters" if kind == "changed" else "with all values of after"
+    begin = f"On the logs after, the prediction error {result.horizon:g} s ahead"
+    if row.low is None or row.high is None:
+        return f"{begin} changes by {100 * row.ratio - 100:+.0f} % {words}; the logs are too short for an interval."
+    interval = f"(95 %: {100 * row.low - 100:+.0f} to {100 * row.high - 100:+.0f} %)"
+    verdict = {"fell": "falls", "rose": "rises", "unchanged": "does not change significantly"}[
+        row.verdict or "unchanged"
+    ]
+    return f"{begin} {verdict} {words}: {100 * row.ratio - 100:+.0f} % {interval}."

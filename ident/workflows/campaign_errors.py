@@ -1,0 +1,219 @@
+"""Prediction errors on the logs of two campaigns, with the values of each and with the changed parameters alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.checks import device_faults
+from seatrial.ident.data import load_all, make_record
+from seatrial.ident.estimation import (
+    conditional_mean,
+    evaluate_records,
+    mean_of_logs,
+    model_values,
+    nominal_model,
+)
+from seatrial.ident.model import Model
+from seatrial.ident.parallel import Workers, run_many
+from seatrial.ident.reporter import Reporter
+from seatrial.ident.results import CampaignErrors, ErrorComparison, finite
+from seatrial.ident.validation import PredictionErrors, horizon_errors, prediction_change_by_record
+from seatrial.ident.workflows.campaign_fits import Comparison, FittedLogs, Values, campaign_of, positive_definite
+from seatrial.ident.workflows.fleet import FleetLog, portable
+from seatrial.ident.workflows.vehicle_model import VehicleRequest, vehicle_problem
+
+
+@dataclass(frozen=True)
+class PredictedLog:
+    """Log whose predictions are compared, as a task for a worker.
+
+    Attributes
+    ----------
+    log
+        The log.
+    values
+        Values of each model, by name of the model (`CampaignErrors.values`): reported values by reported name.
+    """
+
+    log: FleetLog
+    values: Mapping[str, Values]
+
+
+@dataclass(frozen=True)
+class LogErrors:
+    """Prediction errors of several models on one log.
+
+    Attributes
+    ----------
+    horizon
+        Prediction horizon [s].
+    units
+        Unit of each channel.
+    errors
+        Prediction errors by model and channel. A log that is shorter than the horizon has none.
+    """
+
+    horizon: float
+    units: Mapping[str, str]
+    errors: Mapping[str, Mapping[str, PredictionErrors]]
+
+
+def prediction_errors(
+    fitted: FittedLogs,
+    comparison: Comparison,
+    logs: Sequence[FleetLog],
+    vehicle: VehicleRequest,
+    workers: Workers,
+    reporter: Reporter,
+) -> tuple[tuple[CampaignErrors, ...], float]:
+    """Predict each log by the values of the campaigns without this log, and return the errors and the horizon [s].
+
+    Values that need the log itself, because its campaign has no other one, are left out. A log that cannot be predicted
+    is left out with a warning.
+    """
+    by_name = {log.name: log for log in logs}
+    tasks = [
+        PredictedLog(by_name[name], values)
+        for k, name in enumerate(fitted.logs)
+        if (values := _values_without(fitted, comparison, k))
+    ]
+    found: dict[str, LogErrors] = {}
+    work = partial(_errors_of_log, portable(vehicle))
+    for n, outcome in enumerate(run_many(tasks, work, workers, reporter), 1):
+        if outcome.value is None:
+            reporter.warning(f"{outcome.task.log.name}: no prediction: {outcome.error}")
+            continue
+        found[outcome.task.log.name] = outcome.value
+        reporter.progress(f"{n} of {len(tasks)}: {outcome.task.log.name} predicted")
+    horizon = next((x.horizon for x in found.values()), vehicle.estimation.horizon or float("nan"))
+    later = dict(zip(fitted.logs, fitted.after.tolist(), strict=True))
+    rows = []
+    for after, kinds in ((False, ("before",)), (True, ("before", "changed", "after"))):
+        part = {log: found[log] for log in fitted.logs if log in found and later[log] is after}
+        rows += [row for kind in kinds if (row := _errors_row(part, after, kind, horizon)) is not None]
+    return tuple(rows), horizon
+
+
+def _values_without(fitted: FittedLogs, comparison: Comparison, k: int) -> dict[str, Values]:
+    """Return the values of the models that predict the log with the index k, none of which uses this log.
+
+    A log before gets the values before. A log after gets those before, those before with the changed parameters of
+    after, and those after.
+    """
+    others = np.arange(len(fitted.logs)) != k
+    before, after = (fitted.part(others & (fitted.after == x)) for x in (False, True))
+    found: dict[str, Values] = {}
+    if before.logs:
+        found["before"] = _campaign_values(before, comparison.scatter)
+    if fitted.after[k] and after.logs:
+        changed = {p.name for p in comparison.parameters if p.changed}
+        if changed:
+            found["changed"] = _campaign_values(after, comparison.scatter, found["before"], changed)
+        found["after"] = _campaign_values(after, comparison.scatter)
+    return found
+
+
+def _campaign_values(
+    part: FittedLogs, scatter: Mapping[str, float], held: Values | None = None, changed: set[str] | None = None
+) -> Values:
+    """Return the values of all parameters of one campaign: means over its logs, with their correlations.
+
+    Parameters
+    ----------
+    part : FittedLogs
+        Logs of the campaign.
+    scatter : mapping
+        Scatter between the logs by parameter; 0 for other parameters.
+    held : dict, optional
+        Values of another campaign. All parameters except ``changed`` keep them, and the changed ones get the values
+        that the logs have together with them.
+    changed : set of str, optional
+        Names of the changed parameters.
+
+    Notes
+    -----
+    The estimates of one log are correlated: linear and quadratic damping, for example. A changed parameter alone, with
+    the others of another campaign, would not predict the motion. Parameters without an error in a log have their plain
+    mean.
+    """
+    names = [n for n in part.names if not any(r[n]["per_log"] for r in part.rows if n in r)]
+    found = {n: float(np.mean([r[n]["value"] for r in part.rows if n in r])) for n in names}
+    known = [n for n in names if part.known(n).all()]
+    if known:
+        covariances = np.array([positive_definite(S, np.diag(S)) for S in part.covariances(known)])
+        mean, covariance = mean_of_logs(part.values(known), covariances, np.array([scatter.get(n, 0.0) for n in known]))
+        if held is not None:
+            same = np.array([n in held and n not in (changed or ()) for n in known])
+            mean = conditional_mean(mean, covariance, same, np.array([held.get(n, 0.0) for n in known]))
+        found |= dict(zip(known, mean.tolist(), strict=True))
+    return found if held is None else held | {n: v for n, v in found.items() if n in (changed or ())}
+
+
+def _errors_of_log(vehicle: VehicleRequest, task: PredictedLog) -> LogErrors:
+    """Predict one log by each model, in a worker process."""
+    loaded, _ = load_all([task.log.path], [], vehicle.window, device_faults)
+    problem = vehicle_problem(vehicle, loaded, [])
+    # First order, as in `seatrial ident compare`.
+    model = replace(nominal_model(problem.model), second_order=False)
+    horizon = vehicle.estimation.horizon or model.horizon
+    record = make_record(model, problem.segments[0], vehicle.rate)
+    found = {}
+    for kind, values in task.values.items():
+        adapted = nominal_model(_with_values(model, values))  # its priors are scaled to the size of the boat
+        views, failed = evaluate_records(adapted, [record])
+        if failed:
+            raise SeatrialError(failed[0].reason)
+        (v,) = views
+        found[kind] = horizon_errors(v.model, v.record, v.values, v.run.x_filt, horizon)
+    return LogErrors(horizon, {o.name: o.unit for o in model.outputs}, found)
+
+
+def _with_values(model: Model, reported: Values) -> Model:
+    """Return the model with reported values. A mean beyond a bound is moved onto it, and a positive one stays so."""
+    found = model_values(model, reported)
+    for name, value in found.items():
+        p = model.parameter(name)
+        low, high = p.bounds
+        least = max(low, 1e-6 * abs(p.value)) if p.transform == "log" else low
+        found[name] = float(np.clip(value, least, high))
+    return model.with_values(found)
+
+
+def _errors_row(part: Mapping[str, LogErrors], after: bool, kind: Any, horizon: float) -> CampaignErrors | None:
+    """Return the errors of one model on the logs of one campaign; None if it predicts none of them."""
+    now = {log: x.errors[kind] for log, x in part.items() if x.errors.get(kind)}
+    base = {log: x.errors["before"] for log, x in part.items() if log in now and x.errors.get("before")}
+    units = {name: unit for x in part.values() for name, unit in x.units.items()}
+    names = dict.fromkeys(n for of in now.values() for n in of)
+    if not names:
+        return None
+    rms = {n: _rms(now, n) for n in names}
+    if kind == "before":
+        channels = {n: ErrorComparison(after=rms[n], unit=units[n]) for n in names}
+        return CampaignErrors(logs=campaign_of(after), values=kind, channels=channels)
+    change = prediction_change_by_record(base, now, horizon)
+    channels = {
+        n: ErrorComparison(before=_rms(base, n), after=rms[n], unit=units[n])
+        if (c := change.channels.get(n)) is None
+        else ErrorComparison(
+            before=finite(c.before), after=finite(c.after), unit=units[n], low=finite(c.low), high=finite(c.high),
+            verdict=c.verdict,
+        )
+        for n in names
+    }  # fmt: skip
+    return CampaignErrors(
+        logs=campaign_of(after), values=kind, channels=channels, ratio=finite(change.ratio), low=finite(change.low),
+        high=finite(change.high), verdict=change.verdict,
+    )  # fmt: skip
+
+
+def _rms(errors: Mapping[str, Mapping[str, PredictionErrors]], channel: str) -> float | None:
+    """Return the RMS prediction error of a channel over all logs; None without errors, or if a prediction diverged."""
+    pooled = np.concatenate([np.zeros(0), *(of[channel].e for of in errors.values() if channel in of)])
+    return finite(float(np.sqrt(np.mean(pooled**2)))) if pooled.size else None

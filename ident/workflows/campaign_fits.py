@@ -1,0 +1,391 @@
+"""Fits of two campaigns of logs, and the differences of their parameters and effects."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seatrial.ident.effects import catalogue
+from seatrial.ident.estimation import (
+    AT_BOUND,
+    LEAST_OWN,
+    VAGUE,
+    CampaignDifference,
+    Contrast,
+    campaign_difference,
+    joint_difference,
+    mean_of_logs,
+)
+from seatrial.ident.models import force_power
+from seatrial.ident.numerics import Array, chi2_sf, student_ppf
+from seatrial.ident.results import (
+    Campaign,
+    CampaignMean,
+    CommonFactor,
+    EffectDifference,
+    JointTest,
+    LogEstimate,
+    NotCompared,
+    ParameterDifference,
+    finite,
+)
+from seatrial.ident.workflows.fleet import common_errors
+
+FALSE_DISCOVERY_RATE = 0.05
+MOST_PRIOR = 0.5  # largest share of a parameter's information that may come from its prior
+FAR_FROM_ZERO = 3.0  # standard errors: relative changes and factors need a mean that is farther from zero
+LEVEL = 0.05  # of the presence of an effect, and of the test of a common factor
+LEAST_FACTOR = 3  # parameters that a common factor needs
+NOMINAL = ("c1", "c2", "k_thrust", "c1/T", "c2/T")  # the thrust itself, to which the other parameters are proportional
+Values = dict[str, float]
+Row = Mapping[str, Any]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class FittedLogs:
+    """Estimates of the logs of both campaigns whose fit converged.
+
+    Attributes
+    ----------
+    logs
+        Paths of the logs as given.
+    after : Array of bool (n_logs,)
+        Whether a log belongs to the campaign after.
+    rows
+        For each log, its rows of the table by name of the parameter.
+    """
+
+    logs: tuple[str, ...]
+    after: Mask
+    rows: tuple[Mapping[str, Row], ...]
+
+    def part(self, which: Mask) -> FittedLogs:
+        """Return the logs for which the mask ``which`` (n_logs,) is true."""
+        at = np.flatnonzero(which).tolist()
+        return FittedLogs(tuple(self.logs[k] for k in at), self.after[which], tuple(self.rows[k] for k in at))
+
+    @property
+    def names(self) -> list[str]:
+        """Names of all parameters, in the order of the first log that has them."""
+        return list(dict.fromkeys(name for rows in self.rows for name in rows))
+
+    def known(self, name: str) -> Mask:
+        """Return for each log whether it has an estimate of the parameter with a standard error (n_logs,)."""
+        return np.array([name in r and bool(r[name]["free"]) and r[name]["se"] is not None for r in self.rows])
+
+    def values(self, names: Sequence[str]) -> Array:
+        """Return the estimates (n_logs, n_names)."""
+        return np.array([[r[n]["value"] for n in names] for r in self.rows], dtype=float).reshape(-1, len(names))
+
+    def covariances(self, names: Sequence[str]) -> Array:
+        """Return the covariance of each log's estimates (n_logs, n_names, n_names), with the errors from priors."""
+        found = []
+        for rows in self.rows:
+            se = np.array([rows[n]["se"] for n in names], dtype=float)
+            others = [{n: 1.0} | json.loads(rows[n]["correlations"]) for n in names]
+            matrix = np.array([[of_one.get(n, 0.0) for n in names] for of_one in others])
+            found.append(0.5 * (matrix + matrix.T) * np.outer(se, se))
+        return np.array(found).reshape(-1, len(names), len(names))
+
+    def common(self, names: Sequence[str]) -> Array:
+        """Return the part of the error of each estimate by each prior (n_logs, n_names, n_priors)."""
+        parts = [[json.loads(rows[n]["prior_parts"]) for n in names] for rows in self.rows]
+        priors = sorted({prior for of_log in parts for of_name in of_log for prior in of_name})
+        found = np.array([[[p.get(prior, 0.0) for prior in priors] for p in of_log] for of_log in parts])
+        return found.reshape(len(self.rows), len(names), len(priors))
+
+    def own_covariances(self, names: Sequence[str]) -> Array:
+        """Return the covariances without the errors from priors, positive definite (n_logs, n_names, n_names)."""
+        full, common = self.covariances(names), self.common(names)
+        return np.array([positive_definite(S - C @ C.T, np.diag(S)) for S, C in zip(full, common, strict=True)])
+
+
+def positive_definite(matrix: Array, variances: Array) -> Array:
+    """Return the nearest covariance whose eigenvalues, scaled by ``variances`` (n,), are at least 1e-6."""
+    root = np.sqrt(variances)
+    w, V = np.linalg.eigh(matrix / np.outer(root, root))
+    return np.asarray((V * np.maximum(w, LEAST_OWN)) @ V.T * np.outer(root, root))
+
+
+def fitted_logs(rows: Sequence[Row], later: set[str]) -> FittedLogs:
+    """Return the estimates of the logs whose fit converged, from the rows of the table.
+
+    ``later`` has the hashes of the logs of the campaign after.
+    """
+    by_log: dict[str, dict[str, Row]] = {}
+    for row in rows:
+        if row["converged"]:
+            by_log.setdefault(row["log"], {})[row["parameter"]] = row
+    after = [next(iter(of.values()))["sha256"] in later for of in by_log.values()]
+    return FittedLogs(tuple(by_log), np.array(after, dtype=bool), tuple(by_log.values()))
+
+
+def campaign_of(after: bool) -> Campaign:
+    """Return the name of a campaign: ``after`` or ``before``."""
+    return "after" if after else "before"
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Differences between the parameters of two campaigns, as the tables of the result.
+
+    Attributes
+    ----------
+    parameters, not_compared, effects, joint, common_factor
+        As in `CampaignsResult`.
+    scatter
+        Scatter between the logs by parameter, in its unit; 0 if it is unknown.
+    notes
+        Remarks for the reader.
+    """
+
+    parameters: tuple[ParameterDifference, ...]
+    not_compared: tuple[NotCompared, ...]
+    effects: tuple[EffectDifference, ...]
+    joint: JointTest | None
+    common_factor: CommonFactor | None
+    scatter: Values
+    notes: tuple[str, ...]
+
+
+def compare_fits(fitted: FittedLogs, false_discovery_rate: float = FALSE_DISCOVERY_RATE) -> Comparison:
+    """Compare the parameters of two campaigns by the estimates of their logs.
+
+    Parameters
+    ----------
+    fitted : FittedLogs
+        Estimates of one log or more of each campaign.
+    false_discovery_rate : float
+        Largest expected share of false ones among the changed parameters.
+    """
+    reasons = {name: _why_not_compared(fitted, name) for name in fitted.names}
+    names = [name for name, reason in reasons.items() if not reason]
+    differences = {name: _difference(fitted, name) for name in names}
+    q = _adjusted_p_values(fitted, differences)
+    parameters = tuple(_parameter(fitted, n, differences[n], q[n], false_discovery_rate) for n in names)
+    dynamic = [p.name for p in parameters if not p.nuisance and fitted.known(p.name).all()]
+    scatter = {n: float(np.nan_to_num(d.scatter)) for n, d in differences.items()}
+    joint = None
+    if dynamic and len(fitted.logs) > 2:
+        p, directions = joint_difference(
+            fitted.values(dynamic), fitted.own_covariances(dynamic), fitted.common(dynamic), fitted.after
+        )
+        joint = JointTest(p=finite(p), directions=directions, parameters=tuple(dynamic))
+    not_compared = tuple(
+        NotCompared(name=n, meaning=next(r[n]["meaning"] for r in fitted.rows if n in r), reason=reason)
+        for n, reason in reasons.items()
+        if reason
+    )
+    return Comparison(
+        parameters, not_compared, _effects(fitted, parameters, differences), joint,
+        _common_factor(fitted, parameters, scatter), scatter, _notes(fitted, parameters),
+    )  # fmt: skip
+
+
+def _why_not_compared(fitted: FittedLogs, name: str) -> str:
+    """Return the reason why a parameter cannot be compared between the campaigns; empty if it can."""
+    found, n = [r[name] for r in fitted.rows if name in r], len(fitted.rows)
+    if any(r["per_log"] for r in found):
+        return "has its own value in each log"
+    if not any(r["free"] for r in found):
+        return f"held at its {found[0]['origin']} value"
+    if len(found) < n:
+        return f"is in the model of {len(found)} of {n} logs"
+    effect = catalogue().get(found[0]["effect"] or "")
+    if effect is not None and effect.fixed_point:
+        return "a position, whose origin differs from log to log"
+    for flag in (AT_BOUND, VAGUE):
+        # A value at a bound has no error. The mean of the other logs would be too far from the bound.
+        flagged = np.array([r[name]["flag"] == flag for r in fitted.rows])
+        if flagged.any():
+            where = (f"{int(flagged[part].sum())} of {int(part.sum())} logs" for part in (~fitted.after, fitted.after))
+            return "{} in {} before and {} after".format(flag, *where)
+    known = fitted.known(name)
+    for after in (False, True):
+        if not known[fitted.after == after].any():
+            return f"no log {campaign_of(after)} determines it"
+    shares = [(json.loads(r["prior_parts"]).get(name, 0.0) / r["se"]) ** 2 for r in found if r["se"]]
+    if shares and np.mean(shares) > MOST_PRIOR:
+        return f"known mainly from its prior ({100 * np.mean(shares):.0f} % of the information)"
+    return ""
+
+
+def _difference(fitted: FittedLogs, name: str) -> CampaignDifference:
+    """Return the difference of one parameter, from the logs that have a standard error of it."""
+    part = fitted.part(fitted.known(name))
+    rows = [r[name] for r in part.rows]
+    values, errors = (np.array([r[key] for r in rows], dtype=float) for key in ("value", "se"))
+    common = common_errors(rows)
+    own = np.maximum(errors**2 - (common**2).sum(axis=1), LEAST_OWN * errors**2)
+    return campaign_difference(values, own, common, part.after)
+
+
+def _adjusted_p_values(fitted: FittedLogs, differences: Mapping[str, CampaignDifference]) -> dict[str, float]:
+    """Return the q value of each parameter (Benjamini and Hochberg 1995); NaN if there is no p value.
+
+    Parameters of noise, disturbances and sensors are adjusted among themselves, so that a boat with many sensors shows
+    a change as well as one with few.
+    """
+    found = dict.fromkeys(differences, float("nan"))
+    for nuisance in (False, True):
+        family = {
+            n: d.difference.p
+            for n, d in differences.items()
+            if fitted.rows[0][n]["nuisance"] is nuisance and np.isfinite(d.difference.p)
+        }
+        if family:
+            from scipy.stats import false_discovery_control  # imported here: it takes a second
+
+            found |= dict(zip(family, false_discovery_control(list(family.values())).tolist(), strict=True))
+    return found
+
+
+def _parameter(
+    fitted: FittedLogs, name: str, found: CampaignDifference, q: float, false_discovery_rate: float
+) -> ParameterDifference:
+    """Return the entry of the result for one compared parameter."""
+    known = fitted.known(name)
+    part = fitted.part(known)
+    rows = [r[name] for r in part.rows]
+    own = np.array([r["se"] for r in rows]) ** 2 - (common_errors(rows) ** 2).sum(axis=1)
+    estimates = zip(part.logs, part.after.tolist(), rows, np.sqrt(np.maximum(own, 0.0)).tolist(), strict=True)
+    difference, mean = found.difference, found.before
+    far = abs(mean.value) > FAR_FROM_ZERO * mean.error
+    return ParameterDifference(
+        name=name,
+        meaning=rows[0]["meaning"],
+        unit=rows[0]["unit"],
+        effect=rows[0]["effect"],
+        nuisance=rows[0]["nuisance"],
+        before=CampaignMean(n=int((~part.after).sum()), mean=mean.value, se=mean.error),
+        after=CampaignMean(n=int(part.after.sum()), mean=found.after.value, se=found.after.error),
+        difference=difference.value,
+        se=difference.error,
+        low=finite(difference.low),
+        high=finite(difference.high),
+        relative=difference.value / abs(mean.value) if far else None,
+        scatter=finite(found.scatter),
+        p=finite(difference.p),
+        q=finite(q),
+        changed=bool(q <= false_discovery_rate),
+        logs=tuple(
+            LogEstimate(log=log, campaign=campaign_of(after), value=r["value"], se=se)
+            for log, after, r, se in estimates
+        ),
+    )
+
+
+def _effects(
+    fitted: FittedLogs, parameters: Sequence[ParameterDifference], differences: Mapping[str, CampaignDifference]
+) -> tuple[EffectDifference, ...]:
+    """Return for each effect of the model whether it is present in each campaign, and whether it has changed."""
+    names = dict.fromkeys(r["effect"] for rows in fitted.rows for r in rows.values() if r["effect"])
+    found = []
+    for effect in names:
+        own = [p for p in parameters if p.effect == effect]
+        before, after = (_is_present(fitted, effect, [differences[p.name] for p in own], own, x) for x in (False, True))
+        found.append(EffectDifference(name=effect, before=before, after=after, changed=any(p.changed for p in own)))
+    return tuple(found)
+
+
+def _is_present(
+    fitted: FittedLogs,
+    effect: str,
+    differences: Sequence[CampaignDifference],
+    parameters: Sequence[ParameterDifference],
+    after: bool,
+) -> bool | None:
+    """Return whether an effect is present in one campaign; None if no parameter of it can tell.
+
+    ``differences`` and ``parameters`` are those of the compared parameters of the effect. If none is compared, because
+    they are at their bounds, the effect is absent if all its parameters have the values without the effect in all logs.
+    """
+    defaults = {p.name: p.value for p in catalogue()[effect].parameters} if effect in catalogue() else {}
+    tests = []
+    for parameter, found in zip(parameters, differences, strict=True):
+        null = defaults.get(parameter.name, 0.0)
+        mean: Contrast = found.after if after else found.before
+        if found.df > 0 and mean.error > 0.0:
+            tests.append(abs(mean.value - null) / mean.error > student_ppf(1 - LEVEL / 2 / len(parameters), found.df))
+    if tests:
+        return bool(any(tests))
+    part = fitted.part(fitted.after == after)
+    own = [r for rows in part.rows for r in rows.values() if r["effect"] == effect and r["free"]]
+    if own and all(r["flag"] == AT_BOUND and r["value"] == defaults.get(r["parameter"]) for r in own):
+        return False
+    return None
+
+
+def _common_factor(
+    fitted: FittedLogs, parameters: Sequence[ParameterDifference], scatter: Mapping[str, float]
+) -> CommonFactor | None:
+    """Return the common factor of the parameters that are proportional to the thrust; None with fewer than three.
+
+    Only parameters that each log determines, and whose means are farther than three standard errors from zero, with the
+    same sign in both campaigns, are used. The factor is the weighted mean of the logarithms of their ratios.
+    """
+    names = [
+        p.name
+        for p in parameters
+        if not p.nuisance
+        and p.name not in NOMINAL
+        and (force_power(p.unit) == 1 or "/T" in p.name or "/(T" in p.name)
+        and fitted.known(p.name).all()
+        and all(abs(m.mean) > FAR_FROM_ZERO * m.se for m in (p.before, p.after))
+        and p.before.mean * p.after.mean > 0.0
+    ]
+    df = len(fitted.logs) - 2
+    if len(names) < LEAST_FACTOR or df < 1:
+        return None
+    tau = np.array([scatter[n] for n in names])
+    means, covariances = [], []
+    for part in (fitted.part(~fitted.after), fitted.part(fitted.after)):
+        mean, covariance = mean_of_logs(part.values(names), part.own_covariances(names), tau)
+        means.append(mean)
+        covariances.append(covariance / np.outer(mean, mean))
+    if (means[1] / means[0] <= 0.0).any():
+        return None
+    ratios, weights = np.log(means[1] / means[0]), np.linalg.inv(covariances[0] + covariances[1])
+    information = float(weights.sum())
+    log_factor = float(weights.sum(axis=0) @ ratios) / information
+    left = ratios - log_factor
+    rest = float(left @ weights @ left)
+    p = float(chi2_sf(rest, len(names) - 1))
+    reach = float(student_ppf(0.975, df) * np.sqrt(max(1.0, rest / (len(names) - 1)) / information))
+    low, high = np.exp([log_factor - reach, log_factor + reach]).tolist()
+    return CommonFactor(
+        factor=float(np.exp(log_factor)), low=low, high=high, p=p, parameters=tuple(names),
+        explains=p > LEVEL and not low <= 1.0 <= high,
+    )  # fmt: skip
+
+
+def _notes(fitted: FittedLogs, parameters: Sequence[ParameterDifference]) -> tuple[str, ...]:
+    """Return remarks on what the comparison assumes, and on logs that were left out of single parameters."""
+    priors = {p for rows in fitted.rows for r in rows.values() for p in json.loads(r["prior_parts"] or "{}")}
+    held = sorted(priors - {p.name for p in parameters})
+    notes = []
+    if held:
+        notes.append(
+            f"The priors of {', '.join(held)} are the same for both campaigns. If one of these has changed, the change "
+            "appears in other parameters."
+        )
+    for after in (False, True):
+        if int((fitted.after == after).sum()) == 1:
+            notes.append(
+                f"There is only one log {campaign_of(after)}: its scatter is taken from the logs of the other campaign."
+                if len(fitted.logs) > 2
+                else f"There is only one log {campaign_of(after)}."
+            )
+    notes += [
+        f"{p.name} is determined by {p.before.n} of {int((~fitted.after).sum())} logs before and {p.after.n} of "
+        f"{int(fitted.after.sum())} after."
+        for p in parameters
+        if p.before.n + p.after.n < len(fitted.logs)
+    ]
+    return tuple(notes)

@@ -1,0 +1,140 @@
+"""Comparison of two campaigns of logs, for the Python interface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Unpack
+
+from seatrial.api.fits import FitOptions, Logs, vehicle_request, window_of
+from seatrial.api.logs import PathLike, as_paths
+from seatrial.api.messages import Messages, errors_of_users, text_of
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.log import import_library
+
+if TYPE_CHECKING:
+    from seatrial.ident.results import CampaignsResult
+
+
+@dataclass(frozen=True, repr=False)
+class CampaignComparison:
+    """Comparison of two campaigns of logs by one model. `compare_campaigns` returns it.
+
+    Attributes
+    ----------
+    result : CampaignsResult
+        Content of result.json: the differences of parameters and effects, their tests, and the prediction errors.
+    table : pyarrow.Table
+        All estimates: a row for each log and parameter, and one for each failed log, with the columns of fits.parquet.
+    """
+
+    result: CampaignsResult
+    table: Any
+
+    @property
+    def answer(self) -> str:
+        """Changed parameters with their sizes, and the prediction errors with and without the changes."""
+        return self.result.answer
+
+    @property
+    def changed(self) -> list[str]:
+        """Names of the parameters that have changed, without those of noise, disturbances and sensors."""
+        return [p.name for p in self.result.changed]
+
+    def to_pandas(self) -> Any:
+        """Return the differences as a ``pandas.DataFrame`` with a row for each parameter, in SI units and radians.
+
+        The columns are before, after, difference, se, low, high, relative, scatter, p, q, changed and unit.
+
+        Raises
+        ------
+        SeatrialError
+            If pandas is not installed.
+        """
+        names = ("difference", "se", "low", "high", "relative", "scatter", "p", "q", "changed", "unit")
+        rows = {
+            p.name: {"before": p.before.mean, "after": p.after.mean} | {n: getattr(p, n) for n in names}
+            for p in self.result.parameters
+        }
+        frame = import_library("pandas").DataFrame.from_dict(rows, orient="index", columns=["before", "after", *names])
+        floats = [n for n in frame.columns if n not in ("changed", "unit")]
+        return frame.astype(dict.fromkeys(floats, float))
+
+    def summary(self) -> str:
+        """Return the answer and the tables as text, as the command does."""
+        return text_of(self.result)
+
+    def __repr__(self) -> str:
+        """Return a short text for the interpreter: number of logs, and `answer`."""
+        return f"<CampaignComparison: {len(self.result.campaigns)} logs>\n{self.answer}\nsummary() has the tables."
+
+
+def compare_campaigns(
+    before: Logs,
+    after: Logs,
+    model: PathLike = "auto",
+    out: PathLike | None = None,
+    false_discovery_rate: float = 0.05,
+    backend: Literal["loky", "dask", "ray"] = "loky",
+    scheduler: str = "",
+    jobs: int = -1,
+    force: bool = False,
+    **options: Unpack[FitOptions],
+) -> CampaignComparison:
+    """Fit one model to the logs of two campaigns, and find what differs, as ``seatrial ident changes``.
+
+    Parameters
+    ----------
+    before, after : path, `Log` or sequence of them
+        Logs of each campaign. All windows of `Log` have to be the same. One campaign needs two logs, three of each are
+        better.
+    model : str or path
+        Name of the structure, as in `fit`, or a model.toml, whose structure and effects are fitted again.
+    out : path, optional
+        Folder for fits.parquet, result.json and report.html. A run that was interrupted continues there. Without it, no
+        file is written.
+    false_discovery_rate : float
+        Largest expected share of false ones among the changed parameters, above 0 and at most 0.5.
+    backend, scheduler, jobs, force
+        As in `fit_many`.
+    **options
+        `FitOptions` of each fit, except ``profiles``. The default of ``score_tests`` is False.
+
+    Returns
+    -------
+    CampaignComparison
+        Differences between the campaigns.
+
+    Raises
+    ------
+    SeatrialError
+        As `fit_many`, or if a log is in both campaigns, or if no fit of a campaign converges.
+
+    Examples
+    --------
+    >>> found = st.compare_campaigns(["may1.mcap", "may2.mcap"], ["june1.mcap", "june2.mcap"], fixed={"c1": 40.0})
+    >>> found.changed
+    ['d_uu']
+    """
+    from seatrial.ident.data import TimeWindow
+    from seatrial.ident.parallel import Workers
+    from seatrial.ident.workflows.changes import ChangesRequest, find_changes
+
+    if "profiles" in options:
+        raise SeatrialError("profiles: the table of many logs has no profile likelihoods; compute them by st.fit")
+    if not 0.0 < false_discovery_rate <= 0.5:
+        raise SeatrialError(f"false_discovery_rate={false_discovery_rate:g}: give a number above 0, at most 0.5")
+    earlier, later = as_paths(before), as_paths(after)
+    windows = {window_of(before), window_of(after)}
+    window = windows.pop()
+    if windows or not isinstance(window, TimeWindow):
+        raise SeatrialError("the logs have different windows: open all of them with the same start and end")
+    with errors_of_users():
+        vehicle, progress = vehicle_request((), (), str(model), window, {"score_tests": False, **options})
+        folder = None if out is None else Path(out)
+        request = ChangesRequest(
+            earlier, later, vehicle, folder, Workers(jobs, backend, scheduler), force, false_discovery_rate
+        )
+        command = f"seatrial.compare_campaigns({len(earlier)} logs, {len(later)} logs, model={str(model)!r})"
+        done = find_changes(request, command, Messages(progress))
+    return CampaignComparison(done.result, done.table)

@@ -1,0 +1,307 @@
+"""Tests of the comparison of two campaigns: true changes are found, and boats that scatter give no false ones."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import seatrial as st
+from seatrial import command_line
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.estimation.standard_errors import AT_BOUND
+from seatrial.ident.results import CampaignsResult
+from seatrial.ident.results.result_file import read_result
+from seatrial.ident.workflows.campaign_errors import _campaign_values
+from seatrial.ident.workflows.campaign_fits import Comparison, FittedLogs, compare_fits, fitted_logs
+from tests.missions import boat_log, boat_with
+
+ROOT = Path(__file__).resolve().parents[3]
+THRUST = ("--fix", "c1=40.05", "--fix", "c2=1.11")
+FIXED = {"c1": 40.05, "c2": 1.11}
+FASTER = 1.3  # drag after / before
+
+
+def run(*words: object, status: int = 0) -> None:
+    with pytest.raises(SystemExit) as left:
+        command_line.main([str(w) for w in words])
+    assert (left.value.code or 0) == status
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Path]]:
+    """Return logs of a boat whose mass differs in each log: before, again without a change, and with more drag."""
+    folder, boat, rng = tmp_path_factory.mktemp("campaigns"), boat_with(None, 5), np.random.default_rng(1)
+    found: dict[str, list[Path]] = {}
+    for k, (campaign, factor) in enumerate((("before", 1.0), ("same", 1.0), ("fouled", FASTER))):
+        for n in range(3):
+            mass = boat.hull.mass + rng.normal(0.0, 2.0)
+            hull = replace(boat.hull, d_u=1.0, d_uu=factor * boat.hull.d_uu, mass=mass)
+            path = folder / f"{campaign}{n}.mcap"
+            found.setdefault(campaign, []).append(
+                boat_log(path, replace(boat, hull=hull), 45.0, 10 * k + n, 10 * k + n)
+            )
+    return found
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("out")
+
+
+@pytest.fixture(scope="module")
+def fouled(logs: dict[str, list[Path]], folder: Path) -> CampaignsResult:
+    """Compare the campaigns by the command, whose options take several words."""
+    campaigns = ("--before", *logs["before"], "--after", *logs["fouled"])
+    run("ident", "changes", *campaigns, *THRUST, "--jobs", 1, "--out", folder)
+    result = read_result(folder / "result.json")
+    assert isinstance(result, CampaignsResult)
+    return result
+
+
+def test_a_changed_drag_is_found_with_its_size(fouled: CampaignsResult) -> None:
+    assert [p.name for p in fouled.changed] == ["d_uu"]
+    (drag,) = fouled.changed
+    assert drag.relative is not None
+    assert drag.relative == pytest.approx(FASTER - 1.0, abs=0.06)
+    assert drag.low is not None
+    assert drag.high is not None
+    truth = (FASTER - 1.0) * boat_with(None, 5).hull.d_uu
+    assert drag.low < truth < drag.high
+    assert (drag.before.n, drag.after.n, len(drag.logs)) == (3, 3, 6)
+    assert "parameters has changed at a false discovery rate of 5 %: d_uu +" in fouled.answer
+    assert fouled.joint is not None
+    assert fouled.joint.p is not None
+    assert fouled.joint.p < 0.01
+    reasons = {p.name: p.reason for p in fouled.not_compared}
+    assert reasons["c1"] == "held at its given value"
+    assert reasons["V_x"] == "has its own value in each log"
+
+
+def test_prediction_errors_fall_with_the_changed_parameter_alone(fouled: CampaignsResult) -> None:
+    rows = {(e.logs, e.values): e for e in fouled.errors}
+    assert set(rows) == {("before", "before"), ("after", "before"), ("after", "changed"), ("after", "after")}
+    changed = rows["after", "changed"]
+    assert changed.verdict == "fell"
+    assert changed.ratio is not None
+    assert changed.high is not None
+    assert changed.ratio < changed.high < 0.9
+    own = rows["before", "before"].channels["x"].after
+    without, with_it = rows["after", "before"].channels["x"].after, changed.channels["x"].after
+    assert own is not None
+    assert without is not None
+    assert with_it is not None
+    assert without > 1.5 * with_it
+    assert with_it < 2.0 * own  # as well as the logs before are predicted
+    assert changed.channels["x"].before == pytest.approx(without)
+
+
+def test_report_and_tables(fouled: CampaignsResult, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert "Estimates of d_uu from each log" in page
+    assert "Changes between campaigns" in page
+    assert page.count("<td>before</td>") == 3
+    from seatrial.api.messages import text_of
+
+    text = text_of(fouled)
+    assert re.search(r"d_uu +\d.* \+\d\d % \(\+\d\d to \+\d\d\) ", text)
+    assert "Prediction error (rms) 10 s ahead" in text
+    assert "V_x" not in text
+
+
+def test_scatter_of_the_mass_is_no_change(logs: dict[str, list[Path]], folder: Path, fouled: CampaignsResult) -> None:
+    """The fits of the logs before are those of the first comparison."""
+    found = st.compare_campaigns(logs["before"], logs["same"], fixed=FIXED, out=folder, jobs=1)
+    assert found.changed == []
+    assert re.match(r"None of \d+ parameters has changed", found.answer)
+    mass = next(p for p in found.result.parameters if p.name == "m_u")
+    assert mass.scatter is not None
+    assert 0.5 < mass.scatter < 5.0
+    assert {e.values for e in found.result.errors} == {"before", "after"}
+    frame = found.to_pandas()
+    assert frame.loc["m_u", "scatter"] == mass.scatter
+    assert not frame["changed"].any()
+    assert repr(found).startswith("<CampaignComparison: 6 logs>\nNone of")
+    before = {p.name: p.before for p in fouled.parameters}
+    assert mass.before.mean == pytest.approx(before["m_u"].mean, rel=0.02)  # its weights include the scatter
+    assert found.table.num_rows > 0
+
+
+def test_one_log_before_and_one_after_claim_nothing(logs: dict[str, list[Path]], folder: Path) -> None:
+    found = st.compare_campaigns(logs["before"][0], logs["fouled"][0], fixed=FIXED, out=folder, jobs=1)
+    assert found.answer.startswith("The scatter between logs is unknown with one log before and one after")
+    drag = next(p for p in found.result.parameters if p.name == "d_uu")
+    assert (drag.p, drag.q, drag.low, drag.scatter, drag.changed) == (None, None, None, None, False)
+    assert drag.relative == pytest.approx(FASTER - 1.0, abs=0.15)
+    # The only log after would be predicted by its own estimates.
+    assert [(e.logs, e.values) for e in found.result.errors] == [("after", "before")]
+
+
+@pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")
+def test_the_page_runs_as_written(
+    logs: dict[str, list[Path]],
+    folder: Path,
+    fouled: CampaignsResult,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The fits are in the folder already."""
+    page = (ROOT / "docs/how-to/changes.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"^```python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    for month, campaign in (("may", "before"), ("june", "fouled")):
+        (tmp_path / month).mkdir()
+        for log in logs[campaign]:
+            shutil.copy(log, tmp_path / month)
+    (tmp_path / "changes").mkdir()
+    shutil.copy(folder / "fits.parquet", tmp_path / "changes")
+    monkeypatch.chdir(tmp_path)
+    exec(compile(block, "changes.md", "exec"), {"__name__": "page"})
+    shown = capsys.readouterr().out
+    assert "['d_uu']" in shown
+    assert f" {fouled.answer[:40]}" in shown
+    assert (tmp_path / "changes/report.html").exists()
+
+
+def test_a_log_in_both_campaigns_is_an_error(
+    logs: dict[str, list[Path]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("--before", logs["before"][0], logs["same"][0], "--after", logs["same"][0], "--out", tmp_path / "x")
+    run("ident", "changes", *words, status=1)
+    assert "is in both campaigns" in capsys.readouterr().err
+    run("ident", "changes", "--before", logs["before"][0], "--out", tmp_path / "x", status=2)
+    assert "--after" in capsys.readouterr().err
+    with pytest.raises(SeatrialError, match="false_discovery_rate=0: give a number above 0"):
+        st.compare_campaigns(logs["before"], logs["same"], false_discovery_rate=0.0)
+    broken = tmp_path / "broken.mcap"
+    broken.write_bytes(b"no log")
+    with pytest.raises(SeatrialError, match=r"no fit to a log after has converged; .*broken.mcap: "):
+        st.compare_campaigns(logs["before"][0], broken, fixed=FIXED, out=logs["before"][0].parent / "half", jobs=1)
+
+
+@pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")
+def test_a_saved_model_is_fitted_again(logs: dict[str, list[Path]], tmp_path: Path) -> None:
+    first = st.fit(logs["before"][0], fixed=FIXED, score_tests=False)
+    first.save(tmp_path / "model")
+    again = st.fit(logs["before"][0], model=str(tmp_path / "model/model.toml"), score_tests=False)
+    assert again.params["m_u"] == pytest.approx(first.params["m_u"], rel=1e-3)
+    assert again.params["c1"] == FIXED["c1"]
+    assert "c1" not in again.standard_errors
+    other = st.fit(logs["fouled"][0], model=str(tmp_path / "model/model.toml"), score_tests=False)
+    assert other.params["d_uu"] > 1.1 * first.params["d_uu"]
+
+
+def rows_of(
+    values: Mapping[str, Any], errors: float = 0.1, parts: Mapping[str, Any] | None = None, **more: Any
+) -> list[dict[str, Any]]:
+    """Return rows of the table for logs run0, run1, ... with values by name, an array for each parameter."""
+    n = len(next(iter(values.values())))
+    plain = {"meaning": "", "unit": "", "effect": None, "nuisance": False, "free": True, "per_log": False, "flag": None,
+             "origin": "estimated", "converged": True, "message": "", "error": None, "duration": 60.0,
+             "correlations": "{}", "prior_parts": json.dumps(parts or {})}  # fmt: skip
+    return [
+        plain
+        | {"log": f"run{k}", "sha256": str(k), "parameter": name, "value": float(of[k]), "se": errors}
+        | {key: value.get(name, plain[key]) for key, value in more.items()}
+        for k in range(n)
+        for name, of in values.items()
+    ]
+
+
+def compared(rows: list[dict[str, Any]], n_before: int) -> Comparison:
+    return compare_fits(fitted_logs(rows, {str(k) for k in range(n_before, 100)}))
+
+
+def test_false_discovery_rate_is_held() -> None:
+    """Three of twelve parameters change, and all scatter between the logs."""
+    rng = np.random.default_rng(6)
+    share, power = [], []
+    changed = {"p0", "p1", "p2"}
+    for _ in range(30):
+        scatter = rng.uniform(0.0, 0.3, 12)
+        values = {
+            f"p{j}": 5.0 + np.hypot(0.1, s) * rng.normal(size=10) + (np.arange(10) >= 5) * 1.5 * (j < 3)
+            for j, s in enumerate(scatter)
+        }
+        found = {p.name for p in compared(rows_of(values), 5).parameters if p.changed}
+        share.append(len(found - changed) / max(len(found), 1))
+        power.append(len(found & changed) / 3)
+    assert np.mean(share) <= 0.05 + 2 * np.std(share) / len(share) ** 0.5
+    assert np.mean(power) > 0.9
+
+
+def test_parameters_that_cannot_be_compared_have_a_reason() -> None:
+    values = {n: np.full(4, 1.0) for n in ("bound", "held", "current", "thrust", "lost", "good")}
+    rows = rows_of(values, free={"held": False}, origin={"held": "measured"}, per_log={"current": True})
+    for r in rows:
+        if r["parameter"] == "bound" and r["log"] == "run3":
+            r |= {"se": None, "flag": AT_BOUND}
+        if r["parameter"] == "lost" and r["log"] in ("run2", "run3"):
+            r |= {"se": None, "flag": "the data do not depend on it"}
+        if r["parameter"] == "thrust":
+            r |= {"prior_parts": json.dumps({"thrust": 0.09})}
+    found = compared(rows, 2)
+    assert [p.name for p in found.parameters] == ["good"]
+    assert {p.name: p.reason for p in found.not_compared} == {
+        "bound": "at its bound in 0 of 2 logs before and 1 of 2 logs after",
+        "held": "held at its measured value",
+        "current": "has its own value in each log",
+        "thrust": "known mainly from its prior (81 % of the information)",
+        "lost": "no log after determines it",
+    }
+    assert found.notes == (
+        "The priors of thrust are the same for both campaigns. If one of these has changed, the change appears in "
+        "other parameters.",
+    )
+
+
+def test_effects_of_the_model_are_present_or_not() -> None:
+    rng = np.random.default_rng(7)
+    after = np.arange(8) >= 4
+    names = {"k_T": "mismatch", "w": "wind"}
+    values = {"k_T": 0.5 * after + 0.02 * rng.normal(size=8), "w": 3.0 + 0.02 * rng.normal(size=8)}
+    found = compared(rows_of(values, 0.02, effect=names), 4)
+    assert {(e.name, e.before, e.after, e.changed) for e in found.effects} == {
+        ("mismatch", False, True, True),
+        ("wind", True, True, False),
+    }
+
+
+@pytest.mark.parametrize("payload", [False, True])
+def test_a_changed_thrust_is_a_common_factor(payload: bool) -> None:
+    """All masses and damping become smaller by the factor by which the thrust becomes larger; a payload does not."""
+    rng = np.random.default_rng(8)
+    after = np.arange(6) >= 3
+    truth = {"m_u": 40.0, "m_v": 50.0, "m_r": 10.0, "d_uu": 25.0, "d_r": 5.0}
+    units = {"m_u": "kg", "m_v": "kg", "m_r": "kg m2", "d_uu": "kg/m", "d_r": "kg m2/s"}
+    factor = {n: np.where(after, 1.3 if n in ("m_u", "m_v") else 1.0, 1.0) for n in truth}
+    if not payload:
+        factor = {n: np.where(after, 1.0 / 1.2, 1.0) for n in truth}
+    values = {n: v * factor[n] * (1.0 + 0.01 * rng.normal(size=6)) for n, v in truth.items()}
+    rows = rows_of(values, unit=units)
+    for r in rows:
+        r["se"] = 0.01 * truth[r["parameter"]]
+    found = compared(rows, 3).common_factor
+    assert found is not None
+    assert set(found.parameters) == set(truth)
+    assert found.explains is not payload
+    if not payload:
+        assert found.low < 1.0 / 1.2 < found.high
+
+
+def test_changed_value_follows_the_unchanged_ones() -> None:
+    """A sum is well determined: the changed parameter takes the value that goes with the other one of before."""
+    values = {"a": np.full(3, 2.0), "b": np.full(3, 5.0)}
+    rows = rows_of(values, 1.0, correlations={"a": json.dumps({"b": -0.999}), "b": json.dumps({"a": -0.999})})
+    part: FittedLogs = fitted_logs(rows, {"0", "1", "2"})
+    found = _campaign_values(part, {}, {"a": 0.0, "b": 4.0}, {"a"})
+    assert found["b"] == 4.0
+    assert found["a"] == pytest.approx(3.0, abs=0.01)
+    assert _campaign_values(part, {}) == pytest.approx({"a": 2.0, "b": 5.0})
