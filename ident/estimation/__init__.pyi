@@ -37,6 +37,7 @@ from .maximum_likelihood import Method as Method
 from .maximum_likelihood import SearchSettings as SearchSettings
 from .maximum_likelihood import considered_information as considered_information
 from .maximum_likelihood import fit as fit
+from .model_file import RefittedEffect as RefittedEffect
 from .model_file import SavedModel as SavedModel
 from .model_file import load_model as load_model
 from .model_file import model_file as model_file
@@ -64,10 +65,11 @@ from .standard_errors import AT_BOUND as AT_BOUND
 from .standard_errors import VAGUE as VAGUE
 from .stochastic_simulation import SampledInputs as SampledInputs
 from .stochastic_simulation import simulate_stochastic as simulate_stochastic
+from .thrust_scale import PriorDistance as PriorDistance
 from .thrust_scale import ReportedEstimates as ReportedEstimates
 from .thrust_scale import ThrustScale as ThrustScale
-from .thrust_scale import contradicted_priors as contradicted_priors
 from .thrust_scale import free_unknown_scale as free_unknown_scale
 from .thrust_scale import least_yaw_inertia as least_yaw_inertia
+from .thrust_scale import prior_distances as prior_distances
 from .thrust_scale import reported_units as reported_units
 from .thrust_scale import thrust_scale_of as thrust_scale_of

@@ -66,6 +66,28 @@ STATE_NUMBERS = ("sd0", "noise")  # attributes of a state that are written if th
 
 
 @dataclass(frozen=True)
+class RefittedEffect:
+    """Effect that a diagnosis tried: its estimates in a fit with it.
+
+    Attributes
+    ----------
+    name
+        Name of the effect.
+    beside
+        Names of the other effects of the catalogue in this fit.
+    values, errors
+        Estimate and standard error of each of its parameters, by name, in the units of the parameters. The estimate of
+        a per-record parameter is the mean over the records. A parameter without a standard error has no entry in
+        ``errors``.
+    """
+
+    name: str
+    beside: tuple[str, ...]
+    values: Mapping[str, float]
+    errors: Mapping[str, float]
+
+
+@dataclass(frozen=True)
 class SavedModel:
     """Model read from a model.toml, with the uncertainty of its estimates.
 
@@ -100,6 +122,9 @@ class SavedModel:
     holds
         By input, its interpolation between samples in the fitted data (`Input.hold`). Empty if unknown, as in files of
         earlier versions.
+    refits
+        Effects that a diagnosis tried, in the order of its fits. Empty for a model that was not diagnosed, and in files
+        of earlier versions.
     """
 
     model: Model
@@ -115,6 +140,7 @@ class SavedModel:
     inflation: Mapping[str, float] = field(default_factory=dict)
     rates: Mapping[str, float] = field(default_factory=dict)
     holds: Mapping[str, str] = field(default_factory=dict)
+    refits: tuple[RefittedEffect, ...] = ()
 
     def uncertainty(self, name: str) -> float:
         """Return the standard uncertainty [N] of the thrust coefficient ``name``; NaN if it has no standard error.
@@ -148,6 +174,7 @@ def save_model(
     calibration: float | None = None,
     origin: FrameOrigin | None = None,
     rates: Mapping[str, float] | None = None,
+    refits: Sequence[RefittedEffect] = (),
 ) -> None:
     """Write the model of a fit to a model.toml, and beside it a copy of each user-defined Python file that it needs.
 
@@ -172,6 +199,8 @@ def save_model(
         Origin of x and y in the logs. It is written only for a model with a fixed point.
     rates
         By sensor, its sample rate in the fitted data [Hz]; after averaging, the rate of the averages.
+    refits
+        Effects that a diagnosis tried, with their estimates.
     """
     model, document = fit.model, tomlkit.document()
     document["format"] = FORMAT
@@ -218,7 +247,32 @@ def save_model(
         parameters.append(table)
     document["parameter"] = parameters
     document["correlation"] = {"names": list(fit.names), "matrix": np.round(np.nan_to_num(fit.correlation), 6).tolist()}
+    if refits:
+        document["refit"] = _refit_tables(refits)
     write_output(path, tomlkit.dumps(document))
+
+
+def _refit_tables(refits: Sequence[RefittedEffect]) -> Any:
+    """Return the tables ``refit`` of model.toml: an array of one table for each effect that a diagnosis tried."""
+    tables = tomlkit.aot()
+    for r in refits:
+        table = tomlkit.table()
+        table.update({"effect": r.name, "beside": list(r.beside)})
+        for key, numbers in (("values", r.values), ("errors", r.errors)):
+            inline = tomlkit.inline_table()
+            inline.update({name: float(f"{z:.6g}") for name, z in numbers.items()})
+            table[key] = inline
+        tables.append(table)
+    return tables
+
+
+def _refits_from_tables(rows: Sequence[Mapping[str, Any]]) -> tuple[RefittedEffect, ...]:
+    """Return the effects that a diagnosis tried, from the tables ``refit`` of model.toml."""
+    found = []
+    for row in rows:
+        values, errors = ({str(n): float(z) for n, z in row.get(key, {}).items()} for key in ("values", "errors"))
+        found.append(RefittedEffect(str(row["effect"]), tuple(str(n) for n in row["beside"]), values, errors))
+    return tuple(found)
 
 
 def _states_table(model: Model, effects_file: Path | None) -> dict[str, dict[str, float]]:
@@ -373,6 +427,7 @@ def load_model(path: Path) -> SavedModel:
         reml = bool(table.get("reml", False))
         provenance, calibration = dict(table.get("provenance", {})), table.get("scale", {}).get("calibration")
         calibration = None if calibration is None else float(calibration)
+        refits = _refits_from_tables(table.get("refit", ()))
     except (AttributeError, KeyError, TypeError, ValueError) as problem:  # AttributeError: a value instead of a table
         raise SeatrialError(
             f"{path}: the model in this file is incomplete or does not match this version of seatrial, so fit it "
@@ -392,6 +447,7 @@ def load_model(path: Path) -> SavedModel:
         inflation,
         rates,
         holds,
+        refits,
     )
 
 

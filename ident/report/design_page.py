@@ -81,7 +81,7 @@ def _labelled_facts(result: DesignResult) -> list[tuple[str, str]]:
 
     They are the model, the criterion of the design and of the baseline signals, the share of parameter samples in which
     the design is better than these, and the sensor rates if they are known. If two effects were to be distinguished
-    (`--discriminate`), they include the criterion T for either of them.
+    (`--discriminate`), they include the criterion T for either of them, and their sizes.
     """
     found = [("model", result.model), ("criterion", formatting.plain(result.value, 4))]
     found += [(f"best of 20 {r.name}", formatting.plain(r.value, 4)) for r in result.baselines]
@@ -94,6 +94,12 @@ def _labelled_facts(result: DesignResult) -> list[tuple[str, str]]:
             (f"T if {first} is true", formatting.plain(result.apart.if_first)),
             (f"T if {second} is true", formatting.plain(result.apart.if_second)),
         ]
+        for row in result.apart.sizes:
+            values = [
+                f"{p.name} = {formatting.plain(p.value)} {formatting.typeset_unit(p.unit)}".rstrip()
+                for p in row.parameters
+            ]
+            found.append((f"{row.origin} size of {row.effect}", ", ".join(values)))
     return found
 
 
