@@ -77,6 +77,7 @@ N_SHOWN = 24  # sampled tracks on the page
 NAMED = 3  # parameters in the answer
 STEP_S = 5.0  # s: mean length of a step, unless --steps gives their number
 VALIDITY_MARGIN = 0.1  # of the width of a range of validity, by which signals may leave it without a warning
+LARGEST_SHARE = 0.999  # largest probability that is shown; models are not exact enough for more
 NEGLIGIBLE = 0.02  # of the standard deviation of a prior: a fitted effect below it is taken as not found
 
 
@@ -722,19 +723,9 @@ def _design_answer(
         least = min(apart.if_second, apart.if_first)
         verdict = "distinguishes" if apart.clear else "may not distinguish"
         advice = "" if apart.clear else "; T should be above 30: give a longer --duration"
-        typical = [row.effect for row in apart.sizes if row.origin == "typical"]
-        sizes = f". No fit has a size of {' or '.join(typical)}: a typical one is assumed" if typical else ""
-        chance = (
-            ""
-            if apart.probability is None
-            else (
-                f", so that it prefers the true one with a probability of {_percent(apart.probability)} if one of both "
-                "explains the boat"
-            )
-        )
         return (
             f"This mission {verdict} {first} from {second}: criterion T is at least {format_number(least)} "
-            f"(random missions: {format_number(float(np.median(apart.random)))}){chance}{advice}{sizes}"
+            f"(random missions: {format_number(float(np.median(apart.random)))}){advice}"
         )
     parts = []
     rows = [p for p in parameters if p.chosen]
@@ -749,13 +740,11 @@ def _design_answer(
     return errors if made.value >= baseline.value else f"{warn_worse_than_baseline(baseline, made)} {errors}"
 
 
-def _percent(probability: float) -> str:
-    """Return a probability in per cent with one decimal; more than 99.9 % if it is."""
-    return "more than 99.9 %" if probability > 0.9995 else f"{100 * probability:.1f} %"
+def _discrimination_lines(apart: Discrimination) -> list[str]:
+    """Return a line for the size of each effect of a discrimination, and one for the probability of the right choice.
 
-
-def _size_lines(apart: Discrimination) -> list[str]:
-    """Return a line for each effect of a discrimination: its size, and the origin of the size."""
+    A line of a size has the origin of the size.
+    """
     lines = []
     for row in apart.sizes:
         errors = ["" if p.se is None else f" ± {p.se:.2g}" for p in row.parameters]
@@ -763,7 +752,11 @@ def _size_lines(apart: Discrimination) -> list[str]:
             f"{p.name} = {format_number(p.value)}{error} {typeset_unit(p.unit)}".rstrip()
             for p, error in zip(row.parameters, errors, strict=True)
         ]
-        lines.append(f"  {row.effect} ({row.origin} size): {', '.join(values)}")
+        origin = "fitted size" if row.origin == "fitted" else "typical size, since no fit has one"
+        lines.append(f"  {row.effect} ({origin}): {', '.join(values)}")
+    if apart.probability is not None:
+        share = f"{100 * apart.probability:.1f} %" if apart.probability < LARGEST_SHARE else "more than 99.9 %"
+        lines.append(f"  If one of both explains the boat, the mission prefers it with a probability of {share}.")
     return lines
 
 
@@ -802,7 +795,7 @@ def design_summary(result: DesignResult) -> Sequence[str]:
     """
     lines = [*(f"⚠ {warning.text}" for warning in result.warnings), result.answer, ""]
     if result.apart is not None:
-        lines += [*_size_lines(result.apart), ""]
+        lines += [*_discrimination_lines(result.apart), ""]
     for p in result.parameters:
         before, after, baseline = ("–" if v is None else f"{v:.3g}" for v in (p.before, p.after, p.baseline))
         lines.append(

@@ -199,12 +199,12 @@ def test_discrimination_between_two_effects(tmp_path: Path, capsys: pytest.Captu
     words = ("design", "horizontal:shaft:no-current", *short, "--discriminate", "delay,lag")
     status, output, _ = run(capsys, *words, "--out", str(out))
     assert status == 0
-    assert "delay against lag differ by at least T" in output
+    assert "distinguishes delay from lag: criterion T is at least" in output
     apart = json.loads(out.with_suffix(".json").read_text())["apart"]
     assert min(apart["if_first"], apart["if_second"]) > np.median(apart["random"])
     assert apart["probability"] > 0.99
     assert [(row["effect"], row["origin"]) for row in apart["sizes"]] == [("delay", "typical"), ("lag", "typical")]
-    assert "No fit has a size of delay or lag" in " ".join(output.split())
+    assert "delay (typical size, since no fit has one): tau_delay = 0.25 s" in " ".join(output.split())
 
 
 def effects_of(model: Model) -> list[str]:
