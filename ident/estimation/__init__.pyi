@@ -37,7 +37,7 @@ from .maximum_likelihood import Method as Method
 from .maximum_likelihood import SearchSettings as SearchSettings
 from .maximum_likelihood import considered_information as considered_information
 from .maximum_likelihood import fit as fit
-from .model_file import RefittedEffect as RefittedEffect
+from .model_file import FittedData as FittedData
 from .model_file import SavedModel as SavedModel
 from .model_file import load_model as load_model
 from .model_file import model_file as model_file
@@ -59,13 +59,13 @@ from .prior_knowledge import set_priors as set_priors
 from .prior_knowledge import with_effects as with_effects
 from .profile_likelihood import Profile as Profile
 from .profile_likelihood import profile as profile
+from .refitted_effect import RefittedEffect as RefittedEffect
 from .smoother import smooth as smooth
 from .smoother import smoothed_mean as smoothed_mean
 from .standard_errors import AT_BOUND as AT_BOUND
 from .standard_errors import VAGUE as VAGUE
 from .stochastic_simulation import SampledInputs as SampledInputs
 from .stochastic_simulation import simulate_stochastic as simulate_stochastic
-from .thrust_scale import PriorDistance as PriorDistance
 from .thrust_scale import ReportedEstimates as ReportedEstimates
 from .thrust_scale import ThrustScale as ThrustScale
 from .thrust_scale import free_unknown_scale as free_unknown_scale

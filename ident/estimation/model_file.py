@@ -20,6 +20,7 @@ from seatrial.ident.effects import catalogue, input_response_effects, nonparamet
 from seatrial.ident.estimation.homogeneity import BETWEEN, between_runs_effect
 from seatrial.ident.estimation.maximum_likelihood import Fit
 from seatrial.ident.estimation.parameter_covariance import ParameterCovariance
+from seatrial.ident.estimation.refitted_effect import RefittedEffect
 from seatrial.ident.estimation.thrust_scale import thrust_scale_of
 from seatrial.ident.model import (
     Effect,
@@ -66,25 +67,22 @@ STATE_NUMBERS = ("sd0", "noise")  # attributes of a state that are written if th
 
 
 @dataclass(frozen=True)
-class RefittedEffect:
-    """Effect that a diagnosis tried: its estimates in a fit with it.
+class FittedData:
+    """Facts about the data that a model was fitted to, for model.toml.
 
     Attributes
     ----------
-    name
-        Name of the effect.
-    beside
-        Names of the other effects of the catalogue in this fit.
-    values, errors
-        Estimate and standard error of each of its parameters, by name, in the units of the parameters. The estimate of
-        a per-record parameter is the mean over the records. A parameter without a standard error has no entry in
-        ``errors``.
+    validity
+        Least and largest value of each signal, by name, in SI units.
+    rates
+        By sensor, its sample rate [Hz]; after averaging, the rate of the averages.
+    origin
+        Origin of x and y in the logs; None if it is unknown. It is written only for a model with a fixed point.
     """
 
-    name: str
-    beside: tuple[str, ...]
-    values: Mapping[str, float]
-    errors: Mapping[str, float]
+    validity: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    rates: Mapping[str, float] = field(default_factory=dict)
+    origin: FrameOrigin | None = None
 
 
 @dataclass(frozen=True)
@@ -168,12 +166,10 @@ def save_model(
     path: Path,
     fit: Fit,
     *,
-    validity: Mapping[str, tuple[float, float]],
+    data: FittedData,
     provenance: Mapping[str, Any],
     effects_file: Path | None = None,
     calibration: float | None = None,
-    origin: FrameOrigin | None = None,
-    rates: Mapping[str, float] | None = None,
     refits: Sequence[RefittedEffect] = (),
 ) -> None:
     """Write the model of a fit to a model.toml, and beside it a copy of each user-defined Python file that it needs.
@@ -187,18 +183,14 @@ def save_model(
         Path of the model.toml to be written.
     fit
         Fit whose estimates, standard errors and correlations are written.
-    validity
-        Least and largest value of each signal in the fitted data, by name, in SI units.
+    data
+        Ranges of the signals in the fitted data, rates of the sensors, and origin of x and y.
     provenance
         Software version, command line, logs and their hashes. Entries that are None are left out.
     effects_file
         Python file with user-defined effects; None if there is none.
     calibration
         Relative standard uncertainty of the measured forces; None if unknown.
-    origin
-        Origin of x and y in the logs. It is written only for a model with a fixed point.
-    rates
-        By sensor, its sample rate in the fitted data [Hz]; after averaging, the rate of the averages.
     refits
         Effects that a diagnosis tried, with their estimates.
     """
@@ -228,11 +220,11 @@ def save_model(
     document["provenance"] = {k: v for k, v in provenance.items() if v is not None}
     if (scale := _scale_table(model, calibration)) is not None:
         document["scale"] = scale
-    if origin is not None and any(e.fixed_point for e in model.effects):
-        document["origin"] = msgspec.structs.asdict(origin)
-    document["validity"] = {k: [float(a), float(b)] for k, (a, b) in validity.items()}
-    if rates:
-        document["rates"] = {k: float(f"{z:.4g}") for k, z in rates.items()}
+    if data.origin is not None and any(e.fixed_point for e in model.effects):
+        document["origin"] = msgspec.structs.asdict(data.origin)
+    document["validity"] = {k: [float(a), float(b)] for k, (a, b) in data.validity.items()}
+    if data.rates:
+        document["rates"] = {k: float(f"{z:.4g}") for k, z in data.rates.items()}
     if holds := {i.name: i.hold for i in model.inputs if i.hold and not i.tap_of}:
         document["holds"] = holds
     if states := _states_table(model, effects_file):

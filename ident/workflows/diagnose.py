@@ -130,7 +130,7 @@ def write_diagnosed_model(done: DiagnosedModel, out: Path) -> None:
     The folder is created if it does not exist. Existing files of these names are replaced.
     """
     after = done.found.after
-    rates, refits = sensor_rates(after), refitted_effects(done.found)
+    refits, rates = refitted_effects(done.found), sensor_rates(after)
     write_all(out, done.result, after.fit, validity(after), done.effects_file, rates=rates, refits=refits)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from seatrial.ident.estimation import Fit, FittedModel, RefittedEffect, save_model
+from seatrial.ident.estimation import Fit, FittedData, FittedModel, RefittedEffect, save_model
 from seatrial.ident.report import write_report
 from seatrial.ident.results import FitResult, write_result
 from seatrial.ident.validation import shown_inputs
@@ -52,12 +52,10 @@ def write_all(
     save_model(
         out / "model.toml",
         fit,
-        validity=ranges,
+        data=FittedData(ranges, rates or {}, origin),
         provenance=made,
         effects_file=effects_file,
         calibration=calibration,
-        origin=origin,
-        rates=rates,
         refits=refits,
     )
     write_result(result, out / "result.json")

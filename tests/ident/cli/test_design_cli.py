@@ -14,7 +14,8 @@ from seatrial import command_line
 from seatrial.daq.config.mission_file import dump_mission, load_mission, parse_mission
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.effects.registry import catalogue
-from seatrial.ident.estimation.model_file import RefittedEffect, SavedModel, load_model
+from seatrial.ident.estimation.model_file import SavedModel, load_model
+from seatrial.ident.estimation.refitted_effect import RefittedEffect
 from seatrial.ident.experiment_design.prior import prior_from_fit
 from seatrial.ident.experiment_design.problem import COAST_S, REST_S
 from seatrial.ident.model.structure import Model

@@ -21,7 +21,8 @@ from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.engine.vectorised_model import VectorisedModel
 from seatrial.ident.estimation.homogeneity import between_runs_effect
 from seatrial.ident.estimation.maximum_likelihood import Fit, SearchSettings, fit
-from seatrial.ident.estimation.model_file import RefittedEffect, load_model, model_file, save_model
+from seatrial.ident.estimation.model_file import FittedData, load_model, model_file, save_model
+from seatrial.ident.estimation.refitted_effect import RefittedEffect
 from seatrial.ident.model.structure import ForceCurve, Model
 from seatrial.ident.models.catalogue import make_model
 from seatrial.ident.models.disturbances import with_disturbances
@@ -48,8 +49,9 @@ def with_model(found: Fit, model: Model) -> Fit:
     return replace(found, model=model, parameters=(), values=none, errors=none, correlation=square, flags=())
 
 
-def saved(path: Path, found: Fit, **extra: object) -> Path:
-    save_model(path, found, validity=VALIDITY, provenance={"made_by": "a test", "logs": ["a"], "none": None}, **extra)  # type: ignore[arg-type]
+def saved(path: Path, found: Fit, rates: dict[str, float] | None = None, **extra: object) -> Path:
+    data, provenance = FittedData(VALIDITY, rates or {}), {"made_by": "a test", "logs": ["a"], "none": None}
+    save_model(path, found, data=data, provenance=provenance, **extra)  # type: ignore[arg-type]
     return path
 
 
