@@ -5,6 +5,10 @@ the information that the fitted parameters do not explain (Engle 1984). An effec
 critical value of the test and the penalty of the BIC criterion. The size at which this happens with a probability of
 80 % is computed for one parameter at a time, with the others at zero. The differences between the model and the boat
 are left out, so that an effect of this size may still be found to be ambiguous.
+
+The information is that of the fit without the effect. If the boat has the effect, the fitted disturbance forces explain
+a part of it: they become larger or slower, which takes information. The sizes are therefore lower limits. An effect
+that changes slowly, such as a constant moment, has to be up to twice as large (docs/detectable-sizes.md).
 """
 
 from __future__ import annotations

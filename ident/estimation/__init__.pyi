@@ -44,6 +44,7 @@ from .meta_analysis import campaign_difference as campaign_difference
 from .meta_analysis import conditional_mean as conditional_mean
 from .meta_analysis import joint_difference as joint_difference
 from .meta_analysis import mean_of_logs as mean_of_logs
+from .model_file import FittedData as FittedData
 from .model_file import SavedModel as SavedModel
 from .model_file import load_model as load_model
 from .model_file import model_file as model_file
@@ -65,6 +66,7 @@ from .prior_knowledge import set_priors as set_priors
 from .prior_knowledge import with_effects as with_effects
 from .profile_likelihood import Profile as Profile
 from .profile_likelihood import profile as profile
+from .refitted_effect import RefittedEffect as RefittedEffect
 from .smoother import smooth as smooth
 from .smoother import smoothed_mean as smoothed_mean
 from .standard_errors import AT_BOUND as AT_BOUND
@@ -73,9 +75,9 @@ from .stochastic_simulation import SampledInputs as SampledInputs
 from .stochastic_simulation import simulate_stochastic as simulate_stochastic
 from .thrust_scale import ReportedEstimates as ReportedEstimates
 from .thrust_scale import ThrustScale as ThrustScale
-from .thrust_scale import contradicted_priors as contradicted_priors
 from .thrust_scale import free_unknown_scale as free_unknown_scale
 from .thrust_scale import least_yaw_inertia as least_yaw_inertia
 from .thrust_scale import model_values as model_values
+from .thrust_scale import prior_distances as prior_distances
 from .thrust_scale import reported_units as reported_units
 from .thrust_scale import thrust_scale_of as thrust_scale_of

@@ -19,6 +19,7 @@ from seatrial.ident.effects import catalogue, input_response_effects, nonparamet
 from seatrial.ident.estimation.homogeneity import BETWEEN, between_runs_effect
 from seatrial.ident.estimation.maximum_likelihood import Fit
 from seatrial.ident.estimation.parameter_covariance import ParameterCovariance
+from seatrial.ident.estimation.refitted_effect import RefittedEffect
 from seatrial.ident.estimation.thrust_scale import thrust_scale_of
 from seatrial.ident.model import (
     Effect,
@@ -65,6 +66,25 @@ STATE_NUMBERS = ("sd0", "noise")  # attributes of a state that are written if th
 
 
 @dataclass(frozen=True)
+class FittedData:
+    """Facts about the data that a model was fitted to, for model.toml.
+
+    Attributes
+    ----------
+    validity
+        Least and largest value of each signal, by name, in SI units.
+    rates
+        By sensor, its sample rate [Hz]; after averaging, the rate of the averages.
+    origin
+        Origin of x and y in the logs; None if it is unknown. It is written only for a model with a fixed point.
+    """
+
+    validity: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    rates: Mapping[str, float] = field(default_factory=dict)
+    origin: FrameOrigin | None = None
+
+
+@dataclass(frozen=True)
 class SavedModel:
     """Model read from a model.toml, with the uncertainty of its estimates.
 
@@ -99,6 +119,9 @@ class SavedModel:
     holds
         By input, its interpolation between samples in the fitted data (`Input.hold`). Empty if unknown, as in files of
         earlier versions.
+    refits
+        Effects that a diagnosis tried, in the order of its fits. Empty for a model that was not diagnosed, and in files
+        of earlier versions.
     """
 
     model: Model
@@ -114,6 +137,7 @@ class SavedModel:
     inflation: Mapping[str, float] = field(default_factory=dict)
     rates: Mapping[str, float] = field(default_factory=dict)
     holds: Mapping[str, str] = field(default_factory=dict)
+    refits: tuple[RefittedEffect, ...] = ()
 
     def uncertainty(self, name: str) -> float:
         """Return the standard uncertainty [N] of the thrust coefficient ``name``; NaN if it has no standard error.
@@ -141,12 +165,11 @@ def save_model(
     path: Path,
     fit: Fit,
     *,
-    validity: Mapping[str, tuple[float, float]],
+    data: FittedData,
     provenance: Mapping[str, Any],
     effects_file: Path | None = None,
     calibration: float | None = None,
-    origin: FrameOrigin | None = None,
-    rates: Mapping[str, float] | None = None,
+    refits: Sequence[RefittedEffect] = (),
 ) -> None:
     """Write the model of a fit to a model.toml, and beside it a copy of each user-defined Python file that it needs.
 
@@ -159,18 +182,16 @@ def save_model(
         Path of the model.toml to be written.
     fit
         Fit whose estimates, standard errors and correlations are written.
-    validity
-        Least and largest value of each signal in the fitted data, by name, in SI units.
+    data
+        Ranges of the signals in the fitted data, rates of the sensors, and origin of x and y.
     provenance
         Software version, command line, logs and their hashes. Entries that are None are left out.
     effects_file
         Python file with user-defined effects; None if there is none.
     calibration
         Relative standard uncertainty of the measured forces; None if unknown.
-    origin
-        Origin of x and y in the logs. It is written only for a model with a fixed point.
-    rates
-        By sensor, its sample rate in the fitted data [Hz]; after averaging, the rate of the averages.
+    refits
+        Effects that a diagnosis tried, with their estimates.
     """
     model, document = fit.model, tomlkit.document()
     document["format"] = FORMAT
@@ -198,11 +219,11 @@ def save_model(
     document["provenance"] = {k: v for k, v in provenance.items() if v is not None}
     if (scale := _scale_table(model, calibration)) is not None:
         document["scale"] = scale
-    if origin is not None and any(e.fixed_point for e in model.effects):
-        document["origin"] = msgspec.structs.asdict(origin)
-    document["validity"] = {k: [float(a), float(b)] for k, (a, b) in validity.items()}
-    if rates:
-        document["rates"] = {k: float(f"{z:.4g}") for k, z in rates.items()}
+    if data.origin is not None and any(e.fixed_point for e in model.effects):
+        document["origin"] = msgspec.structs.asdict(data.origin)
+    document["validity"] = {k: [float(a), float(b)] for k, (a, b) in data.validity.items()}
+    if data.rates:
+        document["rates"] = {k: float(f"{z:.4g}") for k, z in data.rates.items()}
     if holds := {i.name: i.hold for i in model.inputs if i.hold and not i.tap_of}:
         document["holds"] = holds
     if states := _states_table(model, effects_file):
@@ -217,7 +238,32 @@ def save_model(
         parameters.append(table)
     document["parameter"] = parameters
     document["correlation"] = {"names": list(fit.names), "matrix": np.round(np.nan_to_num(fit.correlation), 6).tolist()}
+    if refits:
+        document["refit"] = _refit_tables(refits)
     write_output(path, tomlkit.dumps(document))
+
+
+def _refit_tables(refits: Sequence[RefittedEffect]) -> Any:
+    """Return the tables ``refit`` of model.toml: an array of one table for each effect that a diagnosis tried."""
+    tables = tomlkit.aot()
+    for r in refits:
+        table = tomlkit.table()
+        table.update({"effect": r.name, "beside": list(r.beside)})
+        for key, numbers in (("values", r.values), ("errors", r.errors)):
+            inline = tomlkit.inline_table()
+            inline.update({name: float(f"{z:.6g}") for name, z in numbers.items()})
+            table[key] = inline
+        tables.append(table)
+    return tables
+
+
+def _refits_from_tables(rows: Sequence[Mapping[str, Any]]) -> tuple[RefittedEffect, ...]:
+    """Return the effects that a diagnosis tried, from the tables ``refit`` of model.toml."""
+    found = []
+    for row in rows:
+        values, errors = ({str(n): float(z) for n, z in row.get(key, {}).items()} for key in ("values", "errors"))
+        found.append(RefittedEffect(str(row["effect"]), tuple(str(n) for n in row["beside"]), values, errors))
+    return tuple(found)
 
 
 def _states_table(model: Model, effects_file: Path | None) -> dict[str, dict[str, float]]:
@@ -372,6 +418,7 @@ def load_model(path: Path) -> SavedModel:
         reml = bool(table.get("reml", False))
         provenance, calibration = dict(table.get("provenance", {})), table.get("scale", {}).get("calibration")
         calibration = None if calibration is None else float(calibration)
+        refits = _refits_from_tables(table.get("refit", ()))
     except (AttributeError, KeyError, TypeError, ValueError) as problem:  # AttributeError: a value instead of a table
         raise SeatrialError(
             f"{path}: the model in this file is incomplete or does not match this version of seatrial, so fit it "
@@ -391,6 +438,7 @@ def load_model(path: Path) -> SavedModel:
         inflation,
         rates,
         holds,
+        refits,
     )
 
 

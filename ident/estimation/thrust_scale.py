@@ -354,12 +354,35 @@ class ReportedEstimates:
         return np.asarray(found)
 
 
-def contradicted_priors(fit: Fit) -> list[tuple[Parameter, float, float]]:
-    """Return the parameters for which the data contradict the prior that was given for this boat.
+@dataclass(frozen=True)
+class PriorDistance:
+    """Distance between the data and the prior that was given for a parameter of this boat.
 
-    Data and prior contradict each other if they differ by more than 3 of their common standard deviations. Priors from
-    a bench test or from the user are tested, also those of a parameter of an effect. So are the priors that a
-    user-defined model declares. Built-in priors, and the usual priors of effects, are not tested: they do not describe
+    Attributes
+    ----------
+    parameter
+        The parameter, with its prior.
+    estimate
+        Estimate in the unit of the parameter.
+    distance
+        Distance in common standard deviations; positive if the data are above the mean of the prior.
+    """
+
+    parameter: Parameter
+    estimate: float
+    distance: float
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether data and prior contradict each other: they differ by more than 3 common standard deviations."""
+        return abs(self.distance) > PRIOR_WIDTHS
+
+
+def prior_distances(fit: Fit) -> list[PriorDistance]:
+    """Return the distance between the data and each prior that was given for this boat.
+
+    Priors from a bench test or from the user count, also those of a parameter of an effect. So do the priors that a
+    user-defined model declares. Built-in priors, and the usual priors of effects, do not count: they do not describe
     this boat.
 
     Parameters
@@ -369,9 +392,8 @@ def contradicted_priors(fit: Fit) -> list[tuple[Parameter, float, float]]:
 
     Returns
     -------
-    list of (parameter, estimate, distance)
-        The estimate is in the parameter's unit. The distance between data and prior is in standard deviations; it is
-        positive if the estimate is above the mean of the prior.
+    list of PriorDistance
+        One for each such prior, in the order of the fit's parameters.
 
     Notes
     -----
@@ -400,8 +422,7 @@ def contradicted_priors(fit: Fit) -> list[tuple[Parameter, float, float]]:
         by_data, moved = max(1.0 - weight, LEAST_DATA), (p.to_free(value) - prior[0]) / prior[1]
         of_model = model_variance / (p.slope(value) * prior[1] * by_data) ** 2
         widths = moved / by_data / np.sqrt(1.0 + inflation * weight / by_data + of_model)
-        if abs(widths) > PRIOR_WIDTHS:
-            found.append((p, value, float(widths)))
+        found.append(PriorDistance(p, value, float(widths)))
     return found
 
 

@@ -2,6 +2,7 @@ from .criteria import Kind as Kind
 from .criteria import characteristic_steps as characteristic_steps
 from .discrimination import DiscriminationDesign as DiscriminationDesign
 from .discrimination import discriminate as discriminate
+from .discrimination import probability_of_true_model as probability_of_true_model
 from .discrimination import separation as separation
 from .evaluator import N_TRACKS as N_TRACKS
 from .evaluator import DesignEvaluator as DesignEvaluator

@@ -37,7 +37,7 @@ from seatrial.ident.experiment_design.information import (
 from seatrial.ident.experiment_design.optimal_design import search_design
 from seatrial.ident.experiment_design.problem import DesignProblem
 from seatrial.ident.model import Model
-from seatrial.ident.numerics import Array, SearchResult
+from seatrial.ident.numerics import Array, SearchResult, normal_cdf
 
 # Experiments are simulated in vector lanes: the processor computes one group of experiments at once, one per lane.
 CHUNK = 2  # such groups per call; few, since delayed input taps make them large
@@ -224,6 +224,15 @@ class DiscriminationDesign:
     def clear(self) -> bool:
         """Whether a fit is expected to prefer the true model, whichever of the two it is: both T exceed 30."""
         return min(self.separation) > RELIABLE_T
+
+
+def probability_of_true_model(T: float) -> float:
+    """Return the probability that the true model has the larger likelihood, for a separation T of two models.
+
+    Twice the log-likelihood ratio is normal with mean T and variance 4 T, so that the probability is Phi(sqrt(T) / 2).
+    It assumes that one of the two models describes the boat completely.
+    """
+    return float(normal_cdf(np.sqrt(T) / 2.0))
 
 
 def _both_hypotheses(model_a: Model, model_b: Model, problem: DesignProblem) -> tuple[HypothesisPair, HypothesisPair]:

@@ -62,13 +62,22 @@ def write_design_page(result: DesignResult, path: Path) -> None:
 def _introduction(result: DesignResult) -> str:
     """Return the introduction of the page of a designed mission.
 
-    It has the criterion, the parameters that the criterion includes, and the kind of Fisher information.
+    It has the criterion, the parameters that the criterion includes, and the kind of Fisher information; or the two
+    effects to distinguish and the criterion T.
     """
     form = (
         "with process noise (prediction error)"
         if result.form == "prediction error"
         else ("without process noise (output error)")
     )
+    if result.apart is not None:
+        first, second = result.apart.effects
+        return (
+            f"The steps of this mission distinguish {first} from {second}: they maximise the criterion T, twice the "
+            "expected log-likelihood ratio of the model with the true effect against the other one, whichever is true. "
+            "Standard errors after the mission are those of a prediction-error fit to this run, combined with the "
+            "information before the mission."
+        )
     return (
         f"The steps of this mission maximise the {result.criterion} criterion of the Fisher information of "
         f"{', '.join(result.chosen)}, {form}. Standard errors after the mission are those of a "
@@ -81,7 +90,7 @@ def _labelled_facts(result: DesignResult) -> list[tuple[str, str]]:
 
     They are the model, the criterion of the design and of the baseline signals, the share of parameter samples in which
     the design is better than these, and the sensor rates if they are known. If two effects were to be distinguished
-    (`--discriminate`), they include the criterion T for either of them.
+    (`--discriminate`), they include the criterion T for either of them, and their sizes.
     """
     found = [("model", result.model), ("criterion", formatting.plain(result.value, 4))]
     found += [(f"best of 20 {r.name}", formatting.plain(r.value, 4)) for r in result.baselines]
@@ -94,6 +103,16 @@ def _labelled_facts(result: DesignResult) -> list[tuple[str, str]]:
             (f"T if {first} is true", formatting.plain(result.apart.if_first)),
             (f"T if {second} is true", formatting.plain(result.apart.if_second)),
         ]
+        if result.apart.probability is not None:
+            share = formatting.percent(result.apart.probability, 1)
+            share = "> 99.9 %" if result.apart.probability > 0.999 else share  # no model is exact enough for more
+            found.append(("prefers the true one, if it is one of both, in", share))
+        for row in result.apart.sizes:
+            values = [
+                f"{p.name} = {formatting.plain(p.value)} {formatting.typeset_unit(p.unit)}".rstrip()
+                for p in row.parameters
+            ]
+            found.append((f"{row.origin} size of {row.effect}", ", ".join(values)))
     return found
 
 

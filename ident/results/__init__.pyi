@@ -39,6 +39,7 @@ from .commands import FleetParameter as FleetParameter
 from .commands import FleetResult as FleetResult
 from .commands import GnssFixes as GnssFixes
 from .commands import GnssOutage as GnssOutage
+from .commands import HypothesisSize as HypothesisSize
 from .commands import Information as Information
 from .commands import InformationResult as InformationResult
 from .commands import InformedParameter as InformedParameter

@@ -20,8 +20,8 @@ from seatrial.ident.estimation import (
     FittedModel,
     HomogeneityTest,
     ThrustScale,
-    contradicted_priors,
     least_yaw_inertia,
+    prior_distances,
     thrust_scale_of,
     unexcited_motion,
 )
@@ -304,7 +304,8 @@ def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | Non
         Length of the hull [m]. If it is None, the least plausible yaw inertia follows from the thrusters' arms alone.
     """
     warnings = scale_warnings(thrust_scale_of(fit.model))
-    for p, value, widths in contradicted_priors(fit):
+    for away in (d for d in prior_distances(fit) if d.contradicts):
+        p, value = away.parameter, away.estimate
         mean, sd = p.prior or (math.nan, math.nan)
         if p.name in fit.model.noises:
             text = (
@@ -316,8 +317,8 @@ def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | Non
             continue
         text = (
             f"The data contradict the prior of {p.full_name}: {mean:.4g} ± {sd:.2g} {p.unit} was given, the estimate "
-            f"is {value:.4g} {p.unit}, {abs(widths):.1f} standard deviations away. Check the prior and the other given "
-            "values (thrust, arms, units)."
+            f"is {value:.4g} {p.unit}, {abs(away.distance):.1f} standard deviations away. Check the prior and the "
+            "other given values (thrust, arms, units)."
         )
         warnings.append(ResultWarning(code="prior-contradicted", text=text))
     if fit.converged and (left := fit.distance_left) is not None:

@@ -36,6 +36,7 @@ from seatrial.ident.results.answers import (
 from seatrial.ident.results.parts import (
     Calibrations,
     Dynamics,
+    EffectParameter,
     InputTrace,
     Part,
     Provenance,
@@ -528,6 +529,22 @@ class DesignTrack(Part, frozen=True, kw_only=True):
     coasting: Annotated[float, Meta(description="time without thrust after the steps [s]")] = 0.0
 
 
+class HypothesisSize(Part, frozen=True, kw_only=True):
+    """Size of one of the two effects that a mission discriminates, and the origin of this size."""
+
+    effect: Annotated[str, Meta(description="name of the effect")]
+    origin: Annotated[
+        Literal["fitted", "typical"],
+        Meta(
+            description="`fitted`: estimates of the model, or of a refit of its diagnosis; `typical`: half a standard "
+            "deviation of the effect's prior, because no fit has the effect, or because its fitted size is negligible"
+        ),
+    ]
+    parameters: Annotated[
+        tuple[EffectParameter, ...], Meta(description="its parameters; `se` is null for a typical size")
+    ]
+
+
 class Discrimination(Part, frozen=True, kw_only=True):
     """Discrimination of two effects by the designed mission (`--discriminate`).
 
@@ -540,6 +557,14 @@ class Discrimination(Part, frozen=True, kw_only=True):
     if_first: Annotated[float, Meta(description="criterion T if the first effect is true")]
     clear: Annotated[bool, Meta(description="whether both are large enough to distinguish the effects")]
     random: Annotated[Array, Meta(description="criterion T of random missions")]
+    probability: Annotated[
+        float | None,
+        Meta(
+            description="probability that the mission prefers the true one of the two effects, if one of them explains "
+            "the boat completely: mean over either effect as the true one; null in older files"
+        ),
+    ] = None
+    sizes: Annotated[tuple[HypothesisSize, ...], Meta(description="sizes of both effects; empty in older files")] = ()
 
 
 class DesignResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="design"):

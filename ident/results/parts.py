@@ -1136,7 +1136,8 @@ class DiagnosisResult(FitResult, frozen=True, kw_only=True, tag_field="kind", ta
         tuple[DetectableEffect, ...],
         Meta(
             description="catalogue effects that the last model lacks: the smallest sizes that these data would have "
-            "shown with a probability of 80 %, by the information of the score tests"
+            "shown with a probability of 80 %, by the information of the score tests; a slow effect has to be up to "
+            "twice as large, because the disturbance forces explain a part of it"
         ),
     ] = ()
     nonparametric_effects: Annotated[

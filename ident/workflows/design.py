@@ -12,7 +12,14 @@ from numpy.typing import NDArray
 from seatrial.daq.config import Mission, Prediction, Segment, dump_mission, parse_mission, save_new_mission
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.effects import catalogue
-from seatrial.ident.estimation import dynamic_parameters, load_model, reported_units, simulate
+from seatrial.ident.estimation import (
+    RefittedEffect,
+    SavedModel,
+    dynamic_parameters,
+    load_model,
+    reported_units,
+    simulate,
+)
 from seatrial.ident.experiment_design import (
     COAST_S,
     GRID,
@@ -39,12 +46,13 @@ from seatrial.ident.experiment_design import (
     predicted_errors,
     predicted_track,
     prior_from_fit,
+    probability_of_true_model,
     reason_without_mission,
     row_spacing,
     separation,
 )
-from seatrial.ident.model import Model, Parameter
-from seatrial.ident.models import make_model
+from seatrial.ident.model import Effect, Model, Parameter
+from seatrial.ident.models import make_model, scale_priors, size_of
 from seatrial.ident.numerics import Array
 from seatrial.ident.report import typeset_unit, write_design_page
 from seatrial.ident.reporter import Reporter
@@ -55,6 +63,8 @@ from seatrial.ident.results import (
     DesignResult,
     DesignTrack,
     Discrimination,
+    EffectParameter,
+    HypothesisSize,
     ResultWarning,
     design_warnings,
     finite,
@@ -67,6 +77,7 @@ N_SHOWN = 24  # sampled tracks on the page
 NAMED = 3  # parameters in the answer
 STEP_S = 5.0  # s: mean length of a step, unless --steps gives their number
 VALIDITY_MARGIN = 0.1  # of the width of a range of validity, by which signals may leave it without a warning
+LARGEST_SHARE = 0.999  # largest probability that is shown; models are not exact enough for more
 NEGLIGIBLE = 0.02  # of the standard deviation of a prior: a fitted effect below it is taken as not found
 
 
@@ -159,7 +170,7 @@ def make_design(source: str, request: DesignRequest, out: Path, command: str, re
         If the model or an option cannot be used, or if one of the files exists. No file is written then.
     """
     beside = _paths_beside_mission(out)
-    task = make_task(source, request)
+    task, compared = make_task(source, request)
     model_thrusters = task.actuation.thrusters
     thrusters = request.thrusters or model_thrusters
     if len(thrusters) != len(model_thrusters):
@@ -176,7 +187,7 @@ def make_design(source: str, request: DesignRequest, out: Path, command: str, re
     )
     apart: Discrimination | None = None
     if request.between:
-        made, apart = _discrimination_design(task, request, reporter)
+        made, apart = _discrimination_design(task, compared, request, reporter)
     else:
         made = design(
             task,
@@ -399,10 +410,11 @@ def round_to_digits(values: Array, digits: int) -> Array:
     return np.array([float(f"{v:.{digits}g}") for v in values.ravel()]).reshape(values.shape)
 
 
-def make_task(source: str, request: DesignRequest) -> DesignProblem:
-    """Return the design problem that the options of `seatrial mission design` define.
+def make_task(source: str, request: DesignRequest) -> tuple[DesignProblem, tuple[EffectHypothesis, ...]]:
+    """Return the design problem that the options of `seatrial mission design` define, and the effects to discriminate.
 
-    It has the model, the number of steps, the criterion, the limits, the prior and the spacing of the rows in time.
+    The problem has the model, the number of steps, the criterion, the limits, the prior and the spacing of the rows in
+    time. The effects are two (`hypotheses`), or none if ``request.between`` is empty.
 
     Parameters
     ----------
@@ -454,12 +466,12 @@ def make_task(source: str, request: DesignRequest) -> DesignProblem:
         task = replace(task, prior=ParameterPrior(task.observed_parameters, request.spread))
     else:
         task = replace(task, prior=prior_from_fit(saved), validity=saved.validity, fitted_rates=saved.rates)
-    compared = hypotheses(model, request.between) if request.between else ()
+    compared = hypotheses(model if saved is None else saved, request.between) if request.between else ()
     members = [
         (model, DesignEvaluator(task).boats(N_TRACKS, 2)),
-        *((m, np.array([list(m.values.values())])) for m in compared),
+        *((h.model, np.array([list(h.model.values.values())])) for h in compared),
     ]
-    return replace(task, grid=row_spacing(members, GRID, request.n_max))
+    return replace(task, grid=row_spacing(members, GRID, request.n_max)), compared
 
 
 def _criterion_parameters(task: DesignProblem) -> tuple[str, ...]:
@@ -471,9 +483,9 @@ def _criterion_parameters(task: DesignProblem) -> tuple[str, ...]:
 
 
 def _discrimination_design(
-    task: DesignProblem, request: DesignRequest, reporter: Reporter
+    task: DesignProblem, compared: Sequence[EffectHypothesis], request: DesignRequest, reporter: Reporter
 ) -> tuple[Design, Discrimination]:
-    """Search the mission that discriminates the two effects of ``request.between``.
+    """Search the mission that discriminates two effects, ``compared``.
 
     The search has an eighth of the ``evaluations`` of the request, but at least 500. The first result is the mission as
     a design. Its value is the criterion of the parameters, so that its page is that of any design. The second result
@@ -481,7 +493,7 @@ def _discrimination_design(
     each of eight random missions. T is the expected value of twice the log-likelihood ratio of the true model against
     the wrong model.
     """
-    a, b = hypotheses(task.model, request.between)
+    a, b = (h.model for h in compared)
     made: DiscriminationDesign = discriminate(
         a,
         b,
@@ -495,27 +507,58 @@ def _discrimination_design(
     rng = np.random.default_rng([request.seed, 31])
     random = [task.commands(z)[:, :, 0] for z in task.steps.random(8, rng)[:, None]]
     random_criteria = [min(separation(a, b, task, c)) for c in random]
-    first, second = request.between
+    first, second = (h.effect for h in compared)
     row = Discrimination(
         effects=(first, second),
         if_second=made.separation[0],
         if_first=made.separation[1],
         clear=made.clear,
         random=np.array(random_criteria),
+        probability=float(np.mean([probability_of_true_model(T) for T in made.separation])),
+        sizes=tuple(_size_row(h) for h in compared),
     )
     return Design(task, made.levels, made.durations, value, information[0], made.found), row
 
 
-def hypotheses(model: Model, names: Sequence[str]) -> tuple[Model, Model]:
-    """Return the two models that a mission is to discriminate: one with the first effect, one with the second.
+@dataclass(frozen=True)
+class EffectHypothesis:
+    """Model with one of the two effects that a mission is to discriminate, and the origin of its size.
+
+    Attributes
+    ----------
+    effect
+        Name of the effect.
+    model
+        Model with this effect and without the other one.
+    errors
+        Standard errors of its fitted parameters by name, as far as they are known. None: the size is a typical one.
+    """
+
+    effect: str
+    model: Model
+    errors: Mapping[str, float] | None = None
+
+    @property
+    def fitted(self) -> bool:
+        """Whether the size of the effect was fitted. Otherwise it is a typical size."""
+        return self.errors is not None
+
+
+def hypotheses(known: SavedModel | Model, names: Sequence[str]) -> tuple[EffectHypothesis, EffectHypothesis]:
+    """Return the two hypotheses that a mission is to discriminate: the first effect, or the second one.
 
     The other effect is removed if the model has it, because a model with both effects would predict well whichever is
-    true. The size of each effect is that of `with_effect`.
+    true. An effect has its fitted size: that of the model, or else that of the last refit of the diagnosis without the
+    other effect. The other parameters are those of the model in both hypotheses. An effect without a fit, or with a
+    negligible fitted size, has a typical size: the initial value of each parameter plus half of the standard deviation
+    of its prior, or plus five characteristic steps if it has no prior, limited to its bounds. A fitted size is
+    negligible if each parameter that is zero without the effect is below 2 % of the standard deviation of its prior, or
+    below one characteristic step if it has no prior. Of a one-sided effect only the first parameter counts.
 
     Parameters
     ----------
-    model : Model
-        Model with or without the effects.
+    known : SavedModel or Model
+        Model with or without the effects; a saved one has the refits of its diagnosis.
     names : sequence of str
         Names of the two effects.
 
@@ -531,51 +574,84 @@ def hypotheses(model: Model, names: Sequence[str]) -> tuple[Model, Model]:
                 f"--discriminate: {special} is a special case of {general}: no mission tells them apart; "
                 "name two other effects"
             )
-    return with_effect(model.without(second), first), with_effect(model.without(first), second)
+    return _hypothesis(known, first, second), _hypothesis(known, second, first)
 
 
-def with_effect(model: Model, name: str) -> Model:
-    """Return the model with an effect that is large enough for a discrimination of two effects.
+def _hypothesis(known: SavedModel | Model, name: str, other: str) -> EffectHypothesis:
+    """Return the hypothesis of an effect without the effect ``other``, with the size of `hypotheses`.
 
-    The fitted effect of the model is kept if it is not negligible. It is negligible if each parameter that is zero
-    without the effect is below 2 % of the standard deviation of its prior, or below one characteristic step if it has
-    no prior. Of a one-sided effect only the first parameter counts.
-
-    A negligible or new effect gets larger values: the initial value of each parameter plus half of the standard
-    deviation of its prior, or plus five characteristic steps if it has no prior, limited to its bounds.
-
-    Parameters
-    ----------
-    model : Model
-        Model with or without the effect.
-    name : str
-        Name of the effect.
-
-    Raises
-    ------
-    SeatrialError
-        If there is no effect of this name, or if it does not apply to the model.
+    SeatrialError is raised if there is no effect of this name, or if it does not apply to the model.
     """
+    saved = known if isinstance(known, SavedModel) else None
+    model = (known.model if isinstance(known, SavedModel) else known).without(other)
     own = next((e for e in model.effects if e.name == name), None)
-    if own is None and name not in catalogue():
-        raise SeatrialError(f"--discriminate: there is no effect {name!r}; the effects are {', '.join(catalogue())}")
-    effect = own or catalogue()[name]
-    if own is None and not model.accepts(effect):
-        raise SeatrialError(
-            f"--discriminate: effect {name!r} does not apply to model {model.name}; use another effect or model"
-        )
-    with_it = model if own is not None else model + effect
+    effect = _effect_for(model, name) if own is None else own
+    with_it = model + effect if own is None else model
+    typical = EffectHypothesis(name, with_it.with_values(_typical_sizes(effect)))
+    values: Mapping[str, float] = with_it.values
+    errors: Mapping[str, float] = {} if saved is None else saved.errors
+    if own is None:
+        refit = None if saved is None else refit_without(saved.refits, name, other)
+        if refit is None or set(refit.values) != {p.name for p in effect.parameters}:
+            return typical
+        values, errors = refit.values, refit.errors
     # Only these parameters are sizes. Others are places or shapes: they are not zero without the effect, or follow the
     # amplitude of a one-sided effect.
     sizing = [p for p in (effect.parameters[:1] if effect.one_sided else effect.parameters) if p.value == 0.0]
     least = {p.name: NEGLIGIBLE * p.prior[1] if p.prior is not None else p.step for p in sizing}
-    if own is not None and any(abs(with_it.values[name]) >= size for name, size in least.items()):
-        return with_it
+    if not any(abs(values[n]) >= size for n, size in least.items()):
+        return typical
+    kept = {p.name: values[p.name] for p in effect.parameters}
+    known_errors = {n: float(errors[n]) for n in kept if np.isfinite(errors.get(n, np.nan))}
+    return EffectHypothesis(name, with_it.with_values(kept), known_errors)
+
+
+def refit_without(refits: Sequence[RefittedEffect], name: str, other: str) -> RefittedEffect | None:
+    """Return the last refit of an effect in which the effect ``other`` was not in the model; None if there is none."""
+    return next((r for r in reversed(refits) if r.name == name and other not in r.beside), None)
+
+
+def _effect_for(model: Model, name: str) -> Effect:
+    """Return an effect of the catalogue whose priors have the size of the boat of a model.
+
+    SeatrialError is raised if there is no effect of this name, or if it does not apply to the model.
+    """
+    if name not in catalogue():
+        raise SeatrialError(f"--discriminate: there is no effect {name!r}; the effects are {', '.join(catalogue())}")
+    effect = catalogue()[name]
+    if not model.accepts(effect):
+        raise SeatrialError(
+            f"--discriminate: effect {name!r} does not apply to model {model.name}; use another effect or model"
+        )
+    return scale_priors(effect, size_of(model))
+
+
+def _typical_sizes(effect: Effect) -> dict[str, float]:
+    """Return a typical value of each parameter of an effect by name (`hypotheses`)."""
     sizes = {}
     for p in effect.parameters:
         size = 0.5 * p.prior[1] if p.prior is not None else 5.0 * p.step
         sizes[p.name] = float(np.clip(p.value + size, *p.bounds))
-    return with_it.with_values(sizes)
+    return sizes
+
+
+def _size_row(hypothesis: EffectHypothesis) -> HypothesisSize:
+    """Return the size of the effect of a hypothesis, and its origin, as a row of the result, in reported units."""
+    model, errors = hypothesis.model, hypothesis.errors or {}
+    units = reported_units(model)
+    effect = next(e for e in model.effects if e.name == hypothesis.effect)
+    rows = []
+    for p in (model.parameter(q.name) for q in effect.parameters):
+        factor, error = units.factor(p.unit), errors.get(p.name)
+        rows.append(
+            EffectParameter(
+                name=units.scale.name(p.name, p.unit), meaning=p.meaning, unit=units.scale.unit(p.unit),
+                value=factor * p.value, se=None if error is None else factor * error,
+            )
+        )  # fmt: skip
+    return HypothesisSize(
+        effect=hypothesis.effect, origin="fitted" if hypothesis.fitted else "typical", parameters=tuple(rows)
+    )
 
 
 def _track_table(track: Track, limits: DesignLimits) -> DesignTrack:
@@ -664,6 +740,26 @@ def _design_answer(
     return errors if made.value >= baseline.value else f"{warn_worse_than_baseline(baseline, made)} {errors}"
 
 
+def _discrimination_lines(apart: Discrimination) -> list[str]:
+    """Return a line for the size of each effect of a discrimination, and one for the probability of the right choice.
+
+    A line of a size has the origin of the size.
+    """
+    lines = []
+    for row in apart.sizes:
+        errors = ["" if p.se is None else f" ± {p.se:.2g}" for p in row.parameters]
+        values = [
+            f"{p.name} = {format_number(p.value)}{error} {typeset_unit(p.unit)}".rstrip()
+            for p, error in zip(row.parameters, errors, strict=True)
+        ]
+        origin = "fitted size" if row.origin == "fitted" else "typical size, since no fit has one"
+        lines.append(f"  {row.effect} ({origin}): {', '.join(values)}")
+    if apart.probability is not None:
+        share = f"{100 * apart.probability:.1f} %" if apart.probability < LARGEST_SHARE else "more than 99.9 %"
+        lines.append(f"  If one of both explains the boat, the mission prefers it with a probability of {share}.")
+    return lines
+
+
 def warn_worse_than_baseline(baseline: BaselineSignal, made: Design) -> str:
     """Return the sentences of a warning that a baseline signal (random sequence) is better than the design.
 
@@ -688,8 +784,9 @@ def design_summary(result: DesignResult) -> Sequence[str]:
     """Return the lines that `seatrial mission design` prints.
 
     They are the warnings, the answer, a line for each parameter (value, and standard errors before and after the
-    mission), the criterion, and the share of simulated boats that stay inside the area. The criterion is left out if
-    two effects were discriminated, the share if there is no limit of area.
+    mission), the criterion, and the share of simulated boats that stay inside the area. If two effects were
+    discriminated, their sizes are printed and the criterion is left out. The share is left out if there is no limit of
+    area.
 
     Parameters
     ----------
@@ -697,6 +794,8 @@ def design_summary(result: DesignResult) -> Sequence[str]:
         Result of `make_design`.
     """
     lines = [*(f"⚠ {warning.text}" for warning in result.warnings), result.answer, ""]
+    if result.apart is not None:
+        lines += [*_discrimination_lines(result.apart), ""]
     for p in result.parameters:
         before, after, baseline = ("–" if v is None else f"{v:.3g}" for v in (p.before, p.after, p.baseline))
         lines.append(

@@ -6,12 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from seatrial.ident.checks import device_faults
 from seatrial.ident.data import WHOLE, TimeWindows, load_all
 from seatrial.ident.diagnosis import Diagnosis, diagnose, evaluate_diagnosis
 from seatrial.ident.effects import catalogue
-from seatrial.ident.estimation import EstimationOptions, load_model
-from seatrial.ident.model import ModelKind
+from seatrial.ident.estimation import EstimationOptions, RefittedEffect, load_model
+from seatrial.ident.model import EffectKind, ModelKind
 from seatrial.ident.model import with_outlier_model as with_outliers
 from seatrial.ident.models import effects_for
 from seatrial.ident.reporter import Reporter
@@ -128,7 +130,27 @@ def write_diagnosed_model(done: DiagnosedModel, out: Path) -> None:
     The folder is created if it does not exist. Existing files of these names are replaced.
     """
     after = done.found.after
-    write_all(out, done.result, after.fit, validity(after), done.effects_file, rates=sensor_rates(after))
+    refits, rates = refitted_effects(done.found), sensor_rates(after)
+    write_all(out, done.result, after.fit, validity(after), done.effects_file, rates=rates, refits=refits)
+
+
+def refitted_effects(found: Diagnosis) -> tuple[RefittedEffect, ...]:
+    """Return the effects of the catalogue that a diagnosis tried, with their estimates, in the order of the rounds.
+
+    `seatrial mission design --discriminate` takes the sizes of competing effects from them. Nonparametric candidates
+    and differences between runs are left out.
+    """
+    tried = []
+    for refit in (r for search_round in found.rounds for r in search_round.refits):
+        if refit.effect.kind is not EffectKind.CATALOGUE:
+            continue
+        fit, name = refit.fitted.fit, refit.effect.name
+        beside = (e.name for e in fit.model.effects if e.kind is EffectKind.CATALOGUE and e.name != name)
+        names = [p.name for p in refit.effect.parameters]
+        errors = {n: fit.estimate(n)[1] for n in names}
+        known = {n: error for n, error in errors.items() if np.isfinite(error)}
+        tried.append(RefittedEffect(name, tuple(beside), {n: fit.model.values[n] for n in names}, known))
+    return tuple(tried)
 
 
 def diagnose_model(request: DiagnosisRequest, command: str, reporter: Reporter) -> DiagnosedModel:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from seatrial.ident.estimation import Fit, FittedModel, save_model
+from seatrial.ident.estimation import Fit, FittedData, FittedModel, RefittedEffect, save_model
 from seatrial.ident.report import write_report
 from seatrial.ident.results import FitResult, write_result
 from seatrial.ident.validation import shown_inputs
@@ -21,6 +21,7 @@ def write_all(
     effects_file: Path | None = None,
     calibration: float | None = None,
     rates: Mapping[str, float] | None = None,
+    refits: Sequence[RefittedEffect] = (),
 ) -> None:
     """Write model.toml, result.json and report.html to a folder; existing files of these names are replaced.
 
@@ -41,6 +42,8 @@ def write_all(
         Relative standard uncertainty of the measured forces; by default unknown.
     rates : mapping, optional
         Sample rate [Hz] by name of the sensor; by default unknown.
+    refits : sequence, optional
+        Effects that a diagnosis tried, with their estimates, for model.toml.
     """
     out.mkdir(parents=True, exist_ok=True)
     logs = [f"{x.path} sha256:{x.sha256[:16]}" for x in result.logs if x.role == "estimation"]
@@ -49,12 +52,11 @@ def write_all(
     save_model(
         out / "model.toml",
         fit,
-        validity=ranges,
+        data=FittedData(ranges, rates or {}, origin),
         provenance=made,
         effects_file=effects_file,
         calibration=calibration,
-        origin=origin,
-        rates=rates,
+        refits=refits,
     )
     write_result(result, out / "result.json")
     write_report(result, out / "report.html")

@@ -16,6 +16,7 @@ import numpy as np
 
 from seatrial.ident.diagnosis.certainty import NAME_RECORDS
 from seatrial.mocks.hidden_effects.catalogue import make_effect
+from tests.recovery import prior_study
 from tests.recovery.cases import Row
 from tests.recovery.kinds import KINDS, all_large
 from tests.recovery.next_experiment import BEFORE, DESIGNED, MIXED
@@ -76,18 +77,59 @@ do not distinguish several effects, or that the prediction is no better with it.
 
 ## What one more mission adds
 
-For an ambiguous answer the report recommends `seatrial mission design --discriminate A,B`. Five boats ran such a
-mission of 250 s, and for comparison a mixed mission of the same length, as a further log of the fit and of the
-diagnosis. The table has the attribution of the first of the two effects, which is in the boat in all five cases.
+{further}
+
+## Warnings about correct priors
+
+`seatrial ident vehicle` warns if the data contradict a prior (`prior-contradicted`). A correct prior is a measurement
+with an error of the stated size. The table counts the warnings about such priors: of the thrust, three masses and three
+coefficients of damping, on textbook boats (*clean*), on boats of this page without a large effect, and on such boats
+with a large effect that the model lacks.
+
+    python -m tests.recovery.prior_study
+
+{priors}
+
+The warning is given if data and prior differ by more than three of their common standard deviations, which include the
+uncertainty of the model. The last column is the root mean square of this distance; 1 is expected.
+"""
+
+FURTHER = """\
+For an ambiguous answer the report recommends `seatrial mission design --discriminate A,B`, which takes the
+fitted sizes of both effects. {n_missions} boats ran such a mission of 250 s, and for comparison a mixed mission
+of the same length, as a further log of the fit and of the diagnosis. The first of the two effects is in the
+boat in all cases. The table has its attribution and the probability that seatrial states for it, and in
+parentheses the probability that was expected before the mission.
 
     python -m tests.recovery.next_experiment --out docs/data/next-experiment.jsonl
 
 {missions}
 
-The designed mission makes the name certain in {by_design} of {n_missions} cases, the mixed mission in {by_mixed}. So a
-further log helps, and five cases do not show that its design helps more. The mission is designed with typical sizes of
-the two effects, not with those of the boat.
-"""
+The probability of the right name was {before:.0f} % on average before the mission. Expected and stated after it are
+{expected_design:.0f} % and {by_design:.0f} % for the designed mission, {expected_mixed:.0f} % and {by_mixed:.0f} % for
+the mixed one. The name is identified in {sure_design} of {n_missions} cases after the designed mission, and in
+{sure_mixed} after the mixed one.
+
+The expectation takes the criterion T of the mission (twice the expected log-likelihood ratio, at least
+{least_T:.0f} for the designed missions and {least_T_mixed:.0f} for the mixed ones) and the lead of the first
+effect in the diagnosis. It assumes that one of the two models describes the boat completely. These boats differ
+from both by their small imperfections, so that a name can stay ambiguous although T is large. {n_missions}
+cases are too few to compare the two missions."""
+# The same for lines of an earlier version, which have no expected probability.
+EARLIER = """\
+For an ambiguous answer the report recommends `seatrial mission design --discriminate A,B`. {n_missions} boats
+ran such a mission of 250 s, and for comparison a mixed mission of the same length, as a further log of the fit
+and of the diagnosis. The table has the attribution of the first of the two effects, which is in the boat in all
+cases.
+
+    python -m tests.recovery.next_experiment --out docs/data/next-experiment.jsonl
+
+{missions}
+
+The designed mission makes the name certain in {sure_design} of {n_missions} cases, the mixed mission in
+{sure_mixed}. So a further log helps, and {n_missions} cases do not show that its design helps more. In these
+cases the design took the fitted size of the first effect and a typical size of the second one. It has taken the
+fitted sizes of both since then."""
 
 
 def main() -> int:
@@ -109,10 +151,8 @@ def document(rows: Sequence[Row]) -> str:
     return TEXT.format(
         seed=rows[0]["seed"],
         table=as_markdown(table(rows)),
-        missions=as_markdown(missions()),
-        by_design=sum(line[3] == "identified" for line in missions()[1:]),
-        by_mixed=sum(line[4] == "identified" for line in missions()[1:]),
-        n_missions=len(missions()) - 1,
+        further=further(mission_rows()),
+        priors=as_markdown(prior_study.table([r for r in read(prior_study.OUT).values() if "error" not in r])),
         stated=" and ".join(f"{100 * r.probability:.0f} % {how}" for how, r in NAME_RECORDS.items()),
         certainty=as_markdown(certainty([*rows, *clean])),
         n=len(rows),
@@ -134,15 +174,62 @@ def document(rows: Sequence[Row]) -> str:
     )
 
 
-def missions() -> list[list[str]]:
-    """Return the table of the missions that tell two effects apart: attribution of the first before and after."""
-    lines = [["boat", "effects to tell apart", "before", "with the designed mission", "with a mixed mission"]]
-    for row in read(MISSIONS).values():
+def further(rows: Sequence[Row]) -> str:
+    """Return the text about the further missions, with their table."""
+    counts = {
+        f"sure_{word}": sum(name_of(r, when)[0] == "identified" for r in rows)
+        for word, when in (("design", DESIGNED), ("mixed", MIXED))
+    }
+    text = {"n_missions": len(rows), "missions": as_markdown(missions(rows))} | counts
+    if not all("expected" in r for r in rows):
+        return EARLIER.format(**text)
+    stated = {when: 100 * float(np.mean([name_of(r, when)[1] for r in rows])) for when in (BEFORE, DESIGNED, MIXED)}
+    expected = {when: 100 * float(np.mean([r["expected"][when] for r in rows])) for when in (DESIGNED, MIXED)}
+    return FURTHER.format(
+        **text,
+        before=stated[BEFORE],
+        by_design=stated[DESIGNED],
+        by_mixed=stated[MIXED],
+        expected_design=expected[DESIGNED],
+        expected_mixed=expected[MIXED],
+        least_T=min(r["T"][DESIGNED] for r in rows),
+        least_T_mixed=min(r["T"][MIXED] for r in rows),
+    )
+
+
+def missions(rows: Sequence[Row]) -> list[list[str]]:
+    """Return the table of the missions that tell two effects apart: attribution of the first before and after.
+
+    With an expected probability, the table also has the probabilities and the origin of the sizes of the design.
+    """
+    head = ["boat", "effects to tell apart", "before", "with the designed mission", "with a mixed mission"]
+    lines = [head]
+    for row in rows:
         kind, effect, _ = row["key"].split("/")
-        found = [dict(pairs(row["diagnoses"][when])) for when in (BEFORE, DESIGNED, MIXED)]
-        verdicts = [names.get(row["pair"][0], "not found") for names in found]
-        lines.append([f"{effect}, {SIZES[kind]} size", " and ".join(row["pair"]), *verdicts])
+        names, cells = " and ".join(row["pair"]), []
+        if "sizes" in row:
+            names = " and ".join(f"{name} ({row['sizes'][name]})" for name in row["pair"])
+        for when in (BEFORE, DESIGNED, MIXED):
+            how, probability = name_of(row, when)
+            words = f"{how}, {100 * probability:.0f} %" if "expected" in row else how
+            known = "expected" in row and when != BEFORE
+            cells.append(words + (f" (expected {100 * row['expected'][when]:.0f} %)" if known else ""))
+        lines.append([f"{effect}, {SIZES[kind]} size", names, *cells])
     return lines
+
+
+def mission_rows() -> list[Row]:
+    """Return the lines of the further missions; without those of a boat whose first diagnosis was not ambiguous."""
+    return [row for row in read(MISSIONS).values() if row["pair"]]
+
+
+def name_of(row: Row, when: str) -> tuple[str, float]:
+    """Return attribution and stated probability of the first of the two effects; "not found" and 0 without it."""
+    found = row["diagnoses"][when]
+    for name, how in zip(found["found"], found["attribution"], strict=True):
+        if name == row["pair"][0]:
+            return how, NAME_RECORDS[how].probability
+    return "not found", 0.0
 
 
 def certainty(rows: Sequence[Row]) -> list[list[str]]:

@@ -82,8 +82,9 @@ def _detectable_blocks(detectable: Sequence[DetectableEffect]) -> list[Any]:
     caption = (
         "The score test of each effect that the model lacks would have passed with a probability of 80 % at this size, "
         "with its other parameters at zero. The size follows from the information of the data that the estimated "
-        "parameters do not explain. Differences between model and boat are left out. An effect that is not found is "
-        "smaller than this, or resembles others."
+        "parameters do not explain. Differences between model and boat are left out, and so is the part of an effect "
+        "that the disturbance forces of the fit would explain: a slow effect, such as a constant force, has to be up "
+        "to twice as large. An effect that is not found is smaller than this, or resembles others."
     )
     columns = (("effect", ""), ("parameter", ""), ("smallest size", "num"), ("unit", ""))
     return [Heading("What these data would have shown"), Table(columns, rows, caption)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +14,13 @@ from seatrial import command_line
 from seatrial.daq.config.mission_file import dump_mission, load_mission, parse_mission
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.effects.registry import catalogue
-from seatrial.ident.estimation.model_file import load_model
+from seatrial.ident.estimation.model_file import SavedModel, load_model
+from seatrial.ident.estimation.refitted_effect import RefittedEffect
 from seatrial.ident.experiment_design.prior import prior_from_fit
 from seatrial.ident.experiment_design.problem import COAST_S, REST_S
+from seatrial.ident.model.structure import Model
 from seatrial.ident.models.horizontal import horizontal_model
-from seatrial.ident.workflows.design import DesignRequest, hypotheses, make_task, with_effect
+from seatrial.ident.workflows.design import DesignRequest, hypotheses, make_task
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "formats" / "model.md"
 QUICK = ("--evaluations", "500", "--duration", "40", "--steps", "8")
@@ -129,7 +132,7 @@ def test_invalid_output_path_is_rejected_before_the_search(tmp_path: Path, capsy
 
 
 def test_sensor_rates_are_those_of_the_fitted_data(fitted: Path) -> None:
-    task = make_task(str(fitted), DesignRequest(duration=40.0, rates={"attitude": 2.0}))
+    task, _ = make_task(str(fitted), DesignRequest(duration=40.0, rates={"attitude": 2.0}))
     assert {s.name: task.rate(s.name) for s in task.model.sensors} == {"attitude": 2.0, "gyro": 10.0, "position": 5.0}
 
 
@@ -152,8 +155,8 @@ def test_rate_above_the_row_rate_gives_a_warning(
 
 def test_default_number_of_steps_respects_the_shortest_step() -> None:
     source = "horizontal:shaft:no-current"
-    assert make_task(source, DesignRequest(duration=40.0)).steps.n_steps == 8
-    assert make_task(source, DesignRequest(duration=40.0, shortest=7.0)).steps.n_steps == 5
+    assert make_task(source, DesignRequest(duration=40.0))[0].steps.n_steps == 8
+    assert make_task(source, DesignRequest(duration=40.0, shortest=7.0))[0].steps.n_steps == 5
 
 
 @pytest.mark.study
@@ -197,12 +200,16 @@ def test_discrimination_between_two_effects(tmp_path: Path, capsys: pytest.Captu
     words = ("design", "horizontal:shaft:no-current", *short, "--discriminate", "delay,lag")
     status, output, _ = run(capsys, *words, "--out", str(out))
     assert status == 0
-    assert "delay against lag differ by at least T" in output
+    assert "distinguishes delay from lag: criterion T is at least" in output
     apart = json.loads(out.with_suffix(".json").read_text())["apart"]
     assert min(apart["if_first"], apart["if_second"]) > np.median(apart["random"])
-    model = with_effect(horizontal_model(), "delay")
-    assert model.values["tau_delay"] == 0.25
-    assert with_effect(model, "delay") is model
+    assert apart["probability"] > 0.99
+    assert [(row["effect"], row["origin"]) for row in apart["sizes"]] == [("delay", "typical"), ("lag", "typical")]
+    assert "delay (typical size, since no fit has one): tau_delay = 0.25 s" in " ".join(output.split())
+
+
+def effects_of(model: Model) -> list[str]:
+    return [e.name for e in model.effects]
 
 
 def test_each_hypothesis_of_a_discrimination_has_only_its_own_effect() -> None:
@@ -211,19 +218,45 @@ def test_each_hypothesis_of_a_discrimination_has_only_its_own_effect() -> None:
     """
     fitted = (horizontal_model() + catalogue()["lag"]).with_values({"T_lag": 0.17})
     late, lagged = hypotheses(fitted, ("delay", "lag"))
-    assert [e.name for e in late.effects] == ["delay"]
-    assert [e.name for e in lagged.effects] == ["lag"]
-    assert lagged.values["T_lag"] == 0.17
-    assert late.values["tau_delay"] == 0.25
-    none_found = fitted.with_values({"T_lag": 0.0})
-    assert hypotheses(none_found, ("delay", "lag"))[1].values["T_lag"] == 0.25
-    assert [s.name for s in late.states] == [s.name for s in horizontal_model().states]
+    assert (effects_of(late.model), effects_of(lagged.model)) == (["delay"], ["lag"])
+    assert (late.model.values["tau_delay"], late.fitted) == (0.25, False)
+    assert (lagged.model.values["T_lag"], lagged.fitted) == (0.17, True)
+    none_found = hypotheses(fitted.with_values({"T_lag": 0.0}), ("delay", "lag"))[1]
+    assert (none_found.model.values["T_lag"], none_found.fitted) == (0.25, False)
+    assert [s.name for s in late.model.states] == [s.name for s in horizontal_model().states]
     for name, none in (("hump", {"u_hump": 0.93}), ("tether", {"x_tether": 0.5}), ("mount", {"psi_mount": 1e-6})):
         unseen = (horizontal_model() + catalogue()[name]).with_values(none)
-        assert abs(with_effect(unseen, name).values[catalogue()[name].parameters[0].name]) > 1e-3
+        found = hypotheses(unseen, (name, "lag"))[0]
+        assert not found.fitted
+        assert abs(found.model.values[catalogue()[name].parameters[0].name]) > 1e-3
     for names in (("mooring", "steady-pull"), ("lag", "lag")):
         with pytest.raises(SeatrialError, match="no mission tells them apart"):
             hypotheses(horizontal_model(), names)
+
+
+def test_sizes_are_those_of_the_model_and_of_the_refits_of_its_diagnosis() -> None:
+    """A refit beside the other effect tells how much is left for this one, so that it does not count."""
+    model = (horizontal_model() + catalogue()["lag"]).with_values({"T_lag": 0.17})
+    refits = (
+        RefittedEffect("delay", (), {"tau_delay": 0.11}, {"tau_delay": 0.02}),
+        RefittedEffect("delay", ("wind",), {"tau_delay": 0.13}, {"tau_delay": 0.03}),
+        RefittedEffect("delay", ("wind", "lag"), {"tau_delay": 0.01}, {"tau_delay": 0.03}),
+        RefittedEffect("mount", (), {"psi_mount": 1e-6}, {}),
+    )
+    saved = SavedModel(model, {"T_lag": 0.04}, {}, refits=refits)
+    late, lagged = hypotheses(saved, ("delay", "lag"))
+    assert (late.model.values["tau_delay"], late.errors) == (0.13, {"tau_delay": 0.03})
+    assert (lagged.model.values["T_lag"], lagged.errors) == (0.17, {"T_lag": 0.04})
+    mounted, other = hypotheses(saved, ("mount", "gyro-scale"))
+    assert not mounted.fitted  # its fitted size is negligible
+    assert not other.fitted  # no fit has it
+    assert hypotheses(replace(saved, refits=refits[2:]), ("delay", "lag"))[0].errors is None
+
+
+def test_typical_size_follows_the_size_of_the_boat() -> None:
+    small, large = (horizontal_model().with_values({"m_u": m, "m_r": r}) for m, r in ((37.0, 10.0), (370.0, 1000.0)))
+    forces = [hypotheses(m, ("yaw-bias", "lag"))[0].model.values["N_0"] for m in (small, large)]
+    assert forces[1] > 5 * forces[0]
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from seatrial.ident.diagnosis.search import _untestable_candidates
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.fitted_model import FittedModel, fit_nominal_model, nominal_model
 from seatrial.ident.estimation.likelihood import Likelihood
-from seatrial.ident.estimation.model_file import load_model, save_model
+from seatrial.ident.estimation.model_file import FittedData, load_model, save_model
 from seatrial.ident.estimation.prior_knowledge import with_effects
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.results.answers import frames_assumed
@@ -182,7 +182,7 @@ def test_saved_model_keeps_the_origin_of_its_fixed_point(tmp_path: Path) -> None
     moored = with_effects(model_of(IndependentBoat()), ["mooring"])
     fit = fit_nominal_model(moored, [logs[0].run], []).fit
     path, origin = tmp_path / "model.toml", logs[0].origin
-    save_model(path, fit, validity={}, provenance={}, origin=origin)
+    save_model(path, fit, data=FittedData(origin=origin), provenance={})
     saved = load_model(path)
     assert saved.origin == origin
     (later,) = share_frame([load_run(tmp_path / "log1.mcap", "navigated")], saved.origin)
@@ -193,5 +193,5 @@ def test_saved_model_keeps_the_origin_of_its_fixed_point(tmp_path: Path) -> None
     with pytest.raises(SeatrialError, match=r"log2\.mcap: the log begins more than 10 km"):
         saved_frame_warnings(saved.model, [load_run(tmp_path / "log2.mcap", "navigated")], saved.origin)
     plain = fit_nominal_model(model_of(IndependentBoat()), [logs[0].run], []).fit
-    save_model(path, plain, validity={}, provenance={}, origin=origin)
+    save_model(path, plain, data=FittedData(origin=origin), provenance={})
     assert load_model(path).origin is None  # No parameter depends on the origin.

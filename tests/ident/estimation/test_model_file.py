@@ -21,7 +21,8 @@ from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.engine.vectorised_model import VectorisedModel
 from seatrial.ident.estimation.homogeneity import between_runs_effect
 from seatrial.ident.estimation.maximum_likelihood import Fit, SearchSettings, fit
-from seatrial.ident.estimation.model_file import load_model, model_file, save_model
+from seatrial.ident.estimation.model_file import FittedData, load_model, model_file, save_model
+from seatrial.ident.estimation.refitted_effect import RefittedEffect
 from seatrial.ident.model.structure import ForceCurve, Model
 from seatrial.ident.models.catalogue import make_model
 from seatrial.ident.models.disturbances import with_disturbances
@@ -48,8 +49,9 @@ def with_model(found: Fit, model: Model) -> Fit:
     return replace(found, model=model, parameters=(), values=none, errors=none, correlation=square, flags=())
 
 
-def saved(path: Path, found: Fit, **extra: object) -> Path:
-    save_model(path, found, validity=VALIDITY, provenance={"made_by": "a test", "logs": ["a"], "none": None}, **extra)  # type: ignore[arg-type]
+def saved(path: Path, found: Fit, rates: dict[str, float] | None = None, **extra: object) -> Path:
+    data, provenance = FittedData(VALIDITY, rates or {}), {"made_by": "a test", "logs": ["a"], "none": None}
+    save_model(path, found, data=data, provenance=provenance, **extra)  # type: ignore[arg-type]
     return path
 
 
@@ -57,6 +59,15 @@ def rates(model: Model) -> np.ndarray:
     rng = np.random.default_rng(0)
     x, u = rng.normal(size=(20, len(model.states))), rng.uniform(-1, 1, (20, len(model.inputs)))
     return VectorisedModel(model)(x, u, np.array(list(model.values.values())))
+
+
+def test_effects_that_a_diagnosis_tried_are_restored(tmp_path: Path, found: Fit) -> None:
+    tried = (
+        RefittedEffect("delay", (), {"tau_delay": 0.125}, {"tau_delay": 0.02}),
+        RefittedEffect("tether", ("wind", "lag"), {"k": 0.1, "x_tether": -3.0}, {}),
+    )
+    assert load_model(saved(tmp_path / "tried.toml", found, refits=tried)).refits == tried
+    assert load_model(saved(tmp_path / "none.toml", found)).refits == ()
 
 
 def test_fitted_model_is_restored(tmp_path: Path, found: Fit) -> None:

@@ -10,12 +10,13 @@ import pytest
 from seatrial.ident.data.record import LogSegment, make_record
 from seatrial.ident.estimation.maximum_likelihood import Fit, fit
 from seatrial.ident.estimation.thrust_scale import (
+    PriorDistance,
     ReportedEstimates,
     ThrustScale,
-    contradicted_priors,
     free_unknown_scale,
     least_yaw_inertia,
     model_values,
+    prior_distances,
     thrust_scale_of,
 )
 from seatrial.ident.model.parameter import ParameterOrigin
@@ -103,6 +104,11 @@ def test_model_values_invert_the_reported_values(fitted: Fit) -> None:
     assert found == pytest.approx({n: v for n, v in fitted.model.values.items() if n != "c1"})
 
 
+def contradicted_priors(fit: Fit) -> list[PriorDistance]:
+    """Return the distances of the priors that the data contradict."""
+    return [d for d in prior_distances(fit) if d.contradicts]
+
+
 def test_estimate_far_from_its_prior_is_reported(fitted: Fit) -> None:
     assert contradicted_priors(fitted) == []
     i = fitted.names.index("m_u")
@@ -114,16 +120,16 @@ def test_estimate_far_from_its_prior_is_reported(fitted: Fit) -> None:
     assert contradicted_priors(replace(fitted, parameters=parameters)) == []
     user_prior = replace(usual, origin=ParameterOrigin.PRIOR)
     parameters = tuple(user_prior if k == i else p for k, p in enumerate(fitted.parameters))
-    ((p, _, widths),) = contradicted_priors(replace(fitted, parameters=parameters))
-    assert (p.name, widths) == ("m_u", pytest.approx(np.log(1 / 0.7) * 0.7 / 0.06, rel=0.2))
+    (found,) = contradicted_priors(replace(fitted, parameters=parameters))
+    assert (found.parameter.name, found.distance) == ("m_u", pytest.approx(np.log(1 / 0.7) * 0.7 / 0.06, rel=0.2))
     # With an uncertainty of the model that is twice the prior's, the distance is divided by about sqrt(1 + 2^2).
     by_model = np.zeros_like(fitted.considered)
     by_model[i, i] = (2 * value * 0.06 / 0.7) ** 2
     unsure = replace(fitted, parameters=parameters, considered=by_model)
     assert contradicted_priors(unsure) == []
     by_model[i, i] /= 16
-    ((_, _, less),) = contradicted_priors(replace(fitted, parameters=parameters, considered=by_model))
-    assert less == pytest.approx(widths / np.sqrt(1.25), rel=0.05)
+    (less,) = contradicted_priors(replace(fitted, parameters=parameters, considered=by_model))
+    assert less.distance == pytest.approx(found.distance / np.sqrt(1.25), rel=0.05)
 
 
 def test_yaw_inertia_has_a_lower_limit_from_the_thruster_positions(fitted: Fit) -> None:

@@ -15,7 +15,7 @@ from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.engine.vectorised_model import VectorisedModel
 from seatrial.ident.estimation.likelihood import Likelihood
 from seatrial.ident.estimation.maximum_likelihood import SearchSettings, fit
-from seatrial.ident.estimation.model_file import load_model, save_model
+from seatrial.ident.estimation.model_file import FittedData, load_model, save_model
 from seatrial.ident.estimation.prior_knowledge import apply_rig_geometry
 from seatrial.ident.model.parameter import ParameterOrigin
 from seatrial.ident.models.catalogue import make_model
@@ -86,7 +86,7 @@ def test_components_are_restored_from_a_model_file(tmp_path: Path) -> None:
         ["m_r"]
     )
     record = build_record(full, channels_of(sail(boat_with(None, 1), 30.0, 1)[0]))
-    save_model(path, fit(full, [record], settings=SearchSettings(max_iterations=2)), validity={}, provenance={})
+    save_model(path, fit(full, [record], settings=SearchSettings(max_iterations=2)), data=FittedData(), provenance={})
     model = load_model(path).model
     assert {"antenna", "random-walk-current", "estimator-error"} <= {e.name for e in model.effects}
     assert [s.name for s in model.states] == [s.name for s in full.states]
@@ -176,7 +176,7 @@ def test_estimator_errors_in_an_older_format_are_rejected(tmp_path: Path) -> Non
     path, sensors = tmp_path / "model.toml", ("attitude", "gyro", "position", "ground_velocity")
     base = with_disturbances(horizontal_model("shaft", sensors) + estimator_error(sensors)).with_free(["m_r"])
     record = build_record(base, channels_of(sail(boat_with(None, 1), 30.0, 1)[0]))
-    save_model(path, fit(base, [record], settings=SearchSettings(max_iterations=1)), validity={}, provenance={})
+    save_model(path, fit(base, [record], settings=SearchSettings(max_iterations=1)), data=FittedData(), provenance={})
     rows = path.read_text(encoding="utf-8").split("[[parameter]]")
     assert any('name = "A_axy"' in row for row in rows)
     path.write_text("[[parameter]]".join(r for r in rows if 'name = "A_axy"' not in r), encoding="utf-8")

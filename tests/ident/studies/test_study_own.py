@@ -9,7 +9,7 @@ import pytest
 
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.estimation.maximum_likelihood import fit
-from seatrial.ident.estimation.model_file import SavedModel, save_model
+from seatrial.ident.estimation.model_file import FittedData, SavedModel, save_model
 from seatrial.ident.estimation.stochastic_simulation import simulate_stochastic
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.models.surge import surge_model
@@ -48,7 +48,7 @@ def saved(tmp_path: Path) -> Path:
     path = tmp_path / "boat" / "model.toml"
     path.parent.mkdir()
     name = case.model.inputs[0].name
-    save_model(path, fitted, validity={name: (-30.0, 80.0)}, provenance={})
+    save_model(path, fitted, data=FittedData({name: (-30.0, 80.0)}), provenance={})
     return path
 
 
