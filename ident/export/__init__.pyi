@@ -1,6 +1,7 @@
 from .formats import export as export
 from .formats import file_name as file_name
 from .linearisation import Bode as Bode
+from .linearisation import Inputs as Inputs
 from .linearisation import LinearModel as LinearModel
 from .linearisation import linearise as linearise
 from .linearisation import pole_text as pole_text

@@ -215,7 +215,7 @@ def _responses(linear: LinearModel, drives: Drives) -> list[FrequencyResponse]:
 
     A model without two sides has only the response of speed. The bandwidth is left out if the gain of slow commands,
     with which it is compared, has a standard error above 3 dB: a boat that hardly holds its course turns so slowly to
-    its steady rate that the data do not contain it.
+    its steady rate that the data do not contain it. Of turns of an unstable boat, bandwidth and lag are left out.
     """
     found = []
     for motion, (quantity, *_), weights in _motions(linear, drives):
@@ -223,12 +223,14 @@ def _responses(linear: LinearModel, drives: Drives) -> list[FrequencyResponse]:
         if bode is None:
             continue
         unit, command = UNITS[quantity], linear.units[next(iter(weights))]
-        bandwidth = bode.bandwidth if not bode.gain_sd[0] > UNKNOWN_GAIN else float("nan")
+        settles = linear.stable or motion == "straight"
+        slow_gain_is_known = not bode.gain_sd[0] > UNKNOWN_GAIN  # NaN, without standard errors, counts as known
         found.append(
             FrequencyResponse(
                 speed=linear.speed, motion=motion, quantity=quantity, unit=f"{unit}/{command}" if command else unit,
                 stable=linear.stable, frequency=bode.frequency, gain=bode.gain, gain_sd=bode.gain_sd, phase=bode.phase,
-                phase_sd=bode.phase_sd, bandwidth=_known(bandwidth), lag_90=_known(bode.lag_90),
+                phase_sd=bode.phase_sd, bandwidth=_known(bode.bandwidth) if settles and slow_gain_is_known else None,
+                lag_90=_known(bode.lag_90) if settles else None,
             )
         )  # fmt: skip
     return found

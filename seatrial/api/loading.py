@@ -284,6 +284,8 @@ def simulate(
     """
     from seatrial.ident.data import Channel, build_record
     from seatrial.ident.estimation import simulate as integrate
+    from seatrial.ident.model import ModelKind
+    from seatrial.ident.models import delay_step, delayed_channels
 
     structure, times = _structure(model), np.asarray(t, dtype=float)
     named = {name: np.asarray(values, dtype=float) for name, values in inputs.items()}
@@ -297,6 +299,11 @@ def simulate(
     if unknown := [n for n in named if n not in known]:
         raise SeatrialError(f"the model has no input {unknown[0]!r}; its inputs are {', '.join(sorted(known))}")
     channels = {name: Channel(times, values) for name, values in named.items()}
+    if structure.kind is ModelKind.BENCH:
+        (command,) = {i.tap_of for i in structure.inputs if i.tap_of}  # the model has delayed copies of it as inputs
+        if command not in channels:
+            raise SeatrialError(f"input {command}: give its value at each time, such as {{{command!r}: 0.5 + 0 * t}}")
+        channels |= delayed_channels(channels[command], delay_step(structure))
     # A record needs samples of a sensor. They only define the rows: the simulation does not use their values.
     sensor = structure.sensors[0]
     channels |= {o.name: Channel(times, np.zeros(times.size)) for o in sensor.outputs}

@@ -18,7 +18,7 @@ from seatrial.api.messages import errors_of_users
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from seatrial.daq.log import import_library
-from seatrial.ident.export.linearisation import Inputs, LinearModel, pole_text
+from seatrial.ident.export import Inputs, LinearModel, pole_text
 
 if TYPE_CHECKING:
     from seatrial.ident.estimation import ParameterCovariance
@@ -272,12 +272,12 @@ class Steady(Shown):
         for c in self.curves:
             factor, unit = degrees_for(c.unit)
             what = "speed" if c.motion == "straight" else "turn rate"
-            how = "command of both sides" if c.motion == "straight" else "half the difference of both sides"
-            panel = panels.setdefault(c.motion, Panel(f"steady {what} [{unit}] over the {how}"))
+            how = "the command of both sides" if c.motion == "straight" else "half the difference of both sides"
+            panel = panels.setdefault(c.motion, Panel(f"steady {what} [{unit}] over {how}"))
             k = sum(1 for trace in panel.traces if trace.get("name"))
             color, name = LINES[k % len(LINES)], what if c.motion == "straight" else f"mean command {c.mean:.2g}"
             if np.isfinite(c.sd).any():
-                area = band(c.command, factor * c.value, 1.96 * factor * c.sd, POINTS, color=color)
+                area = band(c.command, factor * c.value, 1.96 * factor * c.sd, POINTS, color=color, gaps=True)
                 panel.traces.append({**area, "showlegend": False})
             line = line_trace(c.command, factor * c.value, name, POINTS, color=color, dash=DASHES[k % len(DASHES)])
             panel.traces.append({**line, "showlegend": c.motion == "turn"})

@@ -409,7 +409,10 @@ def navigate(
 
 
 def design(
-    model: PathLike | FittedVehicle | FittedDiagnosis | Saved, out: PathLike, **options: Unpack[DesignOptions]
+    model: PathLike | FittedVehicle | FittedDiagnosis | Saved,
+    out: PathLike,
+    force: bool = False,
+    **options: Unpack[DesignOptions],
 ) -> DesignResult:
     """Design the next mission: commands that inform the parameters of a model most, as ``seatrial mission design``.
 
@@ -418,7 +421,9 @@ def design(
     model : path, name, `Saved`, `FittedVehicle` or `FittedDiagnosis`
         A fitted model, or the name of a structure, such as ``horizontal:command``.
     out : path
-        File of the mission, which must not exist. A .json file and an .html page are written beside it.
+        File of the mission. A .json file and an .html page are written beside it.
+    force : bool
+        Whether existing files are replaced. If false, an existing file is an error.
     **options
         `DesignOptions`: duration, steps, criterion, chosen, between, n_max, slew, shortest, rates, evaluations, seed,
         progress.
@@ -431,7 +436,7 @@ def design(
     Raises
     ------
     SeatrialError
-        If the model or an option cannot be used, or if a file exists.
+        If the model or an option cannot be used, or if a file exists and ``force`` is false.
 
     Examples
     --------
@@ -447,7 +452,7 @@ def design(
     fitted = isinstance(model, FittedVehicle | FittedDiagnosis | Saved) or Path(str(model)).exists()
     with errors_of_users(), model_path(model) if fitted else nullcontext(Path(str(model))) as source:
         request = DesignRequest(**given)
-        return make_design(str(source), request, Path(out), f"seatrial.design(out={str(out)!r})", reporter)
+        return make_design(str(source), request, Path(out), f"seatrial.design(out={str(out)!r})", reporter, force)
 
 
 def _with_files(work: Callable[[Path], T]) -> tuple[T, Files]:

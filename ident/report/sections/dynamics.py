@@ -53,7 +53,7 @@ def _command(curve: SteadyCurve) -> str:
 def _straight_plot(canvas: Canvas, curve: SteadyCurve) -> Plot:
     """Return the plot of the steady speed on a straight course over the command."""
     traces = [
-        drawing.band(curve.command, curve.value, drawing.Z95 * np.nan_to_num(curve.sd), POINTS),
+        drawing.band(curve.command, curve.value, drawing.Z95 * np.nan_to_num(curve.sd), POINTS, gaps=True),
         drawing.line_trace(curve.command, curve.value, "speed", POINTS),
     ]
     figure = drawing.single(traces, _command(curve), "speed [m/s]", hovermode="closest")
@@ -70,7 +70,7 @@ def _turn_plot(canvas: Canvas, curves: Sequence[SteadyCurve]) -> Plot:
         factor, _ = formatting.degrees_for(curve.unit)
         value, half = factor * curve.value, drawing.Z95 * factor * np.nan_to_num(curve.sd)
         color = drawing.LINES[i % len(drawing.LINES)]
-        traces.append({**drawing.band(curve.command, value, half, POINTS, color=color), "showlegend": False})
+        traces.append({**drawing.band(curve.command, value, half, POINTS, color=color, gaps=True), "showlegend": False})
         name = f"mean command {formatting.plain(curve.mean, 2)}"
         dash = drawing.DASHES[i % len(drawing.DASHES)]
         traces.append(drawing.line_trace(curve.command, value, name, POINTS, color=color, dash=dash))
@@ -157,11 +157,11 @@ def _bode_blocks(canvas: Canvas, dynamics: Dynamics) -> list[Any]:
     first = dynamics.responses[0]
     words = "from the command to speed and turn rate" if len(dynamics.responses) > 1 else "from the command"
     blocks: list[Any] = [Heading("Bode plot", f"linear model at {first.speed:g} m/s, {words}")]
-    blocks.append(Grid([plot for response in dynamics.responses for plot in _bode_plots(canvas, response)], 260))
-    sentences = [_bode_words(response) for response in dynamics.responses]
+    blocks.append(Grid([plot for response in dynamics.responses for plot in _bode_plots(canvas, response)], 320))
+    sentences = [words for response in dynamics.responses if (words := _bode_words(response))]
     if not first.stable:
         sentences.append(
-            "The model is not stable at this speed: without a heading controller the boat does not move in this way. "
+            "The model is not stable at this speed: without a heading controller the boat does not turn in this way. "
             "The plots are for the design of such a controller."
         )
     return [*blocks, Prose(" ".join(sentences), "caption")]
@@ -183,7 +183,10 @@ def _bode_plots(canvas: Canvas, response: FrequencyResponse) -> list[Plot]:
 
 
 def _bode_words(response: FrequencyResponse) -> str:
-    """Return a sentence on the bandwidth of a response, and on the frequency at which it lags by 90 deg."""
+    """Return a sentence on the bandwidth of a response, and on the frequency at which it lags by 90 deg.
+
+    The text is empty if both are unknown.
+    """
     name = {"u": "speed", "r": "turn rate"}.get(response.quantity, response.quantity)
     parts = []
     if response.bandwidth is not None:
@@ -192,6 +195,4 @@ def _bode_words(response: FrequencyResponse) -> str:
     if response.lag_90 is not None:
         limit = ", where the heading lags by 180°" if response.quantity == "r" else ""
         parts.append(f"lags by 90° at {formatting.plain(response.lag_90, 2)} Hz{limit}")
-    if not parts:
-        return f"The {name} has no limit of frequency in this range."
-    return f"The {name} {' and '.join(parts)}."
+    return f"The {name} {' and '.join(parts)}." if parts else ""
