@@ -108,7 +108,7 @@ class Linearisation(Shown, LinearModel):
             for state in self.responding(chosen):
                 factor, unit = degrees_for(self.units[state])
                 value = factor * size * found[state]
-                panel = Panel(f"{state} [{unit or '1'}] after a step of {size:g} of {name}", y={"rangemode": "tozero"})
+                panel = Panel(f"{state} [{unit or '1'}] after a step of {size:g}: {name}", y={"rangemode": "tozero"})
                 if moved:
                     sd = factor * size * self.error_of(found[state], [m[state] for m in moved])
                     panel.traces.append(band(at, value, 1.96 * np.abs(sd), POINTS))

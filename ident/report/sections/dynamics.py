@@ -157,7 +157,7 @@ def _bode_blocks(canvas: Canvas, dynamics: Dynamics) -> list[Any]:
     first = dynamics.responses[0]
     words = "from the command to speed and turn rate" if len(dynamics.responses) > 1 else "from the command"
     blocks: list[Any] = [Heading("Bode plot", f"linear model at {first.speed:g} m/s, {words}")]
-    blocks.append(Grid([plot for response in dynamics.responses for plot in _bode_plots(canvas, response)], 320))
+    blocks.append(Grid([plot for response in dynamics.responses for plot in _bode_plots(canvas, response)], 400))
     sentences = [words for response in dynamics.responses if (words := _bode_words(response))]
     if not first.stable:
         sentences.append(
