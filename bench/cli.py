@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 import click
 
 from seatrial.bench import mission_generators
-from seatrial.bench.mission_text import describe_mission
+from seatrial.bench.mission_text import describe_mission, mission_content
 from seatrial.daq.config import Mission, load_mission, load_rig, save_mission
 from seatrial.daq.errors import SeatrialError, counted
-from seatrial.daq.options import FiniteRange, output_option, parsed_by, view_option
+from seatrial.daq.options import FiniteRange, json_option, output_option, parsed_by, print_json, view_option
 from seatrial.daq.rig import LOAD_CELLS, Rig
 
 if TYPE_CHECKING:
@@ -63,8 +63,8 @@ def _add_bench_command(kind: str, text: str) -> None:
     """Define the command `seatrial bench KIND` and add it to the group `bench`.
 
     ``kind`` is a key of `mission_generators.BENCH_KINDS`, and ``text`` is the help of the command. All kinds have the
-    options `--out`, `--thruster`, `--n-max`, `--arm`, `--retry` and `--view`; `steps` also has `--hold`. Without
-    `--n-max` the largest command is 0.9, or `limits.n_max` of the rig if that is smaller.
+    options `--out`, `--thruster`, `--n-max`, `--arm`, `--retry`, `--view` and `--json`; `steps` also has `--hold`.
+    Without `--n-max` the largest command is 0.9, or `limits.n_max` of the rig if that is smaller.
     """
 
     @bench.command(kind, help=text, epilog=f"Example: seatrial bench {kind} bench-rig.toml -o {kind}.mcap")
@@ -75,6 +75,7 @@ def _add_bench_command(kind: str, text: str) -> None:
     @_ARM
     @_RETRY
     @view_option
+    @json_option()
     def command(
         rig_path: Path,
         out: Path | None,
@@ -83,6 +84,7 @@ def _add_bench_command(kind: str, text: str) -> None:
         arm: bool,
         retry: int,
         view: bool,
+        as_json: bool,
         hold: float = mission_generators.HOLD_S,
     ) -> None:
         """Run the bench plan ``kind`` on one thruster of a rig file, record it, and print a summary. THRUSTERS TURN.
@@ -93,7 +95,7 @@ def _add_bench_command(kind: str, text: str) -> None:
         rig = load_rig(rig_path)
         largest = min(N_MAX_BENCH, rig.limits.n_max) if n_max is None else n_max
         plan = mission_generators.bench_plan(kind, _bench_thruster(rig, thruster), largest, hold)
-        _run_plan(plan, rig, out, arm, retry, None, view)
+        _run_plan(plan, rig, out, arm, retry, None, view, as_json)
 
     if kind == "steps":
         _HOLD(command)
@@ -129,6 +131,7 @@ def _run_plan(
     retry: int,
     commands: Ros2Node | None = None,
     view: bool = False,
+    as_json: bool = False,
 ) -> None:
     """Run a plan on the devices of a rig, record it, and print a summary. THRUSTERS TURN.
 
@@ -151,6 +154,8 @@ def _run_plan(
         Source of external commands, which replace the set-points of the plan.
     view : bool
         Whether to serve the page of the log for the browser, by a process of its own, until the end of the run.
+    as_json : bool
+        Whether to print the summary as one JSON document, and everything else on standard error.
 
     Raises
     ------
@@ -169,15 +174,30 @@ def _run_plan(
             from seatrial.daq.view import live_page
 
             new_log_file(path)  # otherwise the page would show the log of an earlier run, before the error
-            click.echo(f"page at {stack.enter_context(live_page(path))}")
-        result = run_mission(plan, rig, path, make_display(), metadata, arm, retry, commands)
-    click.echo(f"done: {plan.name}, {plan.end:g} s in {time.monotonic() - start:.1f} s; log {path}")
-    click.echo(next_command(plan, rig, path))
+            click.echo(f"page at {stack.enter_context(live_page(path))}", err=as_json)
+        result = run_mission(plan, rig, path, make_display(stderr=as_json), metadata, arm, retry, commands)
+    took = time.monotonic() - start
+    if as_json:
+        print_json(
+            {
+                "format": "seatrial-run 1",
+                "plan": plan.name,
+                "log": path,
+                "seconds": plan.end,
+                "wall_seconds": took,
+                "tares": [tare._asdict() for tare in result.tares],
+                "still_armed": result.still_armed,
+                "next": next_command(plan, rig, path),
+            }
+        )
+    else:
+        click.echo(f"done: {plan.name}, {plan.end:g} s in {took:.1f} s; log {path}")
+        click.echo(f"next: {next_command(plan, rig, path)}")
     warn_of_armed(result.still_armed)
 
 
 def next_command(plan: Mission, rig: Rig, log: Path) -> str:
-    """Return the line that tells the user which command identifies a model from a finished log.
+    """Return the command line that identifies a model from a finished log.
 
     Parameters
     ----------
@@ -191,17 +211,17 @@ def next_command(plan: Mission, rig: Rig, log: Path) -> str:
     Returns
     -------
     str
-        "next: seatrial ident thruster LOG" for a plan of one thruster on a rig with a load cell. Otherwise "next:
-        seatrial ident vehicle LOG", with "--model nomoto" at the end if a thruster of the rig is connected to an
-        autopilot. LOG is the path of the log, quoted for a shell.
+        "seatrial ident thruster LOG" for a plan of one thruster on a rig with a load cell. Otherwise "seatrial ident
+        vehicle LOG", with "--model nomoto" at the end if a thruster of the rig is connected to an autopilot. LOG is the
+        path of the log, quoted for a shell.
     """
 
     name = shlex.quote(str(log))
     if len(plan.thrusters) == 1 and any(device.protocol in LOAD_CELLS for device in rig.devices):
-        return f"next: seatrial ident thruster {name}"
+        return f"seatrial ident thruster {name}"
     by_autopilot = any(thruster.output is not None for thruster in rig.thrusters)
     # An autopilot reports its outputs but no timely shaft speed. The Nomoto model needs no shaft speed.
-    return f"next: seatrial ident vehicle {name}{' --model nomoto' if by_autopilot else ''}"
+    return f"seatrial ident vehicle {name}{' --model nomoto' if by_autopilot else ''}"
 
 
 def warn_of_armed(names: Sequence[str]) -> None:
@@ -222,7 +242,8 @@ def warn_of_armed(names: Sequence[str]) -> None:
 @_ARM
 @_RETRY
 @view_option
-def run(mission_path: Path, rig_path: Path, out: Path | None, arm: bool, retry: int, view: bool) -> None:
+@json_option()
+def run(mission_path: Path, rig_path: Path, out: Path | None, arm: bool, retry: int, view: bool, as_json: bool) -> None:
     """Run a mission and record it. THRUSTERS TURN at once.
 
     The log is written to --out, or to a file named by date. With --arm, disarmed autopilots are armed before the run,
@@ -231,7 +252,7 @@ def run(mission_path: Path, rig_path: Path, out: Path | None, arm: bool, retry: 
     Keys: space pauses at zero thrust; a second space resumes with the beginning of the step; r repeats the step; m
     marks the log; Ctrl-C ends the run at zero thrust. Exit status 3: a safety limit ended the run.
     """
-    _run_plan(load_mission(mission_path), load_rig(rig_path), out, arm, retry, None, view)
+    _run_plan(load_mission(mission_path), load_rig(rig_path), out, arm, retry, None, view, as_json)
 
 
 @mission.command(epilog="Example: seatrial mission follow rig.toml --seconds 300 -o run.mcap")
@@ -270,9 +291,14 @@ def follow(
     epilog="Example: seatrial mission show mission.toml",
 )
 @click.argument("mission_path", metavar="MISSION", type=EXISTING)
-def show(mission_path: Path) -> None:
+@json_option("Print the mission as JSON.")
+def show(mission_path: Path, as_json: bool) -> None:
     """Show a mission as text: its segments, the range of each command, and the predictions of its design."""
-    click.echo(describe_mission(load_mission(mission_path)))
+    plan = load_mission(mission_path)
+    if as_json:
+        print_json({"format": "seatrial-plan 1", "path": mission_path, **mission_content(plan)})
+    else:
+        click.echo(describe_mission(plan))
 
 
 def _parse_thruster_names(text: str) -> tuple[str, str]:
@@ -303,18 +329,28 @@ def _parse_thruster_names(text: str) -> tuple[str, str]:
     callback=parsed_by(_parse_thruster_names),
     help="Names in the rig of the left and the right thruster.",
 )
-@output_option(FILE, "The mission file to write; it must not exist.", required=True)
+@output_option(FILE, "The mission file to write.", required=True)
+@click.option("--force", is_flag=True, help="Replace the mission file if it exists.")
+@json_option("Print the mission as JSON, and everything else on stderr.")
 def generate(
-    kind: str, seconds: float, seed: int, n_max: float, slew: float | None, thrusters: tuple[str, str], out: Path
+    kind: str,
+    seconds: float,
+    seed: int,
+    n_max: float,
+    slew: float | None,
+    thrusters: tuple[str, str],
+    out: Path,
+    force: bool,
+    as_json: bool,
 ) -> None:
     """Generate a random mission with the excitation that a diagnosis needs; `show` prints its segments.
 
     The kind mixed consists of four equal parts: surge steps, zigzag, random steps of both thrusters, and chirps.
     """
-    if out.exists():
-        raise SeatrialError(f"{out} exists; give another name with -o")
     plan = mission_generators.make_mission(kind, seconds, seed, thrusters, n_max)
     if slew is not None:
         plan = replace(plan, slew_per_s=slew, made_by=f"{plan.made_by} --slew {slew:g}")
-    save_mission(plan, out)
-    click.echo(f"{out}: {plan.name}, {counted(len(plan.segments), 'segment')}, {plan.end:g} s")
+    save_mission(plan, out, force)
+    if as_json:
+        print_json({"format": "seatrial-plan 1", "path": out, **mission_content(plan)})
+    click.echo(f"{out}: {plan.name}, {counted(len(plan.segments), 'segment')}, {plan.end:g} s", err=as_json)

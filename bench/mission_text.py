@@ -1,8 +1,9 @@
-"""Description of a mission as text: its segments, the range of each command, and the predictions of its design."""
+"""Description of a mission as text and as data: segments, the range of each command, predictions of its design."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,6 +27,45 @@ def describe_mission(mission: Mission) -> str:
     lines += describe_errors(mission.predicted_errors, expected.errors_before if expected else {})
     lines += describe_track(expected) if expected else []
     return "\n".join(lines)
+
+
+def mission_content(mission: Mission) -> dict[str, Any]:
+    """Return the description of a mission as data, which `seatrial mission show --json` prints.
+
+    Returns
+    -------
+    dict
+        ``name``, ``kind``, ``thrusters``, ``seconds`` (duration), ``n_max``, ``slew_per_s`` (infinite: no limit),
+        ``made_by`` and ``seed``; ``segments`` with ``name``, ``begin``, ``end`` [s] and by thruster the smallest and
+        the largest command; ``predicted_errors`` and ``errors_before`` by parameter; and ``track``, the extent of the
+        predicted track [m], None without one.
+    """
+    t, n = mission.setpoints()
+    expected = mission.prediction
+    segments = [
+        {
+            "name": name,
+            "begin": begin,
+            "end": end,
+            "commands": {x: command_range(t, n[:, k], begin, end) for k, x in enumerate(mission.thrusters)},
+        }
+        for begin, end, name in mission.segment_times()
+    ]
+    track = track_extent(expected) if expected else None
+    return {
+        "name": mission.name,
+        "kind": mission.kind,
+        "thrusters": mission.thrusters,
+        "seconds": mission.end,
+        "n_max": mission.n_max,
+        "slew_per_s": mission.slew_per_s,
+        "made_by": mission.made_by,
+        "seed": mission.seed,
+        "segments": segments,
+        "predicted_errors": dict(mission.predicted_errors),
+        "errors_before": dict(expected.errors_before) if expected else {},
+        "track": track._asdict() if track else None,
+    }
 
 
 def describe_segments(mission: Mission) -> list[str]:
@@ -104,14 +144,37 @@ def describe_track(predicted: Prediction) -> list[str]:
     The area is given as its extent [m] in the direction north and in the direction east, and as the largest distance
     [m] from the start. An empty line comes first. A track without points gives an empty list.
     """
-    if len(predicted.t) == 0:
+    extent = track_extent(predicted)
+    if extent is None:
         return []
+    return [
+        "",
+        f"predicted track with its band (95 %): {extent.north:.0f} m north by {extent.east:.0f} m east, "
+        f"at most {extent.away:.0f} m from the start",
+    ]
+
+
+class TrackExtent(NamedTuple):
+    """Area that a predicted track needs, including its 95 % band.
+
+    Attributes
+    ----------
+    north, east : float
+        Extent in the direction north and in the direction east [m].
+    away : float
+        Largest distance from the start [m].
+    """
+
+    north: float
+    east: float
+    away: float
+
+
+def track_extent(predicted: Prediction) -> TrackExtent | None:
+    """Return the area that a predicted track needs; None for a track without points."""
+    if len(predicted.t) == 0:
+        return None
     x, y, radius = predicted.x, predicted.y, predicted.radius
     north = float(np.max(x + radius) - np.min(x - radius))
     east = float(np.max(y + radius) - np.min(y - radius))
-    away = float(np.max(np.hypot(x - x[0], y - y[0]) + radius))
-    return [
-        "",
-        f"predicted track with its band (95 %): {north:.0f} m north by {east:.0f} m east, "
-        f"at most {away:.0f} m from the start",
-    ]
+    return TrackExtent(north, east, float(np.max(np.hypot(x - x[0], y - y[0]) + radius)))

@@ -301,9 +301,16 @@ def import_() -> None:
 @output_option(_NEW, "The log (or the map) to write, if it is a single one.")
 @click.option("--out-dir", type=_FOLDER, help="Folder for the logs, named after the sources (default: here).")
 @click.option("--force", is_flag=True, help="Replace files that exist.")
+@json_option("Print the paths of the logs, or the guessed map, as JSON, and everything else on stderr.")
 @bounded("sources", "dbc")
 def import_map(
-    sources: tuple[Path, ...], guess: bool, dbc: Path | None, out: Path | None, out_dir: Path | None, force: bool
+    sources: tuple[Path, ...],
+    guess: bool,
+    dbc: Path | None,
+    out: Path | None,
+    out_dir: Path | None,
+    force: bool,
+    as_json: bool,
 ) -> None:
     """Turn SOURCEs (files, or folders of ROS 2 bags) into logs by a MAP from columns and topics to signals.
 
@@ -317,7 +324,7 @@ def import_map(
       seatrial import --guess candump.log --dbc boat.dbc -o can.toml
     """
     if guess:
-        _write_guessed_map(sources, dbc, out, force)
+        _write_guessed_map(sources, dbc, out, force, as_json)
         return
     if dbc is not None:
         raise click.UsageError("--dbc applies only with --guess; in an import map, write the file as dbc in [can]")
@@ -329,16 +336,22 @@ def import_map(
         raise click.UsageError(
             "give an import map and one or more source files; --guess writes an import map of a source file"
         )
-    for path in run(sources[0], sources[1:], out=out, out_dir=out_dir, force=force):
+    written = run(sources[0], sources[1:], out=out, out_dir=out_dir, force=force)
+    if as_json:
+        print_json({"format": "seatrial-import 1", "map": sources[0], "sources": sources[1:], "logs": written})
+        return
+    for path in written:
         click.echo(printable(str(path)))
 
 
-def _write_guessed_map(sources: tuple[Path, ...], dbc: Path | None, out: Path | None, force: bool) -> None:
+def _write_guessed_map(
+    sources: tuple[Path, ...], dbc: Path | None, out: Path | None, force: bool, as_json: bool
+) -> None:
     """Write the guessed import map of one source file to the file `out`, or to the screen if `out` is None.
 
     An import map selects columns or topics of the source and names their signals. `dbc` is the file that describes the
     frames of a CAN log. An existing file is replaced if `force` is true; otherwise it is an error. More than one source
-    is a usage error. If the source does not suffice for a fit, a warning is printed.
+    is a usage error. If the source does not suffice for a fit, a warning is printed. `as_json` is the flag `--json`.
     """
     from seatrial.daq.files import write_output
     from seatrial.daq.importers.guess import guess_map
@@ -347,14 +360,26 @@ def _write_guessed_map(sources: tuple[Path, ...], dbc: Path | None, out: Path | 
     if len(sources) != 1:
         raise click.UsageError("--guess takes one source file; guess the import map of each file by itself")
     found = guess_map(sources[0], dbc, None if out is None else out.parent)
-    if out is None:
-        click.echo(found.text, nl=False)
-    else:
+    if out is not None:
         with replacing(out, force, sources) as part:
             write_output(part, found.text)
+    if as_json:
+        content = {"source": sources[0], "map": out, "text": found.text, "problem": found.problem}
+        print_json({"format": "seatrial-import-guess 1", **content})
+    elif out is None:
+        click.echo(found.text, nl=False)
+    else:
         click.echo(printable(str(out)))
     if found.problem:
         click.echo(f"warning: {sources[0]}: no model can be fitted to these signals: {found.problem}", err=True)
+
+
+def _print_import(source: Path, log: Path, content: str, as_json: bool) -> None:
+    """Print the path of the log of an imported file and its content in words, with `as_json` as a JSON document."""
+    if as_json:
+        print_json({"format": "seatrial-import 1", "sources": [source], "logs": [log], "content": content})
+    else:
+        click.echo(f"{log}: {content}")
 
 
 @import_.command("can", short_help="A CAN log (candump, .asc, .blf), decoded as if the rig had recorded it.")
@@ -362,8 +387,9 @@ def _write_guessed_map(sources: tuple[Path, ...], dbc: Path | None, out: Path | 
 @click.argument("file", type=_EXISTING)
 @output_option(_NEW, "The log to write (default: named after FILE, here).")
 @click.option("--force", is_flag=True, help="Replace the log if it exists.")
+@json_option("Print path and content of the log as JSON, and everything else on stderr.")
 @bounded("rig", "file")
-def import_can(rig: Path, file: Path, out: Path | None, force: bool) -> None:
+def import_can(rig: Path, file: Path, out: Path | None, force: bool, as_json: bool) -> None:
     """Turn FILE, a CAN log, into the log that RIG would have recorded: raw frames and samples of its CAN devices.
 
     For signals that a DBC file describes, or without a rig, import by a map: `seatrial import --guess FILE`.
@@ -375,7 +401,7 @@ def import_can(rig: Path, file: Path, out: Path | None, force: bool) -> None:
     from seatrial.daq.importers.can_log import import_can as run
 
     path, summary = run(file, rig, out=out, force=force)
-    click.echo(f"{path}: {summary}")
+    _print_import(file, path, summary, as_json)
 
 
 @import_.command("mavlink", short_help="A tlog of a ground station or a DataFlash log of ArduPilot.")
@@ -384,8 +410,11 @@ def import_can(rig: Path, file: Path, out: Path | None, force: bool) -> None:
 @click.option("--system", type=click.IntRange(1, 255), help="System id of the autopilot (default: the first one).")
 @output_option(_NEW, "The log to write (default: named after FILE, here).")
 @click.option("--force", is_flag=True, help="Replace the log if it exists.")
+@json_option("Print path and content of the log as JSON, and everything else on stderr.")
 @bounded("file", "rig_path")
-def import_mavlink(file: Path, rig_path: Path | None, system: int | None, out: Path | None, force: bool) -> None:
+def import_mavlink(
+    file: Path, rig_path: Path | None, system: int | None, out: Path | None, force: bool, as_json: bool
+) -> None:
     """Turn FILE, a ground station's tlog or an ArduPilot DataFlash log (BIN), into a log.
 
     With --rig the outputs become the thrusters' n; without it they stay pulses in us, servo_1, servo_2, ... With
@@ -401,7 +430,7 @@ def import_mavlink(file: Path, rig_path: Path | None, system: int | None, out: P
 
     rig = None if rig_path is None else load_rig(rig_path)
     path, summary = run(file, rig=rig, system=system, out=out, force=force)
-    click.echo(f"{path}: {summary}")
+    _print_import(file, path, summary, as_json)
 
 
 def _serial_protocol(context: click.Context, parameter: click.Parameter, name: str) -> str:
@@ -422,8 +451,9 @@ def _serial_protocol(context: click.Context, parameter: click.Parameter, name: s
 )
 @output_option(_NEW, "The log to write (default: named after FILE, here).")
 @click.option("--force", is_flag=True, help="Replace the log if it exists.")
+@json_option("Print path and content of the log as JSON, and everything else on stderr.")
 @bounded("file")
-def import_raw(protocol: str, file: Path, rate: float | None, out: Path | None, force: bool) -> None:
+def import_raw(protocol: str, file: Path, rate: float | None, out: Path | None, force: bool, as_json: bool) -> None:
     """Decode FILE, recorded bytes of a device, as PROTOCOL: vectornav, mip, nmea, ubx, loadcell, openscale,
     mantracourt, or a serial protocol that another installed package adds.
 
@@ -437,7 +467,7 @@ def import_raw(protocol: str, file: Path, rate: float | None, out: Path | None, 
     from seatrial.daq.importers.raw import import_raw as run
 
     path, summary = run(protocol, file, rate=rate, out=out, force=force)
-    click.echo(f"{path}: {summary}")
+    _print_import(file, path, summary, as_json)
 
 
 def _check_addresses(_context: click.Context, _parameter: click.Parameter, ports: tuple[str, ...]) -> tuple[str, ...]:

@@ -14,7 +14,6 @@ from .api.fleet import fit_many as fit_many
 from .api.loading import Saved as Saved
 from .api.loading import SavedDiagnosis as SavedDiagnosis
 from .api.loading import export as export
-from .api.loading import linearise as linearise
 from .api.loading import load as load
 from .api.loading import simulate as simulate
 from .api.logs import Findings as Findings
@@ -24,10 +23,13 @@ from .api.logs import check as check
 from .api.logs import import_log as import_log
 from .api.logs import open_log as open_log
 from .api.mock_logs import mock_log as mock_log
+from .api.motion import Linearisation as Linearisation
+from .api.motion import Steady as Steady
+from .api.motion import linearise as linearise
+from .api.motion import steady as steady
 from .api.runs import FittedThruster as FittedThruster
 from .api.runs import Navigated as Navigated
 from .api.runs import ThrustCurve as ThrustCurve
 from .api.runs import design as design
 from .api.runs import navigate as navigate
 from .api.runs import thruster as thruster
-from .ident.export.linearisation import Linearisation as Linearisation

@@ -54,13 +54,28 @@ def test_every_output_option_has_the_same_names() -> None:
 WITH_RESULT = (
     *("info", "devices", "check", "recover", "mission design"),
     *(f"ident {name}" for name in ("thruster", "vehicle", "diagnose", "study", "noise", "information")),
-    *(f"ident {name}" for name in ("navigate", "compare", "changes")),
+    *(f"ident {name}" for name in ("navigate", "compare", "fleet", "changes")),
+    *(f"mission {name}" for name in ("show", "generate", "run")),
+    *(f"bench {name}" for name in ("static", "steps", "chirp", "all")),
+    *(f"import {name}" for name in ("map", "can", "mavlink", "raw")),
 )
 
 
 def test_every_command_with_a_result_prints_it_as_json() -> None:
     with_json = {words for words, command in EVERY.items() for o in command.params if "--json" in o.opts}
     assert with_json == {f"seatrial {name}" for name in WITH_RESULT}
+
+
+def test_commands_that_write_a_named_file_have_force() -> None:
+    """A recording never replaces another one, and a study only adds replicates; all others replace on request."""
+    recording = ("bench", "mission run", "mission follow", "log", "check", "demo", "ident study")
+    without = {
+        words.removeprefix("seatrial ")
+        for words, command in EVERY.items()
+        if "--out" in {o for option in command.params for o in option.opts}
+        and "--force" not in {o for option in command.params for o in option.opts}
+    }
+    assert {words for words in without if not words.startswith(recording)} == set()
 
 
 RANGES = {

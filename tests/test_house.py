@@ -229,7 +229,6 @@ def test_every_module_is_used_by_another() -> None:
 
 # Files that write without `seatrial.daq.files`, and the reason.
 WRITERS = {
-    "seatrial.daq.config.mission_file": "a new file",
     "seatrial.daq.importers.dataflash": "/dev/null",
     "seatrial.daq.log.recovery": "a scratch file of the writer",
     "seatrial.daq.tools.export": "a scratch file of the writer",

@@ -4,7 +4,6 @@ from .actuator_test import turning_warning as turning_warning
 from .device_startup import silent_devices as silent_devices
 from .link_test import ALLOWED_S as ALLOWED_S
 from .link_test import link_test_plan as link_test_plan
-from .operator_interface import PlainDisplay as PlainDisplay
 from .operator_interface import make_display as make_display
 from .runner import new_log_file as new_log_file
 from .runner import run_link_test as run_link_test

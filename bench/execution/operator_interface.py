@@ -17,7 +17,7 @@ import time
 import tty
 from dataclasses import dataclass
 from types import FrameType, TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Protocol, Self, TextIO
 
 from rich.console import Console, Group
 from rich.live import Live
@@ -164,8 +164,9 @@ def _live_lines(view: MissionStatus) -> Group:
 class PlainDisplay:
     """Display for pipes and files: it prints the state of a run at each new segment, and every 2 s (wall) within it."""
 
-    def __init__(self) -> None:
-        """Prepare the plain display of a run. The first state of the run will be printed at once."""
+    def __init__(self, stream: TextIO) -> None:
+        """Prepare the plain display of a run on the stream. The first state of the run will be printed at once."""
+        self._stream = stream
         self._last = -math.inf
         self._segment = ""
 
@@ -191,14 +192,14 @@ class PlainDisplay:
         self.say(f"  {view.elapsed:6.1f}/{view.total:.0f} s  {view.segment:<14}  {view.values()}")
 
     def say(self, line: str) -> None:
-        """Print the text ``line`` to standard output at once, without a buffer."""
-        print(line, flush=True)
+        """Print the text ``line`` to the stream at once, without a buffer."""
+        print(line, file=self._stream, flush=True)
 
 
-def make_display() -> Display:
-    """Return a display for standard output: the live one if it is a terminal, else the plain one."""
-    console = Console()
-    return LiveDisplay(console) if console.is_terminal else PlainDisplay()
+def make_display(stderr: bool = False) -> Display:
+    """Return a display for standard output or standard error: the live one if it is a terminal, else the plain one."""
+    console = Console(stderr=stderr)
+    return LiveDisplay(console) if console.is_terminal else PlainDisplay(sys.stderr if stderr else sys.stdout)
 
 
 class StopSignals:

@@ -383,14 +383,14 @@ def _findings_of_test(
                 f"repair what has a fault ({', '.join(dict.fromkeys(faults))}), and check again",
             )
         ]
-    from seatrial.bench.execution import PlainDisplay, make_display, run_link_test, run_mission
+    from seatrial.bench.execution import make_display, run_link_test, run_mission
     from seatrial.bench.preflight.rig_checks import armed_finding
 
     assert test.out is not None
     if not as_json:
         _print_lines(before, False)  # printed before the run, which may end with an error
     with contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext():
-        display = PlainDisplay() if as_json else make_display()
+        display = make_display(stderr=as_json)
         metadata = {"command": " ".join(["seatrial", *sys.argv[1:]])}
         if test.of_link:
             tests = run_link_test(rig, test.out, display, metadata, test.arm)

@@ -8,7 +8,6 @@ from .mission_file import dump_mission as dump_mission
 from .mission_file import load_mission as load_mission
 from .mission_file import parse_mission as parse_mission
 from .mission_file import save_mission as save_mission
-from .mission_file import save_new_mission as save_new_mission
 from .rig_file import default_decoder as default_decoder
 from .rig_file import load_rig as load_rig
 from .rig_file import parse_rig as parse_rig

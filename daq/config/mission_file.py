@@ -386,35 +386,27 @@ def _check_order_and_size(mission: Mission, root: TomlTable) -> None:
         )
 
 
-def save_mission(mission: Mission, path: Path) -> None:
-    """Write a mission to the file `path` in the format of mission.toml. An existing file is replaced.
+def save_mission(mission: Mission, path: Path, force: bool = True) -> None:
+    """Write a mission to the file `path` in the format of mission.toml.
+
+    Parameters
+    ----------
+    mission
+        The mission.
+    path
+        The file.
+    force
+        Whether an existing file is replaced.
 
     Raises
     ------
     SeatrialError
-        If the file cannot be written.
+        If the file cannot be written, or if it exists and `force` is false.
     """
     try:
-        write_output(path, dump_mission(mission))
+        write_output(path, dump_mission(mission), force)
     except OSError as error:
         raise SeatrialError(f"{path}: {error.strerror}; the mission was not saved: give another path") from error
-
-
-def save_new_mission(mission: Mission, path: Path) -> None:
-    """Write a mission to the new file `path` in the format of mission.toml.
-
-    Raises
-    ------
-    SeatrialError
-        If the file exists or cannot be written.
-    """
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(dump_mission(mission))
-    except FileExistsError:
-        raise SeatrialError(f"{path} exists; give another name with --out") from None
-    except OSError as problem:
-        raise SeatrialError(f"{path}: {problem.strerror}; the mission was not saved: give another path") from problem
 
 
 def dump_mission(mission: Mission) -> str:

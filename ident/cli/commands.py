@@ -359,7 +359,8 @@ def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, as_js
     show_default=True,
 )
 @click.option("--force", is_flag=True, help="Start again: replace the results in --out.")
-def fleet(logs: tuple[Path, ...], out: Path, workers: Any, force: bool, **how: Any) -> None:
+@json_option()
+def fleet(logs: tuple[Path, ...], out: Path, workers: Any, force: bool, as_json: bool, **how: Any) -> None:
     """Fit one model of the boat to each of LOGS separately, and compare the estimates of the logs.
 
     A log that fails, also one that is missing or cannot be read, does not end the others. The results in the folder
@@ -378,8 +379,11 @@ def fleet(logs: tuple[Path, ...], out: Path, workers: Any, force: bool, **how: A
 
     request = FleetRequest(logs, VehicleRequest((), (), out, **with_estimation_options(how)), out, workers, force)
     result = fit_fleet(request, command_line(), Lines(err=True)).result
-    print_result(result, make_console())
-    click.echo(f"table: {result.table}")
+    if as_json:
+        print_result_json(result)
+    else:
+        print_result(result, make_console())
+    click.echo(f"table: {result.table}", err=as_json)
     if result.fitted < result.n_logs:
         click.echo(f"{result.n_logs - result.fitted} of {result.n_logs} logs have no fit", err=True)
         raise click.exceptions.Exit(1)
@@ -695,15 +699,17 @@ def _parse_area(_context: click.Context, _parameter: click.Parameter, text: str 
 )
 @output_option(
     FILE,
-    "The mission to write; it must not exist. A page and its numbers are written beside it.",
+    "The mission to write. A page and its numbers are written beside it.",
     default=Path("mission.toml"),
     show_default=True,
 )
+@click.option("--force", is_flag=True, help="Replace the mission and the files beside it if they exist.")
 @trust_option
 @json_option()
 def design(
     source: str,
     out: Path,
+    force: bool,
     as_json: bool,
     min_step: float,
     area: tuple[float, float] | None,
@@ -718,8 +724,8 @@ def design(
     """Design the most informative mission for MODEL: a model.toml, horizontal, surge:shaft, FILE.py:NAME.
 
     The standard errors of a model.toml are the prior, so the mission is the best next one. `seatrial mission show`
-    draws it, `seatrial mission run` runs it. The mission, and a .json and an .html file beside it, are written and must
-    not exist before.
+    draws it, `seatrial mission run` runs it. The mission, and a .json and an .html file beside it, are written. They
+    are replaced only with --force.
     """
     if between and len(between) != 2:
         raise click.BadParameter("give exactly two effects, such as delay,lag", param_hint="--discriminate")
@@ -745,7 +751,9 @@ def design(
         **rest,
     )
     try:
-        result = _with_live_progress(lambda reporter: make_design(source, request, out, command_line(), reporter))
+        result = _with_live_progress(
+            lambda reporter: make_design(source, request, out, command_line(), reporter, force)
+        )
     except (ValueError, KeyError) as problem:
         raise SeatrialError(f"{source}: {str(problem).strip(chr(39) + chr(34))}") from problem
     if as_json:

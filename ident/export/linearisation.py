@@ -1,25 +1,86 @@
-"""Linearisation of a fitted model about straight motion at a speed: matrices, poles, time constants, step responses."""
+"""Linear models of a fitted boat about straight motion: matrices, poles, step responses and frequency responses."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from seatrial.daq.errors import SeatrialError
-from seatrial.ident.estimation import SavedModel
+from seatrial.daq.errors import SeatrialError, closest_name
+from seatrial.ident.estimation import PARAMETER_STEP, ParameterCovariance, principal_directions
 from seatrial.ident.export.codegen import without_nuisance
 from seatrial.ident.export.rates import Rates
+from seatrial.ident.model import Model
 from seatrial.ident.numerics import Array
 
 BALANCED = 1e-6  # largest rate at the operating point, in the unit of each state per second
 TRIALS = (0.1, 0.4, 0.8)  # initial values of the inputs: at zero the thrust has no slope
+CORRECTIONS = 6  # steps of the search for the operating point of moved estimates
+CONSTANTS, LONGEST_S, TIMES = 4.0, 60.0, 200  # length of a response in time constants and in s, and its points
+DECADE, FREQUENCIES = 10.0, 300  # reach of a frequency response beyond the poles, as a factor, and its points
+HALF_POWER = np.sqrt(0.5)  # -3 dB
+STATIC = 1e-6  # poles below this part of the largest one are integrators, which have no corner frequency
+
+Complex = NDArray[np.complex128]
+Inputs = str | Mapping[str, float]
+
+
+class Bode(NamedTuple):
+    """Frequency response of one state in the form of a Bode plot.
+
+    Attributes
+    ----------
+    frequency : Array (n,)
+        Frequencies [Hz].
+    gain : Array (n,)
+        Amplitude of the state, in its unit, for an amplitude of one unit of the inputs.
+    phase : Array (n,)
+        Phase of the state to the inputs [rad]; negative if the state is later. It has no jumps of a full turn.
+    gain_sd : Array (n,)
+        Standard error of the gain relative to it, from the errors of the estimates; NaN if they are unknown.
+    phase_sd : Array (n,)
+        Standard error of the phase [rad]; NaN if unknown.
+    """
+
+    frequency: Array
+    gain: Array
+    phase: Array
+    gain_sd: Array
+    phase_sd: Array
+
+    @property
+    def bandwidth(self) -> float:
+        """Lowest frequency [Hz] at which the gain is 3 dB below that at the lowest frequency; NaN if there is none."""
+        return _first_crossing(self.frequency, np.log(self.gain / self.gain[0]), float(np.log(HALF_POWER)))
+
+    @property
+    def lag_90(self) -> float:
+        """Lowest frequency [Hz] at which the state lags by 90 deg more than at the lowest one; NaN if there is none.
+
+        The motion is in phase with the inputs, or opposite to them, at low frequencies.
+        """
+        start = np.pi * np.round(self.phase[0] / np.pi)
+        return _first_crossing(self.frequency, self.phase - start, -0.5 * np.pi)
+
+
+def _first_crossing(frequency: Array, value: Array, level: float) -> float:
+    """Return the frequency at which a value first falls to a level, linear in the logarithm of the frequency.
+
+    NaN if the value begins below the level, or if it never falls to it.
+    """
+    below = np.flatnonzero(value <= level)
+    if not below.size or below[0] == 0:
+        return float("nan")
+    k = below[0]
+    part = (value[k - 1] - level) / (value[k - 1] - value[k])
+    return float(frequency[k - 1] * (frequency[k] / frequency[k - 1]) ** part)
 
 
 @dataclass(frozen=True, repr=False)
-class Linearisation:
+class LinearModel:
     """Linear model ``dx/dt = A (x - x0) + B (u - u0)`` about straight motion in still water.
 
     Attributes
@@ -38,6 +99,11 @@ class Linearisation:
         Inputs that keep the operating point.
     delays : dict of str to float
         Dead time [s] of each input that the model delays. The matrices do not contain it.
+    units : dict of str to str
+        Unit of each state and input by name; empty for a number without unit.
+    moved : tuple of LinearModel
+        Linear models with moved estimates: by 0.05 standard errors along each principal direction of their covariance.
+        Standard errors are computed from them. Empty if the covariance is unknown.
     """
 
     speed: float
@@ -48,12 +114,13 @@ class Linearisation:
     x0: Array
     u0: Array
     delays: Mapping[str, float]
+    units: Mapping[str, str]
+    moved: tuple[LinearModel, ...] = ()
 
     @property
-    def poles(self) -> NDArray[np.complex128]:
+    def poles(self) -> Complex:
         """Eigenvalues (n,) of A [1/s], the slowest first: in the order of the size of their real part."""
-        found = np.linalg.eigvals(self.A).astype(np.complex128)
-        return found[np.argsort(np.abs(found.real), kind="stable")]
+        return self._modes[0]
 
     @property
     def time_constants(self) -> Array:
@@ -64,35 +131,52 @@ class Linearisation:
         real = self.poles.real
         return np.where(real == 0.0, np.inf, -1.0 / np.where(real == 0.0, 1.0, real))
 
-    def __repr__(self) -> str:
-        """Return speed, stability, poles and time constants as a few lines of text."""
-        how = "stable" if self.stable else "not stable: a pole has no negative real part"
-        lines = [f"<Linearisation at {self.speed:g} m/s, {how}>", f"states {', '.join(self.states)}"]
-        lines.append(f"inputs {', '.join(self.inputs)}")
-        for pole, constant in zip(self.poles, self.time_constants, strict=True):
-            shown = f"{pole.real:.4g}" + (f" {pole.imag:+.4g}j" if pole.imag else "")
-            lines.append(f"pole {shown} 1/s, time constant {constant:.4g} s")
-        return "\n".join(lines)
+    @property
+    def time_constant_errors(self) -> Array:
+        """Standard errors (n,) [s] of the time constants, in their order, from the errors of the estimates.
+
+        NaN if those are unknown, and if poles coincide, so that they have no derivative.
+        """
+        poles, right = self._modes
+        if not self.moved or np.linalg.matrix_rank(right) < len(poles):
+            return np.full(len(poles), np.nan)
+        left = np.linalg.inv(right)
+        moves = [np.einsum("ij,jk,ki->i", left, m.A - self.A, right).real for m in self.moved]
+        return self.error_of(np.zeros(len(poles)), moves) * np.square(self.time_constants)
 
     @property
     def stable(self) -> bool:
         """Whether all poles have a negative real part."""
         return bool((self.poles.real < 0.0).all())
 
-    def step_response(self, name: str, t: Array) -> dict[str, Array]:
-        """Return the response of each state to a unit step of an input at t = 0, without its dead time.
+    @property
+    def motions(self) -> dict[str, dict[str, float]]:
+        """Inputs of the usual manoeuvres, each as a weight by input, for `step_response` and the other responses.
+
+        With inputs of a left and a right side, these are ``straight`` (both sides up) and ``turn`` (left side up, right
+        side down; its unit is half the difference of both sides). Inputs without a side do not change. Otherwise it is
+        each input alone, by its name.
+        """
+        sides = side_inputs(self.inputs)
+        if not sides:
+            return {n: {n: 1.0} for n in self.inputs}
+        turn = {n: 1.0 if n.endswith("_left") else -1.0 for n in sides}
+        return {"straight": dict.fromkeys(sides, 1.0), "turn": turn}
+
+    def step_response(self, inputs: Inputs, t: Array | None = None) -> dict[str, Array]:
+        """Return the response of each state to a unit step of the inputs at t = 0, with their dead time.
 
         Parameters
         ----------
-        name : str
-            Name of the input.
-        t : Array (n_times,)
-            Times [s], at least 0.
+        inputs : str, or dict of str to float
+            Name of an input or of one of the `motions`, or a weight for each of several inputs.
+        t : Array (n_times,), optional
+            Times [s], at least 0. None: `times`.
 
         Returns
         -------
         dict of str to Array (n_times,)
-            Change of each state from the operating point, for a step of one unit of the input.
+            Change of each state from the operating point, for a step of one unit of the inputs.
 
         Raises
         ------
@@ -101,17 +185,173 @@ class Linearisation:
         """
         from scipy.linalg import expm  # imported here, as it takes 0.3 s
 
-        if name not in self.inputs:
-            raise KeyError(f"the model has no input {name!r}; its inputs are {', '.join(self.inputs)}")
-        n = len(self.states)
-        # The exponential of the system with the constant input as a further state; A may be singular.
-        whole = np.zeros((n + 1, n + 1))
-        whole[:n, :n], whole[:n, n] = self.A, self.B[:, self.inputs.index(name)]
-        found = np.array([expm(whole * moment)[:n, n] for moment in np.asarray(t, dtype=float)]).reshape(-1, n)
+        at, n = np.asarray(self.times if t is None else t, dtype=float), len(self.states)
+        found = np.zeros((at.size, n))
+        for name, weight in self._weights(inputs).items():
+            # The exponential of the system with the constant input as a further state; A may be singular.
+            whole = np.zeros((n + 1, n + 1))
+            whole[:n, :n], whole[:n, n] = self.A, self.B[:, self.inputs.index(name)]
+            since = np.maximum(at - self.delays.get(name, 0.0), 0.0)
+            found += weight * expm(since[:, None, None] * whole)[:, :n, n]
         return {state: found[:, k] for k, state in enumerate(self.states)}
 
+    def frequency_response(self, inputs: Inputs, frequency: Array | None = None) -> dict[str, Complex]:
+        """Return the frequency response of each state to the inputs, with their dead time.
 
-def linearise(saved: SavedModel, speed: float) -> Linearisation:
+        Parameters
+        ----------
+        inputs : str, or dict of str to float
+            Name of an input or of one of the `motions`, or a weight for each of several inputs.
+        frequency : Array (n_frequencies,), optional
+            Frequencies [Hz], above 0. None: `frequencies`.
+
+        Returns
+        -------
+        dict of str to Array (n_frequencies,) of complex numbers
+            ``(j w - A)^-1 B exp(-j w delay)`` with ``w = 2 pi frequency``: the amplitude of each state for an amplitude
+            of one unit of the inputs, and its phase. If the model is not stable, a boat does not move in this way
+            without a controller, but the response is valid for the design of one.
+
+        Raises
+        ------
+        KeyError
+            If the model has no such input.
+        """
+        f = self.frequencies if frequency is None else np.asarray(frequency, dtype=float)
+        w, weights = 2.0 * np.pi * f, self._weights(inputs)
+        driven = np.zeros((f.size, len(self.states)), dtype=np.complex128)
+        for name, weight in weights.items():
+            driven += weight * np.outer(
+                np.exp(-1j * w * self.delays.get(name, 0.0)), self.B[:, self.inputs.index(name)]
+            )
+        whole = 1j * w[:, None, None] * np.eye(len(self.states)) - self.A
+        found = np.linalg.solve(whole, driven[..., None])[..., 0].astype(np.complex128)
+        return {state: found[:, k] for k, state in enumerate(self.states)}
+
+    def bode(self, inputs: Inputs, frequency: Array | None = None) -> dict[str, Bode]:
+        """Return gain and phase of the frequency response of each state, with their standard errors.
+
+        A state that does not respond to the inputs, such as the yaw rate to equal changes of both sides, is left out.
+
+        Parameters
+        ----------
+        inputs : str, or dict of str to float
+            Name of an input or of one of the `motions`, or a weight for each of several inputs.
+        frequency : Array (n_frequencies,), optional
+            Frequencies [Hz], increasing and above 0. None: `frequencies`.
+
+        Raises
+        ------
+        KeyError
+            If the model has no such input.
+        """
+        f = self.frequencies if frequency is None else np.asarray(frequency, dtype=float)
+        found = self.frequency_response(inputs, f)
+        moved = [m.frequency_response(inputs, f) for m in self.moved]
+        size = self._sizes(inputs)
+        bodes = {}
+        for name, h in found.items():
+            if np.abs(h).max() <= STATIC * size:
+                continue
+            # The logarithm of a response is that of the gain, plus j times the phase.
+            change, none = [np.log(m[name] / h) for m in moved], np.zeros(f.size)
+            sd_gain, sd_phase = (
+                self.error_of(none, part) for part in ([c.real for c in change], [c.imag for c in change])
+            )
+            bodes[name] = Bode(f, np.abs(h), np.unwrap(np.angle(h)), sd_gain, sd_phase)
+        return bodes
+
+    def error_of(self, value: Array, moved: Sequence[Array]) -> Array:
+        """Return the standard errors of a quantity of this model; NaN if the errors of the estimates are unknown.
+
+        Parameters
+        ----------
+        value : Array
+            The quantity of this model.
+        moved : sequence of Array
+            The same quantity of each of the models `moved`.
+        """
+        if not moved:
+            return np.full(np.shape(value), np.nan)
+        found: Array = np.sqrt(np.sum([((m - value) / PARAMETER_STEP) ** 2 for m in moved], axis=0))
+        return found
+
+    def responding(self, inputs: Inputs) -> tuple[str, ...]:
+        """Return the names of the states that respond to the inputs, in the order of `states`."""
+        found, size = self.frequency_response(inputs), self._sizes(inputs)
+        return tuple(n for n, h in found.items() if np.abs(h).max() > STATIC * size)
+
+    @property
+    def times(self) -> Array:
+        """Times (200,) [s] of a step response: four time constants of the slowest pole, 4 s to a minute.
+
+        The dead time is added. An unstable pole ends the response after one of its time constants.
+        """
+        constants = self.time_constants
+        slowest = float(np.abs(constants[np.isfinite(constants)]).max(initial=1.0))
+        length = min([LONGEST_S, CONSTANTS * slowest, *(-constants[constants < 0.0])])
+        return np.linspace(0.0, length + max(self.delays.values(), default=0.0), TIMES)
+
+    @property
+    def frequencies(self) -> Array:
+        """Frequencies (300,) [Hz] of a response, from a decade below the slowest pole to one above the fastest.
+
+        Integrators do not count. A dead time counts as a pole with the same time constant.
+        """
+        size = np.abs(self.poles)
+        corners = [*size[size > STATIC * size.max(initial=0.0)], *(1.0 / d for d in self.delays.values() if d > 0.0)]
+        corners = corners or [1.0]
+        low, high = min(corners) / DECADE, max(corners) * DECADE
+        return np.geomspace(low, high, FREQUENCIES) / (2.0 * np.pi)
+
+    @property
+    def _modes(self) -> tuple[Complex, Complex]:
+        """Eigenvalues (n,) of A in the order of `poles`, and their eigenvectors (n, n) as columns."""
+        found, vectors = np.linalg.eig(self.A.astype(np.complex128))
+        order = np.argsort(np.abs(found.real), kind="stable")
+        return found[order], vectors[:, order]
+
+    def _weights(self, inputs: Inputs) -> dict[str, float]:
+        """Return the weight of each input that a name or a mapping of the user stands for; KeyError without one."""
+        known = {**{n: {n: 1.0} for n in self.inputs}, **self.motions}
+        chosen = known.get(inputs, {inputs: 1.0}) if isinstance(inputs, str) else dict(inputs)
+        for name in chosen:
+            if name not in self.inputs:
+                near = closest_name(name, list(known))
+                hint = f"did you mean {near!r}? " if near else ""
+                raise KeyError(f"the model has no input {name!r}; {hint}its inputs are {', '.join(known)}")
+        return chosen
+
+    def _sizes(self, inputs: Inputs) -> float:
+        """Return the largest gain of all states to the inputs one by one, with which small responses are compared."""
+        alone = [self.frequency_response(n) for n in self._weights(inputs)]
+        return max((float(np.abs(h).max()) for found in alone for h in found.values()), default=0.0)
+
+    def __repr__(self) -> str:
+        """Return speed, stability, poles and time constants as a few lines of text."""
+        how = "stable" if self.stable else "not stable: a pole has no negative real part"
+        lines = [f"<Linearisation at {self.speed:g} m/s, {how}>", f"states {', '.join(self.states)}"]
+        lines.append(f"inputs {', '.join(self.inputs)}")
+        for pole, constant in zip(self.poles, self.time_constants, strict=True):
+            lines.append(f"pole {pole_text(pole)} 1/s, time constant {constant:.4g} s")
+        return "\n".join(lines)
+
+
+def side_inputs(names: Sequence[str]) -> list[str]:
+    """Return the names of the inputs of the left and the right side; an empty list if one of the sides has none.
+
+    They are shaft speeds or commands (``n_...``) and thrusts (``f_...``).
+    """
+    sides = [n for n in names if n.endswith(("_left", "_right")) and n.startswith(("n_", "f_"))]
+    return sides if {n.rpartition("_")[2] for n in sides} == {"left", "right"} else []
+
+
+def pole_text(pole: complex) -> str:
+    """Return a pole as text with four digits: the real part, and the imaginary part with its sign if it is not zero."""
+    return f"{pole.real:.4g}" + (f" {pole.imag:+.4g}j" if pole.imag else "")
+
+
+def linearise(model: Model, speed: float, known: ParameterCovariance | None = None) -> LinearModel:
     """Linearise a fitted model about straight motion at a forward speed in still water.
 
     The operating point is found first: the inputs, the sway speed and the shafts for which speed and yaw rate (zero)
@@ -120,10 +360,12 @@ def linearise(saved: SavedModel, speed: float) -> Linearisation:
 
     Parameters
     ----------
-    saved : SavedModel
-        The fitted model.
+    model : Model
+        The fitted model, with its estimates as values.
     speed : float
         Forward speed through the water [m/s], not zero: at rest the quadratic terms have no slope.
+    known : ParameterCovariance, optional
+        Covariance of the estimates, for the standard errors of the responses. None: they are NaN.
 
     Raises
     ------
@@ -131,8 +373,8 @@ def linearise(saved: SavedModel, speed: float) -> Linearisation:
         If the model has no forward speed, if ``speed`` is zero or not finite, or if no operating point is found with
         shaft speeds and commands (inputs ``n_...``) from -1 to 1. Forces have no limit.
     """
-    model, _ = without_nuisance(saved.model)
-    rates = Rates(model)
+    reduced, _ = without_nuisance(model)
+    rates = Rates(reduced)
     if "u" not in rates.names:
         raise SeatrialError(
             f"model {model.name} has no forward speed u among its states, so it has no such operating point; "
@@ -146,10 +388,50 @@ def linearise(saved: SavedModel, speed: float) -> Linearisation:
             raise SeatrialError(
                 f"{speed:g} m/s needs {name} = {value:.2f}, more than full; choose a speed that the boat reaches"
             )
-    A, B = (derivatives(x0[None], u0[None])[0] for derivatives in (rates.by_states, rates.by_inputs))
-    values = model.values
-    delays = {i: float(values["tau_n"]) for i in rates.inputs if "tau_n" in values and i in rates.delayed}
-    return Linearisation(speed, rates.names, rates.inputs, A, B, x0, u0, delays)
+    units = {x.name: x.unit for x in reduced.states} | {i.name: i.unit for i in reduced.inputs}
+    units = {n: units[n] for n in (*rates.names, *rates.inputs)}
+
+    def about(x: Array, u: Array, values: Array, moved: tuple[LinearModel, ...] = ()) -> LinearModel:
+        """Return the linear model about the states x (n,) and inputs u (m,), with these values of the parameters."""
+        A, B = (f(x[None], u[None], values)[0] for f in (rates.by_states, rates.by_inputs))
+        named = dict(zip(reduced.values, values, strict=True))
+        delays = {i: float(named["tau_n"]) for i in rates.inputs if "tau_n" in named and i in rates.delayed}
+        return LinearModel(speed, rates.names, rates.inputs, A, B, x, u, delays, units, moved)
+
+    found = []
+    for values in principal_directions(reduced, rates.values, _of_parameters(known, rates.parameters)):
+        at = _moved_operating_point(rates, x0, u0, values)
+        if at is None:
+            return about(x0, u0, rates.values)  # the errors are too large for a linear theory
+        found.append(about(*at, values))
+    return about(x0, u0, rates.values, tuple(found))
+
+
+def _of_parameters(known: ParameterCovariance | None, parameters: tuple[str, ...]) -> ParameterCovariance | None:
+    """Return the part of a covariance that belongs to ``parameters`` and is finite; None if it is unknown."""
+    if known is None or known.covariance is None:
+        return None
+    kept = [k for k, n in enumerate(known.names) if n in parameters and known.covariance[k, k] > 0.0]
+    return ParameterCovariance(tuple(known.names[k] for k in kept), known.covariance[np.ix_(kept, kept)])
+
+
+def _moved_operating_point(rates: Rates, x0: Array, u0: Array, values: Array) -> tuple[Array, Array] | None:
+    """Return states (n,) and inputs (m,) that keep the speed of x0, u0 with slightly other ``values``.
+
+    It is Newton's method from x0 and u0, with the smallest change of inputs and free states if there are more of them
+    than rates. None if a rate above 1e-6 (in the unit of its state per second) remains.
+    """
+    free = [k for k, name in enumerate(rates.names) if name not in ("u", "r")]
+    x, u = x0.copy(), u0.copy()
+    for _ in range(CORRECTIONS):
+        slope = np.hstack(
+            [rates.by_states(x[None], u[None], values)[0][:, free], rates.by_inputs(x[None], u[None], values)[0]]
+        )
+        change = np.linalg.lstsq(slope, -rates(x[None], u[None], values)[0], rcond=None)[0]
+        x[free] += change[: len(free)]
+        u += change[len(free) :]
+    remaining = np.abs(rates(x[None], u[None], values)[0])
+    return (x, u) if remaining.max(initial=0.0) < BALANCED else None
 
 
 def _operating_point(rates: Rates, speed: float) -> tuple[Array, Array]:

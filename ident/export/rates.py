@@ -30,6 +30,8 @@ class Rates:
         Inputs that have delayed copies.
     parameters : tuple of str
         Names of the parameters, without the current.
+    values : Array (n_parameters,)
+        Values of all parameters in the order of the model, with a current of zero.
     """
 
     def __init__(self, model: Model, held: tuple[str, ...] = ()) -> None:
@@ -41,7 +43,7 @@ class Rates:
         self._at = [k for k, s in enumerate(model.states) if s.name in self.names]
         self._own = [self.inputs.index(i.tap_of if i.tap else i.name) for i in model.inputs]
         self._size, self._all = len(model.states), list(model.values)
-        self._values = np.array([0.0 if n in CURRENT else v for n, v in model.values.items()])
+        self.values = np.array([0.0 if n in CURRENT else v for n, v in model.values.items()])
         self._rowwise = VectorisedModel(model)
 
     def __call__(self, x: Array, u: Array, values: Array | None = None) -> Array:
@@ -51,22 +53,22 @@ class Rates:
         """
         whole = np.zeros((len(x), self._size))
         whole[:, self._at] = x
-        found: Array = self._rowwise(whole, u[:, self._own], self._values if values is None else values)
+        found: Array = self._rowwise(whole, u[:, self._own], self.values if values is None else values)
         return found[:, self._at]
 
-    def by_states(self, x: Array, u: Array) -> Array:
-        """Return the derivatives (n_rows, n, n) of the rates by the dynamic states."""
-        return _differences(lambda d: self(x + d, u), x.shape[1])
+    def by_states(self, x: Array, u: Array, values: Array | None = None) -> Array:
+        """Return the derivatives (n_rows, n, n) of the rates by the dynamic states. ``values`` as in the call."""
+        return _differences(lambda d: self(x + d, u, values), x.shape[1])
 
-    def by_inputs(self, x: Array, u: Array) -> Array:
-        """Return the derivatives (n_rows, n, m) of the rates by the inputs."""
-        return _differences(lambda d: self(x, u + d), u.shape[1])
+    def by_inputs(self, x: Array, u: Array, values: Array | None = None) -> Array:
+        """Return the derivatives (n_rows, n, m) of the rates by the inputs. ``values`` as in the call."""
+        return _differences(lambda d: self(x, u + d, values), u.shape[1])
 
     def by_parameter(self, x: Array, u: Array, name: str, size: float) -> Array:
         """Return the derivatives (n_rows, n) of the rates by one parameter: central differences with step ``size``."""
-        d = np.zeros(self._values.size)
+        d = np.zeros(self.values.size)
         d[self._all.index(name)] = size
-        return (self(x, u, self._values + d) - self(x, u, self._values - d)) / (2.0 * size)
+        return (self(x, u, self.values + d) - self(x, u, self.values - d)) / (2.0 * size)
 
 
 def _differences(rates: Callable[[Array], Array], n: int) -> Array:

@@ -1,5 +1,11 @@
+from .bode import FREQUENCY as FREQUENCY
+from .bode import frequency_axis as frequency_axis
+from .bode import gain_traces as gain_traces
+from .bode import phase_traces as phase_traces
 from .check_page import write_check_page as write_check_page
 from .design_page import write_design_page as write_design_page
+from .drawing import DASHES as DASHES
+from .drawing import LINES as LINES
 from .drawing import Panel as Panel
 from .drawing import band as band
 from .drawing import dots as dots

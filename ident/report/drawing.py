@@ -280,6 +280,7 @@ def band(
     color: str = MODEL,
     opacity: float = 0.18,
     turn: float | None = None,
+    gaps: bool = False,
 ) -> Trace:
     """Return the trace of a filled band from ``middle - half`` to ``middle + half``, without hover text.
 
@@ -301,10 +302,15 @@ def band(
         Opacity of the filling, 0 to 1.
     turn
         A full turn in the unit of ``middle`` if that is a wrapped angle, for example 360; None for other signals.
+    gaps
+        Whether the band is also split at points that are not finite; otherwise it continues across them.
     """
     good = np.flatnonzero(np.isfinite(x) & np.isfinite(middle) & np.isfinite(half))
     at = good[strided(good.size, max(limit // 2, 100))]
     ends = _indices_after_jumps(middle[at], turn)
+    if gaps:
+        missing = np.cumsum(~np.isin(np.arange(x.size), good))  # number of points that are left out so far
+        ends = np.union1d(ends, np.flatnonzero(np.diff(missing[at])) + 1)
     return between(x[at], middle[at] - half[at], middle[at] + half[at], color=color, opacity=opacity, ends=ends)
 
 

@@ -743,7 +743,7 @@ class OperatingPoint(Part, frozen=True, kw_only=True):
 
 
 class StepResponse(Part, frozen=True, kw_only=True):
-    """Response of the linear model to a step of the command at time zero, without the dead time of the command."""
+    """Response of the linear model to a step of the command at time zero, with the dead time of the command."""
 
     speed: Annotated[float, Meta(description="speed of the operating point [m/s]")]
     motion: Annotated[
@@ -761,12 +761,42 @@ class StepResponse(Part, frozen=True, kw_only=True):
         same_length(self, "t", "value")
 
 
+class FrequencyResponse(Part, frozen=True, kw_only=True):
+    """Frequency response of the linear model to the command, with the dead time of the command."""
+
+    speed: Annotated[float, Meta(description="speed of the operating point [m/s]")]
+    motion: Annotated[
+        Literal["straight", "turn"],
+        Meta(description="`straight`: command of both sides; `turn`: half the difference of left and right side"),
+    ]
+    quantity: Annotated[str, Meta(description="name of the state")]
+    unit: Annotated[str, Meta(description="unit of `gain`, SI and radians: of the state per unit of the command")]
+    stable: Annotated[bool, Meta(description="whether the linear model is stable")]
+    frequency: Annotated[Array, Meta(description="[Hz]")]
+    gain: Annotated[Array, Meta(description="amplitude of the state over that of the command")]
+    gain_sd: Annotated[Array, Meta(description="standard error of the natural logarithm of `gain`; null: unknown")]
+    phase: Annotated[Array, Meta(description="phase of the state to the command, without jumps of a full turn [rad]")]
+    phase_sd: Annotated[Array, Meta(description="standard error of `phase` [rad]; null: unknown")]
+    bandwidth: Annotated[
+        float | None,
+        Meta(description="frequency at which the gain is 3 dB below that of slow commands [Hz]; null: unknown"),
+    ] = None
+    lag_90: Annotated[
+        float | None, Meta(description="frequency at which the state lags 90 deg behind the command [Hz]; null: none")
+    ] = None
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if the arrays of the response differ in length."""
+        same_length(self, "frequency", "gain", "gain_sd", "phase", "phase_sd")
+
+
 class Dynamics(Part, frozen=True, kw_only=True):
-    """Steady motion, poles and step responses of a fitted model in still water."""
+    """Steady motion, poles, step responses and frequency responses of a fitted model in still water."""
 
     steady: Annotated[tuple[SteadyCurve, ...], Meta(description="steady speed and turn rate over the command")] = ()
     points: Annotated[tuple[OperatingPoint, ...], Meta(description="linear models, at several speeds")] = ()
     steps: Annotated[tuple[StepResponse, ...], Meta(description="step responses at one speed")] = ()
+    responses: Annotated[tuple[FrequencyResponse, ...], Meta(description="frequency responses at this speed")] = ()
     delays: Annotated[dict[str, float], Meta(description="dead time of each input that has one [s]")] = msgspec.field(
         default_factory=dict
     )

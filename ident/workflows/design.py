@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from seatrial.daq.config import Mission, Prediction, Segment, dump_mission, parse_mission, save_new_mission
+from seatrial.daq.config import Mission, Prediction, Segment, dump_mission, parse_mission, save_mission
 from seatrial.daq.errors import SeatrialError
+from seatrial.daq.files import require_new
 from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import (
     RefittedEffect,
@@ -141,7 +142,9 @@ class DesignRequest:
     thrusters: tuple[str, ...] = ()
 
 
-def make_design(source: str, request: DesignRequest, out: Path, command: str, reporter: Reporter) -> DesignResult:
+def make_design(
+    source: str, request: DesignRequest, out: Path, command: str, reporter: Reporter, force: bool = False
+) -> DesignResult:
     """Design a mission, compare it with baseline signals, and write the mission, its result and its page.
 
     The mission maximises the criterion, or discriminates the two effects of ``request.between``.
@@ -153,11 +156,13 @@ def make_design(source: str, request: DesignRequest, out: Path, command: str, re
     request : DesignRequest
         Options of the design.
     out : Path
-        The mission.toml, which must not exist. A .json file (the result) and an .html page are written beside it.
+        The mission.toml. A .json file (the result) and an .html page are written beside it.
     command : str
         Command line, for the provenance.
     reporter : Reporter
         Receives progress.
+    force : bool
+        Whether existing files are replaced.
 
     Returns
     -------
@@ -167,9 +172,10 @@ def make_design(source: str, request: DesignRequest, out: Path, command: str, re
     Raises
     ------
     SeatrialError
-        If the model or an option cannot be used, or if one of the files exists. No file is written then.
+        If the model or an option cannot be used, or if one of the files exists and ``force`` is false. No file is
+        written then.
     """
-    beside = _paths_beside_mission(out)
+    beside = _paths_beside_mission(out, force)
     task, compared = make_task(source, request)
     model_thrusters = task.actuation.thrusters
     thrusters = request.thrusters or model_thrusters
@@ -222,17 +228,17 @@ def make_design(source: str, request: DesignRequest, out: Path, command: str, re
     )
     mission = designed_mission(f"steps, {title}", thrusters, made, track, request, source, command)
     parse_mission(dump_mission(mission), out)
-    save_new_mission(mission, out)
+    save_mission(mission, out, force)
     write_result(result, beside[".json"])
     write_design_page(result, beside[".html"])
     return result
 
 
-def _paths_beside_mission(out: Path) -> dict[str, Path]:
+def _paths_beside_mission(out: Path, force: bool) -> dict[str, Path]:
     """Return the paths of the .json and .html files beside the mission file ``out``, by suffix. No file is written.
 
-    Raise SeatrialError if one of the three files exists already, if ``out`` has one of these suffixes, or if its folder
-    does not exist.
+    Raise SeatrialError if one of the three files may not be created: it exists and ``force`` is false, or it is no
+    regular file. Raise it too if ``out`` has one of these suffixes, or if its folder does not exist.
     """
     if out.suffix in (".json", ".html"):
         raise SeatrialError(
@@ -243,8 +249,7 @@ def _paths_beside_mission(out: Path) -> dict[str, Path]:
         raise SeatrialError(f"{out.parent}: no such folder for the mission; make it, or give another --out")
     beside = {kind: out.with_suffix(kind) for kind in (".json", ".html")}
     for path in (out, *beside.values()):
-        if path.exists():
-            raise SeatrialError(f"{path} exists; give another name with --out")
+        require_new(path, force, "--out")
     return beside
 
 

@@ -1,4 +1,4 @@
-"""Steady motion, poles and step responses of a fitted vehicle model, for its result and its report."""
+"""Steady motion, poles, step and frequency responses of a fitted vehicle model, for its result and its report."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from typing import Literal
 import numpy as np
 
 from seatrial.daq.errors import SeatrialError
-from seatrial.ident.estimation import Fit, FittedModel, SavedModel
-from seatrial.ident.export import Linearisation, linearise, steady_motion
+from seatrial.ident.estimation import Fit, FittedModel, ParameterCovariance
+from seatrial.ident.export import LinearModel, linearise, side_inputs, steady_motion
 from seatrial.ident.model import Model, ModelKind
 from seatrial.ident.numerics import Array
-from seatrial.ident.results import Dynamics, OperatingPoint, SteadyCurve, StepResponse
+from seatrial.ident.results import Dynamics, FrequencyResponse, OperatingPoint, SteadyCurve, StepResponse
 from seatrial.ident.workflows.output import validity
 
 POINTS = 41  # of a steady curve
 MEANS = (0.0, 0.5)  # means of both sides in turns, as parts of the largest command
 SPEEDS = (0.25, 0.5, 0.75, 1.0)  # speeds of the linear models, as parts of the largest steady speed
 STEP = 0.1  # size of the steps of the command, as a part of the largest command
-CONSTANTS, LONGEST_S, TIMES = 4.0, 60.0, 200  # length of a response in time constants and in s, and its points
+UNKNOWN_GAIN = float(np.log(np.sqrt(2.0)))  # standard error of the logarithm of a gain that is unknown: 3 dB
 UNITS = {"u": "m/s", "v": "m/s", "r": "rad/s"}
 
 
 def dynamics_of(fitted: FittedModel) -> Dynamics | None:
-    """Return steady motion, poles and step responses of a fitted vehicle model.
+    """Return steady motion, poles, step responses and frequency responses of a fitted vehicle model.
 
     The curves are limited to the commands of the estimation data. A part that cannot be computed is left out.
 
@@ -40,31 +40,75 @@ def dynamics_of(fitted: FittedModel) -> Dynamics | None:
         part can be computed.
     """
     fit, model = fitted.fit, fitted.fit.model
-    states = {s.name for s in model.states}
-    if model.kind is not ModelKind.VEHICLE or not fit.converged or not states & {"u", "r"}:
+    if model.kind is not ModelKind.VEHICLE or not fit.converged or not {s.name for s in model.states} & {"u", "r"}:
         return None
-    drives = _Drives(model, validity(fitted))
+    ranges, known = validity(fitted), covariance_of(fit)
+    curves = steady_curves(model, ranges, known)
+    reached = [np.nanmax(c.value) for c in curves if c.motion == "straight"]
+    linear = _linear_models(model, float(reached[0])) if reached else []
+    if not curves and not linear:
+        return None
+    drives, steps, responses = Drives(model, ranges), list[StepResponse](), list[FrequencyResponse]()
+    if linear:
+        middle = linear[(len(linear) - 1) // 2]
+        steps, responses = _steps(middle, drives), _responses(linearise(model, middle.speed, known), drives)
+    delays = dict(linear[0].delays) if linear else {}
+    return Dynamics(
+        steady=tuple(curves), points=tuple(_point(x) for x in linear), steps=tuple(steps), responses=tuple(responses),
+        delays=delays,
+    )  # fmt: skip
+
+
+def covariance_of(fit: Fit) -> ParameterCovariance:
+    """Return the covariance of the estimates of a fit, without those that have no standard error."""
+    known = np.flatnonzero(np.isfinite(np.diag(fit.covariance)))
+    return ParameterCovariance(tuple(fit.names[k] for k in known), np.asarray(fit.covariance)[np.ix_(known, known)])
+
+
+def steady_curves(
+    model: Model,
+    ranges: Mapping[str, tuple[float, float]],
+    known: ParameterCovariance,
+    means: Sequence[float] = MEANS,
+    points: int = POINTS,
+) -> list[SteadyCurve]:
+    """Return the steady speed on a straight course, and the steady turn rate, of a vehicle model over its commands.
+
+    Parameters
+    ----------
+    model : Model
+        The model, with its estimates as values.
+    ranges : mapping
+        Smallest and largest value of each input in the data, by name. The curves are limited to them.
+    known : ParameterCovariance
+        Covariance of the estimates.
+    means : sequence of float
+        Means of both sides in turns, as parts of the largest command.
+    points : int
+        Number of commands of each curve, which are evenly spaced. The curve of the speed has zero in addition.
+
+    Returns
+    -------
+    list of SteadyCurve
+        The curve of the speed, then one of the turn rate for each mean. A curve with fewer than three steady motions is
+        left out. The list is empty without a range of the commands, and if the rates of a user-defined model are not
+        defined at them.
+    """
+    states, drives = {s.name for s in model.states}, Drives(model, ranges)
     if not drives.names:
-        return None
+        return []
     curves: list[SteadyCurve] = []
     try:
         if "u" in states:
-            curves.append(_straight(fit, drives))
+            curves.append(_straight(model, known, drives, points))
         if "r" in states and drives.two_sided:
-            curves += [_turn(fit, drives, mean * drives.high) for mean in MEANS]
+            curves += [_turn(model, known, drives, mean * drives.high, points) for mean in means]
     except (ArithmeticError, np.linalg.LinAlgError, TypeError, ValueError):
-        curves = []  # a user-defined model whose rates are not defined at these inputs
-    curves = [c for c in curves if np.isfinite(c.value).sum() > 2]
-    reached = [np.nanmax(c.value) for c in curves if c.motion == "straight"]
-    linear = _linear_models(model, float(reached[0])) if reached else []
-    steps = _steps(linear[(len(linear) - 1) // 2], drives) if linear else []
-    if not curves and not linear:
-        return None
-    delays = dict(linear[0].delays) if linear else {}
-    return Dynamics(steady=tuple(curves), points=tuple(_point(x) for x in linear), steps=tuple(steps), delays=delays)
+        return []
+    return [c for c in curves if np.isfinite(c.value).sum() > 2]
 
 
-class _Drives:
+class Drives:
     """Inputs of a model that drive the boat, and their range in the data.
 
     Attributes
@@ -83,9 +127,9 @@ class _Drives:
     def __init__(self, model: Model, ranges: Mapping[str, tuple[float, float]]) -> None:
         """Find the driving inputs: those of both sides, or the only input. Others stay in the middle of their range."""
         names = [i.name for i in model.inputs if not i.tap]
-        sides = [n for n in names if n.endswith(("_left", "_right")) and n.startswith(("n_", "f_"))]
-        self.two_sided = any(n.endswith("_left") for n in sides) and any(n.endswith("_right") for n in sides)
-        chosen = sides if self.two_sided else names if len(names) == 1 else []
+        sides = side_inputs(names)
+        self.two_sided = bool(sides)
+        chosen = sides or (names if len(names) == 1 else [])
         known = [ranges[n] for n in chosen if n in ranges]
         self.driving = tuple(chosen)
         self.names = names if chosen and len(known) == len(chosen) else []
@@ -104,42 +148,42 @@ class _Drives:
         return np.stack(columns, axis=1)
 
 
-def _straight(fit: Fit, drives: _Drives) -> SteadyCurve:
+def _straight(model: Model, known: ParameterCovariance, drives: Drives, points: int) -> SteadyCurve:
     """Return the steady forward speed over the command of both sides, with sway and yaw rate held at zero."""
-    command = np.union1d(np.linspace(drives.low, drives.high, POINTS), [0.0] if drives.low < 0.0 < drives.high else [])
-    held = tuple(s.name for s in fit.model.states if s.name in ("v", "r"))
-    found = steady_motion(fit.model, drives.inputs(command, command), tuple(fit.names), fit.covariance, held)
+    zero = [0.0] if drives.low < 0.0 < drives.high else []
+    command = np.union1d(np.linspace(drives.low, drives.high, points), zero)
+    held = tuple(s.name for s in model.states if s.name in ("v", "r"))
+    found = steady_motion(model, drives.inputs(command, command), known.names, known.covariance, held)
     value, sd = found.of("u")
     return SteadyCurve(
         motion="straight", quantity="u", unit="m/s", inputs=drives.driving, command=command, value=value, sd=sd
     )
 
 
-def _turn(fit: Fit, drives: _Drives, mean: float) -> SteadyCurve:
+def _turn(model: Model, known: ParameterCovariance, drives: Drives, mean: float, points: int) -> SteadyCurve:
     """Return the steady yaw rate over half the difference of both sides, whose mean is ``mean``."""
     reach = min(drives.high - mean, mean - drives.low)
-    command = np.linspace(-reach, reach, POINTS)
+    command = np.linspace(-reach, reach, points)
     u = drives.inputs(mean + command, mean - command)
-    value, sd = steady_motion(fit.model, u, tuple(fit.names), fit.covariance).of("r")
+    value, sd = steady_motion(model, u, known.names, known.covariance).of("r")
     return SteadyCurve(
         motion="turn", quantity="r", unit="rad/s", inputs=drives.driving, mean=mean, command=command, value=value, sd=sd
     )
 
 
-def _linear_models(model: Model, fastest: float) -> list[Linearisation]:
+def _linear_models(model: Model, fastest: float) -> list[LinearModel]:
     """Return the linear models at parts of the speed ``fastest`` [m/s]. A speed without one is left out."""
     found = []
-    saved = SavedModel(model, {}, {})
     for part in SPEEDS:
         speed = float(f"{part * fastest:.2g}") if part < 1.0 else float(np.floor(fastest * 100.0) / 100.0)
         try:
-            found.append(linearise(saved, speed))
+            found.append(linearise(model, speed))
         except (SeatrialError, ArithmeticError, np.linalg.LinAlgError, TypeError, ValueError):
             continue
     return found
 
 
-def _point(linear: Linearisation) -> OperatingPoint:
+def _point(linear: LinearModel) -> OperatingPoint:
     """Return the operating point of a linear model with its poles, for the result."""
     poles = linear.poles
     inputs = {name: float(value) for name, value in zip(linear.inputs, linear.u0, strict=True)}
@@ -148,29 +192,64 @@ def _point(linear: Linearisation) -> OperatingPoint:
     )
 
 
-def _steps(linear: Linearisation, drives: _Drives) -> list[StepResponse]:
+def _steps(linear: LinearModel, drives: Drives) -> list[StepResponse]:
     """Return the responses of speed (to a step of both sides) and of yaw rate and sway (to one of their difference).
 
-    They last four time constants of the slowest pole, at least 4 s and at most a minute. An unstable pole ends them
-    after one of its time constants. A model without two sides has only the response of speed.
+    A model without two sides has only the response of speed.
     """
-    constants = np.abs(linear.time_constants[np.isfinite(linear.time_constants)])
-    growing = linear.time_constants[linear.time_constants < 0.0]
-    length = min([LONGEST_S, CONSTANTS * float(constants.max(initial=1.0)), *(-growing)])
-    t, size = np.linspace(0.0, length, TIMES), STEP * drives.high
-    wanted: list[tuple[Literal["straight", "turn"], Sequence[str]]] = [("straight", ("u",)), ("turn", ("r", "v"))]
-    found = []
-    for motion, quantities in wanted:
-        if motion == "turn" and not drives.two_sided:
-            continue
-        signs = {n: -1.0 if motion == "turn" and n.endswith("_right") else 1.0 for n in drives.driving}
-        responses = [(sign, linear.step_response(n, t)) for n, sign in signs.items() if n in linear.inputs]
-        for quantity in (q for q in quantities if q in linear.states):
-            value = size * np.sum([sign * r[quantity] for sign, r in responses], axis=0)
+    t, size, found = linear.times, STEP * drives.high, []
+    for motion, quantities, weights in _motions(linear, drives):
+        responses = linear.step_response(weights, t)
+        for quantity in quantities:
             found.append(
                 StepResponse(
-                    speed=linear.speed, motion=motion, step=size,
-                    quantity=quantity, unit=UNITS[quantity], t=t, value=value,
+                    speed=linear.speed, motion=motion, step=size, quantity=quantity, unit=UNITS[quantity], t=t,
+                    value=size * responses[quantity],
                 )
             )  # fmt: skip
     return found
+
+
+def _responses(linear: LinearModel, drives: Drives) -> list[FrequencyResponse]:
+    """Return the frequency responses of speed (to the command of both sides) and of yaw rate (to their difference).
+
+    A model without two sides has only the response of speed. The bandwidth is left out if the gain of slow commands,
+    with which it is compared, has a standard error above 3 dB: a boat that hardly holds its course turns so slowly to
+    its steady rate that the data do not contain it. Of turns of an unstable boat, bandwidth and lag are left out.
+    """
+    found = []
+    for motion, (quantity, *_), weights in _motions(linear, drives):
+        bode = linear.bode(weights).get(quantity)
+        if bode is None:
+            continue
+        unit, command = UNITS[quantity], linear.units[next(iter(weights))]
+        settles = linear.stable or motion == "straight"
+        slow_gain_is_known = not bode.gain_sd[0] > UNKNOWN_GAIN  # NaN, without standard errors, counts as known
+        found.append(
+            FrequencyResponse(
+                speed=linear.speed, motion=motion, quantity=quantity, unit=f"{unit}/{command}" if command else unit,
+                stable=linear.stable, frequency=bode.frequency, gain=bode.gain, gain_sd=bode.gain_sd, phase=bode.phase,
+                phase_sd=bode.phase_sd, bandwidth=_known(bode.bandwidth) if settles and slow_gain_is_known else None,
+                lag_90=_known(bode.lag_90) if settles else None,
+            )
+        )  # fmt: skip
+    return found
+
+
+def _known(value: float) -> float | None:
+    """Return a value, or None if it is NaN."""
+    return None if np.isnan(value) else value
+
+
+def _motions(
+    linear: LinearModel, drives: Drives
+) -> list[tuple[Literal["straight", "turn"], tuple[str, ...], dict[str, float]]]:
+    """Return name, quantities and weight of each input of the motions by the driving inputs: straight, and turn.
+
+    A motion of which the model has no quantity is left out, and turn without two sides.
+    """
+    ahead = {n: 1.0 for n in drives.driving if n in linear.inputs}
+    turning = {n: -1.0 if n.endswith("_right") else 1.0 for n in ahead} if drives.two_sided else {}
+    straight = tuple(q for q in ("u",) if q in linear.states and ahead)
+    turn = tuple(q for q in ("r", "v") if q in linear.states and turning)
+    return [x for x in (("straight", straight, ahead), ("turn", turn, turning)) if x[1]]

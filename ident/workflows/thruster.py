@@ -111,27 +111,91 @@ class ThrusterRequest:
     despite_faults: bool = False
 
 
+@dataclass(frozen=True)
+class ThrusterFit:
+    """Model of a thruster that was fitted to bench logs.
+
+    Attributes
+    ----------
+    fitted
+        The model with its records and their filter runs.
+    result
+        Content of result.json.
+    calibration
+        Largest relative standard uncertainty of the load cells' calibrations; None if unknown.
+    """
+
+    fitted: FittedModel
+    result: ThrusterResult
+    calibration: float | None
+
+    def write(self, out: Path) -> None:
+        """Write model.toml, result.json, report.html and the files of `write_tables` to the folder ``out``."""
+        commands = np.concatenate([view.record.u[:, 0] for view in self.fitted.estimation])
+        ranges = {"n_cmd": (float(commands.min()), float(commands.max()))}
+        write_all(out, self.result, self.fitted.fit, ranges, calibration=self.calibration)
+        write_tables(out, self.result)
+
+
+@dataclass(frozen=True)
+class CurveFit:
+    """Static thrust curve that was fitted to a bench log without shaft speed.
+
+    Attributes
+    ----------
+    measured
+        The monotone curve, with the number of thrusters and the uncertainty of the load cell's calibration.
+    levels
+        Measured steady levels.
+    quadratic
+        Quadratic that was fitted to them.
+    result
+        Content of result.json.
+    """
+
+    measured: ThrustCurve
+    levels: Levels
+    quadratic: Quadratic
+    result: ThrustCurveResult
+
+    def write(self, out: Path) -> None:
+        """Write model.toml, result.json and report.html to the folder ``out``, which is created if it is missing."""
+        out.mkdir(parents=True, exist_ok=True)
+        logs = [f"{x.path} sha256:{x.sha256[:16]}" for x in self.result.logs]
+        made = {
+            "made_by": self.result.command,
+            "created": self.result.created,
+            "seatrial": self.result.seatrial,
+            "logs": logs,
+        }
+        save_curve(out / "model.toml", self.measured, self.levels, self.quadratic, made)
+        write_result(self.result, out / "result.json")
+        write_report(self.result, out / "report.html")
+
+
 def characterise(request: ThrusterRequest, command: str, reporter: Reporter) -> ThrusterResult | ThrustCurveResult:
+    """Fit the thruster model or a static curve (`fit_thruster`), write its files to ``request.out``, return its result.
+
+    The files are model.toml, result.json and report.html, and for a thruster model those of `write_tables`.
+    """
+    found = fit_thruster(request, command, reporter)
+    found.write(request.out)
+    return found.result
+
+
+def fit_thruster(request: ThrusterRequest, command: str, reporter: Reporter) -> ThrusterFit | CurveFit:
     """Fit the thruster model to bench logs of one thruster, or a static thrust curve if they have no shaft speed.
 
-    The model has a thrust only if all logs have a measured force.
-
-    The files are model.toml, result.json and report.html in the folder ``request.out``, and for a thruster model those
-    of `write_tables`.
+    The model has a thrust only if all logs have a measured force. No file is written.
 
     Parameters
     ----------
     request : ThrusterRequest
-        Logs and options.
+        Logs and options, of which the folder is not used.
     command : str
         Command line, for the provenance.
     reporter : Reporter
         Receives progress.
-
-    Returns
-    -------
-    ThrusterResult or ThrustCurveResult
-        Content of result.json.
 
     Raises
     ------
@@ -188,10 +252,7 @@ def characterise(request: ThrusterRequest, command: str, reporter: Reporter) -> 
         FitContext(model.values, [*notes, *fitted.outlier_notes]),
         calibration,
     )
-    ranges = {"n_cmd": _value_range(np.concatenate([r.u[:, 0] for r in records]))}
-    write_all(request.out, result, fit, ranges, calibration=calibration)
-    write_tables(request.out, result)
-    return result
+    return ThrusterFit(fitted, result, calibration)
 
 
 def write_tables(out: Path, result: ThrusterResult) -> None:
@@ -386,26 +447,17 @@ def _static_force(fitted: Fit, records: Sequence[Record], steady: SteadyBench | 
     return StaticForce(n=n, force=force, sd=sd, n_model=grid, force_model=force_model, force_sd=force_sd)
 
 
-def _value_range(z: Array) -> tuple[float, float]:
-    """Return minimum and maximum of the values z (n,) of a signal, for the range of validity in model.toml."""
-    return float(z.min()), float(z.max())
-
-
-def static_curve(
-    loaded: Sequence[LoadedLog], request: ThrusterRequest, command: str, reporter: Reporter
-) -> ThrustCurveResult:
-    """Fit a static thrust curve to one bench log with force and command, and write the results.
+def static_curve(loaded: Sequence[LoadedLog], request: ThrusterRequest, command: str, reporter: Reporter) -> CurveFit:
+    """Fit a static thrust curve to one bench log with force and command.
 
     The curve goes through steady levels: means of the force over the times in which the command is constant.
-
-    The files are model.toml, result.json and report.html in the folder ``request.out``.
 
     Parameters
     ----------
     loaded : sequence of LoadedLog
         The log, as the only element.
     request : ThrusterRequest
-        Options, of which the name of the thruster, the folder and the time to settle are used.
+        Options, of which the name of the thruster and the time to settle are used.
     command : str
         Command line, for the provenance.
     reporter : Reporter
@@ -421,7 +473,7 @@ def static_curve(
         raise SeatrialError(f"{loaded[1].about['path']}: a static curve is fitted to one log only; give one log")
     log = loaded[0]
     channels, where = log.run.channels, log.about["path"]
-    names, out = _changing_commands(log, request.name), request.out
+    names = _changing_commands(log, request.name)
     if "force" not in channels:
         raise SeatrialError(
             f"{where}: no signal 'force' of a load cell, which a static curve needs; the log has "
@@ -449,17 +501,7 @@ def static_curve(
         static=_curve_points(levels, curve, quadratic),
         notes=(*drifts, *curve_notes(levels, measured, quadratic)),
     )
-    out.mkdir(parents=True, exist_ok=True)
-    made = {
-        "made_by": command,
-        "created": result.created,
-        "seatrial": result.seatrial,
-        "logs": [f"{where} sha256:{log.about['sha256'][:16]}"],
-    }
-    save_curve(out / "model.toml", measured, levels, quadratic, made)
-    write_result(result, out / "result.json")
-    write_report(result, out / "report.html")
-    return result
+    return CurveFit(measured, levels, quadratic, result)
 
 
 def is_static(loaded: Sequence[LoadedLog], name: str | None) -> bool:

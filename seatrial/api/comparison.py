@@ -7,9 +7,10 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from seatrial.api.fits import FittedDiagnosis, FittedVehicle, Logs, model_path, window_of
+from seatrial.api.fits import FittedResult, Logs, model_path, window_of
 from seatrial.api.logs import as_paths
 from seatrial.api.messages import Messages, errors_of_users
+from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import import_library
 
@@ -21,7 +22,7 @@ Models = Sequence[AnyModel] | Mapping[str, AnyModel]
 
 
 @dataclass(frozen=True, repr=False)
-class Comparison:
+class Comparison(Shown):
     """Comparison of fitted models by their prediction errors on the same logs. `compare` returns it.
 
     Attributes
@@ -67,6 +68,15 @@ class Comparison:
         """
         columns = {name: dict(m.rms) for name, m in zip(self.names, self.found.models, strict=True)}
         return import_library("pandas").DataFrame(columns)
+
+    def _content(self) -> Content:
+        """Return the best model, and the RMS prediction errors: a row for each channel, a column for each model."""
+        rows = [
+            (channel, *(number(m.rms.get(channel), 3) for m in self.found.models), unit or "1")
+            for channel, unit in self.found.units.items()
+        ]
+        answer = f"Smallest prediction error {self.found.horizon:g} s ahead: {self.best}."
+        return Content(answer, (), ("RMS error", *self.names, "unit"), rows)
 
     def __repr__(self) -> str:
         """Return the text of `summary`, which the interpreter shows."""
@@ -129,4 +139,4 @@ def _name_of(model: AnyModel, index: int) -> str:
 
     if isinstance(model, Saved):
         return str(model.path)
-    return f"model {index + 1}" if isinstance(model, FittedVehicle | FittedDiagnosis) else str(model)
+    return f"model {index + 1}" if isinstance(model, FittedResult) else str(model)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, TypeVar, Unpack
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, TypeVar, Unpack, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +19,12 @@ from seatrial.api.figures import Figure
 from seatrial.api.findings import DiagnosisFindings
 from seatrial.api.logs import Log, PathLike, as_paths
 from seatrial.api.messages import Messages, errors_of_users
+from seatrial.api.shown import Content, Shown
 from seatrial.daq.errors import SeatrialError, closest_name
-from seatrial.daq.log import import_library
 
 if TYPE_CHECKING:
     from seatrial.api.loading import Saved
+    from seatrial.api.motion import Linearisation, Steady
     from seatrial.ident.diagnosis import Diagnosis
     from seatrial.ident.estimation import FittedModel, RecordEvaluation
     from seatrial.ident.results import DiagnosisResult, FitResult, VehicleResult
@@ -174,7 +175,7 @@ class Prediction(NamedTuple):
 
 
 @dataclass(frozen=True, repr=False)
-class FitReport:
+class FitReport(Shown):
     """Result of a fit as an object: estimates with their uncertainty, tables and the figure of its predictions.
 
     Attributes
@@ -241,8 +242,7 @@ class FitReport:
         SeatrialError
             If pandas is not installed.
         """
-        rows = [tables.statistics(row) for row in self.result.fit.parameters]
-        return import_library("pandas").DataFrame(rows, columns=list(tables.Statistics._fields)).set_index("name")
+        return tables.frame(self.result)
 
     def plot(self, *channels: str) -> Figure:
         """Return a figure of measured and predicted channels over the horizon, of all records of the result.
@@ -263,9 +263,9 @@ class FitReport:
         """Return a short text for the interpreter: class of the result, name of the model, and `answer`."""
         return f"<{type(self).__name__}: {self.result.fit.model}>\n{self.answer}\nsummary() has the estimates."
 
-    def _repr_html_(self) -> str:
-        """Return answer, warnings and a table of the estimates as HTML, which a notebook shows."""
-        return tables.as_html(self.result)
+    def _content(self) -> Content:
+        """Return answer, warnings and the table of the estimates."""
+        return tables.content(self.result)
 
 
 @dataclass(frozen=True, repr=False)
@@ -420,6 +420,16 @@ class FittedResult(FitReport):
         """
         return plots.residual_figure(self.residuals(on), channels)
 
+    def save(self, folder: PathLike) -> Path:
+        """Write the files of the command to a folder, and return its path.
+
+        Parameters
+        ----------
+        folder : path
+            Folder, which is created if it does not exist. Existing files of the same names are replaced.
+        """
+        raise NotImplementedError
+
     @cached_property
     def _evaluation(self) -> PredictionEvaluation:
         """Evaluation of the model over the horizon of its result."""
@@ -447,7 +457,47 @@ class FittedResult(FitReport):
         return self.fitted.validation if on != "estimation" and self.fitted.validation else self.fitted.estimation
 
 
-class FittedVehicle(FittedResult):
+class MotionMethods:
+    """Steady motion and linear models of a boat, as methods of its fitted or loaded model."""
+
+    def linearise(self, speed: float) -> Linearisation:
+        """Linearise the model about straight motion at a forward speed [m/s], as `st.linearise`.
+
+        Parameters
+        ----------
+        speed : float
+            Forward speed through the water [m/s], not zero.
+
+        Raises
+        ------
+        SeatrialError
+            If the model has no forward speed, as that of a thruster, or if the boat does not reach this speed.
+        """
+        from seatrial.api.motion import linearise
+
+        return linearise(cast(Any, self), speed)
+
+    def steady(self, means: Sequence[float] = (0.0, 0.5), points: int = 41) -> Steady:
+        """Compute the steady speed and the steady turn rate over the command in still water, as `st.steady`.
+
+        Parameters
+        ----------
+        means : sequence of float
+            Means of the left and the right command in turns, as parts of the largest command, 0 to 1.
+        points : int
+            Number of commands of each curve, at least 3.
+
+        Raises
+        ------
+        SeatrialError
+            If the model has neither a speed nor a turn rate, as that of a thruster.
+        """
+        from seatrial.api.motion import steady
+
+        return steady(cast(Any, self), means, points)
+
+
+class FittedVehicle(MotionMethods, FittedResult):
     """Vehicle model that was fitted to logs. `fit` returns it."""
 
     result: VehicleResult
@@ -467,7 +517,7 @@ class FittedVehicle(FittedResult):
 
 
 @dataclass(frozen=True, repr=False)
-class FittedDiagnosis(DiagnosisFindings, FittedResult):
+class FittedDiagnosis(DiagnosisFindings, MotionMethods, FittedResult):
     """Diagnosis of a model: the effects that it lacks, and the model with these effects. `diagnose` returns it.
 
     Attributes
@@ -653,7 +703,7 @@ def model_path(model: PathLike | FittedResult | Saved) -> Iterator[Path]:
     SeatrialError
         If the path does not exist.
     """
-    if isinstance(model, FittedVehicle | FittedDiagnosis):
+    if isinstance(model, FittedResult):
         from seatrial.ident.models import is_own_model
 
         with ExitStack() as stack:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, Unpack
 from seatrial.api.fits import FitOptions, Logs, vehicle_request, window_of
 from seatrial.api.logs import PathLike, as_paths
 from seatrial.api.messages import Messages, errors_of_users, text_of
+from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import import_library
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, repr=False)
-class FittedFleet:
+class FittedFleet(Shown):
     """One model that was fitted to each of many logs. `fit_many` returns it.
 
     Attributes
@@ -78,6 +79,15 @@ class FittedFleet:
     def summary(self) -> str:
         """Return the answer, the differences between the logs and the failed logs as text, as the command does."""
         return text_of(self.result)
+
+    def _content(self) -> Content:
+        """Return the answer, the failed logs, and the mean of each parameter with its differences between the logs."""
+        rows = [
+            (p.name, str(p.n), number(p.mean), number(p.se_mean, 2), number(p.sd, 2), number(p.p, 2), p.unit)
+            for p in self.result.parameters
+        ]
+        failed = [f"{log}: {reason}" for log, reason in self.failed.items()]
+        return Content(self.answer, failed, ("", "logs", "mean", "s.e.", "sd between logs", "p", "unit"), rows)
 
     def __repr__(self) -> str:
         """Return a short text for the interpreter: number of logs, and `answer`."""

@@ -12,19 +12,21 @@ from numpy.typing import ArrayLike
 
 from seatrial.api import tables
 from seatrial.api.findings import DiagnosisFindings
-from seatrial.api.fits import FittedDiagnosis, FittedVehicle, Series, known_options, model_path
+from seatrial.api.fits import FittedResult, MotionMethods, Series, known_options, model_path
 from seatrial.api.logs import PathLike
 from seatrial.api.messages import errors_of_users
 from seatrial.api.plots import prediction_figure
-from seatrial.daq.errors import SeatrialError, warn
+from seatrial.api.shown import Content, Shown, number
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.log import import_library
 
 if TYPE_CHECKING:
     from seatrial.api.figures import Figure
     from seatrial.ident.estimation import SavedModel
-    from seatrial.ident.export import Linearisation
-    from seatrial.ident.model import Model
+    from seatrial.ident.model import Model, Parameter
 
 MODEL, RESULT = "model.toml", "result.json"
+MODEL_COLUMNS = ("value", "se", "unit", "meaning")  # of the table of a model without its result
 
 
 class ExportOptions(TypedDict, total=False):
@@ -65,7 +67,7 @@ class ExportOptions(TypedDict, total=False):
 
 
 @dataclass(frozen=True, repr=False)
-class Saved:
+class Saved(MotionMethods, Shown):
     """Files of a fit that were read from disk. `load` returns it.
 
     Attributes
@@ -94,7 +96,7 @@ class Saved:
         SeatrialError
             If no model.toml was loaded.
         """
-        return dict(self._saved_model().model.values)
+        return dict(self.saved_model().model.values)
 
     @property
     def standard_errors(self) -> dict[str, float]:
@@ -105,7 +107,7 @@ class Saved:
         SeatrialError
             If no model.toml was loaded.
         """
-        return dict(self._saved_model().errors)
+        return dict(self.saved_model().errors)
 
     @property
     def answer(self) -> str:
@@ -149,11 +151,51 @@ class Saved:
             raise SeatrialError(f"{self.path}: no {RESULT} of a fit was loaded; load the folder that contains it")
         return prediction_figure(self.result, channels)
 
-    def _saved_model(self) -> SavedModel:
-        """Return the loaded content of model.toml; SeatrialError if no model.toml was loaded."""
+    def to_pandas(self) -> Any:
+        """Return the parameters as a ``pandas.DataFrame`` with a row for each.
+
+        If the result of a fit was loaded, the columns are those of `FittedVehicle.to_pandas`. Otherwise they are value,
+        se, unit and meaning, from the model.
+
+        Raises
+        ------
+        SeatrialError
+            If neither the result of a fit nor a model was loaded, or if pandas is not installed.
+        """
+        if hasattr(self.result, "fit"):
+            return tables.frame(self.result)
+        rows = [
+            (p.name, p.value, self.standard_errors.get(p.name, np.nan), p.unit, p.meaning) for p in self._parameters
+        ]
+        return import_library("pandas").DataFrame(rows, columns=("name", *MODEL_COLUMNS)).set_index("name")
+
+    def saved_model(self) -> SavedModel:
+        """Return the loaded content of model.toml (`seatrial.ident.estimation.SavedModel`).
+
+        Raises
+        ------
+        SeatrialError
+            If no model.toml was loaded.
+        """
         if self.model is None:
             raise SeatrialError(f"{self.path}: no {MODEL} was loaded; load the folder that contains it")
         return self.model
+
+    @property
+    def _parameters(self) -> tuple[Parameter, ...]:
+        """Parameters of the loaded model with their values; SeatrialError without a model."""
+        return self.saved_model().model.parameters
+
+    def _content(self) -> Content:
+        """Return the content of the result of a fit; otherwise the parameters of the model, if there is one."""
+        if hasattr(self.result, "fit"):
+            return tables.content(self.result)
+        notes = [] if self.result is None else [w.text for w in self.result.warnings]
+        if self.model is None:
+            return Content(self.answer, notes)
+        errors = self.standard_errors
+        rows = [(p.name, number(p.value), number(errors.get(p.name), 2), p.unit) for p in self._parameters]
+        return Content(self.answer or self.model.model.name, notes, ("", "value", "s.e.", "unit"), rows)
 
     def __repr__(self) -> str:
         """Return a short text for the interpreter: path, name of the model, and the answer of the result if any."""
@@ -208,7 +250,7 @@ def load(path: PathLike) -> Saved:
 
 
 def simulate(
-    model: PathLike | Saved | FittedVehicle | FittedDiagnosis,
+    model: PathLike | Saved | FittedResult,
     t: ArrayLike,
     inputs: Mapping[str, ArrayLike],
     start: Mapping[str, float] | None = None,
@@ -217,7 +259,7 @@ def simulate(
 
     Parameters
     ----------
-    model : path, `Saved`, `FittedVehicle` or `FittedDiagnosis`
+    model : path, `Saved`, `FittedVehicle`, `FittedDiagnosis` or `FittedThruster`
         The model.
     t : Array (n,)
         Times [s] of the input samples, increasing. Between samples, an input is constant or linear, as in the model.
@@ -247,6 +289,8 @@ def simulate(
     """
     from seatrial.ident.data import Channel, build_record
     from seatrial.ident.estimation import simulate as integrate
+    from seatrial.ident.model import ModelKind
+    from seatrial.ident.models import delay_step, delayed_channels
 
     structure, times = _structure(model), np.asarray(t, dtype=float)
     named = {name: np.asarray(values, dtype=float) for name, values in inputs.items()}
@@ -260,6 +304,11 @@ def simulate(
     if unknown := [n for n in named if n not in known]:
         raise SeatrialError(f"the model has no input {unknown[0]!r}; its inputs are {', '.join(sorted(known))}")
     channels = {name: Channel(times, values) for name, values in named.items()}
+    if structure.kind is ModelKind.BENCH:
+        (command,) = {i.tap_of for i in structure.inputs if i.tap_of}  # the model has delayed copies of it as inputs
+        if command not in channels:
+            raise SeatrialError(f"input {command}: give its value at each time, such as {{{command!r}: 0.5 + 0 * t}}")
+        channels |= delayed_channels(channels[command], delay_step(structure))
     # A record needs samples of a sensor. They only define the rows: the simulation does not use their values.
     sensor = structure.sensors[0]
     channels |= {o.name: Channel(times, np.zeros(times.size)) for o in sensor.outputs}
@@ -276,53 +325,8 @@ def simulate(
     return found | {name: Series(times[0] + run.t, run.x[:, j]) for j, name in enumerate(states)}
 
 
-def linearise(model: PathLike | Saved | FittedVehicle | FittedDiagnosis, speed: float) -> Linearisation:
-    """Linearise a fitted model about straight motion at a constant forward speed, without current.
-
-    Parameters
-    ----------
-    model : path, `Saved`, `FittedVehicle` or `FittedDiagnosis`
-        The model.
-    speed : float
-        Forward speed through the water [m/s], not zero.
-
-    Returns
-    -------
-    Linearisation
-        Matrices A and B with their states and inputs, the operating point, poles, time constants and step responses.
-        A speed outside those of the fitted data gives a `SeatrialWarning`.
-
-    Raises
-    ------
-    SeatrialError
-        If the model has no forward speed, or if the boat does not reach this speed.
-
-    Examples
-    --------
-    >>> at_half_a_metre = st.linearise("vehicle", 0.5)
-    >>> at_half_a_metre.time_constants
-    """
-    from seatrial.ident.estimation import load_model
-    from seatrial.ident.export import linearise as about_speed
-
-    with errors_of_users():
-        if isinstance(model, Saved):
-            saved = model._saved_model()
-        else:
-            with model_path(model) as path:
-                saved = load_model(path)
-        found = about_speed(saved, speed)
-    low, high = saved.validity.get("u", (-np.inf, np.inf))
-    if not low <= speed <= high:
-        text = (
-            f"{speed:g} m/s is outside the speeds of the fitted data, {low:.3g} to {high:.3g} m/s; choose one of these"
-        )
-        warn(text)
-    return found
-
-
 def export(
-    model: PathLike | Saved | FittedVehicle | FittedDiagnosis,
+    model: PathLike | Saved | FittedResult,
     folder: PathLike,
     format: Literal["python", "casadi", "c", "ros2", "fmu", "gazebo", "vrx"],
     **options: Unpack[ExportOptions],
@@ -331,7 +335,7 @@ def export(
 
     Parameters
     ----------
-    model : path, `Saved`, `FittedVehicle` or `FittedDiagnosis`
+    model : path, `Saved`, `FittedVehicle`, `FittedDiagnosis` or `FittedThruster`
         The model.
     folder : path
         Folder for the file; it is created if it does not exist.
@@ -382,12 +386,12 @@ def export(
     return file
 
 
-def _structure(model: PathLike | Saved | FittedVehicle | FittedDiagnosis) -> Model:
+def _structure(model: PathLike | Saved | FittedResult) -> Model:
     """Return the model (equations, parameters, sensors) with its estimates as the values of the parameters.
 
     `model` is a file, a folder, a loaded or a fitted model. SeatrialError is raised if there is no model.toml.
     """
-    if isinstance(model, FittedVehicle | FittedDiagnosis):
+    if isinstance(model, FittedResult):
         return model.fitted.fit.model
     saved = model if isinstance(model, Saved) else load(model)
-    return saved._saved_model().model
+    return saved.saved_model().model

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from seatrial.api.figures import Figure
 from seatrial.api.messages import errors_of_users
+from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.checks import FAULT, WARNING, Finding, findings_lines, findings_summary, worst_first
-from seatrial.daq.errors import SeatrialError
+from seatrial.daq.errors import SeatrialError, counted
 from seatrial.daq.log import import_library
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ class Signal:
 
 
 @dataclass(frozen=True, repr=False)
-class Log:
+class Log(Shown):
     """Log, or a window of it, with the signals that models use.
 
     Attributes
@@ -92,6 +93,15 @@ class Log:
         if name not in self.signals:
             raise KeyError(f"{self.path.name} has no signal {name!r}; it has {', '.join(self.signals)}")
         return self.signals[name]
+
+    def _content(self) -> Content:
+        """Return name and duration of the log, and a table of its signals."""
+        rows = [
+            (s.name, s.unit, str(s.t.size), number(1.0 / float(np.median(np.diff(s.t))), 3) if s.t.size > 1 else "")
+            for s in self.signals.values()
+        ]
+        answer = f"{self.path.name}: {self.duration:.1f} s, {counted(len(rows), 'signal')}"
+        return Content(answer, (), ("signal", "unit", "samples", "rate [Hz]"), rows)
 
     def __repr__(self) -> str:
         """Return a short text for the interpreter: file name, duration and the names of the first 12 signals."""
@@ -226,7 +236,7 @@ def import_log(
     return made
 
 
-class Findings(tuple[Finding, ...]):
+class Findings(Shown, tuple[Finding, ...]):
     """Findings of a check as a tuple, the worst first. `check` returns it.
 
     Each finding has ``level`` (ok, warning or fault), ``code``, ``check``, ``where``, ``text`` and ``advice``.
@@ -243,6 +253,11 @@ class Findings(tuple[Finding, ...]):
     def warnings(self) -> list[Finding]:
         """Findings of the level warning, which need attention; empty if there are none."""
         return [f for f in self if f.level == WARNING]
+
+    def _content(self) -> Content:
+        """Return the numbers of faults and warnings, and a table of the findings."""
+        rows = [(f.level, f.check, f.where, f.text, f.advice) for f in self]
+        return Content(findings_summary(self), (), ("level", "check", "where", "finding", "advice"), rows)
 
     def __repr__(self) -> str:
         """Return one line for each finding, and a line with the numbers of faults and warnings."""

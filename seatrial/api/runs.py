@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, TypeVar, Unpack
@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.api.fits import (
-    FitReport,
     FittedDiagnosis,
+    FittedResult,
     FittedVehicle,
     Logs,
     known_options,
@@ -24,6 +24,7 @@ from seatrial.api.fits import (
 )
 from seatrial.api.logs import PathLike, as_paths
 from seatrial.api.messages import Messages, errors_of_users
+from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.files import write_output
 from seatrial.daq.log import import_library
@@ -118,7 +119,7 @@ class DesignOptions(TypedDict, total=False):
 
 
 @dataclass(frozen=True, repr=False)
-class WrittenResult:
+class WrittenResult(Shown):
     """Result of a workflow, with the files that the command of the same name would write.
 
     Attributes
@@ -130,7 +131,7 @@ class WrittenResult:
     """
 
     result: Any
-    files: Files = field(repr=False, default_factory=dict)
+    files: Files
 
     @property
     def answer(self) -> str:
@@ -141,6 +142,10 @@ class WrittenResult:
     def warnings(self) -> list[str]:
         """Warnings of the result, as sentences; empty if there are none."""
         return [w.text for w in self.result.warnings]
+
+    def _content(self) -> Content:
+        """Return answer and warnings."""
+        return Content(self.answer, self.warnings)
 
     def save(self, folder: PathLike) -> Path:
         """Write the files of the command to a folder, and return its path.
@@ -158,18 +163,33 @@ class WrittenResult:
 
 
 @dataclass(frozen=True, repr=False)
-class FittedThruster(FitReport, WrittenResult):
+class FittedThruster(FittedResult, WrittenResult):
     """Model of a thruster that was fitted to bench logs. `thruster` returns it.
+
+    It has no ``linearise`` and no ``steady``, which are those of a boat: the steady force over the command is
+    ``result.static``, and the frequency response of the shaft ``result.shaft_response``.
 
     Attributes
     ----------
     result : ThrusterResult
         Content of result.json.
+    fitted : FittedModel
+        The fitted model with its records (`seatrial.ident.estimation.FittedModel`). A bench has no validation data.
     files : dict of str to bytes
         Files that ``save`` writes: model.toml, result.json and report.html.
     """
 
     result: ThrusterResult
+
+    def save(self, folder: PathLike) -> Path:
+        """Write the files of the command to a folder, and return its path.
+
+        Parameters
+        ----------
+        folder : path
+            Folder, which is created if it does not exist. Existing files of the same names are replaced.
+        """
+        return WrittenResult.save(self, folder)
 
 
 @dataclass(frozen=True, repr=False)
@@ -201,6 +221,15 @@ class ThrustCurve(WrittenResult):
         """
         static = self.result.static
         return import_library("pandas").DataFrame({"n": static.n, "force": static.force, "se": static.sd})
+
+    def _content(self) -> Content:
+        """Return answer, warnings and the measured points of the curve."""
+        static = self.result.static
+        rows = [
+            (number(n, 3), number(force), number(se, 2))
+            for n, force, se in zip(static.n, static.force, static.sd, strict=True)
+        ]
+        return Content(self.answer, self.warnings, ("command n", "force [N]", "s.e. [N]"), rows)
 
     def __repr__(self) -> str:
         """Return a short text for the interpreter: number of points of the curve, and `answer`."""
@@ -252,6 +281,23 @@ class Navigated(WrittenResult):
         frames = [pandas.DataFrame({"log": name, **columns}) for name, columns in self.states.items()]
         return pandas.concat(frames, ignore_index=True)
 
+    def _content(self) -> Content:
+        """Return answer, warnings and a table of the GNSS outages; without outages, of the states at the end."""
+        if self.result.outages:
+            outages = [
+                (o.record, number(o.start), number(o.duration), number(o.at_end.radius, 3), number(o.error, 3))
+                for o in self.result.outages
+            ]
+            columns = ("outage in", "from [s]", "for [s]", "95 % radius [m]", "error [m]")
+            return Content(self.answer, self.warnings, columns, outages)
+        ends = [
+            (log, name, number(values[-1]), number(states[f"sd_{name}"][-1], 2))
+            for log, states in self.states.items()
+            for name, values in states.items()
+            if f"sd_{name}" in states
+        ]
+        return Content(self.answer, self.warnings, ("log", "state at the end", "value", "s.d."), ends)
+
     def __repr__(self) -> str:
         """Return a short text for the interpreter: names of the logs, and `answer`."""
         return f"<Navigated: {', '.join(self.states)}>\n{self.answer}"
@@ -286,8 +332,7 @@ def thruster(logs: Logs, **options: Unpack[ThrusterOptions]) -> FittedThruster |
     """
     from seatrial.ident.data import WHOLE
     from seatrial.ident.estimation import EstimationOptions
-    from seatrial.ident.results import ThrusterResult
-    from seatrial.ident.workflows.thruster import ThrusterRequest, characterise
+    from seatrial.ident.workflows.thruster import ThrusterFit, ThrusterRequest, fit_thruster
 
     given = known_options(options, ThrusterOptions)
     reporter = Messages(given.pop("progress", False))
@@ -298,12 +343,17 @@ def thruster(logs: Logs, **options: Unpack[ThrusterOptions]) -> FittedThruster |
         raise SeatrialError("a thruster is fitted to whole logs: open them without start and end")
 
     def work(out: Path) -> Any:
-        """Fit the thruster, write the files of the command to the folder `out`, and return the result."""
-        request = ThrusterRequest(paths, out, estimation=how, **given)
-        return characterise(request, python_call("thruster", paths), reporter)
+        """Fit the thruster, write the files of the command to the folder `out`, and return the fit."""
+        found = fit_thruster(
+            ThrusterRequest(paths, out, estimation=how, **given), python_call("thruster", paths), reporter
+        )
+        found.write(out)
+        return found
 
-    result, files = _with_files(work)
-    return FittedThruster(result, files) if isinstance(result, ThrusterResult) else ThrustCurve(result, files)
+    found, files = _with_files(work)
+    if isinstance(found, ThrusterFit):
+        return FittedThruster(result=found.result, files=files, fitted=found.fitted)
+    return ThrustCurve(found.result, files)
 
 
 def navigate(
@@ -359,7 +409,10 @@ def navigate(
 
 
 def design(
-    model: PathLike | FittedVehicle | FittedDiagnosis | Saved, out: PathLike, **options: Unpack[DesignOptions]
+    model: PathLike | FittedVehicle | FittedDiagnosis | Saved,
+    out: PathLike,
+    force: bool = False,
+    **options: Unpack[DesignOptions],
 ) -> DesignResult:
     """Design the next mission: commands that inform the parameters of a model most, as ``seatrial mission design``.
 
@@ -368,7 +421,9 @@ def design(
     model : path, name, `Saved`, `FittedVehicle` or `FittedDiagnosis`
         A fitted model, or the name of a structure, such as ``horizontal:command``.
     out : path
-        File of the mission, which must not exist. A .json file and an .html page are written beside it.
+        File of the mission. A .json file and an .html page are written beside it.
+    force : bool
+        Whether existing files are replaced. If false, an existing file is an error.
     **options
         `DesignOptions`: duration, steps, criterion, chosen, between, n_max, slew, shortest, rates, evaluations, seed,
         progress.
@@ -381,7 +436,7 @@ def design(
     Raises
     ------
     SeatrialError
-        If the model or an option cannot be used, or if a file exists.
+        If the model or an option cannot be used, or if a file exists and ``force`` is false.
 
     Examples
     --------
@@ -397,7 +452,7 @@ def design(
     fitted = isinstance(model, FittedVehicle | FittedDiagnosis | Saved) or Path(str(model)).exists()
     with errors_of_users(), model_path(model) if fitted else nullcontext(Path(str(model))) as source:
         request = DesignRequest(**given)
-        return make_design(str(source), request, Path(out), f"seatrial.design(out={str(out)!r})", reporter)
+        return make_design(str(source), request, Path(out), f"seatrial.design(out={str(out)!r})", reporter, force)
 
 
 def _with_files(work: Callable[[Path], T]) -> tuple[T, Files]:

@@ -1,10 +1,12 @@
-"""Tables of estimates as text, HTML and rows."""
+"""Tables of estimates as text, rows and data frames."""
 
 from __future__ import annotations
 
-import html
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from seatrial.api.shown import Content
+from seatrial.daq.log import import_library
 
 if TYPE_CHECKING:
     from seatrial.ident.results import FitResult, ParameterRow, Result
@@ -109,19 +111,19 @@ def summary(result: FitResult) -> str:
     return "\n".join(lines)
 
 
-def as_html(result: FitResult) -> str:
-    """Return the result of a fit as HTML for a notebook: conclusion (`answer`), warnings and a table of the estimates.
+def content(result: FitResult) -> Content:
+    """Return what a notebook shows of a fit: its `answer`, its warnings and the table of the estimates.
 
     Fixed parameters, and the flags of estimates, are left out.
     """
+    rows = [_cells(row) for row in map(statistics, result.fit.parameters) if row.free]
+    return Content(result.answer, [w.text for w in result.warnings], COLUMNS, rows)
+
+
+def frame(result: FitResult) -> Any:
+    """Return the parameters of a fit as a ``pandas.DataFrame`` with a row for each; SeatrialError without pandas."""
     rows = [statistics(row) for row in result.fit.parameters]
-    head = "".join(f"<th>{html.escape(c)}</th>" for c in COLUMNS)
-    body = "".join(f"<tr>{''.join(f'<td>{html.escape(c)}</td>' for c in _cells(row))}</tr>" for row in rows if row.free)
-    notes = "".join(f"<p>⚠ {html.escape(w.text)}</p>" for w in result.warnings)
-    return (
-        f"<p><b>{html.escape(result.answer)}</b></p>{notes}"
-        f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-    )
+    return import_library("pandas").DataFrame(rows, columns=list(Statistics._fields)).set_index("name")
 
 
 def _cells(row: Statistics) -> tuple[str, ...]:

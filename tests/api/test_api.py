@@ -13,6 +13,7 @@ import tomllib
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -256,6 +257,131 @@ def test_linearisation_is_shown_in_a_few_lines_and_warns_outside_the_data(fit: s
     assert repr(at).count("time constant") == len(at.poles)
     with pytest.warns(SeatrialWarning, match=r"1.8 m/s is outside the speeds of the fitted data"):
         st.linearise(fit, 1.8)
+
+
+def test_linear_model_has_table_and_figures_with_errors(fit: st.FittedVehicle, tmp_path: Path) -> None:
+    at, saved = fit.linearise(0.5), st.load(fit.save(tmp_path / "fit"))
+    table = at.to_pandas()
+    assert list(table.columns) == ["real", "imaginary", "time_constant", "se", "frequency", "damping"]
+    np.testing.assert_allclose(table["time_constant"], -1.0 / table["real"])
+    # The surge has the time constant m_u / (d_u + 2 d_uu u), and its standard error follows from their covariance.
+    drag = fit.params["d_u"] + 2 * fit.params["d_uu"] * 0.5
+    T = fit.params["m_u"] / drag
+    k = [fit.free.index(n) for n in ("m_u", "d_u", "d_uu")]
+    slope = np.array([1 / drag, -T / drag, -T / drag])
+    row = table.iloc[int(np.argmin(np.abs(table["time_constant"] - T)))]
+    assert row["time_constant"] == pytest.approx(T, rel=1e-3)
+    assert row["se"] == pytest.approx(np.sqrt(slope @ fit.cov[np.ix_(k, k)] @ slope), rel=0.05)
+    again = saved.linearise(0.5)
+    np.testing.assert_allclose(again.A, at.A, rtol=1e-9)
+    np.testing.assert_allclose(again.to_pandas()["se"], table["se"], rtol=1e-3)
+
+    bode = at.plot_bode()
+    lines = [trace for trace in bode.data if trace["name"]]
+    assert [trace["name"] for trace in lines[:3]] == ["u [m/s], straight", "v [m/s], turn", "r [deg/s], turn"]
+    assert len({(trace["line"]["color"], trace["line"]["dash"]) for trace in lines[:3]}) == 3
+    assert len(bode.data) == 2 * 6  # gain and phase of three states, each with its band
+    assert bode.layout["xaxis"]["type"] == "log"
+    assert [trace["name"] for trace in at.plot_bode("turn", "r").data if trace["name"]] == 2 * ["r [deg/s], turn"]
+    with pytest.raises(SeatrialError, match=r"p: does not respond to these inputs; the states are u, v, r"):
+        at.plot_bode("turn", "p")
+    step = at.plot_step({"n_left": 1.0}, size=0.2, t=np.linspace(0.0, 5.0, 20))
+    rise = next(trace for trace in step.data if trace["name"] == "u")
+    assert rise["y"][-1] == pytest.approx(0.2 * at.step_response("n_left", np.array([5.0]))["u"][0], rel=1e-4)
+    step.save(tmp_path / "step.html")
+
+
+def test_steady_motion_is_that_of_a_long_simulation(fit: st.FittedVehicle, tmp_path: Path) -> None:
+    steady, saved = fit.steady(means=(0.5,), points=21), st.load(fit.save(tmp_path / "fit"))
+    assert steady.straight is not None
+    np.testing.assert_allclose(steady.straight.value, saved.steady((0.5,), 21).curves[0].value, rtol=1e-6)
+    # The simulation has the current of the fit, the steady motion is through the water.
+    model = tmp_path / "fit/model.toml"
+    text = re.sub(r"(name = \"(V_x|V_y)\"(?:\n.+)*?\nvalue = ).*", r"\g<1>0.0", model.read_text())
+    model.write_text(text)
+    assert st.load(model).params["V_x"] == 0.0
+    (turn,), t = steady.turns, np.arange(0.0, 120.0, 0.1)
+    k = turn.command.size - 3
+    commands = {"n_left": turn.mean + turn.command[k], "n_right": turn.mean - turn.command[k]}
+    motion = st.simulate(model, t, {n: np.full(t.size, c) for n, c in commands.items()})
+    assert turn.value[k] == pytest.approx(motion["r"].value[-1], rel=1e-3)
+    assert turn.sd[k] > 0.0
+    assert np.all(np.diff(steady.straight.value) > 0.0)
+    assert "The largest steady turn rate is" in steady.answer
+    assert {trace["name"] for trace in steady.plot().data} == {"", "speed", f"mean command {turn.mean:.2g}"}
+    frame = steady.to_pandas()
+    assert len(frame) == steady.straight.command.size + turn.command.size
+    with pytest.raises(SeatrialError, match="means 2: give parts of the largest command"):
+        fit.steady(means=(2.0,))
+    with pytest.raises(SeatrialError, match="points 2: give at least 3"):
+        fit.steady(points=2)
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> st.FittedThruster:
+    path = tmp_path_factory.mktemp("bench") / "bench.mcap"
+    bench_log(path, draw_bench(4), chirp_s=5.0, count=4)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SeatrialWarning)
+        found = st.thruster(path)
+    assert isinstance(found, st.FittedThruster)
+    return found
+
+
+def test_thruster_is_a_fitted_model_like_a_boat(bench: st.FittedThruster, tmp_path: Path) -> None:
+    se = dict(zip(bench.free, np.sqrt(np.diag(bench.cov)), strict=True))
+    assert se["c1"] == pytest.approx(bench.standard_errors["c1"], rel=1e-6)
+    (residuals,) = bench.residuals().values()
+    assert set(residuals) == {"n", "force"}
+    assert residuals["force"].value.std() == pytest.approx(1.0, abs=0.2)
+    (ahead,), (simulated,) = bench.predict().values(), bench.simulate().values()
+    assert ahead["force"].rms == pytest.approx(bench.result.errors.estimation.horizon["force"].after, rel=0.05)
+    assert simulated["force"].rms < 0.05 * np.ptp(simulated["force"].measured)
+    assert len(bench.plot_residuals("n").data) == 3
+    saved = st.load(bench.save(tmp_path / "bench"))
+    assert saved.to_pandas().loc["c1", "se"] == pytest.approx(se["c1"], rel=1e-6)
+    t = np.arange(0.0, 5.0, 0.02)
+    motions = [st.simulate(model, t, {"n_cmd": np.full(t.size, 0.5)}) for model in (bench, saved)]
+    assert motions[0]["force"].value[-1] == pytest.approx(motions[1]["force"].value[-1], rel=1e-6)
+    assert motions[0]["n"].value[-1] > 0.3
+    with pytest.raises(SeatrialError, match=r"input n_cmd: give its value at each time"):
+        st.simulate(bench, t, {})
+    with pytest.raises(SeatrialError, match="has no forward speed u"):
+        saved.linearise(0.5)
+    with pytest.raises(SeatrialError, match="has no steady motion: it needs a speed u"):
+        saved.steady()
+
+
+def test_notebooks_show_every_result(
+    logs: list[Path], fit: st.FittedVehicle, found: st.FittedDiagnosis, bench: st.FittedThruster, tmp_path: Path
+) -> None:
+    """Each result has its answer and a table whose numbers are its own."""
+    saved, again = st.load(fit.save(tmp_path / "fit")), st.load(found.save(tmp_path / "found"))
+    assert isinstance(again, st.SavedDiagnosis)
+    assert again.to_pandas().loc["eps_LR", "value"] == pytest.approx(found.params["eps_LR"], rel=1e-6)
+    only_model = st.load(tmp_path / "fit/model.toml")
+    assert only_model.to_pandas().loc["m_u", "value"] == pytest.approx(fit.params["m_u"], rel=1e-6)
+    compared = st.compare({"a<b": fit, "with": found}, logs[2])
+    drifted = st.navigate(fit, logs[2], gnss_outages=[(30.0, 50.0)])
+    shown: list[tuple[Any, tuple[str, str]]] = [
+        (saved, ("m_u", f"{fit.params['m_u']:.4g}")),
+        (again, ("eps_LR", f"{found.params['eps_LR']:.4g}")),
+        (only_model, ("m_u", f"{fit.params['m_u']:.4g}")),
+        (compared, ("a&lt;b", f"{compared.found.models[1].rms['r']:.3g}")),
+        (drifted, ("95 % radius", f"{drifted.result.outages[0].at_end.radius:.3g}")),
+        (st.navigate(fit, logs[2]), ("state at the end", "run3")),
+        (fit.linearise(0.5), ("time constant [s]", "stable")),
+        (fit.steady(), ("turn rate, mean", "deg/s")),
+        (bench, ("c1", f"{bench.params['c1']:.4g}")),
+        (st.open_log(logs[0]), ("psi", "run1.mcap")),
+        (st.check(logs[0]), ("finding", "advice")),
+    ]
+    for thing, words in shown:
+        text = thing._repr_html_()
+        assert text.count("<table>") == 1, type(thing)
+        assert text.count("<tr>") > 1, type(thing)
+        for word in words:
+            assert word in text, (type(thing), word)
 
 
 def test_export_writes_the_file_of_the_command(fit: st.FittedVehicle, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -70,8 +71,20 @@ def test_make_and_show_a_mission(capsys: pytest.CaptureFixture[str], tmp_path: P
     before = path.read_bytes()
     status, _, err = run(capsys, "mission", "generate", *words)
     assert status == 1
-    assert err == f"seatrial: {path} exists; give another name with -o\n"
+    assert err == f"seatrial: {path}: the file exists already; --force replaces it, -o names another\n"
     assert path.read_bytes() == before
+    status, out, err = run(capsys, "mission", "generate", *words, "--kind", "steps", "--force", "--json")
+    again = load_mission(path)
+    assert (status, err) == (0, f"{path}: {again.name}, {len(again.segments)} segments, 60 s\n")
+    made = json.loads(out)
+    assert (made["format"], made["path"], made["seed"], made["seconds"]) == ("seatrial-plan 1", str(path), 4, 60.0)
+    status, shown, err = run(capsys, "mission", "show", str(path), "--json")
+    assert (status, err) == (0, "")
+    assert json.loads(shown) == made
+    assert [(s["begin"], s["end"], s["name"]) for s in made["segments"]] == again.segment_times()
+    low, high = made["segments"][-1]["commands"]["port"]
+    assert -1.0 <= low <= high <= 1.0
+    assert made["slew_per_s"] is None
 
 
 @pytest.mark.parametrize(
@@ -165,7 +178,7 @@ def test_a_run_ends_with_a_hint_at_the_fit_for_the_rig(tmp_path: Path) -> None:
     ]
     quoted = f"'{log}'"
     assert lines == [
-        f"next: seatrial ident vehicle {quoted}",
-        f"next: seatrial ident thruster {quoted}",
-        f"next: seatrial ident vehicle {quoted} --model nomoto",
+        f"seatrial ident vehicle {quoted}",
+        f"seatrial ident thruster {quoted}",
+        f"seatrial ident vehicle {quoted} --model nomoto",
     ]

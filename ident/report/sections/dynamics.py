@@ -1,4 +1,4 @@
-"""Section of steady motion, poles and step responses of a vehicle model in a report page."""
+"""Section of steady motion, poles, step responses and Bode plots of a vehicle model in a report page."""
 
 from __future__ import annotations
 
@@ -9,21 +9,22 @@ import numpy as np
 
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Canvas, Cell, Grid, Heading, Plot, Prose, Section, Table
-from seatrial.ident.results import Dynamics, OperatingPoint, SteadyCurve, StepResponse
+from seatrial.ident.report.bode import FREQUENCY, frequency_axis, gain_traces, phase_traces
+from seatrial.ident.results import Dynamics, FrequencyResponse, OperatingPoint, SteadyCurve, StepResponse
 
 POINTS = 600  # largest number of points of a curve
 DOUBLING = np.log(2.0)  # time in which an unstable motion doubles, in time constants
 
 
 def section(canvas: Canvas, dynamics: Dynamics | None) -> Section:
-    """Return the section of steady curves, poles and step responses; empty if ``dynamics`` is None.
+    """Return the section of steady curves, poles, step responses and Bode plots; empty if ``dynamics`` is None.
 
     Parameters
     ----------
     canvas
         Collector of the figures, to which the figures are added.
     dynamics
-        Steady motion, poles and step responses of the model.
+        Steady motion, poles, step responses and frequency responses of the model.
     """
     if dynamics is None:
         return Section("dynamics", "", [])
@@ -32,6 +33,7 @@ def section(canvas: Canvas, dynamics: Dynamics | None) -> Section:
     curves += [_turn_plot(canvas, turns)] if turns else []
     blocks: list[Any] = [Grid(curves, 320)] if curves else []
     blocks += _pole_blocks(dynamics.points) + _step_blocks(canvas, dynamics)
+    blocks += _bode_blocks(canvas, dynamics)
     lead = (
         "Computed from the model for still water, without disturbances and within the commands of the data. Bands are "
         "95 % intervals from the standard errors of the parameters."
@@ -51,7 +53,7 @@ def _command(curve: SteadyCurve) -> str:
 def _straight_plot(canvas: Canvas, curve: SteadyCurve) -> Plot:
     """Return the plot of the steady speed on a straight course over the command."""
     traces = [
-        drawing.band(curve.command, curve.value, drawing.Z95 * np.nan_to_num(curve.sd), POINTS),
+        drawing.band(curve.command, curve.value, drawing.Z95 * np.nan_to_num(curve.sd), POINTS, gaps=True),
         drawing.line_trace(curve.command, curve.value, "speed", POINTS),
     ]
     figure = drawing.single(traces, _command(curve), "speed [m/s]", hovermode="closest")
@@ -68,7 +70,7 @@ def _turn_plot(canvas: Canvas, curves: Sequence[SteadyCurve]) -> Plot:
         factor, _ = formatting.degrees_for(curve.unit)
         value, half = factor * curve.value, drawing.Z95 * factor * np.nan_to_num(curve.sd)
         color = drawing.LINES[i % len(drawing.LINES)]
-        traces.append({**drawing.band(curve.command, value, half, POINTS, color=color), "showlegend": False})
+        traces.append({**drawing.band(curve.command, value, half, POINTS, color=color, gaps=True), "showlegend": False})
         name = f"mean command {formatting.plain(curve.mean, 2)}"
         dash = drawing.DASHES[i % len(drawing.DASHES)]
         traces.append(drawing.line_trace(curve.command, value, name, POINTS, color=color, dash=dash))
@@ -134,7 +136,7 @@ def _step_blocks(canvas: Canvas, dynamics: Dynamics) -> list[Any]:
     blocks: list[Any] = [Heading("Step responses", note), Grid(plots, 240)]
     if dynamics.delays:
         words = ", ".join(f"{1e3 * v:.0f} ms of {n}" for n, v in dynamics.delays.items())
-        blocks.append(Prose(f"Without the dead time: {words}.", "caption"))
+        blocks.append(Prose(f"With the dead time: {words}.", "caption"))
     return blocks
 
 
@@ -146,3 +148,51 @@ def _step_plot(canvas: Canvas, step: StepResponse) -> Plot:
     trace = drawing.line_trace(step.t, factor * step.value, "response", POINTS)
     figure = drawing.single([trace], "time [s]", yaxis={"rangemode": "tozero"})
     return canvas.plot(figure, 220, f"Step response, {title}", title)
+
+
+def _bode_blocks(canvas: Canvas, dynamics: Dynamics) -> list[Any]:
+    """Return heading, plots and a sentence for each frequency response; an empty list without responses."""
+    if not dynamics.responses:
+        return []
+    first = dynamics.responses[0]
+    words = "from the command to speed and turn rate" if len(dynamics.responses) > 1 else "from the command"
+    blocks: list[Any] = [Heading("Bode plot", f"linear model at {first.speed:g} m/s, {words}")]
+    blocks.append(Grid([plot for response in dynamics.responses for plot in _bode_plots(canvas, response)], 400))
+    sentences = [words for response in dynamics.responses if (words := _bode_words(response))]
+    if not first.stable:
+        sentences.append(
+            "The model is not stable at this speed: without a heading controller the boat does not turn in this way. "
+            "The plots are for the design of such a controller."
+        )
+    return [*blocks, Prose(" ".join(sentences), "caption")]
+
+
+def _bode_plots(canvas: Canvas, response: FrequencyResponse) -> list[Plot]:
+    """Return the plots of gain [dB] and phase [deg] of a frequency response over the frequency [Hz]."""
+    factor, unit = formatting.degrees_for(response.unit)
+    f, name, plots = response.frequency, formatting.titled(response.quantity), []
+    what = "both sides" if response.motion == "straight" else "left minus right side, halved"
+    reference = f"gain [dB, 0 dB: 1 {unit}]"
+    for title, axis, traces in (
+        ("gain", reference, gain_traces(f, factor * response.gain, response.gain_sd, name, POINTS)),
+        ("phase", "phase [deg]", phase_traces(f, response.phase, response.phase_sd, name, POINTS)),
+    ):
+        figure = drawing.single(traces, FREQUENCY, axis, xaxis=frequency_axis(), hovermode="closest")
+        plots.append(canvas.plot(figure, 260, f"Bode plot, {title} of {name}", f"{name}, {title} · {what}"))
+    return plots
+
+
+def _bode_words(response: FrequencyResponse) -> str:
+    """Return a sentence on the bandwidth of a response, and on the frequency at which it lags by 90 deg.
+
+    The text is empty if both are unknown.
+    """
+    name = {"u": "speed", "r": "turn rate"}.get(response.quantity, response.quantity)
+    parts = []
+    if response.bandwidth is not None:
+        period = formatting.plain(1.0 / response.bandwidth, 2)
+        parts.append(f"falls by 3 dB at {formatting.plain(response.bandwidth, 2)} Hz (a period of {period} s)")
+    if response.lag_90 is not None:
+        limit = ", where the heading lags by 180°" if response.quantity == "r" else ""
+        parts.append(f"lags by 90° at {formatting.plain(response.lag_90, 2)} Hz{limit}")
+    return f"The {name} {' and '.join(parts)}." if parts else ""

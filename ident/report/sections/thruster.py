@@ -9,6 +9,7 @@ import numpy as np
 from seatrial.ident.numerics import Array
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Canvas, Cell, Grid, Heading, Lines, Plot, Prose, Section, Table
+from seatrial.ident.report.bode import DECIBEL, FREQUENCY, frequency_axis, gain_traces, phase_traces
 from seatrial.ident.results import ShaftResponse, SteadyBench, ThrusterResult, Trace
 
 LEAST_W = 1.0  # smallest electrical power at which the efficiency is shown [W]
@@ -164,17 +165,17 @@ def _step_plot(canvas: Canvas, row: Trace, t: Array, command: Array, k: int) -> 
 def _bode_plots(canvas: Canvas, response: ShaftResponse) -> list[Plot]:
     """Return the plots of gain [dB] and phase [deg] over the frequency [Hz] of the shaft's response."""
     plots = []
-    decibel = 20.0 / np.log(10.0)
-    for title, unit, values, measured in (
-        ("Gain", "dB", decibel * np.log(response.gain), decibel * np.log(np.maximum(response.gain_measured, 1e-12))),
-        ("Phase", "deg", np.degrees(response.phase), np.degrees(response.phase_measured)),
+    f, at, name = response.frequency, response.frequency_measured, "model"
+    gain = DECIBEL * np.log(np.maximum(response.gain_measured, 1e-12))
+    for title, unit, traces, measured in (
+        ("Gain", "dB", gain_traces(f, response.gain, None, name, 600), gain),
+        ("Phase", "deg", phase_traces(f, response.phase, None, name, 600), np.degrees(response.phase_measured)),
     ):
-        traces = [drawing.line_trace(response.frequency, values, "model", 600)]
         if measured.size:
             marker = {"color": "#ffffff", "size": 6, "line": {"color": drawing.INK, "width": 1.2}}
-            points = {"x": drawing.packed(response.frequency_measured), "y": drawing.packed(measured)}
+            points = {"x": drawing.packed(at), "y": drawing.packed(measured)}
             traces.append({"type": "scatter", "mode": "markers", **points, "name": "measured", "marker": marker})
-        axis = {"type": "log", "dtick": 1, "minor": {"ticks": "inside"}}
-        figure = drawing.single(traces, "frequency [Hz]", f"{title.lower()} [{unit}]", xaxis=axis, hovermode="closest")
+        axes = {"xaxis": frequency_axis(), "hovermode": "closest"}
+        figure = drawing.single(traces, FREQUENCY, f"{title.lower()} [{unit}]", **axes)
         plots.append(canvas.plot(figure, 260, f"Bode plot, {title.lower()}", title))
     return plots

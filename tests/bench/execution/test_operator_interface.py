@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import signal
+import sys
 import time
 from collections.abc import Iterator
 
@@ -34,7 +35,7 @@ def test_the_display_shows_command_rpm_force_and_the_guard() -> None:
 
 
 def test_plain_lines_are_printed_per_segment_not_per_status(capsys: pytest.CaptureFixture[str]) -> None:
-    with PlainDisplay() as display:
+    with PlainDisplay(sys.stdout) as display:
         for _ in range(50):
             display.show(VIEW)
         display.show(MissionStatus("rest", 30.0, 70.0, (0.0,), (0.0,)))
@@ -69,8 +70,11 @@ def test_a_terminal_of_80_columns_loses_nothing() -> None:
         assert words in text
 
 
-def test_a_pipe_gets_plain_lines() -> None:
+def test_a_pipe_gets_plain_lines(capsys: pytest.CaptureFixture[str]) -> None:
     assert isinstance(make_display(), PlainDisplay)  # the captured output of pytest is not a terminal
+    make_display().say("tare")
+    make_display(stderr=True).say("beside a document")
+    assert capsys.readouterr() == ("tare\n", "beside a document\n")
 
 
 @pytest.fixture

@@ -90,6 +90,27 @@ def test_bench_steps_end_to_end(tmp_path: Path) -> None:
     assert len(spacing) == pytest.approx(50.0 * log.duration, rel=0.15)  # a busy machine starts late
 
 
+def test_summary_of_a_run_as_json(tmp_path: Path) -> None:
+    with mock(tmp_path, "bench"):
+        words = [*SEATRIAL, "bench", "static", "bench-rig.toml", "-o", "run.mcap", "--json"]
+        done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    tares = summary.pop("tares")
+    assert 0.0 < summary.pop("wall_seconds") < 60.0
+    assert summary == {
+        "format": "seatrial-run 1",
+        "plan": "bench static thruster",
+        "log": "run.mcap",
+        "seconds": 10.0,
+        "still_armed": [],
+        "next": "seatrial ident thruster run.mcap",
+    }
+    assert {(t["device"], t["where"]) for t in tares} == {("loadcell", "start")}
+    assert "tare: loadcell zero at the start" in done.stderr
+    assert "done:" not in done.stderr
+
+
 # Kills of the runner alone: tests/bench/execution/test_stops.py.
 @pytest.mark.parametrize("everything", [pytest.param(False, marks=pytest.mark.study), True])
 def test_kill_9_stops_the_mock_thruster(tmp_path: Path, everything: bool) -> None:

@@ -4,6 +4,7 @@ signals.
 
 from __future__ import annotations
 
+import json
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -587,6 +588,19 @@ def test_the_import_command_writes_a_log(tmp_path: Path) -> None:
     done = run.invoke(cli.import_, [str(out), str(path), "-o", str(tmp_path / "run.mcap")])
     assert done.stdout == f"{tmp_path / 'run.mcap'}\n"
     assert run.invoke(cli.import_, [str(out)]).exit_code == 2
+    guessed = json.loads(run.invoke(cli.import_, ["--guess", str(path), "--json"]).stdout)
+    assert (guessed["source"], guessed["map"]) == (str(path), None)
+    assert guessed["text"] == out.read_text().replace(f" -o {out}", "")
+    assert guessed["problem"].startswith("no commands")
+    done = run.invoke(cli.import_, [str(out), str(path), "--out-dir", str(tmp_path / "logs"), "--json"])
+    logs = [str(tmp_path / "logs/run.mcap")]
+    assert json.loads(done.stdout) == {
+        "format": "seatrial-import 1",
+        "map": str(out),
+        "sources": [str(path)],
+        "logs": logs,
+    }
+    assert Path(logs[0]).exists()
 
 
 def test_a_column_that_is_not_recognised_has_the_unit_of_its_name(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import math
 import os
 import struct
@@ -49,6 +50,16 @@ def test_samples_get_equally_spaced_times(ascii_capture: Path, tmp_path: Path) -
     assert table["r"].tolist() == pytest.approx([s.r for s in SAMPLES], abs=1e-6)
     assert "40 samples of 40 vectornav frames; 1 checksum error, " in summary
     assert not summary.endswith(" 0 bytes unparsed")  # the boot text, the damaged line and the half line
+
+
+def test_the_log_of_an_import_as_json(ascii_capture: Path, tmp_path: Path) -> None:
+    out = tmp_path / "a.mcap"
+    words = ["raw", "vectornav", str(ascii_capture), "--rate", "40", "-o", str(out), "--json"]
+    done = CliRunner().invoke(cli.import_, words)
+    assert done.exit_code == 0, done.output
+    printed = json.loads(done.stdout)
+    assert "40 samples of 40 vectornav frames" in printed.pop("content")
+    assert printed == {"format": "seatrial-import 1", "sources": [str(ascii_capture)], "logs": [str(out)]}
 
 
 @pytest.mark.parametrize("rate", [None, 50.0])

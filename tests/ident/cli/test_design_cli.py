@@ -113,9 +113,25 @@ def test_existing_files_are_not_overwritten(tmp_path: Path, capsys: pytest.Captu
         (tmp_path / name).write_text("mine")
         status, _, err = run(capsys, "design", "horizontal", *QUICK, "--out", str(tmp_path / "mission.toml"))
         assert status == 1
-        assert f"{name} exists" in err
+        assert f"{name}: the file exists already; --force replaces it, --out names another" in err
         assert (tmp_path / name).read_text() == "mine"
         (tmp_path / name).unlink()
+
+
+def test_existing_files_are_replaced_with_force(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "mission.toml"
+    for kind in (".toml", ".json", ".html"):
+        out.with_suffix(kind).write_text("old")
+    words = ("design", "horizontal:shaft:no-current", *QUICK, "--out", str(out), "--force")
+    assert run(capsys, *words)[0] == 0
+    assert load_mission(out).end > 0.0
+    assert json.loads(out.with_suffix(".json").read_text())["kind"] == "design"
+    assert "<html" in out.with_suffix(".html").read_text()
+    out.unlink()
+    out.symlink_to(tmp_path / "other.toml")
+    status, _, err = run(capsys, *words)
+    assert status == 1
+    assert "is a symbolic link" in err
 
 
 def test_invalid_output_path_is_rejected_before_the_search(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

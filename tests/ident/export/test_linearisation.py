@@ -1,20 +1,22 @@
-"""Tests of the linearisation: it equals the derivatives of the equations of motion, and its step response the simulated
-motion after a small step.
+"""Tests of the linearisation: it equals the derivatives of the equations of motion, its step response the simulated
+motion after a small step, and its frequency response the simulated motion by a small sine.
 """
 
 from __future__ import annotations
 
 import math
+import warnings
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.data.record import Channel, build_record
 from seatrial.ident.effects.registry import catalogue
-from seatrial.ident.estimation.model_file import SavedModel
 from seatrial.ident.estimation.output_error import simulate
-from seatrial.ident.export.linearisation import Linearisation, linearise
+from seatrial.ident.estimation.parameter_covariance import ParameterCovariance
+from seatrial.ident.export.linearisation import LinearModel, linearise
 from seatrial.ident.model.structure import Model
 from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
@@ -24,16 +26,16 @@ VALUES = {"m_u": 37.0, "m_v": 47.0, "m_r": 9.7, "d_u": 2.0, "d_uu": 25.0, "d_v":
 VALUES |= {"d_rr": 6.2, "c1": 40.0, "c2": 1.1, "V_x": 0.2, "V_y": -0.1}
 
 
-def saved(model: Model, values: dict[str, float] | None = None) -> SavedModel:
-    return SavedModel(model.with_values(VALUES | (values or {})), {}, {})
+def saved(model: Model, values: dict[str, float] | None = None) -> Model:
+    return model.with_values(VALUES | (values or {}))
 
 
 @pytest.fixture(scope="module")
-def found() -> Linearisation:
+def found() -> LinearModel:
     return linearise(saved(with_disturbances(horizontal_model("shaft"))), 0.7)
 
 
-def test_matrices_are_the_derivatives_of_the_equations_of_motion(found: Linearisation) -> None:
+def test_matrices_are_the_derivatives_of_the_equations_of_motion(found: LinearModel) -> None:
     """Fossen's surge, sway and yaw with Coriolis terms of the lumped masses, in still water."""
     p, u = VALUES, 0.7
     assert found.states == ("u", "v", "r")
@@ -54,7 +56,7 @@ def test_matrices_are_the_derivatives_of_the_equations_of_motion(found: Linearis
     assert found.delays == {}
 
 
-def test_poles_and_time_constants(found: Linearisation) -> None:
+def test_poles_and_time_constants(found: LinearModel) -> None:
     surge = found.A[0, 0]
     assert np.isclose(found.poles, surge).any()
     np.testing.assert_allclose(np.sort(found.poles.real), np.sort(np.linalg.eigvals(found.A).real))
@@ -63,7 +65,7 @@ def test_poles_and_time_constants(found: Linearisation) -> None:
     assert found.stable
 
 
-def test_step_response_is_the_motion_after_a_small_step(found: Linearisation) -> None:
+def test_step_response_is_the_motion_after_a_small_step(found: LinearModel) -> None:
     model = horizontal_model("shaft").with_values(VALUES | {"V_x": 0.0, "V_y": 0.0})
     t, step = np.arange(0.0, 12.0, 0.1), 1e-3
     inputs = {"n_left": found.u0[0] + step + 0 * t, "n_right": found.u0[1] + 0 * t, "psi": 0 * t}
@@ -98,4 +100,96 @@ def test_speed_beyond_full_thrust_is_refused() -> None:
     with pytest.raises(SeatrialError, match="give a speed other than zero"):
         linearise(saved(horizontal_model("shaft")), 0.0)
     with pytest.raises(SeatrialError, match="has no forward speed u among its states"):
-        linearise(SavedModel(yaw_model(), {}, {}), 0.5)
+        linearise(yaw_model(), 0.5)
+
+
+def test_step_response_begins_after_the_dead_time() -> None:
+    found = linearise(saved(horizontal_model("command"), {"tau_n": 0.4}), 0.7)
+    assert found.delays == {"n_cmd_left": 0.4, "n_cmd_right": 0.4}
+    response = found.step_response("straight", np.array([0.0, 0.39, 0.41, 30.0]))["u"]
+    np.testing.assert_array_equal(response[:2], 0.0)
+    assert 0.0 < response[2] < 1e-3
+    p = VALUES
+    slope = 4 * found.u0[0] * (p["c1"] + p["c2"]) / (p["d_u"] + 2 * p["d_uu"] * 0.7)  # of the steady speed
+    assert response[3] == pytest.approx(slope, rel=1e-3)
+
+
+def test_motions_are_sums_of_inputs(found: LinearModel) -> None:
+    assert found.motions["turn"] == {"n_left": 1.0, "n_right": -1.0}
+    left, right, both = (found.step_response(x)["u"] for x in ("n_left", "n_right", "straight"))
+    np.testing.assert_allclose(both, left + right, atol=1e-12)
+    half = found.frequency_response({"n_left": 0.5, "n_right": -0.5})["r"]
+    np.testing.assert_allclose(half, 0.5 * found.frequency_response("turn")["r"])
+    assert found.responding("straight") == ("u",)
+    assert found.responding("turn") == ("v", "r")
+    with pytest.raises(KeyError, match="did you mean 'turn'"):
+        found.bode("turns")
+
+
+def test_frequency_response_is_that_of_scipy_with_the_dead_time() -> None:
+    found = linearise(saved(horizontal_model("command"), {"tau_n": 0.3}), 0.7)
+    w = np.geomspace(0.01, 20.0, 40)
+    for k, name in enumerate(found.inputs):
+        response = found.frequency_response(name, w / (2 * np.pi))
+        for state in found.responding(name):
+            j = found.states.index(state)
+            system = signal.StateSpace(found.A, found.B[:, [k]], np.eye(len(found.A))[[j]], np.zeros((1, 1)))
+            with warnings.catch_warnings():  # of SciPy, which makes transfer functions with tiny coefficients
+                warnings.simplefilter("ignore", signal.BadCoefficients)
+                _, expected = signal.freqresp(system, w)
+            delayed = expected * np.exp(-0.3j * w)
+            np.testing.assert_allclose(response[state], delayed, rtol=1e-6, atol=1e-9 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("motion", ["straight", "turn"])
+def test_frequency_response_is_the_motion_by_a_small_sine(motion: str) -> None:
+    """Simulate the non-linear boat with a small sine on the commands, and compare amplitude and phase with the gain."""
+    values, state = {"tau_n": 0.25, "V_x": 0.0, "V_y": 0.0}, {"straight": "u", "turn": "r"}[motion]
+    model = horizontal_model("command").with_values(VALUES | values)
+    found, f, size = linearise(model, 0.7), 0.2, 2e-3
+    t = np.arange(0.0, 120.0, 0.05)
+    sine = size * np.sin(2 * np.pi * f * t)
+    z = {n: u + found.motions[motion][n] * sine for n, u in zip(found.inputs, found.u0, strict=True)}
+    record = build_record(model, {n: Channel(t, v) for n, v in (z | {"psi": 0 * t}).items()})
+    names = [s.name for s in model.states]
+    start = np.zeros(len(names))
+    for name, value in zip(found.states, found.x0, strict=True):
+        start[names.index(name)] = value
+    run = simulate(model, record, x0=start)
+    last = run.t > run.t[-1] - 10.0 / f  # ten periods
+    at = 2 * np.pi * f * run.t[last]
+    waves = np.column_stack([np.sin(at), np.cos(at), np.ones(at.size), at])
+    a, b, *_ = np.linalg.lstsq(waves, run.x[last, names.index(state)], rcond=None)[0]
+    measured = (a + 1j * b) / size
+    expected = found.frequency_response(motion, np.array([f]))[state][0]
+    held = np.sinc(f * 0.05) * np.exp(-1j * np.pi * f * 0.05)  # commands are held for a sample
+    assert abs(measured) == pytest.approx(abs(expected * held), rel=0.02)
+    assert np.angle(measured / (expected * held)) == pytest.approx(0.0, abs=0.02)
+
+
+def test_bandwidth_and_lag_of_a_shaft() -> None:
+    """A first-order lag falls by 3 dB at its corner; with a dead time it lags by 90 deg where both add up to that."""
+    found = linearise(saved(horizontal_model("command"), {"tau_n": 0.3, "T_n": 0.2}), 0.7)
+    shaft = found.bode("n_cmd_left")["n_left"]
+    assert shaft.bandwidth == pytest.approx(1 / (2 * np.pi * 0.2), rel=1e-3)
+    w = 2 * np.pi * shaft.lag_90
+    assert np.arctan(0.2 * w) + 0.3 * w == pytest.approx(np.pi / 2, rel=1e-3)
+    assert np.isnan(shaft.gain_sd).all()
+
+
+def test_standard_errors_follow_from_those_of_the_estimates() -> None:
+    """The surge has the time constant m_u / (d_u + 2 d_uu u) and the gain of a first-order lag."""
+    sd_m, sd_tau = 1.5, 0.02
+    known = ParameterCovariance(("m_u", "V_x@0", "tau_n"), np.diag([sd_m**2, 1.0, sd_tau**2]))
+    model = horizontal_model("command").with_values(VALUES | {"tau_n": 0.3, "T_n": 0.2})
+    found = linearise(model, 0.7, known)
+    drag = VALUES["d_u"] + 2 * VALUES["d_uu"] * 0.7
+    f = np.array([0.01, 0.1, 1.0])
+    speed, w = found.bode("straight", f)["u"], 2 * np.pi * f
+    T, sd = VALUES["m_u"] / drag, sd_m / drag
+    np.testing.assert_allclose(speed.gain_sd, sd * T * w**2 / (1 + (T * w) ** 2), rtol=0.02)
+    phase = np.hypot(sd * w / (1 + (T * w) ** 2), sd_tau * w)
+    np.testing.assert_allclose(speed.phase_sd, phase, rtol=0.02)
+    surge = linearise(horizontal_model("shaft").with_values(VALUES), 0.7, known)
+    k = int(np.argmin(np.abs(surge.time_constants - T)))
+    assert surge.time_constant_errors[k] == pytest.approx(sd, rel=0.02)

@@ -11,7 +11,7 @@ import pytest
 
 from seatrial.ident.report import page
 from seatrial.ident.report.sections.runs import wide_band
-from seatrial.ident.results import Dynamics, OperatingPoint, SteadyCurve, StepResponse, Trace
+from seatrial.ident.results import Dynamics, FrequencyResponse, OperatingPoint, SteadyCurve, StepResponse, Trace
 from tests.ident.pages import KINDS, Page, loaded, numbers
 
 
@@ -31,7 +31,12 @@ def dynamics() -> Dynamics:
         OperatingPoint(speed=1.0, inputs=fast, real=rise, imaginary=np.zeros(2), stable=False),
     )
     step = StepResponse(speed=1.0, motion="turn", step=0.1, quantity="r", unit="rad/s", t=t, value=t)
-    return Dynamics(steady=steady, points=points, steps=(step,), delays={"n_left": 0.12})
+    f = np.geomspace(0.01, 1.0, 100)
+    response = FrequencyResponse(
+        speed=1.0, motion="turn", quantity="r", unit="rad/s", stable=False, frequency=f, gain=0.1 / f, phase=-f,
+        gain_sd=0.1 + 0 * f, phase_sd=np.nan * f, bandwidth=0.02, lag_90=0.4,
+    )  # fmt: skip
+    return Dynamics(steady=steady, points=points, steps=(step,), responses=(response,), delays={"n_left": 0.12})
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +61,26 @@ def test_poles_are_in_words(shown: Page) -> None:
     assert "0.5 m/s 0.250 −0.500 ± 2.00 j 2.00 s" in words
     assert "1 m/s n_left 0.500, n_right 0.510 0.100 – unstable: doubles in 6.9 s" in words
     assert "From 1 m/s on, the boat does not hold a straight course" in words
-    assert "Without the dead time: 120 ms of n_left" in words
+    assert "With the dead time: 120 ms of n_left" in words
+
+
+def test_bode_plot_has_its_units_its_band_and_its_words(shown: Page) -> None:
+    gain, phase = (
+        next(a for _, a in shown.tags if str(a.get("aria-label")).startswith(f"Bode plot, {x}"))
+        for x in ("gain", "phase")
+    )
+    figure = shown.figures()[str(gain["id"])]
+    band, line = figure["data"]
+    decibel = 20 * np.log10(np.degrees(0.1 / np.geomspace(0.01, 1.0, 100)))
+    np.testing.assert_allclose(numbers(line["y"]), decibel, atol=1e-3)
+    assert np.nanmax(numbers(band["y"])) == pytest.approx(decibel[0] + 1.96 * 20 * np.log10(np.e) * 0.1, abs=0.01)
+    assert figure["layout"]["xaxis"]["type"] == "log"
+    assert figure["layout"]["yaxis"]["title"]["text"] == "gain [dB, 0 dB: 1 deg/s]"
+    (line,) = shown.figures()[str(phase["id"])]["data"]  # no band without errors
+    np.testing.assert_allclose(numbers(line["y"]), -np.degrees(np.geomspace(0.01, 1.0, 100)), atol=1e-3)
+    words = " ".join(shown.words.split())
+    assert "The turn rate falls by 3 dB at 0.020 Hz (a period of 50 s) and lags by 90° at 0.40 Hz, where" in words
+    assert "The model is not stable at this speed" in words
 
 
 def test_table_has_interval_t_sname_and_origin() -> None:

@@ -42,6 +42,18 @@ def test_curves_poles_and_steps_agree(fitted: FittedModel) -> None:
     settled = rise.value[-1] / rise.step
     assert settled <= 1.05 * slope
     assert {s.quantity for s in found.steps} == {"u", "r", "v"}
+    speed, turn = found.responses
+    assert (speed.quantity, turn.quantity) == ("u", "r")
+    # Slow commands have the gain of the steady curve; its band is that of the parameters.
+    assert speed.gain[0] == pytest.approx(slope, rel=0.1)
+    assert np.all((speed.gain_sd > 0.0) & (speed.gain_sd < 0.2))
+    assert np.all(speed.phase_sd > 0.0)
+    assert speed.bandwidth is not None
+    decibel = 20 * np.log10(speed.gain / speed.gain[0])
+    assert np.interp(speed.bandwidth, speed.frequency, decibel) == pytest.approx(-3.01, abs=0.05)
+    # The boat is nearly unstable on course, so that the gain of slow turns, and with it the bandwidth, is unknown.
+    assert turn.gain_sd[0] > 0.35
+    assert turn.bandwidth is None
 
 
 def test_fit_that_did_not_converge_has_none(fitted: FittedModel) -> None:

@@ -93,6 +93,7 @@ def test_rows_are_those_of_a_single_fit(logs: list[Path]) -> None:
     single = st.fit(logs[1], score_tests=False, fixed={"c2": 1.1}, priors={"c1": (40.0, 2.0)})
     many = st.fit_many(logs[1:3], score_tests=False, fixed={"c2": 1.1}, priors={"c1": (40.0, 2.0)}, jobs=1)
     row = many.values().loc[str(logs[1])]
+    assert f"<td>{many.result.parameters[0].mean:.4g}</td>" in many._repr_html_()
     assert dict(row) == {n: v for n, v in single.params.items() if n in row.index}
     assert set(single.params) == set(row.index)
     errors = many.values("se").loc[str(logs[1])].dropna()
@@ -166,7 +167,11 @@ def test_fits_with_other_options_are_not_mixed(
     run("ident", "fleet", logs[0], *QUICK, "--jobs", "1", "--out", tmp_path)
     run("ident", "fleet", logs[0], *QUICK, "--jobs", "1", "--rate", "5", "--out", tmp_path, status=1)
     assert "its rows were made with other options (rate); give another --out, or --force" in capsys.readouterr().err
-    run("ident", "fleet", logs[0], *QUICK, "--jobs", "1", "--rate", "5", "--force", "--out", tmp_path)
+    run("ident", "fleet", logs[0], *QUICK, "--jobs", "1", "--rate", "5", "--force", "--out", tmp_path, "--json")
+    shown = capsys.readouterr()
+    printed = json.loads(shown.out)
+    assert (printed["kind"], printed["n_logs"], printed["fitted"]) == ("fleet", 1, 1)
+    assert f"table: {tmp_path / 'fits.parquet'}" in shown.err
 
 
 def started(logs: list[Path], out: Path) -> subprocess.Popen[str]:

@@ -1,0 +1,410 @@
+"""Steady motion and linear models of a fitted boat, for the Python interface: tables and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from seatrial.api.figures import Figure
+from seatrial.api.fits import FittedResult, model_path
+from seatrial.api.loading import Saved
+from seatrial.api.logs import PathLike
+from seatrial.api.messages import errors_of_users
+from seatrial.api.shown import Content, Shown, number
+from seatrial.daq.errors import SeatrialError, warn
+from seatrial.daq.log import import_library
+from seatrial.ident.export import Inputs, LinearModel, pole_text
+
+if TYPE_CHECKING:
+    from seatrial.ident.estimation import ParameterCovariance
+    from seatrial.ident.model import Model
+    from seatrial.ident.results import SteadyCurve
+
+POINTS = 600  # largest number of points of a line
+STEP = 0.1  # size of a step of the command, in a figure
+
+
+@dataclass(frozen=True, repr=False)
+class Linearisation(Shown, LinearModel):
+    """Linear model of a boat about straight motion in still water, with its table and figures. `linearise` returns it.
+
+    Its equation is ``dx/dt = A (x - x0) + B (u - u0)``; the attributes are those of this equation.
+
+    Attributes
+    ----------
+    speed : float
+        Forward speed through the water [m/s].
+    states, inputs : tuple of str
+        Names of the n states (velocities and shafts) and m inputs.
+    A : Array (n, n)
+        Derivatives of the rates by the states [1/s, if both have the same unit].
+    B : Array (n, m)
+        Derivatives of the rates by the inputs.
+    x0 : Array (n,)
+        States of the operating point.
+    u0 : Array (m,)
+        Inputs that keep the operating point.
+    delays : dict of str to float
+        Dead time [s] of each input that the model delays. The matrices do not contain it; all responses do.
+    units : dict of str to str
+        Unit of each state and input by name; empty for a number without unit.
+    """
+
+    def to_pandas(self) -> Any:
+        """Return the poles as a ``pandas.DataFrame`` with a row for each, the slowest first.
+
+        The columns are real, imaginary [1/s], time_constant [s], se (its standard error; NaN if unknown), frequency
+        [Hz] and damping (ratio, 1 for a real stable pole).
+
+        Raises
+        ------
+        SeatrialError
+            If pandas is not installed.
+        """
+        poles, size = self.poles, np.abs(self.poles)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            damping = np.where(size > 0.0, -poles.real / size, np.nan)
+        columns = {
+            "real": poles.real,
+            "imaginary": poles.imag,
+            "time_constant": self.time_constants,
+            "se": self.time_constant_errors,
+            "frequency": size / (2.0 * np.pi),
+            "damping": damping,
+        }
+        frame = import_library("pandas").DataFrame(columns)
+        frame.index.name = "pole"
+        return frame
+
+    def plot_step(self, inputs: Inputs | None = None, size: float = STEP, t: ArrayLike | None = None) -> Figure:
+        """Return a figure of the step responses, with a panel for each state that responds, and 95 % bands.
+
+        Parameters
+        ----------
+        inputs : str, or dict of str to float, optional
+            Name of an input or of one of the `motions`, or a weight for each of several inputs. None: all `motions`.
+        size : float
+            Size of the step, in the unit of the inputs. The linear model holds for small steps.
+        t : Array (n_times,), optional
+            Times [s], at least 0. None: `times`.
+
+        Raises
+        ------
+        KeyError
+            If the model has no such input.
+        """
+        from seatrial.ident.report import Panel, band, degrees_for, line_trace, stacked
+
+        at = self.times if t is None else np.asarray(t, dtype=float)
+        panels = []
+        for name, chosen in self._chosen(inputs).items():
+            found = self.step_response(chosen, at)
+            moved = [m.step_response(chosen, at) for m in self.moved]
+            for state in self.responding(chosen):
+                factor, unit = degrees_for(self.units[state])
+                value = factor * size * found[state]
+                panel = Panel(f"{state} [{unit or '1'}] after a step of {size:g}: {name}", y={"rangemode": "tozero"})
+                if moved:
+                    sd = factor * size * self.error_of(found[state], [m[state] for m in moved])
+                    panel.traces.append(band(at, value, 1.96 * np.abs(sd), POINTS))
+                panel.traces.append(line_trace(at, value, state, POINTS))
+                panels.append(panel)
+        figure, height = stacked(panels, "time [s]")
+        layout = figure["layout"] | {"height": height, "showlegend": False}
+        return Figure(f"Step responses at {self.speed:g} m/s", figure["data"], layout)
+
+    def plot_bode(self, inputs: Inputs | None = None, *states: str, frequency: ArrayLike | None = None) -> Figure:
+        """Return a Bode plot: gain [dB] and phase [deg] over the frequency [Hz], with 95 % bands and the dead time.
+
+        A gain of 0 dB is one unit of the state for one unit of the inputs. Rates are in deg/s.
+
+        Parameters
+        ----------
+        inputs : str, or dict of str to float, optional
+            Name of an input or of one of the `motions`, or a weight for each of several inputs. None: all `motions`.
+        *states : str
+            Names of the states; without names all that respond.
+        frequency : Array (n_frequencies,), optional
+            Frequencies [Hz], increasing and above 0. None: `frequencies`.
+
+        Raises
+        ------
+        KeyError
+            If the model has no such input.
+        SeatrialError
+            If none of the states responds to the inputs.
+        """
+        from seatrial.ident.report import (
+            DASHES,
+            FREQUENCY,
+            LINES,
+            Panel,
+            degrees_for,
+            frequency_axis,
+            gain_traces,
+            phase_traces,
+            stacked,
+        )
+
+        f = None if frequency is None else np.asarray(frequency, dtype=float)
+        gain, phase = Panel("gain [dB]"), Panel("phase [deg]", y={"dtick": 90})
+        for name, chosen in self._chosen(inputs).items():
+            for state, bode in self.bode(chosen, f).items():
+                if states and state not in states:
+                    continue
+                factor, unit = degrees_for(self.units[state])
+                k = len([trace for trace in phase.traces if "line" in trace and trace.get("name")])
+                style = {"color": LINES[k % len(LINES)], "dash": DASHES[k % len(DASHES)]}
+                words = f"{state} [{unit or '1'}], {name}"
+                gain.traces += gain_traces(bode.frequency, factor * bode.gain, bode.gain_sd, words, POINTS, **style)
+                lines = phase_traces(bode.frequency, bode.phase, bode.phase_sd, words, POINTS, **style)
+                phase.traces += [{**trace, "showlegend": False} for trace in lines]
+        if not gain.traces:
+            asked = ", ".join(states) or "no state"
+            raise SeatrialError(f"{asked}: does not respond to these inputs; the states are {', '.join(self.states)}")
+        figure, height = stacked([gain, phase], FREQUENCY, panel_height=220)
+        layout = figure["layout"]
+        axis = layout["xaxis"] | frequency_axis()
+        legend = {"orientation": "h", "y": -0.12, "yanchor": "top", "x": 0.0}
+        layout = layout | {"xaxis": axis, "height": height + 40, "showlegend": True, "legend": legend}
+        layout["margin"] = layout["margin"] | {"b": 80}
+        return Figure(f"Bode plot at {self.speed:g} m/s", figure["data"], layout)
+
+    def _chosen(self, inputs: Inputs | None) -> dict[str, Inputs]:
+        """Return the inputs of a figure by the name that it shows; for None those of all motions."""
+        if inputs is None:
+            return dict(self.motions)
+        words = inputs if isinstance(inputs, str) else ", ".join(f"{w:+g} {n}" for n, w in inputs.items())
+        return {words: inputs}
+
+    def _content(self) -> Content:
+        """Return speed and stability, and the table of the poles."""
+        how = "stable" if self.stable else "not stable: a pole has no negative real part"
+        at = ", ".join(f"{n} {number(v)}" for n, v in zip(self.inputs, self.u0, strict=True))
+        rows = [
+            (pole_text(pole), number(constant), number(se, 2))
+            for pole, constant, se in zip(self.poles, self.time_constants, self.time_constant_errors, strict=True)
+        ]
+        answer = f"Linear model at {self.speed:g} m/s ({at}), {how}."
+        return Content(answer, (), ("pole [1/s]", "time constant [s]", "s.e. [s]"), rows)
+
+
+@dataclass(frozen=True, repr=False)
+class Steady(Shown):
+    """Steady speed and turn rate of a boat in still water over constant commands. `steady` returns it.
+
+    Attributes
+    ----------
+    curves : tuple of SteadyCurve
+        The curve of the speed on a straight course, then one of the turn rate for each mean command
+        (`seatrial.ident.results.SteadyCurve`): ``command``, ``value`` and its standard error ``sd``.
+    """
+
+    curves: tuple[SteadyCurve, ...]
+
+    @property
+    def straight(self) -> SteadyCurve | None:
+        """Steady speed [m/s] over the command of both sides; None if the model has no forward speed."""
+        return next((c for c in self.curves if c.motion == "straight"), None)
+
+    @property
+    def turns(self) -> tuple[SteadyCurve, ...]:
+        """Steady turn rates [rad/s] over half the difference of left and right command, one for each mean command.
+
+        Empty if the model has no turn rate or no thrusters of two sides.
+        """
+        return tuple(c for c in self.curves if c.motion == "turn")
+
+    @property
+    def answer(self) -> str:
+        """Largest steady speed and turn rate within the commands of the data, in one or two sentences."""
+        words = {"u": ("speed", 1.0, "m/s"), "r": ("turn rate", np.degrees(1.0), "deg/s")}
+        found = []
+        for quantity, (name, factor, unit) in words.items():
+            best = [(factor * np.nanmax(c.value), c) for c in self.curves if c.quantity == quantity]
+            if best:
+                value, curve = max(best, key=lambda x: float(x[0]))
+                k = int(np.nanargmax(curve.value))
+                left = curve.mean + curve.command[k]
+                command = (
+                    f"{number(left, 2)}"
+                    if quantity == "u"
+                    else (f"{number(left, 2)} left and {number(curve.mean - curve.command[k], 2)} right")
+                )
+                sd = factor * curve.sd[k]
+                error = "" if np.isnan(sd) else f" ± {number(1.96 * sd, 2)}"
+                found.append(
+                    f"The largest steady {name} is {number(value, 3)}{error} {unit}, at a command of {command}."
+                )
+        return " ".join(found)
+
+    def to_pandas(self) -> Any:
+        """Return all curves as one ``pandas.DataFrame`` with a row for each command.
+
+        The columns are motion (straight or turn), mean (mean command of a turn), command, quantity (u or r), value, sd
+        (its standard error) and unit. A command without a stable steady motion has the value NaN.
+
+        Raises
+        ------
+        SeatrialError
+            If pandas is not installed.
+        """
+        pandas = import_library("pandas")
+        frames = [
+            pandas.DataFrame(
+                {"motion": c.motion, "mean": c.mean, "command": c.command, "quantity": c.quantity, "value": c.value}
+                | {"sd": c.sd, "unit": c.unit}
+            )
+            for c in self.curves
+        ]
+        return pandas.concat(frames, ignore_index=True)
+
+    def plot(self) -> Figure:
+        """Return a figure of the steady speed and the steady turn rates over the command, with 95 % bands."""
+        from seatrial.ident.report import DASHES, LINES, Panel, band, degrees_for, line_trace, stacked
+
+        panels: dict[str, Panel] = {}
+        for c in self.curves:
+            factor, unit = degrees_for(c.unit)
+            what = "speed" if c.motion == "straight" else "turn rate"
+            how = "the command of both sides" if c.motion == "straight" else "half the difference of both sides"
+            panel = panels.setdefault(c.motion, Panel(f"steady {what} [{unit}] over {how}"))
+            k = sum(1 for trace in panel.traces if trace.get("name"))
+            color, name = LINES[k % len(LINES)], what if c.motion == "straight" else f"mean command {c.mean:.2g}"
+            if np.isfinite(c.sd).any():
+                area = band(c.command, factor * c.value, 1.96 * factor * c.sd, POINTS, color=color, gaps=True)
+                panel.traces.append({**area, "showlegend": False})
+            line = line_trace(c.command, factor * c.value, name, POINTS, color=color, dash=DASHES[k % len(DASHES)])
+            panel.traces.append({**line, "showlegend": c.motion == "turn"})
+        unit = "N" if self.curves[0].inputs[0].startswith("f_") else "part of full"
+        figure, height = stacked(list(panels.values()), f"command [{unit}]", panel_height=220)
+        legend = {"orientation": "h", "y": -0.12, "yanchor": "top", "x": 0.0}
+        layout = figure["layout"] | {"height": height + 40, "showlegend": True, "legend": legend}
+        layout["margin"] = layout["margin"] | {"b": 80}
+        return Figure("Steady motion in still water", figure["data"], layout)
+
+    def _content(self) -> Content:
+        """Return the answer, and a table of about ten commands of each curve."""
+        rows = []
+        for c in self.curves:
+            name = "speed" if c.motion == "straight" else f"turn rate, mean {number(c.mean, 2)}"
+            for k in np.unique(np.linspace(0, c.command.size - 1, 11).round().astype(int)):
+                rows.append((name, number(c.command[k], 3), number(c.value[k]), number(c.sd[k], 2), c.unit))
+        return Content(self.answer, (), ("", "command", "value", "s.e.", "unit"), rows)
+
+    def __repr__(self) -> str:
+        """Return a short text for the interpreter: number of curves, and `answer`."""
+        return f"<Steady: {len(self.curves)} curves>\n{self.answer}"
+
+
+def linearise(model: PathLike | Saved | FittedResult, speed: float) -> Linearisation:
+    """Linearise a fitted model about straight motion at a constant forward speed, without current.
+
+    Parameters
+    ----------
+    model : path, `Saved`, `FittedVehicle` or `FittedDiagnosis`
+        The model.
+    speed : float
+        Forward speed through the water [m/s], not zero.
+
+    Returns
+    -------
+    Linearisation
+        Matrices A and B with their states and inputs, the operating point, poles, time constants, and responses to
+        steps and over the frequency. A speed outside those of the fitted data gives a `SeatrialWarning`.
+
+    Raises
+    ------
+    SeatrialError
+        If the model has no forward speed, or if the boat does not reach this speed.
+
+    Examples
+    --------
+    >>> at_half_a_metre = st.linearise("vehicle", 0.5)
+    >>> at_half_a_metre.time_constants
+    >>> at_half_a_metre.plot_bode("turn")
+    """
+    from seatrial.ident.export import linearise as about_speed
+
+    with errors_of_users():
+        structure, ranges, known = _estimates(model)
+        found = about_speed(structure, speed, known)
+    low, high = ranges.get("u", (-np.inf, np.inf))
+    if not low <= speed <= high:
+        text = (
+            f"{speed:g} m/s is outside the speeds of the fitted data, {low:.3g} to {high:.3g} m/s; choose one of these"
+        )
+        warn(text)
+    return Linearisation(**{f.name: getattr(found, f.name) for f in fields(LinearModel)})
+
+
+def steady(model: PathLike | Saved | FittedResult, means: Sequence[float] = (0.0, 0.5), points: int = 41) -> Steady:
+    """Compute the steady speed and the steady turn rate of a fitted model over constant commands, in still water.
+
+    The commands are those of the fitted data. Disturbance forces and the current are left out. Speed and turn rate at a
+    command without a stable steady motion are NaN.
+
+    Parameters
+    ----------
+    model : path, `Saved`, `FittedVehicle` or `FittedDiagnosis`
+        The model.
+    means : sequence of float
+        Means of the left and the right command in turns, as parts of the largest command, 0 to 1: 0 is a turn on the
+        spot.
+    points : int
+        Number of commands of each curve, at least 3.
+
+    Returns
+    -------
+    Steady
+        The curves with their standard errors, as arrays, table and figure.
+
+    Raises
+    ------
+    SeatrialError
+        If the model is not one of a boat with a speed or a turn rate, or if the range of its commands is unknown.
+
+    Examples
+    --------
+    >>> curves = st.steady("vehicle")
+    >>> curves.straight.value[-1]
+    >>> curves.plot().save("steady.html")
+    """
+    from seatrial.ident.workflows.dynamics import steady_curves
+
+    if points < 3:
+        raise SeatrialError(f"points {points}: give at least 3")
+    if bad := [m for m in means if not 0.0 <= m <= 1.0]:
+        raise SeatrialError(f"means {bad[0]:g}: give parts of the largest command, from 0 to 1")
+    with errors_of_users():
+        structure, ranges, known = _estimates(model)
+        curves = steady_curves(structure, ranges, known, means, points)
+    if not curves:
+        raise SeatrialError(
+            f"model {structure.name} has no steady motion: it needs a speed u or turn rate r, and commands whose range "
+            "in the fitted data is known; use a model of a boat, such as horizontal"
+        )
+    return Steady(tuple(curves))
+
+
+def _estimates(
+    model: PathLike | Saved | FittedResult,
+) -> tuple[Model, Mapping[str, tuple[float, float]], ParameterCovariance]:
+    """Return the structure of a model with its estimates, the ranges of its data by signal, and its covariance."""
+    from seatrial.ident.estimation import load_model
+    from seatrial.ident.workflows.dynamics import covariance_of
+    from seatrial.ident.workflows.output import validity
+
+    if isinstance(model, FittedResult):
+        fit = model.fitted.fit
+        return fit.model, validity(model.fitted), covariance_of(fit)
+    if isinstance(model, Saved):
+        saved = model.saved_model()
+    else:
+        with model_path(model) as path:
+            saved = load_model(path)
+    return saved.model, saved.validity, saved.covariance()
