@@ -135,7 +135,7 @@ def document(rows: Sequence[Row]) -> str:
 
 
 def missions() -> list[list[str]]:
-    """Return the table of the missions that tell two effects apart: attribution of the first before and after."""
+    """Return the table of the missions that distinguish two effects: attribution of the first before and after."""
     lines = [["boat", "effects to tell apart", "before", "with the designed mission", "with a mixed mission"]]
     for row in read(MISSIONS).values():
         kind, effect, _ = row["key"].split("/")

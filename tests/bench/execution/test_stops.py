@@ -185,7 +185,7 @@ def test_other_signals_end_the_run_like_ctrl_c(
     assert not open_log(run.log).warnings
 
 
-def test_a_signal_to_the_acquisition_process_is_reported_as_such(standin: StandIn, tmp_path: Path) -> None:
+def test_a_signal_to_the_acquisition_process_is_named_as_the_reason(standin: StandIn, tmp_path: Path) -> None:
     short_mission(tmp_path, seconds=60.0)
     with running(tmp_path) as run:
         run.until_turning(standin)
@@ -337,7 +337,7 @@ def test_too_much_force_is_a_safety_stop(standin: StandIn, tmp_path: Path) -> No
         ("force_n", {"calibration": ""}),
     ],
 )
-def test_a_limit_that_nothing_reports_is_refused_before_thrust(
+def test_a_limit_without_a_source_is_refused_before_thrust(
     standin: StandIn, tmp_path: Path, key: str, silence: dict[str, Any]
 ) -> None:
     short_mission(tmp_path, seconds=60.0)

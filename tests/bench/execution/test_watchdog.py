@@ -42,7 +42,7 @@ def test_silence_is_a_reason_only_while_thrust_is_commanded() -> None:
     assert "no sign of life" in reason
 
 
-def test_a_pause_of_the_watchdog_itself_does_not_count_as_silence() -> None:
+def test_a_pause_of_the_watchdog_process_does_not_count_as_silence() -> None:
     watch = HeartbeatMonitor(0.0)
     assert watch.look(0.0, ACTIVE) is None
     assert watch.look(5.0, b"") is None
@@ -114,11 +114,11 @@ def test_a_note_that_cannot_be_written_does_not_keep_thrust_on(tmp_path: Path) -
 
 
 def test_a_note_is_not_written_through_a_link(tmp_path: Path) -> None:
-    log, other = tmp_path / "run.mcap", tmp_path / "other.txt"
-    other.write_text("somebody else's")
-    note_path(log).symlink_to(other)
+    log, foreign_file = tmp_path / "run.mcap", tmp_path / "other.txt"
+    foreign_file.write_text("somebody else's")
+    note_path(log).symlink_to(foreign_file)
     write_note(log, "the acquisition process died")
-    assert other.read_text() == "somebody else's"
+    assert foreign_file.read_text() == "somebody else's"
 
 
 def test_a_run_ends_if_its_watchdog_dies(standin: StandIn, tmp_path: Path) -> None:

@@ -185,7 +185,7 @@ def test_a_fault_on_a_signed_link_ends_thrust_and_disarms(
     assert trial.seconds < trial.allowed + BUSY_S, trial
     assert trial.disarmed
     assert json.loads((folder / "rig.link-test.json").read_text())["devices"]["autopilot"]["receiver"] is False
-    assert message in trial.says
+    assert message in trial.message
 
 
 @pytest.mark.parametrize(

@@ -254,7 +254,7 @@ def test_esc_status_of_the_dronecan_library_is_read() -> None:
     assert decoder.checksum_errors == decoder.unparsed_bytes == 0
 
 
-def test_our_dronecan_frames_equal_those_of_the_library() -> None:
+def test_dronecan_frames_equal_the_frames_of_the_library() -> None:
     uavcan, random = pydronecan.uavcan, rng()
     for number in range(N):
         commands = random.integers(-8191, 8192, random.integers(1, 21)).tolist()

@@ -31,7 +31,7 @@ def _look_each_time(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def old(path: Path) -> Path:
-    """Let a file look as if nobody had written it for a minute."""
+    """Set the time of a file to one minute ago, as if it were no longer written."""
     os.utime(path, (time.time() - 60.0,) * 2)
     return path
 
@@ -112,7 +112,7 @@ def test_a_log_without_messages(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.95])
-def test_a_truncated_log_shows_what_is_there(tmp_path: Path, share: float) -> None:
+def test_a_truncated_log_shows_its_readable_samples(tmp_path: Path, share: float) -> None:
     write_everything(tmp_path / "a.mcap", N_ROUNDS)
     data = (tmp_path / "a.mcap").read_bytes()
     (tmp_path / "b.mcap").write_bytes(data[: int(share * len(data))])

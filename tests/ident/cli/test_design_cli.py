@@ -117,14 +117,14 @@ def test_existing_files_are_not_overwritten(tmp_path: Path, capsys: pytest.Captu
 
 def test_invalid_output_path_is_rejected_before_the_search(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The results beside a mission m.json would overwrite it."""
-    for name, says in (
+    for name, message in (
         ("m.json", "a name that ends in .toml"),
         ("m.html", "a name that ends in .toml"),
         ("none/m.toml", "no such folder"),
     ):
         status, _, err = run(capsys, "design", "horizontal", *QUICK, "--out", str(tmp_path / name))
         assert status == 1
-        assert says in err
+        assert message in err
     assert not list(tmp_path.iterdir())
 
 
@@ -227,7 +227,7 @@ def test_each_hypothesis_of_a_discrimination_has_only_its_own_effect() -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "status", "says"),
+    ("words", "status", "message"),
     [
         (("horizontal", "--area", "40"), 2, "not NORTHxEAST"),
         (("horizontal", "--criterion", "Ds"), 2, "Ds needs the parameters to estimate; give them by --parameters"),
@@ -257,13 +257,13 @@ def test_each_hypothesis_of_a_discrimination_has_only_its_own_effect() -> None:
     ],
 )
 def test_invalid_request_gives_a_one_line_error(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], status: int, says: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], status: int, message: str
 ) -> None:
     out = tmp_path / "m.toml"
     more = [*QUICK] if "--steps" not in words else ["--evaluations", "500", "--duration", "40"]
     got, _, err = run(capsys, "design", *words, *more, "--out", str(out))
     assert got == status
-    assert says in err
+    assert message in err
     assert status == 2 or err.count("\n") == 1
     assert not out.exists()
 
