@@ -535,7 +535,7 @@ def with_estimation_options(options: dict[str, Any]) -> dict[str, Any]:
     return {n: v for n, v in options.items() if n not in ESTIMATION} | {"estimation": EstimationOptions(**shared)}
 
 
-class Lines:
+class LineReporter:
     """Reporter that prints progress and warnings of a computation, one line each, without a live display.
 
     Parameters
@@ -609,7 +609,7 @@ def run_workflow(work: Callable[[Reporter], Result], out: Path, as_json: bool) -
             with console.status("reading logs") as status:
                 result = work(LiveLine(console, status))
         else:
-            result = work(Lines(err=as_json))
+            result = work(LineReporter(err=as_json))
     except (ValueError, KeyError) as problem:
         raise SeatrialError(str(problem).strip("'\"")) from problem
     from seatrial.ident.results import FitResult

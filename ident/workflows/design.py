@@ -28,9 +28,9 @@ from seatrial.ident.experiment_design import (
     DiscriminationDesign,
     Kind,
     ParameterPrior,
+    PredictedTrack,
     StepInput,
     ThrusterResponse,
-    Track,
     baseline_signals,
     design,
     discriminate,
@@ -318,7 +318,7 @@ def designed_mission(
     name: str,
     thrusters: Sequence[str],
     made: Design,
-    track: Track | None,
+    track: PredictedTrack | None,
     request: DesignRequest,
     source: str,
     command: str,
@@ -338,7 +338,7 @@ def designed_mission(
         Names of the thrusters in the rig, in the order of the design.
     made : Design
         Design with the levels and durations of the steps, and with the expected standard errors.
-    track : Track or None
+    track : PredictedTrack or None
         Predicted track; None if the model has no position. The mission then has no prediction of the track.
     request : DesignRequest
         Options of the design: limits of the commands and seed.
@@ -578,7 +578,7 @@ def with_effect(model: Model, name: str) -> Model:
     return with_it.with_values(sizes)
 
 
-def _track_table(track: Track, limits: DesignLimits) -> DesignTrack:
+def _track_table(track: PredictedTrack, limits: DesignLimits) -> DesignTrack:
     """Return the predicted track of the boat, with the area and the current of the limits, as a table of the result.
 
     The tracks of the first 24 sampled boats are kept; the radius and the share inside are those of all.

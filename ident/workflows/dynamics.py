@@ -10,7 +10,7 @@ import numpy as np
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.estimation import Fit, FittedModel, SavedModel
 from seatrial.ident.export import Linearisation, linearise, steady_motion
-from seatrial.ident.model import Model, ModelKind
+from seatrial.ident.model import COMMAND, SHAFT_SPEED, THRUSTER_FORCE, Model, ModelKind, is_of_thruster
 from seatrial.ident.numerics import Array
 from seatrial.ident.results import Dynamics, OperatingPoint, SteadyCurve, StepResponse
 from seatrial.ident.workflows.output import validity
@@ -18,7 +18,7 @@ from seatrial.ident.workflows.output import validity
 POINTS = 41  # of a steady curve
 MEANS = (0.0, 0.5)  # means of both sides in turns, as parts of the largest command
 SPEEDS = (0.25, 0.5, 0.75, 1.0)  # speeds of the linear models, as parts of the largest steady speed
-STEP = 0.1  # size of the steps of the command, as a part of the largest command
+COMMAND_STEP = 0.1  # size of the steps of the command, as a part of the largest command
 CONSTANTS, LONGEST_S, TIMES = 4.0, 60.0, 200  # length of a response in time constants and in s, and its points
 UNITS = {"u": "m/s", "v": "m/s", "r": "rad/s"}
 
@@ -83,7 +83,8 @@ class _Drives:
     def __init__(self, model: Model, ranges: Mapping[str, tuple[float, float]]) -> None:
         """Find the driving inputs: those of both sides, or the only input. Others stay in the middle of their range."""
         names = [i.name for i in model.inputs if not i.tap]
-        sides = [n for n in names if n.endswith(("_left", "_right")) and n.startswith(("n_", "f_"))]
+        of_thrusters = [n for n in names if is_of_thruster(n, COMMAND, SHAFT_SPEED, THRUSTER_FORCE)]
+        sides = [n for n in of_thrusters if n.endswith(("_left", "_right"))]
         self.two_sided = any(n.endswith("_left") for n in sides) and any(n.endswith("_right") for n in sides)
         chosen = sides if self.two_sided else names if len(names) == 1 else []
         known = [ranges[n] for n in chosen if n in ranges]
@@ -91,7 +92,8 @@ class _Drives:
         self.names = names if chosen and len(known) == len(chosen) else []
         self.low = max((a for a, _ in known), default=0.0)
         self.high = min((b for _, b in known), default=0.0)
-        if all(n.startswith("n_") for n in chosen):  # a shaft can turn a little faster than full speed
+        if all(is_of_thruster(n, COMMAND, SHAFT_SPEED) for n in chosen):
+            # A shaft can turn a little faster than full speed.
             self.low, self.high = max(self.low, -1.0), min(self.high, 1.0)
         self._constant = {n: float(np.mean(ranges.get(n, (0.0, 0.0)))) for n in names if n not in chosen}
 
@@ -157,7 +159,7 @@ def _steps(linear: Linearisation, drives: _Drives) -> list[StepResponse]:
     constants = np.abs(linear.time_constants[np.isfinite(linear.time_constants)])
     growing = linear.time_constants[linear.time_constants < 0.0]
     length = min([LONGEST_S, CONSTANTS * float(constants.max(initial=1.0)), *(-growing)])
-    t, size = np.linspace(0.0, length, TIMES), STEP * drives.high
+    t, size = np.linspace(0.0, length, TIMES), COMMAND_STEP * drives.high
     wanted: list[tuple[Literal["straight", "turn"], Sequence[str]]] = [("straight", ("u",)), ("turn", ("r", "v"))]
     found = []
     for motion, quantities in wanted:
