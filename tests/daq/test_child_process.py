@@ -30,7 +30,7 @@ def plant(folder: Path) -> Path:
     return folder / "executed"
 
 
-def test_acquisition_and_watchdog_execute_nothing_of_the_working_folder(
+def test_acquisition_and_watchdog_do_not_execute_files_of_the_working_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     executed = plant(tmp_path)
@@ -43,7 +43,7 @@ def test_acquisition_and_watchdog_execute_nothing_of_the_working_folder(
     assert not executed.exists()
 
 
-def test_the_processes_of_a_page_execute_nothing_of_the_working_folder(
+def test_the_processes_of_a_page_do_not_execute_files_of_the_working_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The test checks the process that serves the page of a recording, and the process that opens a browser."""
@@ -74,14 +74,14 @@ def test_modules_of_the_package_cannot_be_imported_as_top_level_modules(
     assert module_environment()["PYTHONPATH"].split(os.pathsep)[0] == str(tmp_path.resolve())
 
 
-def test_a_command_of_the_demo_executes_nothing_of_its_folder(tmp_path: Path) -> None:
+def test_a_command_of_the_demo_does_not_execute_files_of_its_folder(tmp_path: Path) -> None:
     executed = plant(tmp_path)
     assert DemoSteps(tmp_path).has("mission", "show")
     assert not executed.exists()
 
 
 @pytest.mark.parametrize("backend", ["loky", pytest.param("dask", marks=pytest.mark.slow)])
-def test_processes_of_a_library_execute_nothing_of_the_working_folder(tmp_path: Path, backend: str) -> None:
+def test_processes_of_a_library_do_not_execute_files_of_the_working_folder(tmp_path: Path, backend: str) -> None:
     """joblib and Dask start their own processes, as in a study of recovery, after the command's own start."""
     executed = plant(tmp_path)
     code = """

@@ -77,7 +77,7 @@ def test_commands_over_ros_are_driven_recorded_and_published(standin: StandIn, t
 
 
 @pytest.mark.parametrize("how", ["killed", "router gone"])
-def test_thrust_is_zero_when_commands_stop_and_comes_back_after_zero(
+def test_thrust_is_zero_when_commands_stop_and_resumes_after_a_zero_command(
     standin: StandIn, tmp_path: Path, how: str
 ) -> None:
     program = PROGRAM.format(root=str(Path(__file__).parents[3]), address="{}")

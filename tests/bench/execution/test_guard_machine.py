@@ -603,7 +603,7 @@ def test_the_numbers_equal_the_numbers_of_the_safety_page() -> None:
     assert pytest.approx(6_371_008.8) == EARTH_RADIUS_M
 
 
-def test_a_history_holds_values_and_forgets_old_ones() -> None:
+def test_a_history_holds_values_for_a_limited_time() -> None:
     history = guard_module.History(2.0)
     assert not history.covers(0.0)
     assert history.since(0.0) == []
@@ -744,7 +744,7 @@ def test_slow_quantities_may_be_missing_for_longer(tmp_path: Path, key: str, sam
     assert [limit.key for limit in guard.unwatched(status(0.99 + patience + 0.02, 0.0, {}))] == [key]
 
 
-def test_a_thruster_without_a_command_yet_counts_as_at_zero(tmp_path: Path) -> None:
+def test_a_thruster_before_its_first_command_counts_as_at_zero(tmp_path: Path) -> None:
     guard = SafetyGuard(rig_of(tmp_path, rpm=4000.0), 1.0, ("left",))
     for k in range(1, 200):
         now = replace(status(0.05 * k, 0.0, {ESC: Esc(1, 10.0)}), commanded={})
@@ -820,7 +820,7 @@ def test_the_patience_with_a_limit_grows_with_the_speed_of_time(tmp_path: Path) 
     assert len(guard.unwatched(status(0.99 + 60.1, 0.0, {}))) == 2
 
 
-def test_a_force_beyond_its_limit_names_the_part_that_was_there_at_rest(tmp_path: Path) -> None:
+def test_message_of_a_force_beyond_its_limit_contains_the_force_at_rest(tmp_path: Path) -> None:
     guard = SafetyGuard(rig_of(tmp_path, force_n=60.0), 1.0, ("left",))
     guard.check(status(0.1, 0.0, {ESC: Esc(1), CELL: LoadCell(1.0, 24.4)}))
     with pytest.raises(SafetyStop) as caught:

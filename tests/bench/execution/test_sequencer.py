@@ -316,7 +316,7 @@ def test_a_second_sender_and_a_flood_end_the_run() -> None:
         drive.until(103.1)
 
 
-def test_a_command_without_a_whole_attachment_ends_the_run() -> None:
+def test_a_command_without_a_complete_attachment_ends_the_run() -> None:
     drive = Following()
     drive.until(101.0, 0.0)
     with pytest.raises(SafetyStop, match="a command for thruster left lacks sequence number, time or id"):

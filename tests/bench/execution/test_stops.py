@@ -91,7 +91,7 @@ def test_zero_is_repeated_for_half_a_second(standin: StandIn, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("after", [pytest.param(0.3, marks=pytest.mark.study), 1.0])
-def test_a_port_that_comes_back_gets_its_zero_though_the_run_has_ended(tmp_path: Path, after: float) -> None:
+def test_a_returning_port_receives_zero_after_the_end_of_the_run(tmp_path: Path, after: float) -> None:
     short_mission(tmp_path, seconds=60.0)
     with StandIn(tmp_path, timeout_s=SLOW_ESC_S) as standin, running(tmp_path) as run:
         run.until_turning(standin)

@@ -74,7 +74,7 @@ def test_the_watchdog_imports_only_the_modules_for_sending_zero() -> None:
 
 
 @pytest.mark.parametrize("failure", ["acquisition hangs", "acquisition killed", "both killed"])
-def test_after_a_hang_or_death_zero_comes_long_before_the_esc_timeout(tmp_path: Path, failure: str) -> None:
+def test_after_a_hang_or_death_zero_is_sent_long_before_the_esc_timeout(tmp_path: Path, failure: str) -> None:
     short_mission(tmp_path, seconds=60.0)
     with StandIn(tmp_path, 4.0, timeout_s=SLOW_ESC_S) as standin, running(tmp_path) as run:
         run.until_turning(standin)

@@ -306,7 +306,7 @@ def parsed(codec: Codec, data: bytes) -> list[Any]:
     return found
 
 
-def test_the_answer_to_another_ground_station_is_not_ours() -> None:
+def test_an_answer_to_another_ground_station_is_ignored() -> None:
     ends = ready(Ends(mav_rig()))
     ends.deaf = True
     ends.driver.request("arm", 0.0)
@@ -408,7 +408,7 @@ def test_a_muted_driver_sends_zero_commands_only() -> None:
     assert ends.driver.command([Due(1, 0.1, True)], {1: 0.1}, ends.t)  # it does not last
 
 
-def test_another_station_of_our_id_and_lost_frames_are_counted() -> None:
+def test_another_station_with_the_same_id_and_lost_frames_are_counted() -> None:
     ends = ready(Ends(mav_rig()))
     assert (ends.driver.link_at(ends.t).other_station_frames, ends.driver.link_at(ends.t).lost) == (0, 0)
     ends.to_ground(Codec(255, 230).encode("HEARTBEAT", 6, 8, 0, 0, 4, 3))
@@ -553,7 +553,7 @@ def test_a_receiver_without_a_fix_stops_its_time() -> None:
     assert (fix, math.isnan(t_device)) == (0, True)
 
 
-def test_an_override_of_zero_gives_a_channel_back() -> None:
+def test_an_override_of_zero_releases_a_channel() -> None:
     ends = armed(ready(Ends(mav_rig())))
     drive(ends, 0.5, 0.5, 1.0)
     assert ends.controllers[1].n > 0.4

@@ -77,7 +77,7 @@ def test_a_tlog_becomes_a_log_with_the_times_of_the_autopilot(tmp_path: Path) ->
         import_mavlink(tmp_path / "run.tlog", out=tmp_path / "run.tlog", force=True)
 
 
-def test_damage_in_a_tlog_loses_only_the_damaged_messages(tmp_path: Path) -> None:
+def test_damage_in_a_tlog_affects_only_the_damaged_messages(tmp_path: Path) -> None:
     tlog(tmp_path / "clean.tlog")
     tlog(tmp_path / "dirty.tlog", b"\xfd\x00garbage")
     clean, dirty = (import_mavlink(tmp_path / f"{n}.tlog", out=tmp_path / f"{n}.mcap")[0] for n in ("clean", "dirty"))
@@ -131,7 +131,7 @@ def test_one_of_two_autopilots_is_imported_and_the_omitted_autopilot_is_named(tm
 
 
 @pytest.mark.parametrize("boot", [12.5, 400.0])
-def test_two_autopilots_of_one_number_are_one_line(tmp_path: Path, boot: float) -> None:
+def test_two_autopilots_with_the_same_number_give_a_one_line_error(tmp_path: Path, boot: float) -> None:
     path = tmp_path / "run.tlog"
     path.write_bytes(attitudes((1, 12.0), (1, boot)))
     with pytest.raises(SeatrialError, match="two autopilots send as system 1"):
@@ -389,7 +389,7 @@ def test_zeroed_blocks_of_a_dataflash_log_lose_only_their_messages(tmp_path: Pat
         assert len(log.table(Ahrs, "autopilot")) >= 15
 
 
-def test_a_flipped_bit_in_a_time_loses_one_message(tmp_path: Path) -> None:
+def test_a_flipped_bit_in_a_time_removes_one_message(tmp_path: Path) -> None:
     path = tmp_path / "00000001.BIN"
     dataflash(path)
     data = bytearray(path.read_bytes())

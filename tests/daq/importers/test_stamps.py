@@ -129,7 +129,9 @@ def test_a_step_of_the_recorders_clock_is_taken_out_of_the_commands(by: float) -
 
 @pytest.mark.parametrize("by", [-4.0, -30.0])
 @pytest.mark.parametrize("topics", [tuple(RATES), ("/fix",)])
-def test_a_recorder_that_was_set_back_loses_only_ambiguous_messages(by: float, topics: tuple[str, ...]) -> None:
+def test_only_ambiguous_messages_of_a_recorder_that_was_set_back_are_omitted(
+    by: float, topics: tuple[str, ...]
+) -> None:
     bag = Bag(recorder=lambda t: t + by * (t > 60.0), topics=topics)
     for name, signal in bag.found.items():  # the times as a reader of the bag receives them
         order = np.argsort(signal.receipt, kind="stable")
@@ -181,7 +183,7 @@ def test_a_device_with_another_clock_is_moved_to_the_others(rate: float) -> None
     assert not found["/imu"].remark
 
 
-def test_a_stamp_that_stands_still_is_ignored() -> None:
+def test_a_constant_stamp_is_ignored() -> None:
     bag = Bag()
     bag.found["/fix"].stamp[:] = T0
     found = bag.times()

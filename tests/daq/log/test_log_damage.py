@@ -103,7 +103,7 @@ def test_a_damaged_chunk_does_not_affect_other_chunks(whole: Path, tmp_path: Pat
     assert [("damaged and left out" in warning) for warning in log.warnings] == [True]
 
 
-def test_a_wrong_length_loses_only_its_chunk(whole: Path, tmp_path: Path) -> None:
+def test_a_wrong_length_does_not_affect_other_chunks(whole: Path, tmp_path: Path) -> None:
     record = int(RawLog(whole)._chunks[N_ROUNDS // 2]["at"])
     data = bytearray(whole.read_bytes())
     for wrong in (2**50, 0):

@@ -92,7 +92,7 @@ def test_a_killed_recording_keeps_all_but_the_last_moment(tmp_path: Path, seed: 
     assert {"git", "host", "operator", "command_line", "version.seatrial"} <= set(log.metadata)
 
 
-def test_everything_about_the_run_stands_in_the_file_before_the_first_sample(tmp_path: Path) -> None:
+def test_metadata_and_attachments_are_in_the_file_before_the_first_sample(tmp_path: Path) -> None:
     log = recorder(tmp_path / "run.mcap", metadata={"operator": "Ada"})
     found = open_log(tmp_path / "run.mcap")
     assert found.metadata["operator"] == "Ada"

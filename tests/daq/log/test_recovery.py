@@ -41,7 +41,7 @@ def run(command: str, *words: object) -> Result:
     return CliRunner().invoke(getattr(cli, command), list(map(str, words)), catch_exceptions=False)
 
 
-def test_all_segments_of_a_killed_run_become_one_whole_file(killed_set: Path) -> None:
+def test_all_segments_of_a_killed_run_are_joined_to_one_complete_file(killed_set: Path) -> None:
     with open_log(killed_set) as log:
         yaw = log.table(Ahrs, "ahrs")["yaw"]
     assert 300 < len(yaw) < 350

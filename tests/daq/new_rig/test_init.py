@@ -147,9 +147,7 @@ def test_existing_files_stay(tmp_path: Path) -> None:
         (["--devices", "loadcell", "--newton-per-count", "0"], "must be a finite number other than zero"),
     ],
 )
-def test_a_wrong_answer_gives_a_one_line_error_and_writes_nothing(
-    tmp_path: Path, words: list[str], message: str
-) -> None:
+def test_a_wrong_answer_gives_a_one_line_error_and_no_file(tmp_path: Path, words: list[str], message: str) -> None:
     folder = tmp_path / "new"
     done = CliRunner().invoke(command_line.cli, ["init", str(folder), *words])
     assert done.exit_code in (1, 2)
@@ -258,7 +256,7 @@ def test_the_questions_at_a_terminal(tmp_path: Path) -> None:
     assert rig.limits.radius_m is None
 
 
-def test_ctrl_c_while_asking_writes_nothing(tmp_path: Path) -> None:
+def test_ctrl_c_at_a_question_writes_no_file(tmp_path: Path) -> None:
     def interrupt(terminal: Terminal) -> None:
         terminal.answer("boat or bench", "")
         terminal.await_text("name of the rig")

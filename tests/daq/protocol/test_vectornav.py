@@ -111,7 +111,7 @@ def test_garbage_between_messages_is_skipped() -> None:
     check_garbage(Decoder, messages, 4)
 
 
-def test_a_flipped_bit_is_counted_and_loses_one_message() -> None:
+def test_a_flipped_bit_is_counted_and_removes_one_message() -> None:
     good = encode_binary(AHRS, 1.0)
     for at in range(1, len(good)):
         bad = bytearray(good)

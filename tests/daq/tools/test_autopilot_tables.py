@@ -34,7 +34,7 @@ def test_the_tables_of_the_mock_autopilot_have_the_thrusters_of_its_rig() -> Non
     assert rig.devices[0].mavlink.rates == {"SERVO_OUTPUT_RAW": 40.0}  # four fifths of its loop, by a network
 
 
-def test_two_boats_in_one_rig_have_thrusters_of_their_own() -> None:
+def test_two_boats_in_one_rig_have_separate_thrusters() -> None:
     parameters = Ends(mav_rig()).autopilot.vehicle.parameters
     boats = [
         DiscoveredAutopilot(f"udp:127.0.0.1:{port}", "", "mavlink", vehicle="ArduPilot Rover", parameters=parameters)

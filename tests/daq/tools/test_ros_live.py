@@ -146,7 +146,7 @@ def test_commands_with_any_type_hash_are_accepted(router: Router, listener: Any)
         assert node.take() == {"left": []}
 
 
-def test_a_router_may_come_late_and_go(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_router_may_start_late_and_stop(monkeypatch: pytest.MonkeyPatch) -> None:
     router = Router()
     with Ros2Node(rig(router)) as node:
         assert "does not answer" in node.await_router(0.2)
@@ -241,7 +241,7 @@ class _Bytes(bytes):
         return bytes(self)
 
 
-def test_only_a_whole_attachment_names_its_sender() -> None:
+def test_only_a_complete_attachment_names_its_sender() -> None:
     number = b"\0\1\0\0" + struct.pack("<d", 0.25)
     whole = ATTACHMENT.pack(7, 2_000_000_000, 16, b"g" * 16)
     assert _decoded_command(_Sample(number, whole)) == ReceivedCommand(0.25, b"g" * 16, 2.0, 7)

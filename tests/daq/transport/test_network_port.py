@@ -106,7 +106,7 @@ def test_a_listening_port_is_taken_over_from_a_process_that_still_has_it(peer: s
     second.close()
 
 
-def test_udpout_speaks_to_an_address_even_before_anybody_listens(peer: socket.socket) -> None:
+def test_udpout_sends_before_the_receiver_listens(peer: socket.socket) -> None:
     number = free()
     port = make_net_port(f"udpout:127.0.0.1:{number}")
     port.open()

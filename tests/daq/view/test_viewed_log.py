@@ -212,7 +212,7 @@ def test_a_recording_that_stops_without_its_end_is_cut(tmp_path: Path, monkeypat
     log.close()
 
 
-def test_a_long_recording_forgets_its_beginning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_recording_shows_its_latest_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(viewed_log, "MAX_LIVE_BYTES", 100_000)
     path = tmp_path / "a.mcap"
     viewed, log = ViewedLog(path, wait=True), recorder(path)

@@ -279,7 +279,7 @@ def run(vessel: Instance, first: int, last: int) -> None:
         vessel.step(0.1 * k, 0.1)
 
 
-def test_errors_are_reported_and_change_nothing(folder: Path) -> None:
+def test_errors_are_reported_and_do_not_change_the_state(folder: Path) -> None:
     def refused(vessel: Instance, words: str, call: Any, *arguments: Any, **values: Any) -> None:
         before = vessel.fmu.getReal(list(range(len(vessel.references))))
         with pytest.raises(FMICallException):

@@ -80,7 +80,7 @@ def test_known_noise_is_estimated(still: Path, tmp_path: Path, capsys: pytest.Ca
     assert "Sensor noise" in report
 
 
-def test_json_is_the_result_without_its_curves_and_nothing_else(
+def test_json_output_is_only_the_result_without_its_curves(
     still: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     capsys.readouterr()

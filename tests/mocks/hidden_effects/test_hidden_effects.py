@@ -111,7 +111,7 @@ def test_reverse_thrust_is_lost_astern_only() -> None:
     assert surge("reverse-thrust", -0.6) / surge("", -0.6) == pytest.approx(math.sqrt(0.7), abs=0.06)
 
 
-def test_battery_sag_comes_with_use() -> None:
+def test_battery_sag_grows_with_use() -> None:
     assert surge("battery-sag", 0.8, 5.0) > 0.98 * surge("", 0.8, 5.0)
     assert surge("battery-sag", 0.8, 200.0) < 0.96 * surge("", 0.8, 200.0)
 
@@ -311,7 +311,7 @@ def test_drag_is_larger_over_the_shoal() -> None:
     assert abs(beside) < 0.01 * abs(over)
 
 
-def test_the_payload_slides_once_and_the_centre_of_gravity_stays_there() -> None:
+def test_the_payload_slides_once_and_does_not_return() -> None:
     effect = make_effect("payload-shift", 4)
     assert effect.payload is not None
     at, plain, moved = effect.payload.at, list[float](), list[float]()

@@ -82,7 +82,7 @@ def test_another_mock_on_the_same_port_is_refused(port: PtyPort) -> None:
         PtyPort(port.path)
 
 
-def test_a_real_file_is_left_alone(tmp_path: Path) -> None:
+def test_a_real_file_is_not_replaced(tmp_path: Path) -> None:
     (tmp_path / "ahrs").write_text("precious")
     with pytest.raises(SeatrialError, match="is not the port of a mock"):
         PtyPort(tmp_path / "ahrs")
