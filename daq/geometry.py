@@ -1,4 +1,4 @@
-"""Geodesy and rotations: the WGS 84 ellipsoid, local coordinates north and east, and quaternions of Euler angles.
+"""Geodesy and rotations: the WGS 84 ellipsoid, local coordinates north and east, quaternions and Euler angles.
 
 The body axes are forward, starboard, down (FRD). The local frame is north, east, down (NED).
 `seatrial.ident.numerics.rotations` has the rotations of models, which take symbols too.
@@ -87,6 +87,19 @@ def quaternion(yaw: float, pitch: float, roll: float) -> tuple[float, float, flo
     )
 
 
+def rotation_matrix(yaw: float, pitch: float, roll: float) -> NDArray[np.float64]:
+    """Return the rotation matrix from the body frame (FRD) to NED, shape (3, 3) (Fossen 2011, eq. 2.18).
+
+    The angles are Euler angles [rad] in the order ZYX.
+    """
+    x, y, z, w = quaternion(yaw, pitch, roll)
+    return np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ])  # fmt: skip
+
+
 def euler_angles(
     x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], w: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -97,4 +110,15 @@ def euler_angles(
     yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
     roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    return yaw, pitch, roll
+
+
+def scalar_euler_angles(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:
+    """Return the Euler angles yaw, pitch and roll [rad] of one unit quaternion, as `euler_angles` does for arrays.
+
+    Decoders call this function for each sample, for which `euler_angles` would be slow.
+    """
+    yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    pitch = math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0))
+    roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
     return yaw, pitch, roll

@@ -2,6 +2,9 @@
 
 The noise is white noise plus a random walk (thesis, section 4.1). Its sizes are those of a VN-100 (AHRS), a GNSS
 receiver with an RTK float solution, and an HX711 (load cell).
+
+Positions on the earth are computed here and not by `seatrial.daq.geometry`, so that an error in that module changes the
+logs and not the truth.
 """
 
 from __future__ import annotations

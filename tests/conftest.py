@@ -167,8 +167,8 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 def step_back() -> None:
     """Set the least priority once, for this process and, where Linux shares the cores by sessions, for its session.
 
-    With such sharing a nice process takes as much time as another session, and acquisition and watchdog have their own
-    sessions.
+    If Linux shares the cores by sessions, a nice process takes as much time as another session. Acquisition and
+    watchdog have their own sessions.
     """
     if STEPPED_BACK.is_set():
         return

@@ -81,7 +81,7 @@ TARGETS = (
 
 
 class Mutant(NamedTuple):
-    """One change of one file."""
+    """Change of one file."""
 
     target: Target
     node: int  # in the order of ast.walk

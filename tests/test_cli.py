@@ -92,13 +92,13 @@ def test_runs_as_a_module() -> None:
         (MemoryError(), 1, "the memory of this computer is not enough: give fewer or shorter logs"),
     ],
 )
-def test_a_failure_is_one_line_and_a_status(run, error: BaseException, status: int, line: str) -> None:
+def test_a_failure_gives_a_one_line_error_and_a_status(run, error: BaseException, status: int, line: str) -> None:
     # After Ctrl-C an empty line first closes the ^C that the terminal shows.
     start = "\n" if status == 130 else ""
     assert run(raising(error)) == (status, "", f"{start}seatrial: {line}\n")
 
 
-def test_an_unexpected_exception_is_one_line_that_names_debug(run) -> None:
+def test_an_unexpected_exception_gives_a_one_line_error_that_names_debug(run) -> None:
     status, out, err = run(raising(ValueError("bad\nshape")))
     assert (status, out) == (1, "")
     assert err.startswith("seatrial: internal error (ValueError: bad shape); run again with --debug")
@@ -130,7 +130,7 @@ def test_wrong_usage_is_2(run, args) -> None:
 
 
 @pytest.mark.parametrize(
-    ("args", "says"),
+    ("args", "message"),
     [
         (("infoo",), "seatrial: No such command 'infoo'. Did you mean 'info'? `seatrial --help` shows how"),
         (("imp",), "seatrial: No such command 'imp'. Did you mean 'import'? `seatrial --help` shows how"),
@@ -139,20 +139,20 @@ def test_wrong_usage_is_2(run, args) -> None:
         (("log", "--duratoin", "3"), "seatrial log: No such option '--duratoin'. Did you mean '--duration'?"),
     ],
 )
-def test_a_misspelt_command_or_option_names_the_closest_one(capsys, args: tuple[str, ...], says: str) -> None:
+def test_a_misspelt_command_or_option_names_the_closest_one(capsys, args: tuple[str, ...], message: str) -> None:
     with pytest.raises(SystemExit) as leaving:
         command_line.main(args)
     assert leaving.value.code == 2
-    assert capsys.readouterr().err.startswith(says)
+    assert capsys.readouterr().err.startswith(message)
 
 
-def test_a_returned_value_is_no_exit_status_but_ctx_exit_is(run) -> None:
+def test_exit_status_comes_from_ctx_exit_and_not_from_a_returned_value(run) -> None:
     assert run(lambda: 7) == (0, "", "")
     assert run(lambda: click.get_current_context().exit(7)) == (7, "", "")
 
 
 @pytest.mark.parametrize(
-    ("target", "says"),
+    ("target", "message"),
     [
         ("no_such_part.cli:x", "`info` is not part of this installation (no module no_such_part)"),
         ("daq.no_such_file:x", "`info` is not part of this installation (no module daq.no_such_file)"),
@@ -160,7 +160,9 @@ def test_a_returned_value_is_no_exit_status_but_ctx_exit_is(run) -> None:
         ("needs_a_library:x", "`info` needs the Python module no_such_library, which is not installed"),
     ],
 )
-def test_a_missing_package_is_one_line(monkeypatch, tmp_path: Path, capsys, target: str, says: str) -> None:
+def test_a_missing_package_gives_a_one_line_error(
+    monkeypatch, tmp_path: Path, capsys, target: str, message: str
+) -> None:
     (tmp_path / "needs_a_library.py").write_text("import no_such_library\n")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setitem(command_line.COMMANDS, "info", command_line.Row(target, "A test."))
@@ -168,13 +170,13 @@ def test_a_missing_package_is_one_line(monkeypatch, tmp_path: Path, capsys, targ
         command_line.main(["info", "some.mcap"])
     err = capsys.readouterr().err
     assert leaving.value.code == 1
-    assert err.startswith(f"seatrial: {says}")
+    assert err.startswith(f"seatrial: {message}")
     assert err.count("\n") == 1
 
 
 @pytest.mark.skipif(os.name != "posix", reason="sends a signal the POSIX way")
 @pytest.mark.parametrize("module", ["click", "numpy"])  # imported by the main program, and by the package of a command
-def test_ctrl_c_while_still_importing_is_one_line(tmp_path: Path, module: str) -> None:
+def test_ctrl_c_during_imports_prints_one_line(tmp_path: Path, module: str) -> None:
     (tmp_path / f"{module}.py").write_text("import time\nprint('importing', flush=True)\ntime.sleep(60)\n")
     root = str(Path(command_line.__file__).parent)
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), root])}
@@ -192,7 +194,7 @@ def test_ctrl_c_while_still_importing_is_one_line(tmp_path: Path, module: str) -
 
 @pytest.mark.skipif(os.name != "posix", reason="closes a pipe the POSIX way")
 @pytest.mark.parametrize("command", ["--help", "info"])
-def test_a_closed_output_pipe_is_no_error(tmp_path: Path, command: str) -> None:
+def test_a_closed_output_pipe_does_not_give_an_error(tmp_path: Path, command: str) -> None:
     # `print` keeps the text until the last flush, where click's own output is flushed at once.
     (tmp_path / "prints.py").write_text("import click\ncommand = click.command()(lambda: print('text'))\n")
     code = f"""
@@ -212,7 +214,7 @@ command_line.main(sys.argv[1:])
 
 
 @pytest.mark.filterwarnings("always")
-def test_our_own_warnings_are_one_line_and_others_keep_their_location(run: Callable[..., Outcome]) -> None:
+def test_warnings_of_seatrial_are_one_line_and_other_warnings_keep_their_location(run: Callable[..., Outcome]) -> None:
     def action() -> None:
         warnings.warn("the engine is slow", SeatrialWarning, stacklevel=1)
         warnings.warn("of a library", RuntimeWarning, stacklevel=1)

@@ -93,7 +93,7 @@ def test_a_match_is_printed_only_if_the_effects_match(
     assert ("do not match" not in capsys.readouterr().out) == match
 
 
-def test_a_result_without_errors_is_one_line(tmp_path: Path) -> None:
+def test_a_result_without_errors_is_printed_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(SeatrialError, match="lacks the prediction errors before and after"):
         demo.print_outcome(filled(tmp_path, {"answer": "x"}, TRUTH))
 

@@ -55,13 +55,13 @@ ALLOWED = {
 
 
 def prose(page: Path) -> str:
-    """A page without code and output of the program: other tests compare these with their source."""
+    """Return a page without code and output of the program, which other tests compare with their source."""
     text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
     return re.sub(r"`[^`]*`|\]\([^)]*\)|^>.*$", "", text, flags=re.MULTILINE)
 
 
 def found(path: str, text: str) -> list[str]:
-    """Each retired word in a text, with what stands around it and the term in its place."""
+    """Return each retired word of a text, with its surroundings and the term that replaces it."""
     lines = []
     for pattern, term in RETIRED.items():
         for match in re.finditer(pattern, text, re.IGNORECASE):
@@ -72,7 +72,7 @@ def found(path: str, text: str) -> list[str]:
 
 
 def docstrings(path: Path) -> Iterator[str]:
-    """Those of a module, its classes and functions."""
+    """Return the docstrings of a module, of its classes and of its functions."""
     gc.disable()  # to look for garbage among the nodes takes longer than to parse
     try:
         nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
@@ -84,7 +84,7 @@ def docstrings(path: Path) -> Iterator[str]:
 
 
 def helps(command: click.Command, words: str) -> Iterator[tuple[str, str]]:
-    """(command, text) of a command and all below it."""
+    """Yield (command, text) of a command and of all its subcommands."""
     options = [o.help or "" for o in command.params if isinstance(o, click.Option)]
     yield words, "\n".join([command.help or "", command.short_help or "", command.epilog or "", *options])
     if isinstance(command, click.Group):

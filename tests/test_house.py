@@ -12,6 +12,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 PARTS = ("daq", "bench", "ident", "mocks")
@@ -254,6 +255,34 @@ def test_outputs_are_written_by_seatrial_daq_files() -> None:
 
 def _writes(call: ast.Call) -> bool:
     name = call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
-    texts = [one.value for one in call.args if isinstance(one, ast.Constant) and isinstance(one.value, str)]
+    texts = [
+        argument.value
+        for argument in call.args
+        if isinstance(argument, ast.Constant) and isinstance(argument.value, str)
+    ]
     mode = any(len(text) < 4 and set(text) & set("wxa") for text in texts)
     return name in ("write_text", "write_bytes") or (name == "open" and mode)
+
+
+@pytest.mark.parametrize(
+    ("subject", "accepted"),
+    [
+        ("fit: ignore the predicted gain of a failed BFGS step", True),
+        ("ident/export: bring the units into the header", True),
+        (f"fit: {'x' * 67}", True),
+        (f"fit: {'x' * 68}", False),
+        ("ignore the predicted gain", False),
+        ("fit: ", False),
+        ("fit: Ignore the predicted gain", False),
+        ("fit: ignoring the predicted gain", False),
+        ("fit: ignore the predicted gain.", False),
+        ("Merge branch 'fit'", True),
+        ("", False),
+    ],
+)
+def test_the_commit_hook_accepts_subjects_of_the_documented_form(subject: str, accepted: bool) -> None:
+    """The hook searches the message with these flags of `re` (pygrep --multiline)."""
+    (local,) = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))["repos"]
+    (hook,) = [hook for hook in local["hooks"] if hook.get("stages") == ["commit-msg"]]
+    found = re.search(hook["entry"], f"{subject}\n\nThe reason.\n", re.MULTILINE | re.DOTALL)
+    assert (found is not None) == accepted

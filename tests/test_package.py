@@ -86,7 +86,7 @@ def wanted() -> set[str]:
     }
 
 
-def test_the_wheel_holds_the_parts_and_nothing_else(built: Built) -> None:
+def test_the_wheel_contains_the_parts_only(built: Built) -> None:
     assert built.wheel.name.endswith("-py3-none-any.whl")
     with zipfile.ZipFile(built.wheel) as archive:
         names = {name for name in archive.namelist() if ".dist-info/" not in name}
@@ -153,7 +153,7 @@ def test_an_error_line_names_the_extra_of_every_library() -> None:
     }
 
 
-def test_all_has_every_extra_but_ray_and_those_of_development() -> None:
+def test_the_extra_all_contains_every_extra_except_ray_and_development() -> None:
     """Ray alone would add 240 MB, for a second way to the same cluster."""
     table = project()["project"]["optional-dependencies"]  # type: ignore[index]
     (line,) = table["all"]

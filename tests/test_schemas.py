@@ -105,7 +105,7 @@ def changed(content: dict[str, Any], number: int) -> tuple[dict[str, Any], dict[
 
 
 @pytest.mark.parametrize("kind", schemas.FILES)
-def test_the_published_schemas_are_those_of_the_readers(kind: str) -> None:
+def test_the_published_schemas_equal_the_schemas_of_the_readers(kind: str) -> None:
     text = (schemas.FOLDER / f"{kind}.schema.json").read_text(encoding="utf-8")
     assert text == schemas.dump(kind), "run `python docs/site/schemas.py`"
 
@@ -172,7 +172,7 @@ def test_the_reader_needs_every_key_that_the_schema_requires(kind: str) -> None:
         ("timeout_s = 0.3", "timeout_s = 30.0"),
     ],
 )
-def test_a_mistake_in_a_rig_is_found_by_the_schema(old: str, new: str) -> None:
+def test_the_schema_rejects_a_rig_with_a_mistake(old: str, new: str) -> None:
     text = schemas.rigs()[0]
     assert old in text
     content = tomllib.loads(text.replace(old, new, 1))

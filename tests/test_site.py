@@ -15,8 +15,10 @@ from html.parser import HTMLParser
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
+from latex2mathml.converter import convert
 
 from tests.ident.pages import CHROMIUM, browser
 
@@ -213,6 +215,42 @@ def test_the_page_of_effects_is_up_to_date_and_has_every_effect() -> None:
     assert text == effects.page(), "run `python docs/site/effects.py`"
     assert text.count("\n### ") == len(effects.built_in())
     assert len(effects.built_in()) > 70
+
+
+@pytest.mark.parametrize(
+    ("formula", "tex"),
+    [
+        ("X -= d_uuu u^3", r"X \leftarrow X - d_{uuu} \, u^{3}"),
+        ("Y -= (Y_r + k) r + b", r"Y \leftarrow Y - ((Y_{r} + k) \, r + b)"),
+        (
+            "f_L *= 1 - rho |n| for n < 0",
+            r"f_{L} \leftarrow f_{L} \, (1 - \rho \, \left| n \right|) \text{ for } n < 0",
+        ),
+        ("f /= 2 k", r"f \leftarrow f / (2 \, k)"),
+        ("T n_eff' = n|n|^(1/8) - z''", r"T \, \dot{n}_{\mathrm{eff}} = n \left| n \right|^{1 / 8} - \ddot{z}"),
+        (
+            "V = R(psi)' x, x = sqrt(2 k)",
+            r"\begin{aligned} & V = R (\psi)^{\top} \, x \\ & x = \sqrt{2 \, k} \end{aligned}",
+        ),
+        ("v = r x l, t / 600 s", r"v = r \times l, t / 600 \,\mathrm{s}"),
+        ("u @ v", None),
+        ("u (v", None),
+        ("|u v", None),
+        ("u''' = 1", None),
+        ("u^", None),
+    ],
+)
+def test_formulas_are_converted_to_tex(formula: str, tex: str | None) -> None:
+    assert script("formulas").formula_tex(formula) == tex
+
+
+def test_browsers_can_show_the_formulas_of_all_effects() -> None:
+    effects, formulas = script("effects"), script("formulas")
+    for effect in effects.built_in().values():
+        tex = formulas.formula_tex(effect.formula)
+        assert tex, effect.name
+        shown = ElementTree.fromstring(convert(tex.replace("{aligned}", "{align*}")))
+        assert "\\" not in "".join(shown.itertext()), effect.name
 
 
 def test_the_architecture_page_is_up_to_date(architecture: ModuleType) -> None:

@@ -17,7 +17,7 @@ from seatrial.ident.data.record import Channel, LogSegment, Record, build_record
 from seatrial.ident.estimation.fitted_model import fit_nominal_model
 from seatrial.ident.estimation.likelihood import FilterResult, Likelihood
 from seatrial.ident.estimation.maximum_likelihood import EstimationOptions, Fit, fit
-from seatrial.ident.estimation.output_error import Simulation, simulate
+from seatrial.ident.estimation.output_error import SimulatedTrajectory, simulate
 from seatrial.ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
 from seatrial.ident.model.structure import Model
 from seatrial.ident.models.disturbances import sensor_bias
@@ -56,7 +56,7 @@ class Both:
     pe: Fit
 
     @property
-    def simulated(self) -> Simulation:
+    def simulated(self) -> SimulatedTrajectory:
         """Prediction of the output-error model from the inputs alone."""
         return simulate(self.oe.model, self.record)
 

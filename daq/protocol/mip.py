@@ -12,6 +12,7 @@ import math
 import re
 import struct
 
+from seatrial.daq.geometry import scalar_euler_angles
 from seatrial.daq.protocol.framing import StreamDecoder
 from seatrial.daq.protocol.ubx import GPS_EPOCH, WEEK, gps_to_utc
 from seatrial.daq.samples import NAN, Ahrs, Frame, Gnss
@@ -195,9 +196,8 @@ def _attitude_angles(fields: Fields, quaternion: int, euler: int) -> tuple[float
     if (turn := _unpack_valid(_Q4, fields.get(quaternion))) is None:
         return _NAN3
     w, x, y, z = turn
-    pitch = math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0)) if y == y else NAN
-    roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    return roll, pitch, math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    yaw, pitch, roll = scalar_euler_angles(x, y, z, w)
+    return roll, pitch, yaw
 
 
 def _gnss_sample(fields: Fields) -> Gnss:

@@ -14,6 +14,7 @@ import re
 import struct
 from typing import NamedTuple
 
+from seatrial.daq.geometry import scalar_euler_angles
 from seatrial.daq.protocol.framing import StreamDecoder, crc16, sentence, take_sentence
 from seatrial.daq.samples import NAN, Ahrs, Frame
 
@@ -213,24 +214,13 @@ def _ahrs_sample(values: Values) -> Ahrs:
     if "ypr" in values:
         yaw, pitch, roll = (angle * DEG for angle in values["ypr"])
     elif "quaternion" in values:
-        yaw, pitch, roll = _euler_angles(*values["quaternion"])
+        yaw, pitch, roll = scalar_euler_angles(*values["quaternion"])
     else:
         yaw, pitch, roll = _NAN3
     p, q, r = values.get("rate", _NAN3)
     ax, ay, az = values.get("accel", _NAN3)
     mx, my, mz = (b * GAUSS for b in values.get("mag", _NAN3))
     return Ahrs(yaw, pitch, roll, p, q, r, ax, ay, az, mx, my, mz)
-
-
-def _euler_angles(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:
-    """Return yaw, pitch and roll [rad] of an attitude quaternion with the vector (x, y, z) and the scalar `w`.
-
-    The equations are those of UM001, attitude transformations.
-    """
-    yaw = math.atan2(2.0 * (x * y + w * z), w * w + x * x - y * y - z * z)
-    pitch = math.asin(min(max(-2.0 * (x * z - w * y), -1.0), 1.0))
-    roll = math.atan2(2.0 * (y * z + w * x), w * w - x * x - y * y + z * z)
-    return yaw, pitch, roll
 
 
 def encode_ascii(ahrs: Ahrs) -> bytes:

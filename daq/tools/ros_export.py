@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.files import write_output
-from seatrial.daq.geometry import local_ned, quaternion
+from seatrial.daq.geometry import local_ned, quaternion, rotation_matrix
 from seatrial.daq.log import NANO, NODE_TOPICS, Log, schema
 from seatrial.daq.samples import Ahrs, Command, Esc, Frame, Gnss, LoadCell, Scalar, Servo
 
@@ -211,7 +211,7 @@ def _odometry_messages(log: Log, ahrs_of: Mapping[str, NDArray[np.void]], types:
     for i in np.flatnonzero(good):
         row, k, w = ahrs[i], after[i], share[i]
         angles = [0.0 if np.isnan(row[name]) else float(row[name]) for name in ("yaw", "pitch", "roll")]
-        R = _rotation_matrix(*angles)  # body to NED
+        R = rotation_matrix(*angles)  # body to NED
         measured = np.array([row[name] for name in "pqr"])
         rates = np.nan_to_num(measured)
         position = (1 - w) * fixes[k - 1] + w * fixes[k] - R @ arm
@@ -306,19 +306,6 @@ def _ros_quaternion(angles: Sequence[float], types: Any) -> Any:
     yaw, pitch, roll = angles
     x, y, z, w = quaternion(np.pi / 2 - yaw, -pitch, roll)
     return types["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w)
-
-
-def _rotation_matrix(yaw: float, pitch: float, roll: float) -> Array:
-    """Return the rotation matrix from the body frame (FRD) to NED, shape (3, 3) (Fossen 2011, eq. 2.18).
-
-    The angles are Euler angles [rad] in the order ZYX.
-    """
-    x, y, z, w = quaternion(yaw, pitch, roll)
-    return np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ])  # fmt: skip
 
 
 # Interface package ------------------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ ROOT = Path(__file__).resolve().parents[2]
 # Before the import of the project: the page must describe the tree of this file, not an installed package.
 sys.path.insert(0, str(ROOT))
 
+from docs.site.formulas import formula_tex  # noqa: E402
 from seatrial.ident.effects import catalogue  # noqa: E402
 from seatrial.ident.model import Effect  # noqa: E402
 
@@ -31,7 +32,9 @@ INTRODUCTION = """\
 `seatrial ident diagnose` tests these effects against the residuals of a model, and adds those that explain them. Each
 effect has a name, for the options `--effect` and `--effects` and for `st.diagnose`, and a formula. X, Y and N are
 the forces and the moment in body axes, u, v and r the velocities through the water, psi is the heading, n a shaft speed
-(1: full speed ahead) and f the thrust of a thruster.
+(1: full speed ahead) and f the thrust of a thruster. An arrow means that the effect replaces the quantity on its left
+by the value on its right. A condition in brackets is 1 if it is true, and 0 otherwise.
+
 A residual that no effect of the catalogue explains is described by a curve ([diagnosis](diagnosis.md)). You can
 [add an effect](../how-to/add-an-effect.md) of your own.
 
@@ -48,13 +51,14 @@ def built_in() -> dict[str, Effect]:
 
 def section(effect: Effect) -> list[str]:
     """Return the lines of one effect in Markdown."""
+    tex = formula_tex(effect.formula)
     lines = [
         "",
         f"### {effect.name}",
         "",
         f"{effect.title[0].upper()}{effect.title[1:]}.",
         "",
-        f"    {effect.formula}",
+        f"    {effect.formula}" if tex is None else f"$${tex}$$",
         "",
     ]
     for p in effect.parameters:

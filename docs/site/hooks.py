@@ -63,7 +63,9 @@ def on_page_content(text: str, **_: Any) -> str:
     def mathml(found: re.Match[str]) -> str:
         # The converter supports the environment align*, GitHub supports aligned inside $$. Both look the same.
         tex = html.unescape(found[2]).strip().replace("{aligned}", "{align*}")
-        return str(convert(tex, display="block" if found[1] == "div" else "inline"))
+        if found[1] == "div":  # a wide equation scrolls in its own box
+            return f'<div class="equation">{convert(tex, display="block")}</div>'
+        return str(convert(tex, display="inline"))
 
     return EQUATION.sub(mathml, text)
 

@@ -148,10 +148,18 @@ def find_levels(command: Channel, force: Channel, settle: float = 1.5) -> Levels
 def hold_advice(command: Channel, force: Channel, settle: float) -> str:
     """Return the second half of an error message: how long the command is held constant, and what the user can do.
 
-    ``command`` and ``force`` are channels of a log. ``settle`` is the time [s] that is left out after each change of
-    the command. The text states the typical time of a constant command [s] (median of these times, weighted by their
-    length), and the time and the number of samples of the force that remain after ``settle``. It proposes a shorter
-    ``settle``, or constant commands of longer duration if none leaves 20 samples.
+    The text states the typical time of a constant command [s] (median of these times, weighted by their length), and
+    the time and the number of samples of the force that remain after ``settle``. It proposes a shorter ``settle``, or
+    constant commands of longer duration if none leaves 20 samples.
+
+    Parameters
+    ----------
+    command
+        Command of the thruster, -1 to 1.
+    force
+        Force of the load cell [N].
+    settle
+        Time [s] that is left out after each change of the command.
     """
     end = float(max(command.t[-1], force.t[-1]))
     holds = np.sort([s.duration for s in steady_segments(command.t, command.value, end)])

@@ -280,6 +280,15 @@ def thruster_channels(loaded: LoadedLog, model: Model, name: str) -> dict[str, C
     They are delayed copies of the command, ``n_cmd_0``, ``n_cmd_1``, ..., with the delays of the model, the shaft speed
     ``n`` and, if the log has it, the force ``force`` [N] of the load cell.
 
+    Parameters
+    ----------
+    loaded
+        Bench log.
+    model
+        Thruster model.
+    name
+        Name of the thruster in the log, for example ``left``.
+
     Raises
     ------
     SeatrialError

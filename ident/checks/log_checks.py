@@ -99,7 +99,7 @@ class SampleIntervals:
 
 
 @dataclass(frozen=True)
-class ShaftResponse:
+class ShaftTrace:
     """Shaft speed of one thruster and its command, both over full speed.
 
     Attributes
@@ -210,7 +210,7 @@ class CheckEvidence:
     duration: float
     rig: str | None
     intervals: tuple[SampleIntervals, ...] = ()
-    shafts: tuple[ShaftResponse, ...] = ()
+    shafts: tuple[ShaftTrace, ...] = ()
     thrust_response: tuple[ThrustResponseCurve, ...] = ()
     sensors: tuple[SensorPair, ...] = ()
     signals: tuple[SignalCurve, ...] = ()
@@ -284,7 +284,7 @@ def _intervals_of_samples(source: str, t: Array, start: float, expected: float |
     return SampleIntervals(source, t[1:] - start, np.diff(t), expected)
 
 
-def _shaft_responses(c: Channels) -> list[ShaftResponse]:
+def _shaft_responses(c: Channels) -> list[ShaftTrace]:
     """Return command and shaft speed of each thruster that has both, sorted by name.
 
     A shaft speed that is a copy of the command is left out: its array of times is the same object.
@@ -292,7 +292,7 @@ def _shaft_responses(c: Channels) -> list[ShaftResponse]:
     names = sorted(commanded_thrusters(c))
     both = [(n, c[command_of(n)], c[shaft_speed_of(n)]) for n in names if shaft_speed_of(n) in c]
     return [
-        ShaftResponse(n, shaft.t, shaft.value, command.t, command.value, float(shaft.t[-1]))
+        ShaftTrace(n, shaft.t, shaft.value, command.t, command.value, float(shaft.t[-1]))
         for n, command, shaft in both
         if shaft.t is not command.t  # the same clock: a copy of the command, not a measurement
     ]

@@ -20,7 +20,7 @@ from seatrial.ident.cli.options import (
     MODEL,
     MODEL_SOURCE,
     GatheringCommand,
-    Lines,
+    LineReporter,
     LiveLine,
     check_output,
     command_line,
@@ -122,7 +122,7 @@ def compare(models: tuple[Path, ...], logs: tuple[Path, ...], as_json: bool, **h
     from seatrial.ident.workflows.compare import CompareRequest, compare_models, comparison_lines, comparison_table
 
     try:
-        found = compare_models(CompareRequest(models, logs, **how), Lines(err=True))
+        found = compare_models(CompareRequest(models, logs, **how), LineReporter(err=True))
     except (ValueError, KeyError) as problem:
         raise SeatrialError(str(problem).strip("'\"")) from problem
     if as_json:
@@ -378,7 +378,7 @@ def fleet(logs: tuple[Path, ...], out: Path, workers: Any, force: bool, as_json:
     from seatrial.ident.workflows.vehicle_model import VehicleRequest
 
     request = FleetRequest(logs, VehicleRequest((), (), out, **with_estimation_options(how)), out, workers, force)
-    result = fit_fleet(request, command_line(), Lines(err=True)).result
+    result = fit_fleet(request, command_line(), LineReporter(err=True)).result
     if as_json:
         print_result_json(result)
     else:
@@ -564,7 +564,7 @@ def study(
 
     estimator: Any = {"pe": "prediction-error", "oe": "output-error"}[method]
     request = StudyRequest(models, out=out, method=estimator, bounded=not unbounded, **how)
-    result = run_studies(request, command_line(), Lines(err=True))
+    result = run_studies(request, command_line(), LineReporter(err=True))
     write_study_page(result, AIMS, out / "report.html")
     if as_json:
         print_result_json(result)

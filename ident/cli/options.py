@@ -577,7 +577,7 @@ class GatheringCommand(click.Command):
         return super().parse_args(ctx, spread)
 
 
-class Lines:
+class LineReporter:
     """Reporter that prints progress and warnings of a computation, one line each, without a live display.
 
     Parameters
@@ -651,7 +651,7 @@ def run_workflow(work: Callable[[Reporter], Result], out: Path, as_json: bool) -
             with console.status("reading logs") as status:
                 result = work(LiveLine(console, status))
         else:
-            result = work(Lines(err=as_json))
+            result = work(LineReporter(err=as_json))
     except (ValueError, KeyError) as problem:
         raise SeatrialError(str(problem).strip("'\"")) from problem
     from seatrial.ident.results import FitResult

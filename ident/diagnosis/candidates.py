@@ -29,7 +29,7 @@ from seatrial.ident.diagnosis.score_test import (
     propagate_sensitivities,
     whole_blocks,
 )
-from seatrial.ident.effects import EFFECT, FORCES, harmonics, input_response_effects
+from seatrial.ident.effects import FORCES, WAVES, harmonics, input_response_effects
 from seatrial.ident.engine import VectorisedModel
 from seatrial.ident.estimation import FittedModel, RecordEvaluation
 from seatrial.ident.model import DisturbanceChannel, Effect, EffectKind, ForceCurve, Model, Parameter, curve_name
@@ -629,16 +629,16 @@ def wave_peak_score(fitted: FittedModel, policy: SearchPolicy = DEFAULT_POLICY) 
         for view in fitted.estimation
         for peak in _spectral_peaks(fitted.model, view, policy.max_wave_sample_interval)
     ]
-    low, high = next(p.bounds for p in EFFECT.parameters if p.name == "f_wave")
+    low, high = next(p.bounds for p in WAVES.parameters if p.name == "f_wave")
     # resampled channels have a peak at 5 Hz, which is outside the band of waves
     best = min((peak for peak in peaks if low <= peak.frequency <= high), key=lambda peak: peak.p, default=None)
     if best is None or best.p * len(peaks) > policy.max_peak_p:
         return None
-    df = len(EFFECT.parameters)
+    df = len(WAVES.parameters)
     lm = float(chi2_isf(max(best.p * len(peaks), SMALLEST_P), df))
     size = size_of(fitted.model)
     step = {f"A_{force}": INITIAL_WAVE_SIZE * usual * size.of(unit) for force, (unit, usual) in FORCES.items()}
-    return Score(EFFECT.name, lm, df, lm, step, {"f_wave": best.frequency})
+    return Score(WAVES.name, lm, df, lm, step, {"f_wave": best.frequency})
 
 
 def _spectral_peaks(model: Model, evaluation: RecordEvaluation, max_interval: float) -> list[SpectralPeak]:

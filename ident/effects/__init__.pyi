@@ -1,5 +1,5 @@
-from .environment.waves import EFFECT as EFFECT
 from .environment.waves import FORCES as FORCES
+from .environment.waves import WAVES as WAVES
 from .nonparametric import NonparametricForce as NonparametricForce
 from .nonparametric import harmonics as harmonics
 from .nonparametric import input_response_effects as input_response_effects

@@ -186,9 +186,21 @@ def validation_records(
 ) -> tuple[list[Record], tuple[FailedRun, ...]]:
     """Convert validation runs to records of the model's inputs and outputs.
 
-    Return the records, and the runs that cannot be converted with the reason, both in the order of ``segments``. A run
-    for which the conversion raises ValueError or ArithmeticError raises no error here. ``rate`` [Hz] is the rate of the
-    rows of a record, to which faster sensors are averaged.
+    A run for which the conversion raises ValueError or ArithmeticError raises no error here.
+
+    Parameters
+    ----------
+    model
+        Model whose inputs and outputs the records have.
+    segments
+        Validation runs.
+    rate
+        Rate of the rows of a record [Hz], to which faster sensors are averaged.
+
+    Returns
+    -------
+    records, failed
+        The records, and the runs that cannot be converted with the reason, both in the order of ``segments``.
     """
     records, failed = list[Record](), list[FailedRun]()
     for segment in segments:
@@ -535,6 +547,15 @@ def missing_inputs(nominal_model: Model, effect: Effect, run: LogSegment) -> set
     A delayed copy (``NAME~k``) can be derived from its source ``NAME``; if that is missing, the result has the name of
     the source. The time ``t`` can always be derived. The input ``work``, the integral of the cubed shaft speeds, can be
     derived if the model has the shaft speed ``n``.
+
+    Parameters
+    ----------
+    nominal_model
+        Model to which the effect would be added.
+    effect
+        The effect.
+    run
+        Log, or part of a log, whose recorded channels are searched for the inputs.
     """
     derived = {"t", "work"} if nominal_model.provides and "n" in nominal_model.provides else {"t"}
     return {i.tap_of or i.name for i in effect.inputs} - derived - set(run.channels)
@@ -555,6 +576,15 @@ def without_unknown_noise(model: Model, records: Sequence[Record], validation_da
     The samples become NaN in copies of the records. The noise of such a sensor is not estimated, so that the result of
     the validation would depend on a guess. If the noise is fixed to a given value, the samples stay. Records without
     outputs of such sensors are returned themselves, and the order is kept.
+
+    Parameters
+    ----------
+    model
+        Model with the noise parameters of its sensors.
+    records
+        Estimation records.
+    validation_data
+        Validation records.
     """
     unknown = {n for n in _noise_of_absent_sensors(model, records) if model.parameter(n).free}
     dropped = {o.name for o in model.outputs if o.noise in unknown}

@@ -24,7 +24,7 @@ INPUTS = ("u", "u_next", "h")  # arrays of a record that a simulation uses
 
 
 @dataclass(frozen=True)
-class Simulation:
+class SimulatedTrajectory:
     """Simulated or predicted rows of a record, without noise.
 
     Attributes
@@ -132,7 +132,7 @@ def simulate(
     values: Array | None = None,
     x0: Array | None = None,
     preparer: Preparer | None = None,
-) -> Simulation:
+) -> SimulatedTrajectory:
     """Simulate the model over the inputs of a record, without process noise and without measurement noise.
 
     Measurements matter only for states that start from one (``from_output``).
@@ -153,7 +153,7 @@ def simulate(
 
     Returns
     -------
-    Simulation
+    SimulatedTrajectory
         States and outputs in all rows of the record. They are not finite from the row on in which the simulation
         diverges.
     """
@@ -162,12 +162,12 @@ def simulate(
     start = initial_condition(model, values, data, covariance=False).s if x0 is None else x0
     arrays = {n: data.rows[n] for n in INPUTS} | {"p": values, "s": np.array(start, dtype=np.float64)}
     done = _simulation_kernel(model)(data.n_rows, None, arrays)
-    return Simulation(record.t, done["x"], done["z"])
+    return SimulatedTrajectory(record.t, done["x"], done["z"])
 
 
 def predict_ahead(
     model: Model, record: Record, values: Array | None, states: Array, start: NDArray[np.int64], end: NDArray[np.int64]
-) -> Simulation:
+) -> SimulatedTrajectory:
     """Predict rows of a record from the states at earlier rows and the inputs between them, without process noise.
 
     Validation compares such predictions over a horizon with the measurements.
@@ -187,14 +187,14 @@ def predict_ahead(
 
     Returns
     -------
-    Simulation
+    SimulatedTrajectory
         Predictions at the n end rows, in the order of ``end``; not finite if a prediction diverges. For ``start ==
         end`` they are the given state and its outputs.
     """
     data, kernel = Preparer(model)(record), _simulation_kernel(model)
     arrays = {n: data.rows[n] for n in INPUTS} | {"p": _values_or_default(model, values)}
     done = kernel.segments(start.tolist(), (end + 1).tolist(), arrays, states[start], ("z", "x"))
-    return Simulation(record.t[end], done["x"], done["z"])
+    return SimulatedTrajectory(record.t[end], done["x"], done["z"])
 
 
 def _simulation_kernel(model: Model) -> Kernel:

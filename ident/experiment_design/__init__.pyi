@@ -15,7 +15,7 @@ from .information import planned_record as planned_record
 from .information import segment_information as segment_information
 from .optimal_design import BaselineSignal as BaselineSignal
 from .optimal_design import Design as Design
-from .optimal_design import Track as Track
+from .optimal_design import PredictedTrack as PredictedTrack
 from .optimal_design import baseline_signals as baseline_signals
 from .optimal_design import design as design
 from .optimal_design import monte_carlo as monte_carlo

@@ -163,7 +163,7 @@ def predicted_errors(problem: DesignProblem, command: Array) -> dict[str, float]
 
 
 @dataclass(frozen=True)
-class Track:
+class PredictedTrack:
     """Predicted track, from the rest before the steps to the end of the coasting after them.
 
     Attributes
@@ -191,7 +191,7 @@ class Track:
     corner: Array | None
 
 
-def predicted_track(made: Design, points: int = 61) -> Track | None:
+def predicted_track(made: Design, points: int = 61) -> PredictedTrack | None:
     """Predict the track of a design by simulation of the nominal boat and of 64 sampled boats with process noise.
 
     Each sampled boat has its own random current, of up to ``limits.current`` of the problem.
@@ -205,7 +205,7 @@ def predicted_track(made: Design, points: int = 61) -> Track | None:
 
     Returns
     -------
-    Track or None
+    PredictedTrack or None
         None if the model has no position ``x`` and ``y``.
     """
     problem = made.problem
@@ -230,7 +230,7 @@ def predicted_track(made: Design, points: int = 61) -> Track | None:
         inside = float(np.mean(kept.all(axis=(1, 2))))
     at = np.unique(np.linspace(0, t.size - 1, points).round().astype(int))
     radius = np.quantile(np.hypot(*(others - nominal).transpose(2, 0, 1)), 0.95, axis=0)
-    return Track(t[at], nominal[at, 0], nominal[at, 1], radius[at], others[:, at], inside, corner)
+    return PredictedTrack(t[at], nominal[at, 0], nominal[at, 1], radius[at], others[:, at], inside, corner)
 
 
 def design(

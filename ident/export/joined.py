@@ -17,7 +17,22 @@ from seatrial.daq.errors import SeatrialError, warn
 from seatrial.ident.data import TIME_INPUT, WORK_INPUT, WORK_UNIT
 from seatrial.ident.estimation import SavedModel, thrust_scale_of
 from seatrial.ident.export.codegen import Content, collect_content, with_model, without_nuisance
-from seatrial.ident.model import EffectKind, Input, Model, ModelFunction, ModelKind, Parameter, Signals, State
+from seatrial.ident.model import (
+    COMMAND,
+    SHAFT_SPEED,
+    THRUSTER_FORCE,
+    EffectKind,
+    Input,
+    Model,
+    ModelFunction,
+    ModelKind,
+    Parameter,
+    SignalId,
+    Signals,
+    State,
+    is_of_thruster,
+    thrust_of,
+)
 
 BENCH_ONLY = ("bench", "sensor")  # places of effects of the tank, the rig and its sensors, which a boat does not have
 SHAFT_STAGES = ("shaft", "dead_band", "thrust_lag")  # places of effects between shaft speed and thrust curve
@@ -55,8 +70,8 @@ class Drive:
         """
         if name == TIME_INPUT or not self.name:
             return name
-        if name.startswith("n_cmd"):
-            return f"n_cmd_{self.name}{name.removeprefix('n_cmd')}"
+        if name.startswith(COMMAND):
+            return f"{COMMAND}_{self.name}{name.removeprefix(COMMAND)}"
         return f"{name}_{self.name}"
 
     def signals(self, s: Signals) -> Signals:
@@ -66,6 +81,11 @@ class Drive:
             [getattr(s.u, self.own(u.name)) for u in self.model.inputs],
             [getattr(s.p, self.own(p.name)) for p in self.model.parameters],
         )
+
+    @property
+    def gives_thrust(self) -> bool:
+        """Whether the input of the boat model is a thrust, not a shaft speed."""
+        return is_of_thruster(self.input, THRUSTER_FORCE)
 
     @property
     def has_thrust(self) -> bool:
@@ -119,12 +139,12 @@ def join(boat: Content, thrusters: Mapping[str, SavedModel], *, own_curve: bool 
     _check_past(model, {d.input for d in drives})
     with_curve = [d for d in drives if d.has_thrust and not own_curve]
     for d in drives:
-        if d.input.startswith("f_") and not d.has_thrust:
+        if d.gives_thrust and not d.has_thrust:
             raise SeatrialError(
                 f"thruster {d.name}: its bench had no load cell, but the boat model has the thrust {d.input} as input; "
                 "use a bench model with thrust, or a boat model with shaft speeds"
             )
-    if any(not d.input.startswith("f_") for d in with_curve):
+    if any(not d.gives_thrust for d in with_curve):
         _check_curves(boat, with_curve)
     for d in drives:
         _check_range(boat, d)
@@ -150,9 +170,10 @@ def join(boat: Content, thrusters: Mapping[str, SavedModel], *, own_curve: bool 
 
 def _drives(model: Model, thrusters: Mapping[str, SavedModel]) -> list[Drive]:
     """Return the bench model of each thruster input of a boat model; SeatrialError if one is missing or unsuitable."""
-    found = {i.name: i.name[2:] for i in model.inputs if not i.tap and i.name.startswith(("n_", "f_"))}
+    inputs = [i.name for i in model.inputs if not i.tap]
+    found = {n: SignalId.parse(n).source for n in inputs if is_of_thruster(n, COMMAND, SHAFT_SPEED, THRUSTER_FORCE)}
     found |= {i.name: "" for i in model.inputs if i.name == "n"}
-    commands = [n for n in found if n.startswith("n_cmd")]
+    commands = [n for n in found if n == COMMAND or is_of_thruster(n, COMMAND)]
     if commands or not found:
         given = ", ".join(i.name for i in model.inputs if not i.tap) or "none"
         raise SeatrialError(
@@ -161,7 +182,7 @@ def _drives(model: Model, thrusters: Mapping[str, SavedModel]) -> list[Drive]:
         )
     units = {i.name: i.unit for i in model.inputs}
     for n in found:
-        if units[n] != (wanted := "N" if n.startswith("f_") else ""):
+        if units[n] != (wanted := "N" if is_of_thruster(n, THRUSTER_FORCE) else ""):
             raise SeatrialError(
                 f"the input {n} of the boat model has the unit {units[n] or '1'}, but a bench model gives "
                 f"{wanted or '1'} (shaft speeds relative to rpm_max); scale the input of the boat model"
@@ -246,7 +267,7 @@ def _check_range(boat: Content, drive: Drive) -> None:
     A difference of up to 5 % of full speed gives no warning. Boat models with thrusts as inputs are not checked.
     """
     covered, needed = drive.saved.validity.get("n_cmd"), boat.saved.validity.get(drive.input)
-    if covered is None or needed is None or drive.input.startswith("f_"):
+    if covered is None or needed is None or drive.gives_thrust:
         return
     if needed[0] < covered[0] - MARGIN or needed[1] > covered[1] + MARGIN:
         warn(
@@ -289,7 +310,7 @@ def _joined_model(boat: Model, drives: list[Drive], own_curve: bool) -> Model:
         given: dict[str, Any] = {i.name: getattr(s.u, i.name) for i in boat.inputs if i.name in inputs}
         for d in drives:
             bench = benches[d.input]
-            given[d.input] = bench.force if d.input.startswith("f_") else bench.x.n
+            given[d.input] = bench.force if d.gives_thrust else bench.x.n
             s.rate.update({d.own(name): rate for name, rate in bench.rate.items()})
         if work:
             given[WORK_INPUT] = s.x.work
@@ -303,7 +324,7 @@ def _joined_model(boat: Model, drives: list[Drive], own_curve: bool) -> Model:
                 for side, n in b.n.items()
             }
 
-        given_thrusts = any(name.startswith("f_") for name in driven)
+        given_thrusts = any(d.gives_thrust for d in drives)
         found = (boat if given_thrusts or not curves else _with_thrust(boat, thrusts)).signals(
             [getattr(s.x, x.name) for x in boat.states],
             [given[i.name] for i in boat.inputs],
@@ -376,7 +397,7 @@ def with_thrust_input(boat: Content) -> Content:
         If an effect needs the shaft speed, whose slope by the thrust is infinite at rest.
     """
     model = boat.model
-    shafts = {i.name: f"f_{i.name[2:]}" for i in model.inputs if i.name in ("n_left", "n_right")}
+    shafts = {i.name: thrust_of(SignalId.parse(i.name).source) for i in model.inputs if i.name in ("n_left", "n_right")}
     if not shafts or "thrust" not in dict(model.stages) or "c1" not in model.values:
         inputs_now = ", ".join(i.name for i in model.inputs if not i.tap)
         raise SeatrialError(
@@ -394,15 +415,19 @@ def with_thrust_input(boat: Content) -> Content:
         replace(i, name=shafts[i.name], unit="N", label=None) if i.name in shafts else i for i in model.inputs
     )
 
+    def thrusts(s: Signals) -> dict[str, Any]:
+        """Return the thrusts [N] among the inputs by side."""
+        return {SignalId.parse(name).source: getattr(s.u, name) for name in shafts.values()}
+
     def speeds(s: Signals) -> None:
         """Set the shaft speeds ``s.n`` by side to those that have the given thrusts."""
-        forces = {name.removeprefix("f_"): getattr(s.u, name) for name in shafts.values()}
+        forces = thrusts(s)
         s.n = {
             side: np.sqrt(np.maximum(f, 0.0) / (s.p.c1 + s.p.c2)) - np.sqrt(np.maximum(-f, 0.0) / (s.p.c1 - s.p.c2))
             for side, f in forces.items()
         }
 
-    changed = _with_thrust(model, lambda s: {name.removeprefix("f_"): getattr(s.u, name) for name in shafts.values()})
+    changed = _with_thrust(model, thrusts)
     stages = tuple((name, speeds if name == "shaft" else f) for name, f in changed.stages)
     if WORK_INPUT in {i.name for i in inputs}:
         raise SeatrialError("--thrust-input: an effect needs the work of the shafts; use a model without it")

@@ -13,7 +13,7 @@ from seatrial.daq.errors import SeatrialError, closest_name
 from seatrial.ident.estimation import PARAMETER_STEP, ParameterCovariance, principal_directions
 from seatrial.ident.export.codegen import without_nuisance
 from seatrial.ident.export.rates import Rates
-from seatrial.ident.model import Model
+from seatrial.ident.model import COMMAND, SHAFT_SPEED, Model, is_of_thruster
 from seatrial.ident.numerics import Array
 
 BALANCED = 1e-6  # largest rate at the operating point, in the unit of each state per second
@@ -384,7 +384,7 @@ def linearise(model: Model, speed: float, known: ParameterCovariance | None = No
         raise SeatrialError(f"speed {speed:g} m/s: give a speed other than zero, at which the model has a slope")
     x0, u0 = _operating_point(rates, speed)
     for name, value in zip(rates.inputs, u0, strict=True):
-        if name.startswith("n_") and abs(value) > 1.0:
+        if is_of_thruster(name, COMMAND, SHAFT_SPEED) and abs(value) > 1.0:
             raise SeatrialError(
                 f"{speed:g} m/s needs {name} = {value:.2f}, more than full; choose a speed that the boat reaches"
             )
@@ -471,7 +471,7 @@ def _operating_point(rates: Rates, speed: float) -> tuple[Array, Array]:
     smallest = np.inf
     for size in TRIALS:
         start = np.concatenate([np.zeros(len(free)), np.full(m, np.copysign(size, speed))])
-        start[: len(free)] += [start[-1] if rates.names[k].startswith("n_") else 0.0 for k in free]
+        start[: len(free)] += [start[-1] if is_of_thruster(rates.names[k], SHAFT_SPEED) else 0.0 for k in free]
         found = least_squares(residuals, start, xtol=1e-14, ftol=1e-14, gtol=1e-14)
         if np.abs(found.fun).max(initial=0.0) < smallest:
             smallest, best = float(np.abs(found.fun).max(initial=0.0)), found.x

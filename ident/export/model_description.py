@@ -21,7 +21,7 @@ Role = Literal["input", "start", "before", "parameter", "state", "output"]
 
 
 @dataclass(frozen=True)
-class Variable:
+class FmuVariable:
     """Scalar variable of an FMU.
 
     Attributes
@@ -48,7 +48,7 @@ class Variable:
     depends_on: tuple[int, ...] = ()
 
 
-def variables(content: Content) -> list[Variable]:
+def variables(content: Content) -> list[FmuVariable]:
     """Return the variables of a model's FMU; the index of a variable is its value reference.
 
     The order is that of the C source: physical inputs, states at the start, inputs before the start, parameters, states
@@ -61,24 +61,26 @@ def variables(content: Content) -> list[Variable]:
     direct = _direct_inputs(content, content.programs[1])
     return [
         *(
-            Variable(n, i.unit, _text(f"input {i.name}, held between communication points"), "input", 0.0)
+            FmuVariable(n, i.unit, _text(f"input {i.name}, held between communication points"), "input", 0.0)
             for n, i in inputs
         ),
         *(
-            Variable(f"start.{n}", s.unit, _text(f"at the start: {s.meaning or s.name}"), "start", 0.0)
+            FmuVariable(f"start.{n}", s.unit, _text(f"at the start: {s.meaning or s.name}"), "start", 0.0)
             for n, s in states
         ),
-        *(Variable(f"before.{n}", i.unit, _text(f"{i.name} before the start"), "before", 0.0) for n, i in inputs),
+        *(FmuVariable(f"before.{n}", i.unit, _text(f"{i.name} before the start"), "before", 0.0) for n, i in inputs),
         *(
-            Variable(f"p.{n}", p.unit, _text(comment(content, k)), "parameter", p.value, parameter_bounds(p))
+            FmuVariable(f"p.{n}", p.unit, _text(comment(content, k)), "parameter", p.value, parameter_bounds(p))
             for k, (n, p) in enumerate(zip(content.parameters, content.exported_parameters, strict=True))
         ),
         *(
-            Variable(f"state.{n}" if n in content.physical_inputs else n, s.unit, _text(s.meaning or s.name), "state")
+            FmuVariable(
+                f"state.{n}" if n in content.physical_inputs else n, s.unit, _text(s.meaning or s.name), "state"
+            )
             for n, s in states
         ),
         *(
-            Variable(f"sensor.{n}", o.unit, _text(f"output {o.name} without noise"), "output", depends_on=depends)
+            FmuVariable(f"sensor.{n}", o.unit, _text(f"output {o.name} without noise"), "output", depends_on=depends)
             for n, o, depends in zip(content.outputs, content.model.outputs, direct, strict=True)
         ),
     ]
@@ -157,7 +159,7 @@ def model_description(content: Content, guid: str, version: str) -> bytes:
     return text + b"\n"
 
 
-def _add_variable(listed: ElementTree.Element, reference: int, variable: Variable) -> None:
+def _add_variable(listed: ElementTree.Element, reference: int, variable: FmuVariable) -> None:
     """Add the element of a variable with this value reference to ``ModelVariables``."""
     causality, variability = {
         "input": ("input", "continuous"),
@@ -190,7 +192,7 @@ def _add_variable(listed: ElementTree.Element, reference: int, variable: Variabl
         real.set("start", repr(float(variable.value)))
 
 
-def _add_structure(root: ElementTree.Element, rows: Sequence[Variable]) -> None:
+def _add_structure(root: ElementTree.Element, rows: Sequence[FmuVariable]) -> None:
     """Add the element ``ModelStructure``: the outputs, and the inputs on which each of them depends directly.
 
     States and outputs of sensors are both outputs of the FMU. The same variables are the initial unknowns.

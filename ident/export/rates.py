@@ -12,7 +12,7 @@ from seatrial.ident.numerics import Array
 
 POSE = ("x", "y", "psi")  # integrals of the velocities, on which the dynamics in still water do not depend
 CURRENT = ("V_x", "V_y")
-STEP = 1e-5  # step of the central differences, in the unit of each state and input
+DIFFERENCE_STEP = 1e-5  # step of the central differences, in the unit of each state and input
 
 
 class Rates:
@@ -76,5 +76,5 @@ def _differences(rates: Callable[[Array], Array], n: int) -> Array:
 
     ``rates`` is a function of the change (n,) of the variables.
     """
-    columns = [(rates(d) - rates(-d)) / (2.0 * STEP) for d in STEP * np.eye(n)]
+    columns = [(rates(d) - rates(-d)) / (2.0 * DIFFERENCE_STEP) for d in DIFFERENCE_STEP * np.eye(n)]
     return np.stack(columns, axis=2)

@@ -38,6 +38,9 @@ def transition_width(dead_zone: Any, widest: float) -> Any:
 def outside_dead_zone(command: Any, dead_zone: Any, width: Any) -> Any:
     """Return the command outside its dead zone, and zero inside it, with a smooth transition between both.
 
+    A motor controller ignores small commands and follows larger ones completely. The result therefore rises steeply to
+    the command itself, in contrast to `beyond_dead_band`, which begins at zero and stays below the shaft speed.
+
     Parameters
     ----------
     command : float or symbol
@@ -63,6 +66,9 @@ def outside_dead_zone(command: Any, dead_zone: Any, width: Any) -> Any:
 
 def beyond_dead_band(n: Any, band: Any) -> Any:
     """Return the part of the shaft speed beyond the dead band: ``sgn(n) max(|n| - band, 0)``.
+
+    A propeller gives thrust only beyond the band, and less thrust by the width of the band at all larger speeds. The
+    result is therefore continuous without a transition, in contrast to `outside_dead_zone`.
 
     Parameters
     ----------

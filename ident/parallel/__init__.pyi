@@ -1,4 +1,4 @@
 from .result_table import ResultTable as ResultTable
-from .tasks import Outcome as Outcome
+from .tasks import TaskOutcome as TaskOutcome
 from .tasks import run_many as run_many
 from .workers import Workers as Workers

@@ -28,7 +28,7 @@ _TURN = threading.Lock()
 
 
 @dataclass(frozen=True)
-class Outcome(Generic[T, R]):
+class TaskOutcome(Generic[T, R]):
     """End of one task: its value, or the reason why it has none.
 
     Attributes
@@ -48,7 +48,7 @@ class Outcome(Generic[T, R]):
 
 def run_many(
     tasks: Iterable[T], function: Callable[[T], R], workers: Workers | None = None, reporter: Reporter = QUIET
-) -> Iterator[Outcome[T, R]]:
+) -> Iterator[TaskOutcome[T, R]]:
     """Run a function for each task in parallel processes, and yield each outcome as soon as it is there, in any order.
 
     Parameters
@@ -65,7 +65,7 @@ def run_many(
 
     Yields
     ------
-    Outcome
+    TaskOutcome
         Value of a task, or the reason why it failed.
 
     Raises
@@ -102,7 +102,7 @@ def run_many(
 
 def _run_parallel(
     source: Iterator[T], function: Callable[[T], R], numbers: Iterator[int], running: dict[int, T]
-) -> Iterator[Outcome[T, R]]:
+) -> Iterator[TaskOutcome[T, R]]:
     """Run tasks from an iterator on joblib's present backend, and yield their outcomes as they come.
 
     ``running`` has the tasks that joblib has taken and whose outcomes it has not returned, by number, at any moment.
@@ -127,20 +127,20 @@ def _run_parallel(
             done = run(calls())
     try:
         for number, value, error in done:
-            yield Outcome(running.pop(number), value, error)
+            yield TaskOutcome(running.pop(number), value, error)
     finally:
         with warnings.catch_warnings():  # joblib cancels the tasks if the caller takes no more outcomes, and warns
             warnings.simplefilter("ignore", UserWarning)
             done.close()
 
 
-def _run_alone(task: T, function: Callable[[T], R]) -> Outcome[T, R]:
+def _run_alone(task: T, function: Callable[[T], R]) -> TaskOutcome[T, R]:
     """Run one task while no other task is running, again if its process dies, and return its outcome."""
     for _ in range(REPEATS):
         with contextlib.suppress(*_deaths()):
             (outcome,) = _run_parallel(iter([task]), function, count(), {})
             return outcome
-    return Outcome(
+    return TaskOutcome(
         task, None, f"its process died {1 + REPEATS} times, such as by a lack of memory; run it alone to see why"
     )
 

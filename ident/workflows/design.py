@@ -36,9 +36,9 @@ from seatrial.ident.experiment_design import (
     DiscriminationDesign,
     Kind,
     ParameterPrior,
+    PredictedTrack,
     StepInput,
     ThrusterResponse,
-    Track,
     baseline_signals,
     design,
     discriminate,
@@ -334,7 +334,7 @@ def designed_mission(
     name: str,
     thrusters: Sequence[str],
     made: Design,
-    track: Track | None,
+    track: PredictedTrack | None,
     request: DesignRequest,
     source: str,
     command: str,
@@ -354,7 +354,7 @@ def designed_mission(
         Names of the thrusters in the rig, in the order of the design.
     made : Design
         Design with the levels and durations of the steps, and with the expected standard errors.
-    track : Track or None
+    track : PredictedTrack or None
         Predicted track; None if the model has no position. The mission then has no prediction of the track.
     request : DesignRequest
         Options of the design: limits of the commands and seed.
@@ -659,7 +659,7 @@ def _size_row(hypothesis: EffectHypothesis) -> HypothesisSize:
     )
 
 
-def _track_table(track: Track, limits: DesignLimits) -> DesignTrack:
+def _track_table(track: PredictedTrack, limits: DesignLimits) -> DesignTrack:
     """Return the predicted track of the boat, with the area and the current of the limits, as a table of the result.
 
     The tracks of the first 24 sampled boats are kept; the radius and the share inside are those of all.

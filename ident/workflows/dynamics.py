@@ -10,7 +10,7 @@ import numpy as np
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.estimation import Fit, FittedModel, ParameterCovariance
 from seatrial.ident.export import LinearModel, linearise, side_inputs, steady_motion
-from seatrial.ident.model import Model, ModelKind
+from seatrial.ident.model import COMMAND, SHAFT_SPEED, Model, ModelKind, is_of_thruster
 from seatrial.ident.numerics import Array
 from seatrial.ident.results import Dynamics, FrequencyResponse, OperatingPoint, SteadyCurve, StepResponse
 from seatrial.ident.workflows.output import validity
@@ -18,7 +18,7 @@ from seatrial.ident.workflows.output import validity
 POINTS = 41  # of a steady curve
 MEANS = (0.0, 0.5)  # means of both sides in turns, as parts of the largest command
 SPEEDS = (0.25, 0.5, 0.75, 1.0)  # speeds of the linear models, as parts of the largest steady speed
-STEP = 0.1  # size of the steps of the command, as a part of the largest command
+COMMAND_STEP = 0.1  # size of the steps of the command, as a part of the largest command
 UNKNOWN_GAIN = float(np.log(np.sqrt(2.0)))  # standard error of the logarithm of a gain that is unknown: 3 dB
 UNITS = {"u": "m/s", "v": "m/s", "r": "rad/s"}
 
@@ -135,7 +135,8 @@ class Drives:
         self.names = names if chosen and len(known) == len(chosen) else []
         self.low = max((a for a, _ in known), default=0.0)
         self.high = min((b for _, b in known), default=0.0)
-        if all(n.startswith("n_") for n in chosen):  # a shaft can turn a little faster than full speed
+        if all(is_of_thruster(n, COMMAND, SHAFT_SPEED) for n in chosen):
+            # A shaft can turn a little faster than full speed.
             self.low, self.high = max(self.low, -1.0), min(self.high, 1.0)
         self._constant = {n: float(np.mean(ranges.get(n, (0.0, 0.0)))) for n in names if n not in chosen}
 
@@ -197,7 +198,7 @@ def _steps(linear: LinearModel, drives: Drives) -> list[StepResponse]:
 
     A model without two sides has only the response of speed.
     """
-    t, size, found = linear.times, STEP * drives.high, []
+    t, size, found = linear.times, COMMAND_STEP * drives.high, []
     for motion, quantities, weights in _motions(linear, drives):
         responses = linear.step_response(weights, t)
         for quantity in quantities:

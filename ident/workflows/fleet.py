@@ -28,7 +28,7 @@ from seatrial.daq.log import open_log
 from seatrial.ident.estimation import LEAST_OWN, ReportedEstimates, between_log_variance
 from seatrial.ident.models import is_own_model
 from seatrial.ident.numerics import Array, chi2_sf
-from seatrial.ident.parallel import Outcome, ResultTable, Workers, run_many
+from seatrial.ident.parallel import ResultTable, TaskOutcome, Workers, run_many
 from seatrial.ident.reporter import Reporter
 from seatrial.ident.results import FailedLog, FleetParameter, FleetResult, ParameterRow, provenance, write_result
 from seatrial.ident.studies import estimator_code_hash
@@ -397,7 +397,7 @@ def _row_of_parameter(row: ParameterRow, prior_parts: Mapping[str, float], corre
     }
 
 
-def _rows_of(outcome: Outcome[FleetLog, list[Row]]) -> list[Row]:
+def _rows_of(outcome: TaskOutcome[FleetLog, list[Row]]) -> list[Row]:
     """Return the rows of the table for the outcome of one log: those of its parameters, or one with the reason."""
     log: Row = {"log": outcome.task.name, "sha256": outcome.task.sha256}
     if outcome.value is None:
@@ -405,7 +405,7 @@ def _rows_of(outcome: Outcome[FleetLog, list[Row]]) -> list[Row]:
     return [log | row for row in outcome.value]
 
 
-def _reason(outcome: Outcome[FleetLog, list[Row]]) -> str:
+def _reason(outcome: TaskOutcome[FleetLog, list[Row]]) -> str:
     """Return the reason why the fit to a log failed, without the path of the log, which stands beside it."""
     return outcome.error.replace(str(outcome.task.path), outcome.task.name).removeprefix(f"{outcome.task.name}: ")
 

@@ -117,11 +117,11 @@ def test_mock_log_is_that_of_the_packaged_boat(tmp_path: Path) -> None:
         st.mock_log(tmp_path / "other.mcap", 10.0)
 
 
-def test_findings_are_those_of_the_command(logs: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_returns_the_findings_of_the_command(logs: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
     found = st.check(logs[:2])
     run("check", "--json", logs[0], logs[1])
-    told = json.loads(capsys.readouterr().out)["findings"]
-    assert [f._asdict() for f in found] == told
+    printed = json.loads(capsys.readouterr().out)["findings"]
+    assert [f._asdict() for f in found] == printed
     assert (found.faults, found.warnings) == ([], [])
     assert repr(found).splitlines()[-1].startswith("0 faults, 0 warnings")
     assert list(found.to_pandas()["code"]) == [f.code for f in found]
@@ -514,7 +514,7 @@ def test_the_reference_is_up_to_date() -> None:
     assert all(re.search(rf"^### (st\.)?{name}$", page, re.MULTILINE) for name in st.__all__)
 
 
-def test_navigated_states_are_those_of_the_files(logs: list[Path], fit: st.FittedVehicle, tmp_path: Path) -> None:
+def test_navigate_returns_and_saves_the_states(logs: list[Path], fit: st.FittedVehicle, tmp_path: Path) -> None:
     done = st.navigate(fit, logs[2], gnss_outages=[(30.0, 50.0)])
     states = done.states["run3"]
     assert set(states) > {"t", "x", "y", "psi", "u", "v", "r", "sd_x", "gnss"}
@@ -564,7 +564,9 @@ def test_navigated_states_are_those_of_the_files(logs: list[Path], fit: st.Fitte
         (lambda logs, fit: st.open_log(logs[0], 500.0), "no data are left from 500 s on"),
     ],
 )
-def test_a_mistake_is_one_clear_line(logs: list[Path], fit: st.FittedVehicle, call: object, message: str) -> None:
+def test_wrong_arguments_give_a_one_line_error(
+    logs: list[Path], fit: st.FittedVehicle, call: object, message: str
+) -> None:
     assert callable(call)
     with pytest.raises(SeatrialError) as raised:
         call(logs, fit)
@@ -572,6 +574,6 @@ def test_a_mistake_is_one_clear_line(logs: list[Path], fit: st.FittedVehicle, ca
     assert "\n" not in str(raised.value)
 
 
-def test_model_that_is_given_twice_is_no_comparison() -> None:
+def test_comparison_of_a_model_with_itself_is_rejected() -> None:
     with pytest.raises(SeatrialError, match=r"a\.toml is given twice; give another model to compare it with"):
         st.compare(["a.toml", Path("a.toml")], "run.mcap")

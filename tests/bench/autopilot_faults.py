@@ -53,15 +53,15 @@ PARAMETER = re.compile(r"[A-Z0-9]+_[A-Z0-9_]+")
 
 
 class Trial(NamedTuple):
-    """One fault, or one wrong parameter (`NAME value`), under one setting of the autopilot."""
+    """Trial of one fault, or of one wrong parameter (`NAME value`), under one setting of the autopilot."""
 
     fault: str
     setting: str
     seconds: float  # from the fault to the last output at neutral
     allowed: float
-    says: str  # the last line that the run printed
+    message: str  # the last line that the run printed
     disarmed: bool  # at the end of the trial
-    told: bool  # whether the run warned that the vehicle may still be armed
+    warned: bool  # whether the run warned that the vehicle may still be armed
 
     @property
     def good(self) -> bool:
@@ -70,10 +70,10 @@ class Trial(NamedTuple):
         """
         name, _, value = self.fault.partition(" ")
         if PARAMETER.fullmatch(name) and value:
-            refused = REFUSAL in self.says and f"{name} is" in self.says and self.seconds == 0.0
-            ended = OUTPUT in self.says and 0.0 < self.seconds <= self.allowed
+            refused = REFUSAL in self.message and f"{name} is" in self.message and self.seconds == 0.0
+            ended = OUTPUT in self.message and 0.0 < self.seconds <= self.allowed
             return (refused or ended) and self.disarmed
-        return self.seconds <= self.allowed and (self.disarmed or self.told)
+        return self.seconds <= self.allowed and (self.disarmed or self.warned)
 
 
 @dataclass
@@ -255,18 +255,18 @@ def try_fault(folder: Path, rover: Rover, fault: Fault, setting: Setting, measur
         process.wait(timeout=20.0)
     if process.poll() is None:
         process.kill()
-    says = process.communicate()[1].strip().splitlines()[-1:] or [""]
+    message = process.communicate()[1].strip().splitlines()[-1:] or [""]
     seen = measured if fault.seen_s is None else fault.seen_s
     allowed = seen + AT_ONCE_S + SAMPLE_S
     rover.until(lambda: rover.beats[-1][0] > time.monotonic() - 2.0, 60.0, "a heartbeat")
     disarmed = not rover.armed
-    told = "MAY STILL BE" in says[0] or "all of ours" in fault.name
+    warned = "MAY STILL BE" in message[0] or "all of ours" in fault.name
     for name in RESTORED:
         rover.set_parameter(name, 1.0)
     _put_right(rover)
     if fault.no_pulses and setting.signed:  # a start with the simulator's parameters deletes its signing key
         rover.sign((folder / "key").read_bytes())
-    return Trial(fault.name, setting.name, seconds, allowed, says[0], disarmed, told)
+    return Trial(fault.name, setting.name, seconds, allowed, message[0], disarmed, warned)
 
 
 def _put_right(rover: Rover) -> None:
@@ -293,12 +293,12 @@ def try_parameter(folder: Path, rover: Rover, name: str, value: float, setting: 
         process.wait(timeout=10.0)
     if process.poll() is None:
         process.send_signal(signal.SIGINT)
-    says = process.communicate()[1].strip().splitlines()[-1:] or [""]
-    refused = REFUSAL in says[0]
+    message = process.communicate()[1].strip().splitlines()[-1:] or [""]
+    refused = REFUSAL in message[0]
     seconds = rover.last_push_after(started) if refused else rover.neutral_after(begun)
     ended = time.monotonic()
     rover.until(lambda: rover.beats[-1][0] > ended, 10.0, "a heartbeat")
-    trial = Trial(f"{name} {value:g}", setting.name, seconds, SUPERVISED_S, says[0], not rover.armed, False)
+    trial = Trial(f"{name} {value:g}", setting.name, seconds, SUPERVISED_S, message[0], not rover.armed, False)
     rover.set(name, before)
     _put_right(rover)
     return trial
@@ -396,7 +396,7 @@ def main() -> None:
         rows.append(trial)
         state = "ok " if trial.good else "BAD"
         took = f"{trial.seconds:5.2f} of {trial.allowed:.2f} s"
-        print(f"{state} {took}  {trial.fault}, {trial.setting}: {trial.says}", flush=True)
+        print(f"{state} {took}  {trial.fault}, {trial.setting}: {trial.message}", flush=True)
         if options.out:
             with options.out.open("a", encoding="utf-8") as file:
                 file.write(msgspec.json.encode(trial).decode() + "\n")

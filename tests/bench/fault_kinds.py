@@ -71,7 +71,7 @@ class Kind:
 
     what: str
     within_s: float  # wall, from the fault to the decision
-    says: str  # regular expression that an event of the log or the note of the watchdog has to match
+    pattern: str  # regular expression that an event of the log or the note of the watchdog has to match
     fault: str = ""  # fault of the mock, started by SIGUSR1
     strike: Callable[[Any], None] | None = None  # action on the processes
     rig: str = VESC
@@ -98,8 +98,8 @@ class Kind:
 
 def _signalled(number: signal.Signals, *who: str) -> Callable[[Any], None]:
     def strike(run: Any) -> None:
-        for one in who:
-            os.kill(getattr(run, one), number)
+        for process_name in who:
+            os.kill(getattr(run, process_name), number)
 
     return strike
 
@@ -155,8 +155,8 @@ def _of(rig: str) -> Iterator[Kind]:
         blink = f"pull/{link}@usr1:{BLINK_S * SPEED}"
         yield Kind("link out for 0.3 s", BLINK_S + REOPEN_S, link, fault=blink, cut_off=True)
         lasts = 3 * STALE_S + (STALE / SPEED if rig == VESC else 0.0)
-        says = "temperature.* not watched any more"
-        yield Kind("temperature not told", lasts + GUARD_S, says, fault=f"mute/{link}@usr1:16")
+        pattern = "temperature.* not watched any more"
+        yield Kind("temperature not reported", lasts + GUARD_S, pattern, fault=f"mute/{link}@usr1:16")
     yield Kind("link silent", STALE_S + GUARD_S, f"{link}.* silent", fault=f"silence/{link}@usr1:8")
     yield Kind("link garbled", STALE_S + GUARD_S, f"{link}.* silent", fault=f"garbage/{link}@usr1:8")
     yield Kind("controller dead", STALE_S + GUARD_S, "left .*silent|for (thruster )?left", fault="esc-dead/left@usr1:8")

@@ -1,4 +1,4 @@
-"""One run with one fault: the mock boat, the runner in its own process, the fault, and the outcome."""
+"""Run with one fault: the mock boat, the runner in its own process, the fault, and the outcome."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Trial:
 
     zero_s: float = math.nan  # wall seconds from the fault to zero of the last thruster
     decided_s: float = math.nan  # wall seconds from the decision to zero thrust; NaN if the log lacks the decision
-    said: str = ""
+    evidence: str = ""  # event of the log or note of the watchdog that names the fault
     wrong: list[str] = field(default_factory=list)
     spoilt: str = ""  # why the run had ended before the fault: on a busy machine a deadman can end it
 
@@ -242,18 +242,18 @@ def _judged(kind: Kind, log: Path, begun: float, boat: Boat, forgiven: float, fo
 
     stops = [(wall(t), text) for t, event, text in events if event == "stop"]
     texts = [*(text for _, text in stops), read_note(log), line]
-    said = next((text for text in texts if re.search(kind.says, text)), "").replace(f"{folder}/", "")
-    too_early = [text for t, text in stops if t < boat.struck_at or (DEADMAN in text and not said)]
+    evidence = next((text for text in texts if re.search(kind.pattern, text)), "").replace(f"{folder}/", "")
+    too_early = [text for t, text in stops if t < boat.struck_at or (DEADMAN in text and not evidence)]
     if too_early and not wrong:
         return _no_trial(too_early[0])
     decided = [float(text.split()[0]) for _, event, text in events if event == "decided"]
     after = boat.zero_at - wall(decided[0]) if decided else math.nan
     zero = boat.zero_at - begun - forgiven
-    wrong += [] if said else [f"the log does not say why: {texts}"]
+    wrong += [] if evidence else [f"the log does not contain the reason: {texts}"]
     if kind.stays:  # the thruster cannot be stopped: the time at which the run decided to end counts
         zero, after = (wall(decided[0]) - begun if decided else math.inf), 0.0
     if zero > kind.within_s + AFTER_DECISION_S:
         wrong.append(f"zero after {zero:.3f} s")
     if after > AFTER_DECISION_S and not kind.cut_off:
         wrong.append(f"zero {after:.3f} s after the decision")
-    return Trial(zero, after, said, wrong)
+    return Trial(zero, after, evidence, wrong)

@@ -31,7 +31,7 @@ from tests.bench.fault_kinds import AFTER_DECISION_S, KINDS, RIGS, Kind
 from tests.bench.fault_runs import Trial, trials
 
 PART = 10  # trials with the same mock boat
-SAID = 60  # length in characters
+SHOWN = 60  # length in characters
 MARKS = ("<!-- python -m tests.bench.fault_trials -->", "<!-- end of the trials -->")
 NOT_TRIED = "not tried"
 INTERRUPTED_S = 2.0  # Ctrl-C also ends the mock boats of this terminal, perhaps before this program receives it
@@ -131,12 +131,12 @@ def row(kind: Kind, found: Sequence[Trial]) -> str:
     if not found:
         return f"{kind.name:<30} {NO_DISK if kind.full else NOT_TRIED}"
     good, median, largest, limit, decided = numbers(kind, found)
-    return f"{kind.name:<30} {good:>9} {median:>6} {largest:>6}  {limit:>5} {decided:>8}   {found[0].said[:SAID]}"
+    return f"{kind.name:<30} {good:>9} {median:>6} {largest:>6}  {limit:>5} {decided:>8}   {found[0].evidence[:SHOWN]}"
 
 
 def table(results: Results, kinds: Sequence[Kind]) -> str:
     """Return the table for the terminal."""
-    head = f"{'what fails':<30} {'good':>9} {'median':>6} {'max':>6}  {'limit':>5} {'decided':>8}   said"
+    head = f"{'what fails':<30} {'good':>9} {'median':>6} {'max':>6}  {'limit':>5} {'decided':>8}   reason"
     lines = [head, f"{'':<30} {'':>9} {'from fault to zero, ms':>22}"]
     return "\n".join(lines + [row(kind, list(results[kind.name].values())) for kind in kinds])
 

@@ -37,7 +37,7 @@ STATUS_S = 0.05  # wall seconds from one status to the next, as in a run
 
 @dataclass(frozen=True)
 class Replay:
-    """What the guard did with a recorded run."""
+    """Decisions of the guard on a recorded run."""
 
     statuses: int
     recorded: str  # why the run was stopped, as the log states; empty if it ended by itself

@@ -128,7 +128,7 @@ def assert_plan_was_run(log: Path, mission: Mission, node: int = 1) -> int:
             missed += 1
             assert k < len(planned) - 1, "the zero at the end was not sent"
     rest = [n, *ahead]
-    assert missed == skipped, f"{missed} set-points were not sent, {skipped} are told of"
+    assert missed == skipped, f"{missed} set-points were not sent, {skipped} are reported"
     assert not any(level > 0 or level < 0 for level in rest), "more was sent than planned"
     return missed
 

@@ -58,7 +58,7 @@ TRUTH: Mapping[str, Mapping[str, float]] = {
 
 
 class Row(NamedTuple):
-    """One estimate and the true value."""
+    """Estimate and true value of one parameter."""
 
     frame: str
     source: str

@@ -115,7 +115,7 @@ def rig(tmp_path: Path) -> Path:
     return path
 
 
-def test_errors_are_one_line_and_name_the_key(capsys: pytest.CaptureFixture[str], tmp_path: Path, rig: Path) -> None:
+def test_errors_have_one_line_and_name_the_key(capsys: pytest.CaptureFixture[str], tmp_path: Path, rig: Path) -> None:
     bad = tmp_path / "bad.toml"
     bad.write_text('format = "seatrial-mission 1"\nthrusters = ["left"]\nname = 3\n', encoding="utf-8")
     binary = tmp_path / "binary.toml"
@@ -132,7 +132,7 @@ def test_errors_are_one_line_and_name_the_key(capsys: pytest.CaptureFixture[str]
 
 
 @pytest.mark.parametrize("words", [["mission", "show"], ["bench", "all"], ["check"], ["mock", "boat"], ["log"]])
-def test_a_file_that_is_not_there_is_wrong_usage_in_one_line(
+def test_a_missing_file_gives_a_one_line_usage_error(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, words: list[str]
 ) -> None:
     for path in (tmp_path / "none.toml", tmp_path):

@@ -107,7 +107,7 @@ def test_round_trip_through_a_file(tmp_path: Path) -> None:
         ("[end]", "[ende]", "end"),
     ],
 )
-def test_what_is_wrong_is_named(old: str, new: str, key: str) -> None:
+def test_error_names_the_invalid_key(old: str, new: str, key: str) -> None:
     text = documented()
     assert text.count(old) >= 1
     with pytest.raises(SeatrialError) as caught:
@@ -123,7 +123,7 @@ def test_no_segment_is_an_error() -> None:
 
 
 @given(st.text(max_size=200))
-def test_any_text_is_a_mission_or_one_error(text: str) -> None:
+def test_any_text_gives_a_mission_or_an_error(text: str) -> None:
     with pytest.raises(SeatrialError):
         parse_mission(text, "m.toml")
 

@@ -18,7 +18,7 @@ SQUARE = Prediction("vehicle/model.toml", T, NORTH, EAST, np.linspace(0.0, 6.0, 
 ERRORS = {"m_u": 0.1, "d_v": 0.4}
 
 
-def test_a_prediction_is_read_back_as_it_was_written() -> None:
+def test_a_written_prediction_is_read_back_unchanged() -> None:
     mission = replace(make_mission("steps", 60.0, 1), prediction=SQUARE, predicted_errors=ERRORS)
     again = parse_mission(dump_mission(mission), "mission.toml")
     assert again == mission
@@ -58,17 +58,17 @@ def test_a_boat_at_rest_needs_no_space() -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "says"),
+    ("old", "new", "message"),
     [
         ("radius = [0.0, ", "radius = [", r"prediction.radius: must have 7 numbers, not 6"),
         ("[prediction]", "[prediction]\ncolor = 1", r"prediction.color: unknown key"),
         ('errors_before = {"m_u" = 1.2}', 'errors_before = {m_u = "x"}', r"errors_before.m_u: must be a number"),
     ],
 )
-def test_what_is_wrong_is_named(old: str, new: str, says: str) -> None:
+def test_error_names_the_invalid_value(old: str, new: str, message: str) -> None:
     text = dump_mission(replace(make_mission("steps", 60.0, 1), prediction=SQUARE))
     if old not in text:
         old = old.replace('"m_u"', "m_u")
     assert old in text
-    with pytest.raises(SeatrialError, match=says):
+    with pytest.raises(SeatrialError, match=message):
         parse_mission(text.replace(old, new), "mission.toml")

@@ -22,31 +22,31 @@ LIMIT = 6_000_000  # length in bytes
 
 @pytest.mark.parametrize(("make", "paper"), [(yaw_experiment, printed.TABLE_3), (surge_experiment, printed.TABLE_4)])
 def test_prediction_error_finds_the_truth_and_output_error_claims_too_much(make, paper) -> None:
-    one = make(2)
+    bench = make(2)
     names = list(paper["OE"])
-    assert tables.distance(one.pe, one.truth, names) < 3.5
+    assert tables.distance(bench.pe, bench.truth, names) < 3.5
     mass = names[0]
-    robust = one.oe.robust_errors[one.oe.names.index(mass)]
+    robust = bench.oe.robust_errors[bench.oe.names.index(mass)]
     if mass == "m_r":
-        assert robust > 2 * one.oe.estimate(mass)[1]
+        assert robust > 2 * bench.oe.estimate(mass)[1]
     else:  # a disturbance shifts the position permanently, which the standard errors do not include
         assert np.isnan(robust)
-        assert (mass, AUTOCORRELATED_TOO_LONG) in one.oe.flags
-    head, _, *rows = tables.tables_3_and_4(one, paper)
+        assert (mass, AUTOCORRELATED_TOO_LONG) in bench.oe.flags
+    head, _, *rows = tables.tables_3_and_4(bench, paper)
     assert "paper OE" in head
     assert len(rows) == 3
     for name, row in zip(names, rows, strict=True):
         cells = [c.strip() for c in row.strip("|").split("|")]
         assert cells[0].startswith(f"`{name}`")
         assert float(cells[1]) == pytest.approx(paper["OE"][name], rel=1e-3)
-        assert float(cells[3]) == pytest.approx(one.truth[name], rel=1e-3)
+        assert float(cells[3]) == pytest.approx(bench.truth[name], rel=1e-3)
 
 
 def test_the_noise_measured_at_rest_matches_the_simulated_noise() -> None:
-    for name, one in at_rest(3).items():
-        white, walk = one.truth
-        assert abs(one.found.white - white) < 4 * one.found.white_error, name
-        assert abs(one.found.walk - walk) < 4 * one.found.walk_error, name
+    for name, record in at_rest(3).items():
+        white, walk = record.truth
+        assert abs(record.found.white - white) < 4 * record.found.white_error, name
+        assert abs(record.found.walk - walk) < 4 * record.found.walk_error, name
 
 
 @pytest.mark.study
@@ -70,7 +70,7 @@ def test_both_pages_are_written(tmp_path: Path) -> None:
     assert "http://" not in re.sub(r"<script>.*?</script>", "", page, flags=re.DOTALL)
 
 
-def test_a_log_that_is_no_bench_run_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_log_of_another_kind_gives_a_one_line_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "none.mcap"
     assert main(["--out", str(tmp_path), "--bench", str(path)]) == 1
     err = capsys.readouterr().err.splitlines()

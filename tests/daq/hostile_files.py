@@ -153,7 +153,7 @@ class Command(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """Outcome of one command: the failure ("" if none), and whether it succeeded (exit status 0)."""
+    """Outcome of one command: its failure (empty for a correct command), and whether its exit status is 0."""
 
     why: str
     answered: bool
@@ -261,8 +261,8 @@ def wounded(data: bytes, rng: random.Random) -> bytes:
         elif kind == 5:
             out[at : at + length] = bytes(length)
         elif kind == 6:
-            other = rng.randrange(len(out))
-            out[at : at + length] = out[other : other + length]
+            source = rng.randrange(len(out))
+            out[at : at + length] = out[source : source + length]
         elif rng.random() < 0.3:
             del out[at:]
     return bytes(out)
@@ -281,14 +281,14 @@ def rewritten(data: bytes, rng: random.Random) -> bytes:
     for record in reader.iter_metadata():
         hostile = {key: rng.choice(("nan", "-1", "1e999", "", "\x1b[2J[red]", "x" * 99_999)) for key in record.metadata}
         writer.add_metadata(record.name, {**record.metadata, **(hostile if of("metadata", 0.7) else {})})
-    for one in reader.iter_attachments():
-        name, content = one.name, one.data
+    for attachment in reader.iter_attachments():
+        name, content = attachment.name, attachment.data
         if of("attachments", 0.7):
             name = rng.choice((name, name, "rig.toml", "vehicle.toml", "../../outside/x", "\x1b[2J", "x" * 9999))
             content = rng.choice(
                 [*(text.encode(errors="replace") for text in (*TOML, RIG)), wounded(content, rng), bytes(10**8)]
             )
-        writer.add_attachment(one.create_time, one.log_time, name, one.media_type, content)
+        writer.add_attachment(attachment.create_time, attachment.log_time, name, attachment.media_type, content)
     schemas: dict[int, int] = {}
     channels: dict[int, int] = {}
     for schema, channel, message in reader.iter_messages():
@@ -684,8 +684,8 @@ def run(command: Command, box: Path, cache: Path) -> Outcome:
         time.sleep(0.005)
     for port in ports.values():
         os.close(port)
-    said, errors, audit = (box.with_suffix(f".{name}").read_bytes() for name in ("stdout", "stderr", "audit"))
-    why = _why(status, said.decode(errors="replace"), errors.decode(errors="replace"), audit.decode())
+    output, errors, audit = (box.with_suffix(f".{name}").read_bytes() for name in ("stdout", "stderr", "audit"))
+    why = _why(status, output.decode(errors="replace"), errors.decode(errors="replace"), audit.decode())
     written = [name for name, what in _tree(box).items() if before.get(name) != what]
     touched = (*written, *before.keys() - _tree(box).keys())
     stray = [name for name in touched if not command.writes or not name.startswith(command.writes)]
@@ -698,7 +698,7 @@ def run(command: Command, box: Path, cache: Path) -> Outcome:
     return Outcome(why, status == 0, usage.ru_utime + usage.ru_stime, memory, limited)
 
 
-def _why(status: int, said: str, errors: str, audit: str) -> str:
+def _why(status: int, output: str, errors: str, audit: str) -> str:
     last = (errors.strip().splitlines() or [""])[-1][:200]
     if os.WIFSIGNALED(status):
         number = os.WTERMSIG(status)
@@ -707,12 +707,12 @@ def _why(status: int, said: str, errors: str, audit: str) -> str:
         return f"traceback: {last}"
     if audit:
         return audit.splitlines()[0]
-    if bad := re.search(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e]", said + errors):
+    if bad := re.search(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e]", output + errors):
         return f"prints {bad[0]!r}"
     code = os.WEXITSTATUS(status)
     if code not in (0, 1, 2):
         return f"status {code}: {last}"
-    if code and not said and not last.startswith("seatrial"):
+    if code and not output and not last.startswith("seatrial"):
         return f"no line of an error: {last}"
     return ""
 

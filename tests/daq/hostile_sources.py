@@ -117,10 +117,10 @@ def _chunk(content: bytes) -> bytes:
 
 def private_records(box: Path, rng: random.Random) -> tuple[Step, ...]:
     """Write millions of private records of an application, with or without a message between them."""
-    one = _record(rng.randrange(0x80, 0x100), bytes(rng.choice((0, 0, 1))))
+    empty = _record(rng.randrange(0x80, 0x100), bytes(rng.choice((0, 0, 1))))
     if rng.random() < 0.5:
-        one = one * rng.choice((1, 17, 70_000)) + _record(5, struct.pack("<HIQQ", 1, 0, 1, 1))
-    content = one * (rng.choice((1 << 20, 1 << 26)) // len(one))
+        empty = empty * rng.choice((1, 17, 70_000)) + _record(5, struct.pack("<HIQQ", 1, 0, 1, 1))
+    content = empty * (rng.choice((1 << 20, 1 << 26)) // len(empty))
     head = _record(1, _text("") + _text("x"))
     (box / "run.mcap").write_bytes(MCAP_MAGIC + head + _chunk(content) * rng.randint(1, 12))
     return reading("run.mcap")

@@ -30,7 +30,7 @@ COLD = b"".join(
 )
 
 
-def said(frames: list[Frame]) -> list[tuple[Any, ...]]:
+def comparable(frames: list[Frame]) -> list[tuple[Any, ...]]:
     """Return the frames as values that compare equal, including NaN."""
     return [tuple(map(repr, (type(f.sample), astuple(f.sample), f.t_rx, f.t_device))) for f in frames]
 
@@ -61,7 +61,7 @@ def check_splits(make: Callable[[], Decoder], data: bytes) -> list[Frame]:
     for pieces in ways:
         decoder = make()
         found = [frame for piece in pieces for frame in decoder.feed(piece, 5.0)]
-        assert said(found) == said(frames)
+        assert comparable(found) == comparable(frames)
         assert counters(decoder) == counters(whole)
     return frames
 
@@ -86,7 +86,7 @@ def check_garbage(make: Callable[[], Decoder], messages: list[bytes], expected: 
             decoder = make()
             frames = check_splits(make, b"".join(parts))
             decoder.feed(b"".join(parts), 5.0)
-            assert said(frames) == said(clean), (garbage, where)
+            assert comparable(frames) == comparable(clean), (garbage, where)
 
 
 def is_close(a: object, b: object, rel: float = 1e-9, tolerance: float = 1e-9) -> bool:

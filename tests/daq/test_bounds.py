@@ -61,7 +61,7 @@ def start(folder: Path, does: str, *words: str) -> subprocess.Popen[str]:
         ("os.kill(os.getpid(), 11)", "the process that read the file was ended by SIGSEGV"),
     ],
 )
-def test_a_limit_ends_the_command_in_one_line_and_leaves_nothing(tmp_path: Path, does: str, line: str) -> None:
+def test_a_limit_ends_the_command_in_one_line_and_leaves_no_file(tmp_path: Path, does: str, line: str) -> None:
     process = start(tmp_path, does)
     out, err = process.communicate(timeout=60.0)
     assert (process.returncode, out) == (1, "began\n")

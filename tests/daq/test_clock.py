@@ -134,7 +134,7 @@ def test_a_step_is_recognised_between_samples_of_other_kinds() -> None:
     assert known == pytest.approx([0.15] * len(known), abs=0.01)
 
 
-def test_packets_that_overtake_each_other_are_no_step() -> None:
+def test_reordered_packets_are_not_a_clock_step() -> None:
     rng, clock_map = np.random.default_rng(6), ClockMap()
     order = np.arange(20_000)
     for at in range(100, 19_900, 100):
@@ -145,7 +145,7 @@ def test_packets_that_overtake_each_other_are_no_step() -> None:
 
 
 @pytest.mark.parametrize("jitter", [0.02, 0.05])
-def test_a_busy_link_with_several_samples_per_message_is_no_step(jitter: float) -> None:
+def test_a_busy_link_with_several_samples_per_message_is_not_a_clock_step(jitter: float) -> None:
     """Each message is late by an exponential time.
 
     Sometimes a queue drains, and sometimes a packet is overtaken. Each message reports two outputs at one time.
@@ -161,7 +161,7 @@ def test_a_busy_link_with_several_samples_per_message_is_no_step(jitter: float) 
     assert np.abs(off[200:]).max() < 0.02
 
 
-def test_a_time_that_is_repeated_for_a_while_is_no_step() -> None:
+def test_a_time_that_is_repeated_for_a_while_is_not_a_clock_step() -> None:
     clock_map = ClockMap()
     for k in range(500):
         t = 0.2 * k
@@ -172,7 +172,7 @@ def test_a_time_that_is_repeated_for_a_while_is_no_step() -> None:
     assert 1 <= clock_map.resets <= 6
 
 
-def test_a_link_that_starts_slowly_is_no_step() -> None:
+def test_a_link_that_starts_slowly_is_not_a_clock_step() -> None:
     clock_map = ClockMap()
     for k in range(3000):
         t, queued = 0.02 * k, 0.4 if k < 100 else 0.0  # bytes that the host had buffered before the port was read
@@ -190,7 +190,7 @@ def test_a_host_clock_that_is_slewed_does_not_reach_run_time(monkeypatch: pytest
     assert clock.now() - before == pytest.approx(plain(raw) - from_raw, abs=0.01)
 
 
-def test_a_pause_of_the_reader_is_no_jump() -> None:
+def test_a_pause_of_the_reader_is_not_a_clock_step() -> None:
     clock_map = ClockMap()
     estimates = [clock_map.update(0.01 * k, 1000.0 + max(0.01 * k, 5.0 if 300 < k < 500 else 0.0)) for k in range(2000)]
     assert clock_map.resets == 0

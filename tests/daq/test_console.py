@@ -46,7 +46,7 @@ def info(log: Path, columns: str | None) -> str:
     return subprocess.run(words, env=environment, capture_output=True, text=True, timeout=60, check=True).stdout
 
 
-def test_info_in_a_pipe_shows_whole_rows(tmp_path: Path) -> None:
+def test_info_in_a_pipe_shows_complete_rows(tmp_path: Path) -> None:
     rows = [SignalRow(1.0 + k, LONG, Frame(Esc(1, 10.0 * k), 1.0 + k, 1.0)) for k in range(5)]
     write_frames(tmp_path / "run.mcap", rows, metadata={}, note="test")
     wide = info(tmp_path / "run.mcap", None)

@@ -53,7 +53,7 @@ MISDEEDS: dict[str, Callable[[Path], object]] = {
 
 @pytest.mark.parametrize("why", list(MISDEEDS))
 def test_a_violation_by_a_command_is_detected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, why: str) -> None:
-    """Without this, the test above could not fail."""
+    """This test shows that the test above can fail."""
     box = tmp_path / "box"
     (box / "out").mkdir(parents=True)
     (box / "outside").mkdir()
@@ -79,7 +79,7 @@ def test_too_much_memory_is_detected(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.filterwarnings("default")  # the command itself prints a line for the user
-@pytest.mark.parametrize("attack", [one for one in dict.fromkeys(ATTACKS) if one.__name__ in QUICK])
+@pytest.mark.parametrize("attack", [attack for attack in dict.fromkeys(ATTACKS) if attack.__name__ in QUICK])
 def test_quick_attacks_are_refused(tmp_path: Path, attack: Callable[[Path, random.Random], tuple[Step, ...]]) -> None:
     box = tmp_path / "box"
     for name in ("out", "outside", "home"):

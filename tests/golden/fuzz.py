@@ -41,7 +41,7 @@ from seatrial.daq.protocol.mavlink_wire import Codec, EscStatus, crc16, dialect,
 from seatrial.daq.rig import DbcSignal
 from seatrial.daq.samples import Ahrs, Esc, Gnss
 from tests.daq.mavlink_ends import rig_text
-from tests.daq.streams import counters, said
+from tests.daq.streams import comparable, counters
 
 NMEA2000 = (DbcSignal("EngineParametersRapid", "EngineSpeed", "rpm", "EngineInstance"),)
 _FIX = Gnss(1.7e9, 41.1, -8.6, 12.0, 0.5, -0.2, 0.1, 3, 11, 0.9, 0.4)
@@ -171,7 +171,7 @@ def _fed(make: Callable[[], Decoder], pieces: list[bytes]) -> tuple[object, ...]
     frames = [frame for piece in pieces for frame in decoder.feed(piece, 5.0)]
     if isinstance(decoder, (nmea.Decoder, ubx.Decoder)):
         frames += decoder.flush()
-    samples = frames if isinstance(decoder, slcan.Decoder) else said(frames)
+    samples = frames if isinstance(decoder, slcan.Decoder) else comparable(frames)
     return samples, counters(decoder)
 
 

@@ -44,7 +44,7 @@ MOVED_DATE = "same place, another date"
 
 
 class Fix(NamedTuple):
-    """One position fix: UTC [s since 1970], latitude and longitude [deg], speed over ground [m/s], dimensions."""
+    """Position fix: UTC [s since 1970], latitude and longitude [deg], speed over ground [m/s], dimensions."""
 
     utc: float
     lat: float
@@ -220,7 +220,7 @@ def _motion(result: Comparison, theirs: Fix, report: Reported, ours: list[Fix], 
 
 
 def _among(speed: float, alternatives: Iterable[float]) -> bool:
-    return any(abs(speed - other) <= SPEED_DIGITS for other in alternatives)
+    return any(abs(speed - alternative) <= SPEED_DIGITS for alternative in alternatives)
 
 
 def _headings(share: Share, data: bytes, near: float, chk: Path) -> None:

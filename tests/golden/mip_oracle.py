@@ -86,5 +86,5 @@ def read(sent: list[bytes]) -> list[dict[str, float]]:
 
 if __name__ == "__main__":
     sent = list(packets())
-    lines = ({"packet": one.hex(), "values": values} for one, values in zip(sent, read(sent), strict=True))
+    lines = ({"packet": packet.hex(), "values": values} for packet, values in zip(sent, read(sent), strict=True))
     FILE.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="ascii")

@@ -14,7 +14,7 @@ N_FUZZ = 400  # `python -m tests.golden.fuzz` does a million
 
 
 @pytest.mark.measured
-def test_fixes_and_headings_are_those_that_gpsd_reads() -> None:
+def test_fixes_and_headings_equal_the_output_of_gpsd() -> None:
     folder = measured("gpsd/daemon")
     found = [compare(path) for path in sorted(folder.glob("*.log"))]
     assert len(found) == 69

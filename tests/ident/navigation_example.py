@@ -45,7 +45,7 @@ def navigation(seed: int = 4) -> NavigationResult:
     used = np.where(lost, 0.0, 1.0)
     ellipse = {"major": 1.4, "minor": 0.4, "azimuth": 0.7, "radius": 1.2}
     misses = {"rms": 0.31, "largest": 0.8, "inside": 0.94, "n": 150}
-    one = {
+    outage = {
         "record": "lake",
         "start": 60.0,
         "end": 90.0,
@@ -63,7 +63,7 @@ def navigation(seed: int = 4) -> NavigationResult:
         "predicted": misses,
         "best": misses | {"rms": 0.22},
     }
-    tail = one | {
+    tail = outage | {
         "start": 228.0,
         "end": 240.0,
         "duration": 12.0,
@@ -115,7 +115,7 @@ def navigation(seed: int = 4) -> NavigationResult:
                 "fixes": {"t": t, "x": measured["x"], "y": measured["y"], "used": used},
             }
         ],
-        "outages": [one, tail],
+        "outages": [outage, tail],
         "inputs": [{"record": "lake", "name": "n_left", "unit": "", "t": t, "value": np.where(t % 20 < 10, 0.4, 0.6)}],
         "notes": ["lake: the log lacks these sensors of the model, which are not used: ground_velocity."],
     }

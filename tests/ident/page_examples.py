@@ -13,7 +13,7 @@ from seatrial.ident.checks.log_checks import (
     CheckEvidence,
     SampleIntervals,
     SensorPair,
-    ShaftResponse,
+    ShaftTrace,
     SignalCurve,
     ThrustResponseCurve,
 )
@@ -69,7 +69,7 @@ def checked_log() -> CheckEvidence:
         "actuator-test", 48.0, "boat",
         intervals=(SampleIntervals("ahrs", t[1:], late, 0.02),
                    SampleIntervals("tide", t[1::50], np.full(10, 5.0), None)),
-        shafts=(ShaftResponse("left", t, np.roll(command, 3), t[::60], command[::60], 48.0),),
+        shafts=(ShaftTrace("left", t, np.roll(command, 3), t[::60], command[::60], 48.0),),
         thrust_response=(ThrustResponseCurve("yaw rate", "rad/s", t, noisy, -r),),
         sensors=(SensorPair("yaw rate", "rad/s", ("of the heading, over 1 s", "of the gyro"), t, r, noisy),),
         signals=(SignalCurve("psi", "rad", t, heading, True),

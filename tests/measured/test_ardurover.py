@@ -58,7 +58,7 @@ def test_outputs_follow_the_commands_by_a_few_milliseconds(log: Path) -> None:
     assert max(delays) < 0.03
 
 
-def test_surge_and_yaw_parameters_are_those_of_the_simulator(log: Path, tmp_path: Path) -> None:
+def test_surge_and_yaw_parameters_equal_the_parameters_of_the_simulator(log: Path, tmp_path: Path) -> None:
     model = f"{HERE / 'steered_boat.py'}:boat"
     run("ident", "vehicle", str(log), "--model", model, "--rate", "25", "--out", str(tmp_path))
     fit = json.loads((tmp_path / "result.json").read_text())["fit"]

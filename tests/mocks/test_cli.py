@@ -106,7 +106,7 @@ def can_bus(rig: Path, name: str = "can") -> Iterator[can.BusABC]:
         bus.shutdown()
 
 
-def test_an_esc_obeys_and_stops_by_itself_within_its_timeout(tmp_path: Path) -> None:
+def test_an_esc_follows_its_command_and_stops_within_its_timeout(tmp_path: Path) -> None:
     rig, log = packaged("boat", tmp_path), tmp_path / "trace.jsonl"
     with mock("boat", rig, "--trace", log), can_bus(rig) as bus:
         drive(bus, 1, 0.5)
@@ -125,7 +125,7 @@ def test_an_esc_obeys_and_stops_by_itself_within_its_timeout(tmp_path: Path) -> 
     assert not (tmp_path / "ports" / "can").is_symlink()
 
 
-def test_the_boat_moves_when_it_is_driven(tmp_path: Path) -> None:
+def test_a_driven_boat_moves(tmp_path: Path) -> None:
     rig = packaged("boat", tmp_path, speed=20.0)
     with mock("boat", rig), can_bus(rig) as bus, serial.Serial(str(tmp_path / "ports" / "ahrs"), timeout=0) as port:
         decoder, shafts = vectornav.Decoder(), vesc.Decoder({1: 7, 2: 7})
@@ -219,7 +219,7 @@ def test_two_mocks_do_not_share_a_port(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "status", "says"),
+    ("words", "status", "message"),
     [
         (("boat", "nowhere.toml"), 2, r"seatrial mock boat: .*nowhere\.toml' does not exist.*\n"),
         (("boat", "{bench}"), 1, r"seatrial: .*a mock boat has two thrusters.*\n"),
@@ -229,11 +229,11 @@ def test_two_mocks_do_not_share_a_port(tmp_path: Path) -> None:
         (("bench", "{bench}", "--realistic"), 2, r"(?s).*No such option.*--realistic.*"),
     ],
 )
-def test_wrong_use_is_one_line(tmp_path: Path, words: tuple[str, ...], status: int, says: str) -> None:
+def test_wrong_usage_gives_a_one_line_error(tmp_path: Path, words: tuple[str, ...], status: int, message: str) -> None:
     rigs = {name: str(packaged(name, tmp_path)) for name in ("boat", "bench")}
     result = run("mock", *(word.format(**rigs) for word in words))
     assert result.returncode == status, result.stderr
-    assert re.fullmatch(says, result.stderr), result.stderr
+    assert re.fullmatch(message, result.stderr), result.stderr
     assert not (tmp_path / "ports").exists()
 
 

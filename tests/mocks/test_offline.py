@@ -19,9 +19,9 @@ N = np.array([[0.5, 0.5], [0.8, 0.2], [0.2, 0.8], [-0.5, -0.4], [0.0, 0.0]])
 
 
 def test_a_run_can_be_repeated_and_another_run_differs_by_noise_only() -> None:
-    first, again, other = (simulate(draw_boat(4), T, N, 20.0, run) for run in (0, 0, 1))
+    first, again, next_run = (simulate(draw_boat(4), T, N, 20.0, run) for run in (0, 0, 1))
     assert first.readings == again.readings
-    yaw = [np.array([r.sample.yaw for r in run.readings if isinstance(r.sample, Ahrs)]) for run in (first, other)]
+    yaw = [np.array([r.sample.yaw for r in run.readings if isinstance(r.sample, Ahrs)]) for run in (first, next_run)]
     assert not np.array_equal(*yaw)
     assert draw_boat(4) == draw_boat(4)
     assert draw_boat(4).hull != draw_boat(5).hull

@@ -43,7 +43,7 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class BenchCase:
-    """An effect (or ``none``) of a given size, on the bench of a seed."""
+    """Case of the study: an effect (or ``none``) of a given size on the bench of a seed."""
 
     effect: str
     seed: int
@@ -96,9 +96,9 @@ def run_case(case: BenchCase) -> Row:
     }
 
 
-def free_errors(stage: FittedModel) -> dict[str, float]:
+def free_errors(fitted: FittedModel) -> dict[str, float]:
     """Return root mean square errors in simulation on the validation data, by channel."""
-    parts = pooled_errors([dict(simulation_run(stage.model, v.record, v.values).errors) for v in stage.validation])
+    parts = pooled_errors([dict(simulation_run(fitted.model, v.record, v.values).errors) for v in fitted.validation])
     return {name: float(f"{e.rms:.4g}") for name, e in parts.items()}
 
 

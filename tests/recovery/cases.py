@@ -146,7 +146,7 @@ def judged(case: Case, runs: Sequence[LogSegment], result: DiagnosisResult) -> R
     if best is not None:
         row |= {"oracle": best, "ratio": ratio(row["after"], best)}
     if case.how.realistic and (large := dominance(case, runs)) is not None:
-        without, fitted = (rms(errors(stage), lambda e: e.rms) for stage in large)
+        without, fitted = (rms(errors(model), lambda e: e.rms) for model in large)
         row["dominance"] = ratio(without, fitted)["horizon"]
     share = shape_share(case, result.nonparametric_effects)
     return row if share is None else row | {"shape": round(share, 3)}
@@ -161,9 +161,9 @@ def z_scores(parameters: Sequence[ParameterRow], truth: Mapping[str, float]) -> 
     return found
 
 
-def errors(stage: FittedModel) -> AllErrors:
+def errors(fitted: FittedModel) -> AllErrors:
     """Return prediction errors on the validation data by horizon and channel."""
-    model, views = stage.model, stage.validation
+    model, views = fitted.model, fitted.validation
     return {
         "one_step": pooled_errors([one_step_errors(model, v.record, v.run) for v in views]),
         "horizon": pooled_errors(

@@ -59,7 +59,7 @@ class Kind:
     seatrial.mocks.hidden_effects.catalogue.NOISE.
     """
 
-    says: str
+    description: str
     truths: Callable[[int], list[str]]
     seeds: int
     scale: float = 1.0
@@ -111,7 +111,7 @@ KINDS: dict[str, Kind] = {
 
 @dataclass(frozen=True)
 class Case:
-    """An effect (``none``, or two effects as ``a+b``) on the boat of a seed, in one of KINDS."""
+    """Case of the study: an effect (``none``, or two effects as ``a+b``) on the boat of a seed, in one of KINDS."""
 
     effect: str
     seed: int

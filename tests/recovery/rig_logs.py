@@ -58,7 +58,7 @@ class Rig:
 
     Attributes
     ----------
-    says
+    description
         Description of the rig as a phrase.
     log
         Function that writes the readings of a mission as a log.
@@ -83,7 +83,7 @@ class Rig:
     """
 
     name: str
-    says: str
+    description: str
     log: Log
     gear: DeviceSpecs = BOAT
     estimation: tuple[float, ...] = (400.0,)
@@ -337,20 +337,26 @@ RIGS: dict[str, Rig] = {
             brings={"lever-arm": frozenset({"velocity-point"})},  # The velocity is corrected to that of the antenna.
             called={"compass-filtered": "compass"},
         ),  # The heading follows the compass within two seconds.
-        replace(VESC, name="noise-third", says="sensor noise declared as a third of the true noise", declared=1 / 3),
-        replace(VESC, name="noise-triple", says="sensor noise declared as three times the true noise", declared=3.0),
-        replace(VESC, name="scale-unknown", says="thrust not given", scale_known=False),
-        replace(VESC, name="no-validation", says="one log, no validation log", validation=()),
-        replace(VESC, name="short", says="60 s to estimate, 60 s to validate", estimation=(60.0,), validation=(60.0,)),
+        replace(
+            VESC, name="noise-third", description="sensor noise declared as a third of the true noise", declared=1 / 3
+        ),
+        replace(
+            VESC, name="noise-triple", description="sensor noise declared as three times the true noise", declared=3.0
+        ),
+        replace(VESC, name="scale-unknown", description="thrust not given", scale_known=False),
+        replace(VESC, name="no-validation", description="one log, no validation log", validation=()),
+        replace(
+            VESC, name="short", description="60 s to estimate, 60 s to validate", estimation=(60.0,), validation=(60.0,)
+        ),
         replace(
             VESC,
             name="payload",
-            says="5 kg more on board in the second of two runs, and 20 kg to validate",
+            description="5 kg more on board in the second of two runs, and 20 kg to validate",
             estimation=(300.0, 300.0),
             payload=(0.0, 5.0, 20.0),
         ),
-        replace(VESC, name="eight-runs", says="eight runs of 100 s", estimation=(100.0,) * 8),
-        replace(VESC, name="thirty-two-runs", says="thirty-two runs of 60 s", estimation=(60.0,) * 32),
+        replace(VESC, name="eight-runs", description="eight runs of 100 s", estimation=(100.0,) * 8),
+        replace(VESC, name="thirty-two-runs", description="thirty-two runs of 60 s", estimation=(60.0,) * 32),
     )
 }
 

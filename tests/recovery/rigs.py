@@ -50,7 +50,10 @@ CHOSEN = (NONE, *DEMO, "tether", "delay", "lag", "reverse-thrust")
 
 @dataclass(frozen=True)
 class RigCase:
-    """An effect (or ``none``) on the boat of a seed, logged by one of RIGS; or one of PLANTS, which has no seed."""
+    """Case of the study: an effect (or ``none``) on the boat of a seed, logged by one of RIGS, or one of PLANTS.
+
+    A plant has no seed.
+    """
 
     rig: str
     effect: str
@@ -123,7 +126,7 @@ def _identified(
 ) -> Row:
     """Return the outputs of the two commands and the fit of the first.
 
-    If every log has an effect that the first command does not know, return the fit of the second.
+    If every log has an effect that the catalogue of the first command lacks, return the fit of the second.
     """
     logs = [p.name for p in estimation] + [w for p in validation for w in ("--validate", p.name)]
     seatrial(folder, "ident", "vehicle", *logs, *options, "--out", "vehicle")
@@ -255,11 +258,18 @@ def asked(rows: Sequence[Row]) -> tables.Lines:
     ]
     table = [["share", "required", "found", "95 % interval", "cases", "met"]]
     lines += _worst_rigs(rows)
-    for says, k, n, sign, limit in lines:
+    for description, k, n, sign, limit in lines:
         if n:
             met = k / n >= limit if sign == ">=" else k / n <= limit
             table.append(
-                [says, f"{sign} {limit:.0%}", f"{k / n:.1%}", tables.interval(k, n), f"{k}/{n}", "yes" if met else "no"]
+                [
+                    description,
+                    f"{sign} {limit:.0%}",
+                    f"{k / n:.1%}",
+                    tables.interval(k, n),
+                    f"{k}/{n}",
+                    "yes" if met else "no",
+                ]
             )
     return table
 
@@ -298,7 +308,7 @@ def by_rig(rows: Sequence[Row]) -> tables.Lines:
         if clean:
             within = f"{int(np.sum(np.abs(z) <= 3))}/{z.size}" if z.size else ""
             cells = [str(count[FALSE_ALARM]), tables.interval(count[FALSE_ALARM], n), within, _in_interval(z)]
-        lines.append([name, rig.says, str(n), *cells, f"{np.median([r['cpu'] for r in own]):.0f}"])
+        lines.append([name, rig.description, str(n), *cells, f"{np.median([r['cpu'] for r in own]):.0f}"])
     return lines
 
 
@@ -406,8 +416,8 @@ def latest(rows: Sequence[Row]) -> str:
         "the true effect was identified or ambiguous": (NAMED, LIKENED),
         "a wrong effect was identified": (WRONG,),
     }
-    says = {"no effect was found": (RIGHT,)} if clean else of_effects
-    counts = {description: sum(w in own for w in words) for description, own in says.items()}
+    outcomes = {"no effect was found": (RIGHT,)} if clean else of_effects
+    counts = {description: sum(w in own for w in words) for description, own in outcomes.items()}
     shares = ", ".join(
         f"{description} in {k} ({tables.interval(k, len(words))} %)" for description, k in counts.items()
     )

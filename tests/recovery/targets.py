@@ -36,7 +36,7 @@ class Target:
     """
 
     kinds: tuple[str, ...]
-    says: str
+    description: str
     counts: Callable[[Row], bool]
     share: float
     least: bool = True
@@ -115,7 +115,7 @@ def targets(rows: Sequence[Row]) -> Lines:
         lines.append(
             [
                 kind,
-                target.says,
+                target.description,
                 f"{sign} {target.share:.0%}",
                 f"{share:.1%}",
                 f"{count}/{len(cases)}",
@@ -166,7 +166,7 @@ def kinds(rows: Sequence[Row]) -> Lines:
         lines.append(
             [
                 name,
-                kind.says,
+                kind.description,
                 _seeds(some + none),
                 str(len(some)),
                 _share(some, first_right),

@@ -59,7 +59,7 @@ def test_verdict_of_a_line(row: Row, wanted: str) -> None:
 
 def test_tables_count_the_named_effects() -> None:
     rows = [row for row, _ in ROWS]
-    together = {one[0]: one[1] for one in bench_study.summary(rows)}
+    together = {cells[0]: cells[1] for cells in bench_study.summary(rows)}
     assert together["true effect first, size 1"] == "2/5"
     assert together["only the true effect, size 1"] == "1/5"
     assert together["another effect first, identified, size 1"] == "1/5"

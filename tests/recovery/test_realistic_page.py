@@ -10,10 +10,10 @@ from tests.recovery.resumable import read
 
 
 def row(effect: str, found: list[str], attribution: list[str], dominance: float) -> dict[str, Any]:
-    one = {"horizon": {"x": 1.0, "psi": 1.0}}
+    ratios = {"horizon": {"x": 1.0, "psi": 1.0}}
     return {
         "key": effect, "kind": "realistic", "effect": effect, "seed": 3, "found": found, "attribution": attribution,
-        "dominance": dominance, "before": one, "after": {"horizon": {"x": 0.5, "psi": 0.5}},
+        "dominance": dominance, "before": ratios, "after": {"horizon": {"x": 0.5, "psi": 0.5}},
         "z": {"m_u": 0.5, "m_v": -4.0}, "cpu": 61.0,
     }  # fmt: skip
 
@@ -43,12 +43,12 @@ def test_counts_of_the_page() -> None:
     assert "| 0.50 |" in document(rows)
 
 
-def test_stated_probabilities_are_those_of_the_study() -> None:
+def test_stated_probabilities_equal_the_study() -> None:
     table = certainty([r for r in read(DATA).values() if "error" not in r and r["kind"].startswith("realistic")])
     counts = {how: (int(named), int(right)) for how, named, right, *_ in table[1:]}
     assert counts == {how: (record.named, record.right) for how, record in NAME_RECORDS.items()}
 
 
-def test_a_probability_is_that_of_the_next_name() -> None:
+def test_a_probability_belongs_to_the_next_name() -> None:
     assert NameRecord(59, 59).probability == 60 / 61
     assert NameRecord(0, 0).probability == 0.5

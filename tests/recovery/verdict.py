@@ -55,7 +55,7 @@ def exactly(row: Row) -> bool:
 
 
 def leads(row: Row) -> bool:
-    """Return whether a true effect is first, whatever its attribution."""
+    """Return whether a true effect is first, with any attribution."""
     return bool(row["found"]) and row["found"][0] in truths(row)
 
 

@@ -9,8 +9,6 @@ the innovations (``seatrial.ident.validation.whiteness.spectral_peak``). The ref
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from seatrial.ident.model import INF, Effect, Parameter, Signals, State
@@ -86,23 +84,4 @@ EFFECT = Effect(
     one_sided=True,
     alternatives=("pendulum",),
 )
-
-
-def waves_at(frequency: float, size: float = 0.4) -> Effect:
-    """Return the effect ``waves`` (wave forces in surge, sway and yaw) with initial values for a fit.
-
-    Parameters
-    ----------
-    frequency : float
-        Initial peak frequency [Hz], within 0.1 to 2.5.
-    size : float
-        Initial standard deviation of each wave force, relative to its typical value: 5 N in surge and sway, 0.6 N m in
-        yaw.
-
-    Raises
-    ------
-    ValueError
-        If the frequency is outside its bounds, or ``size`` is negative.
-    """
-    start = {f"A_{force}": size * typical for force, (_, typical) in FORCES.items()} | {"f_wave": frequency}
-    return replace(EFFECT, parameters=tuple(p.at(start.get(p.name, p.value)) for p in EFFECT.parameters))
+WAVES = EFFECT  # the name in the package `seatrial.ident.effects`, which exports no other effect

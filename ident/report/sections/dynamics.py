@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from seatrial.ident.model import THRUSTER_FORCE, is_of_thruster
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Canvas, Cell, Grid, Heading, Plot, Prose, Section, Table
 from seatrial.ident.report.bode import FREQUENCY, frequency_axis, gain_traces, phase_traces
@@ -43,7 +44,7 @@ def section(canvas: Canvas, dynamics: Dynamics | None) -> Section:
 
 def _command(curve: SteadyCurve) -> str:
     """Return the title of the axis of a steady curve's command, with the unit N, or ``part of full``."""
-    unit = "N" if curve.inputs and curve.inputs[0].startswith("f_") else ""
+    unit = "N" if curve.inputs and is_of_thruster(curve.inputs[0], THRUSTER_FORCE) else ""
     names = formatting.bracket(unit) or ", part of full"
     if curve.motion == "turn":
         return f"half the difference of both sides{names}"

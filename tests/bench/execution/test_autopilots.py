@@ -124,12 +124,12 @@ class Told:
         return self._status
 
 
-def fit(link: LinkStatus, n_max: float = 0.0, said: list[str] | None = None, message: str = "") -> Autopilots:
+def fit(link: LinkStatus, n_max: float = 0.0, printed: list[str] | None = None, message: str = "") -> Autopilots:
     """Return the outcome of the fitness check for a rig with one autopilot in this state, while a mission commands its
     left thruster.
     """
     acquisition = cast("Acquisition", Told(link, message))
-    say: Callable[[str], None] = (lambda line: None) if said is None else said.append
+    say: Callable[[str], None] = (lambda line: None) if printed is None else printed.append
     vehicles = Autopilots(mav_rig(), ("left",), acquisition, RunClock(1.0), time.sleep, say, n_max)
     if link.armed and link.mode == "MANUAL":
         vehicles.prepare(arm=False)
@@ -167,7 +167,7 @@ def fit(link: LinkStatus, n_max: float = 0.0, said: list[str] | None = None, mes
         ),
     ],
 )
-def test_a_state_change_by_the_autopilot_itself_ends_the_run(link: LinkStatus, code: StopCode, reason: str) -> None:
+def test_a_state_change_by_the_autopilot_ends_the_run(link: LinkStatus, code: StopCode, reason: str) -> None:
     guard = started()
     assert judged(guard, replace(LINK, age=2.8)) is None
     stop = judged(guard, link)
@@ -211,16 +211,16 @@ def test_an_autopilot_that_is_not_fit_to_drive_is_refused(
 
 
 def test_a_problem_that_allows_driving_is_printed_and_logged() -> None:
-    said: list[str] = []
+    printed: list[str] = []
     link = replace(LINK, parameters=answered(MOT_SLEWRATE=9.0), refused=("RAW_IMU at 50 Hz: denied",), ekf=0x33F)
-    vehicles = fit(link, said=said)
+    vehicles = fit(link, printed=printed)
     vehicles.await_ready()
-    assert said[1].startswith("autopilot refuses RAW_IMU at 50 Hz: denied; raise SCHED_LOOP_RATE")
-    assert said[2].startswith("autopilot IS ARMED ALREADY")
+    assert printed[1].startswith("autopilot refuses RAW_IMU at 50 Hz: denied; raise SCHED_LOOP_RATE")
+    assert printed[2].startswith("autopilot IS ARMED ALREADY")
     assert vehicles.found_armed == vehicles.still_armed() == ["autopilot"]
-    assert said[0].startswith("autopilot: MOT_SLEWRATE is 9, wanted 0")
+    assert printed[0].startswith("autopilot: MOT_SLEWRATE is 9, wanted 0")
     (mark,) = cast("Told", vehicles._acquisition).marks
-    assert said[0].removeprefix(mark).startswith("; set it")
+    assert printed[0].removeprefix(mark).startswith("; set it")
 
 
 class Stubborn:
@@ -244,7 +244,7 @@ class Stubborn:
 
 
 @pytest.mark.parametrize("obeys_at", [3, math.inf])
-def test_a_normal_end_repeats_the_disarm_request_and_fails_if_it_is_not_obeyed(
+def test_a_normal_end_repeats_the_disarm_request_and_fails_if_the_vehicle_stays_armed(
     obeys_at: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(autopilots, "ASK_S", 0.1)

@@ -16,16 +16,16 @@ from tests.bench.fault_runs import Trial, trials
 from tests.bench.fault_trials import MARKS, NOT_TRIED, PART, Store, into, page, parts, row, table
 
 ROOT = Path(__file__).resolve().parents[3]
-SAMPLE = ("VESC, temperature not told", "DroneCAN, AHRS lost", "MAVLink, capsized")
+SAMPLE = ("VESC, temperature not reported", "DroneCAN, AHRS lost", "MAVLink, capsized")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SAMPLE)
-def test_thrust_is_zero_in_time_and_the_log_says_why(name: str) -> None:
+def test_thrust_is_zero_in_time_and_the_log_contains_the_reason(name: str) -> None:
     (kind,) = [kind for kind in KINDS if kind.name == name]
     (found,) = trials(kind, [7])
     assert not found.wrong, row(kind, [found])
-    assert found.said
+    assert found.evidence
 
 
 def test_an_interrupted_study_continues_where_it_stopped(tmp_path: Path) -> None:
@@ -72,10 +72,10 @@ def test_every_fault_and_parameter_passed_on_a_real_autopilot() -> None:
 
 
 def test_a_trial_that_ended_for_another_reason_is_not_good() -> None:
-    says = "autopilot: 1 parameter forbids to drive, yours to set: FS_ACTION is 1"
-    refused = autopilot_faults.Trial("FS_ACTION 1", "", 0.0, 0.5, says, True, False)
+    message = "autopilot: 1 parameter forbids to drive, yours to set: FS_ACTION is 1"
+    refused = autopilot_faults.Trial("FS_ACTION 1", "", 0.0, 0.5, message, True, False)
     ended = refused._replace(
-        fault="RC1_DZ 190", seconds=0.4, says="autopilot puts out n = +0.00 for thruster left, commanded"
+        fault="RC1_DZ 190", seconds=0.4, message="autopilot puts out n = +0.00 for thruster left, commanded"
     )
     assert refused.good
     assert ended.good
@@ -83,9 +83,9 @@ def test_a_trial_that_ended_for_another_reason_is_not_good() -> None:
         refused._replace(fault="RC_OPTIONS 34"),  # the run names another parameter as the reason
         refused._replace(seconds=0.1),  # thrust before the refusal
         refused._replace(disarmed=False),
-        refused._replace(says="stopped by Ctrl-C; thrust is zero"),
+        refused._replace(message="stopped by Ctrl-C; thrust is zero"),
         ended._replace(seconds=0.6),
-        ended._replace(says="autopilot changed from mode MANUAL to HOLD"),
+        ended._replace(message="autopilot changed from mode MANUAL to HOLD"),
         refused._replace(fault="link cut", seconds=0.6),
         refused._replace(fault="link cut", disarmed=False),
     ):

@@ -1,4 +1,4 @@
-"""Tests of `mission follow` over real sockets and ptys: thrust goes to zero whatever the sender of commands does."""
+"""Tests of `mission follow` over real sockets and ptys: any fault of the sender of commands ends the thrust."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_commands_over_ros_are_driven_recorded_and_published(standin: StandIn, t
 
 
 @pytest.mark.parametrize("how", ["killed", "router gone"])
-def test_thrust_is_zero_when_commands_stop_and_comes_back_after_zero(
+def test_thrust_is_zero_when_commands_stop_and_resumes_after_a_zero_command(
     standin: StandIn, tmp_path: Path, how: str
 ) -> None:
     program = PROGRAM.format(root=str(Path(__file__).parents[3]), address="{}")
@@ -85,12 +85,12 @@ def test_thrust_is_zero_when_commands_stop_and_comes_back_after_zero(
         if how == "killed":
             commander.n = None
             words = [sys.executable, "-c", program.format(router.address)]
-            with subprocess.Popen(words, stdin=subprocess.PIPE, text=True) as other:
-                assert other.stdin is not None
-                pipe = other.stdin
+            with subprocess.Popen(words, stdin=subprocess.PIPE, text=True) as sender:
+                assert sender.stdin is not None
+                pipe = sender.stdin
                 until_following(run, lambda n: print(n, file=pipe, flush=True), standin)
                 stopped = time.monotonic()
-                other.kill()
+                sender.kill()
         else:
             until_following(run, commander.command, standin)
             stopped = time.monotonic()

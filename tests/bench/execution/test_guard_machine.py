@@ -103,7 +103,7 @@ class Shaft:
 def test_a_controller_that_follows_ends_no_run(
     tmp_path: Path, tau: float, limited: float, duty: bool, current: bool
 ) -> None:
-    """With a lag, a current limit and a propeller that the wake turns for a while after zero."""
+    """Simulate a lag, a current limit and a propeller that the wake turns for a while after zero."""
     shaft = Shaft(tau, duty=duty, current=current, limited=limited)
     assert ran(rig_of(tmp_path), 64.0, steps, {ESC: shaft}) == (math.inf, None)
 
@@ -233,7 +233,7 @@ def test_a_boat_that_turns_on_the_spot_or_rests_may_hold_its_position(tmp_path: 
         assert not guard.unwatched(Status(T + t, {}, found, n, 0, "", k, 1, t, "", ()))
 
 
-def test_temperatures_that_no_sensor_measures_are_no_source(tmp_path: Path) -> None:
+def test_impossible_temperatures_do_not_count_as_measurements(tmp_path: Path) -> None:
     rig = rig_of(tmp_path, temperature_c=80.0)
     guard = SafetyGuard(rig, 1.0, ("left",))
     for k, (celsius, watched) in enumerate([(-273.15, False), (-40.0, False), (-39.0, True), (25.0, True)]):
@@ -258,7 +258,7 @@ def fixes(rig: Rig, north: list[float], dt: float = 0.2, speed: float = 0.5) -> 
     return len(north), None
 
 
-def test_one_jump_is_no_violation_and_a_second_fix_is(tmp_path: Path) -> None:
+def test_a_jump_of_the_position_violates_the_fence_only_if_a_second_fix_confirms_the_jump(tmp_path: Path) -> None:
     rig = rig_of(tmp_path, radius_m=100.0)
     assert fixes(rig, [0.0, 0.1, 0.2, 1000.0, 0.3, 0.4]) == (6, None)
     assert fixes(rig, [0.0, 0.1, 1000.0, 0.3, 1000.0, 0.4, -1000.0, 0.5]) == (8, None)
@@ -284,7 +284,7 @@ def test_a_start_at_a_jump_does_not_move_the_fence_unnoticed(tmp_path: Path) -> 
     assert stop is not None
 
 
-def test_one_impossible_speed_is_no_violation(tmp_path: Path) -> None:
+def test_a_single_impossible_speed_does_not_stop_the_run(tmp_path: Path) -> None:
     guard = SafetyGuard(replace(rig_of(tmp_path, radius_m=100.0), vehicle={"m_u": 40.0, "d_u": 5.0}), 1.0, ("left",))
     for k, speed in enumerate([0.5, 0.5, 80.0, 0.5, JUMP_SPEED + 1.0, JUMP_SPEED + 1.0]):
         fix = Gnss(T + k, 41.18 + METRE * (10.0 + 0.5 * k), -8.7, vel_n=speed, vel_e=0.0, fix=3)
@@ -295,7 +295,9 @@ def test_one_impossible_speed_is_no_violation(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("lat", "lon"), [(0.0, 0.0), (60.0, 10.0), (-60.0, 179.9999), (41.0, -180.0)])
 @pytest.mark.parametrize("bearing", [0.0, 90.0, 180.0, 270.0, 45.0])
-def test_the_fence_is_a_circle_in_metres_wherever_it_is(tmp_path: Path, lat: float, lon: float, bearing: float) -> None:
+def test_the_fence_is_a_circle_in_metres_at_every_latitude(
+    tmp_path: Path, lat: float, lon: float, bearing: float
+) -> None:
     """A boat on a great circle away from the start is stopped between 99 and 101 m."""
     guard = SafetyGuard(rig_of(tmp_path, radius_m=100.0), 1.0, ("left",))
     heading = math.radians(bearing)
@@ -357,7 +359,7 @@ def test_a_rate_far_from_the_measured_one_is_refused(
     assert guard.rate_conflicts(status(1.0, 0.0, {}, ports={})) == []
 
 
-def test_patience_has_a_ceiling_whatever_the_rig_says(tmp_path: Path) -> None:
+def test_patience_is_limited_for_a_rig_with_very_low_rates(tmp_path: Path) -> None:
     rig = rig_of(tmp_path, radius_m=100.0, force_n=60.0)
     slow = tuple(replace(device, rate_hz=0.05) for device in rig.devices)
     guard = SafetyGuard(replace(rig, devices=slow), 1.0, ("left",))
@@ -415,7 +417,9 @@ def at_the_end(tmp_path: Path, before: list[Sample], zeroed: float | None = 9.0)
         ([Esc(1)], None),
     ],
 )
-def test_zero_is_what_was_measured(tmp_path: Path, samples: list[Sample], is_zero: bool | None) -> None:
+def test_zero_thrust_is_concluded_from_measurements_only(
+    tmp_path: Path, samples: list[Sample], is_zero: bool | None
+) -> None:
     assert at_the_end(tmp_path, samples)[0] is is_zero
 
 
@@ -486,10 +490,10 @@ def test_a_set_point_that_is_not_allowed_ends_the_run(tmp_path: Path, row: tuple
         guard.allow([row])
     assert guard.stop is not None
     assert guard.stop.code is StopCode.SETPOINT
-    other = SafetyGuard(rig, 1.0, ("left",))
-    other.start()
+    second_guard = SafetyGuard(rig, 1.0, ("left",))
+    second_guard.start()
     good = status(1.0, 0.0, {ESC: shaken(1.0, 0.0)})
-    assert other.step(good.t, good, [row]).stop == guard.stop
+    assert second_guard.step(good.t, good, [row]).stop == guard.stop
 
 
 @pytest.mark.parametrize("speed", [1.0, 20.0])
@@ -528,7 +532,7 @@ SOURCES = {Esc: ESC, LoadCell: CELL, Gnss: FIX}
 def test_no_sequence_of_statuses_moves_a_thruster_beyond_the_limits(
     tmp_path: Path, sequence: list[dict[str, object]], starts: int, shift: float
 ) -> None:
-    """Whatever comes: nothing before the start or after a stop, nothing beyond n_max, nothing under a passed limit.
+    """For any statuses, thrust is zero before the start, after a stop and beyond a limit, and never exceeds n_max.
 
     The same sequence at another time of day gives the same decisions, so the guard reads no clock.
     """
@@ -545,7 +549,9 @@ def test_no_sequence_of_statuses_moves_a_thruster_beyond_the_limits(
         for sample in event["samples"]:  # type: ignore[attr-defined]
             latest[SOURCES[type(sample)]] = Latest(sample, T + t)
         now = replace(status(t, float(event["n"]), {}, stopped=event["stopped"]), latest=dict(latest))  # type: ignore[arg-type]
-        ports = {name: replace(one, age=event["age"], open=event["open"]) for name, one in now.ports.items()}
+        ports = {
+            name: replace(port_status, age=event["age"], open=event["open"]) for name, port_status in now.ports.items()
+        }
         now = replace(now, ports=ports, bytes=k)
         rows = [(now.t, {"left": float(event["wanted"])})]  # type: ignore[arg-type]
         decision = guard.step(now.t, now, rows)
@@ -568,7 +574,7 @@ def test_no_sequence_of_statuses_moves_a_thruster_beyond_the_limits(
                 assert not esc.sample.voltage < 10.0
             if cell is not None and isinstance(cell.sample, LoadCell) and not cell.sample.flags:
                 assert not abs(cell.sample.force) > 60.0
-        later = {source: one._replace(t=one.t + shift) for source, one in latest.items()}
+        later = {source: value._replace(t=value.t + shift) for source, value in latest.items()}
         moved = replace(now, t=now.t + shift, latest=later)
         shifted = again.step(moved.t, moved, [(moved.t, rows[0][1])])
         assert (shifted.stop is None) == (decision.stop is None)
@@ -578,7 +584,7 @@ def test_no_sequence_of_statuses_moves_a_thruster_beyond_the_limits(
 # What the mutation test asked for: numbers, windows at other speeds, and sources of several thrusters.
 
 
-def test_the_numbers_are_those_of_the_safety_page() -> None:
+def test_the_numbers_equal_the_numbers_of_the_safety_page() -> None:
     """A change of one of these changes what docs/safety.md promises."""
     assert (guard_module.STALE_S, guard_module.STALE_PERIODS, guard_module.STALE_MAX_S) == (1.0, 5.0, 5.0)
     assert (guard_module.STALE_WALL_S, guard_module.STUCK_WALL_S, guard_module.LIMIT_MAX_S) == (1.0, 3.0, 6.0)
@@ -597,7 +603,7 @@ def test_the_numbers_are_those_of_the_safety_page() -> None:
     assert pytest.approx(6_371_008.8) == EARTH_RADIUS_M
 
 
-def test_a_history_holds_values_and_forgets_old_ones() -> None:
+def test_a_history_holds_values_for_a_limited_time() -> None:
     history = guard_module.History(2.0)
     assert not history.covers(0.0)
     assert history.since(0.0) == []
@@ -738,7 +744,7 @@ def test_slow_quantities_may_be_missing_for_longer(tmp_path: Path, key: str, sam
     assert [limit.key for limit in guard.unwatched(status(0.99 + patience + 0.02, 0.0, {}))] == [key]
 
 
-def test_a_thruster_without_a_command_yet_counts_as_at_zero(tmp_path: Path) -> None:
+def test_a_thruster_before_its_first_command_counts_as_at_zero(tmp_path: Path) -> None:
     guard = SafetyGuard(rig_of(tmp_path, rpm=4000.0), 1.0, ("left",))
     for k in range(1, 200):
         now = replace(status(0.05 * k, 0.0, {ESC: Esc(1, 10.0)}), commanded={})
@@ -746,9 +752,11 @@ def test_a_thruster_without_a_command_yet_counts_as_at_zero(tmp_path: Path) -> N
         assert guard.step(now.t, now).stop is None
 
 
-def test_what_is_shown_grows_old_by_its_own_rate(tmp_path: Path) -> None:
+def test_a_shown_value_is_outdated_after_a_time_that_follows_its_own_rate(tmp_path: Path) -> None:
     rig = two_thrusters(tmp_path)
-    guard = SafetyGuard(replace(rig, devices=tuple(replace(one, rate_hz=4.0) for one in rig.devices)), 1.0, ("left",))
+    guard = SafetyGuard(
+        replace(rig, devices=tuple(replace(device, rate_hz=4.0) for device in rig.devices)), 1.0, ("left",)
+    )
     both: dict[tuple[str, int | None], Sample] = {ESC: Esc(1, 0.0), ("esc", 2): Esc(2, 0.0), CELL: LoadCell(1.0, 1.0)}
     first = status(0.0, 0.0, both)
 
@@ -764,7 +772,7 @@ def test_what_is_shown_grows_old_by_its_own_rate(tmp_path: Path) -> None:
     assert not guard.is_outdated(("loadcell/battery", None), replace(many, t=many.t + 3.0 * 1.25 - 0.1))
 
 
-def test_a_device_that_sends_next_to_nothing_conflicts_and_one_without_a_rate_does_not(tmp_path: Path) -> None:
+def test_a_device_far_below_its_rate_is_a_conflict_and_a_device_without_a_rate_is_none(tmp_path: Path) -> None:
     guard = SafetyGuard(rig_of(tmp_path), 1.0, ("left",))
     ports = {name: port(name, 40.0) for name in ("esc", "loadcell", "gnss", "ahrs")}
     for rate, conflicts in ((0.01, True), (0.0, False), (NAN, False), (40.0, False)):
@@ -774,24 +782,24 @@ def test_a_device_that_sends_next_to_nothing_conflicts_and_one_without_a_rate_do
 
 def test_a_message_of_a_controller_names_the_newest_command(tmp_path: Path) -> None:
     check = guard_module.ControllerCheck(rig_of(tmp_path).thruster("left"), 1.0)
-    said = ""
+    message = ""
     for k in range(200):
         t = 0.05 * k
-        said = check.reason(status(t, 0.1 if t < 4.0 else 0.2, {ESC: Esc(1, 3000.0 + math.sin(t), 9.0, 0.9)}))
+        message = check.reason(status(t, 0.1 if t < 4.0 else 0.2, {ESC: Esc(1, 3000.0 + math.sin(t), 9.0, 0.9)}))
         if t > 4.2:
             break
-    assert "commanded +0.20" in said
+    assert "commanded +0.20" in message
     for k in range(40):  # the command changes just before the message
         n = 0.2 if k % 2 else 0.1
-        if said := check.reason(status(20.0 + 0.05 * k, n, {ESC: Esc(1, 3000.0 + math.sin(k), 9.0, 0.9)})):
-            assert f"commanded {n:+.2f}" in said
+        if message := check.reason(status(20.0 + 0.05 * k, n, {ESC: Esc(1, 3000.0 + math.sin(k), 9.0, 0.9)})):
+            assert f"commanded {n:+.2f}" in message
 
 
-def test_a_limit_that_lost_its_source_says_for_how_long_or_why(tmp_path: Path) -> None:
+def test_message_of_an_unwatched_limit_contains_the_duration_or_the_reason(tmp_path: Path) -> None:
     guard = SafetyGuard(rig_of(tmp_path, rpm=4000.0, force_n=60.0), 1.0, ("left",))
     guard.unwatched(status(1.0, 0.0, {ESC: Esc(1, 0.0), CELL: LoadCell(1.0, 8.5)}))
-    said = {limit.key: limit.silence(T + 5.0) for limit in guard.unwatched(status(5.0, 0.0, {}))}
-    assert said == {
+    message = {limit.key: limit.silence(T + 5.0) for limit in guard.unwatched(status(5.0, 0.0, {}))}
+    assert message == {
         "rpm": "no shaft speed of thruster left (node 1 on esc) received for 4.0 s",
         "force_n": "no force of loadcell received for 4.0 s",
     }
@@ -812,7 +820,7 @@ def test_the_patience_with_a_limit_grows_with_the_speed_of_time(tmp_path: Path) 
     assert len(guard.unwatched(status(0.99 + 60.1, 0.0, {}))) == 2
 
 
-def test_a_force_beyond_its_limit_names_the_part_that_was_there_at_rest(tmp_path: Path) -> None:
+def test_message_of_a_force_beyond_its_limit_contains_the_force_at_rest(tmp_path: Path) -> None:
     guard = SafetyGuard(rig_of(tmp_path, force_n=60.0), 1.0, ("left",))
     guard.check(status(0.1, 0.0, {ESC: Esc(1), CELL: LoadCell(1.0, 24.4)}))
     with pytest.raises(SafetyStop) as caught:
@@ -823,13 +831,13 @@ def test_a_force_beyond_its_limit_names_the_part_that_was_there_at_rest(tmp_path
 
 def test_a_blocked_controller_is_named_with_its_newest_command(tmp_path: Path) -> None:
     check = guard_module.ControllerCheck(rig_of(tmp_path).thruster("left"), 1.0)
-    said = ""
+    message = ""
     for k in range(300):
         n = 0.5 if k % 2 else 0.4
         esc = Esc(1, 0.0, 0.1, NAN, 24.0 + 0.01 * math.sin(k))
-        if said := check.reason(status(0.05 * k, n, {ESC: esc})):
+        if message := check.reason(status(0.05 * k, n, {ESC: esc})):
             break
-    assert f"does not turn, commanded {n:+.2f} for 3 s" in said
+    assert f"does not turn, commanded {n:+.2f} for 3 s" in message
 
 
 def test_a_boat_at_its_start_is_not_stopped_by_its_speed_alone(tmp_path: Path) -> None:
@@ -852,16 +860,14 @@ def test_a_shaft_speed_that_repeats_while_the_command_changes_is_not_watched(tmp
 
 
 @pytest.mark.parametrize("current", [0.7, -0.7])
-def test_a_motor_that_draws_current_is_not_blocked_whatever_its_speed_sensor_says(
-    tmp_path: Path, current: float
-) -> None:
+def test_a_motor_that_draws_current_is_not_blocked_at_any_measured_speed(tmp_path: Path, current: float) -> None:
     def unsensed(t: float, n: float) -> Esc:
         return Esc(1, 0.0, current + 0.05 * math.sin(t), NAN, 24.0, 30.0)
 
     assert ran(rig_of(tmp_path), 20.0, lambda t: 0.5, {ESC: unsensed}) == (math.inf, None)
 
 
-def test_a_motor_with_duty_is_not_blocked_whatever_its_speed_sensor_says(tmp_path: Path) -> None:
+def test_a_motor_with_duty_is_not_blocked_at_any_measured_speed(tmp_path: Path) -> None:
     def unsensed(t: float, n: float) -> Esc:
         return Esc(1, 0.0, 0.1, n, 24.0 + 0.01 * math.sin(t), 30.0)
 
@@ -878,7 +884,9 @@ def test_no_rig_allows_more_than_full_thrust(tmp_path: Path) -> None:
 
 def test_a_silent_controller_among_two_is_silent_after_five_of_its_own_periods(tmp_path: Path) -> None:
     rig = two_thrusters(tmp_path)
-    guard = SafetyGuard(replace(rig, devices=tuple(replace(one, rate_hz=4.0) for one in rig.devices)), 1.0, ("left",))
+    guard = SafetyGuard(
+        replace(rig, devices=tuple(replace(device, rate_hz=4.0) for device in rig.devices)), 1.0, ("left",)
+    )
     first = status(1.0, 0.0, {ESC: Esc(1, 0.0), ("esc", 2): Esc(2, 0.0)})
     assert guard.step(first.t, first).stop is None
     late = replace(first, t=first.latest[ESC].t + 2.49, bytes=first.bytes + 1)
@@ -890,7 +898,7 @@ def test_a_silent_controller_among_two_is_silent_after_five_of_its_own_periods(t
 
 
 @pytest.mark.parametrize(("known", "stops"), [({}, True), ({"autopilot": 0}, True), ({"autopilot": 1}, False)])
-def test_a_parameter_that_changed_before_the_start_is_no_reason(known: dict[str, int], stops: bool) -> None:
+def test_a_parameter_changed_before_the_start_does_not_stop_the_run(known: dict[str, int], stops: bool) -> None:
     guard = SafetyGuard(replace(mav_rig(), limits=Limits()), 1.0, ("left",))
     guard.start(known)
     link = LinkStatus(received=True, age=0.0, armed=True, mode="MANUAL", changed=("FS_THR_ENABLE is 0, was 1",))
@@ -938,7 +946,7 @@ def test_a_saturated_reading_now_and_then_does_not_stop(tmp_path: Path) -> None:
         guard.check(status(0.1 * k, 0.2, {ESC: shaken(k, 0.2), CELL: cell}))
 
 
-def test_what_thrust_need_not_move_may_stay_as_it_is(tmp_path: Path) -> None:
+def test_constant_values_that_do_not_depend_on_thrust_do_not_stop_the_run(tmp_path: Path) -> None:
     rig = rig_of(tmp_path, temperature_c=80.0, voltage_min_v=12.0, roll_deg=45.0, pitch_deg=45.0)
     devices: dict[tuple[str, int | None], Device] = {ESC: shaken, ("ahrs", None): lambda t, n: Ahrs(0.1, 0.0, 0.0)}
     assert ran(rig, 60.0, steps, devices) == (math.inf, None)
@@ -981,21 +989,21 @@ def test_a_thruster_that_turns_before_its_first_command_ends_the_run(tmp_path: P
         (-0.3, 0.0, "a parameter changes the commands, or its link is late"),
     ],
 )
-def test_a_wrong_output_says_what_may_be_wrong(put_out: float, commanded: float, why: str) -> None:
+def test_message_of_a_wrong_output_names_the_possible_cause(put_out: float, commanded: float, why: str) -> None:
     thruster = mav_rig().thrusters[0]
     check = guard_module.OutputCheck(thruster, 1.0)
-    said = ""
+    message = ""
     for k in range(40):
         t = 0.05 * k
         latest = {("autopilot", thruster.node): Latest(Servo(thruster.node, 1500.0, put_out), T + t)}
-        said = check.reason(Status(T + t, {}, latest, {"left": commanded}, 0, "", 1, 1, t, "", ()))
-    assert f"commanded {commanded:+.2f}: {why}; " in said
+        message = check.reason(Status(T + t, {}, latest, {"left": commanded}, 0, "", 1, 1, t, "", ()))
+    assert f"commanded {commanded:+.2f}: {why}; " in message
 
 
 @pytest.mark.parametrize("first", ["gnss", "ahrs"])
 @pytest.mark.parametrize("age", [0.0, 0.08])
-def test_a_second_receiver_stands_in_for_one_that_repeats_its_position(tmp_path: Path, first: str, age: float) -> None:
-    """In whatever order they report; where both repeat themselves nothing watches the fence."""
+def test_a_second_receiver_replaces_a_receiver_with_a_frozen_position(tmp_path: Path, first: str, age: float) -> None:
+    """The order of the reports does not matter. With two frozen positions, the run stops."""
     for n_frozen in (1, 2):
         guard = SafetyGuard(rig_of(tmp_path, radius_m=100.0), 1.0, ("left",))
         guard.start()

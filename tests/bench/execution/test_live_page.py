@@ -1,4 +1,4 @@
-"""Tests of the page beside a run: a flooded, stopped or killed server of the page changes nothing of the run."""
+"""Tests of the page beside a run: a flooded, stopped or killed server of the page does not change the run."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def until_state(address: str, state: str, seconds: float = 20.0) -> Any:
 
 @contextlib.contextmanager
 def flood(address: str) -> Iterator[list[int]]:
-    """Keep 100 connections busy: half of them ask for everything, half send nothing or do not read the answer."""
+    """Keep 100 connections busy: half request all data, and half send no request or do not read the answer."""
     url, ending, answers = urlsplit(address), threading.Event(), [0]
     request = f"GET {url.path}api/log HTTP/1.0\r\nHost: 127.0.0.1:{url.port}\r\n\r\n".encode()
 
@@ -138,7 +138,9 @@ def test_the_page_shows_a_run_while_it_lasts(standin: StandIn, tmp_path: Path) -
 
 
 @pytest.mark.parametrize("attack", ["none", "flood", "stop", "kill"])
-def test_a_run_is_the_same_whatever_happens_to_its_page(standin: StandIn, tmp_path: Path, attack: str) -> None:
+def test_a_flooded_stopped_or_killed_page_does_not_change_the_run(
+    standin: StandIn, tmp_path: Path, attack: str
+) -> None:
     mission = short_mission(tmp_path)
     with running(tmp_path, (*MISSION_RUN, "--view")) as run, contextlib.ExitStack() as stack:
         address = address_of(run)

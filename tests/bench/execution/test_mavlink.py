@@ -139,7 +139,7 @@ def test_a_mission_runs_and_its_reported_outputs_are_the_input_of_a_fit(tmp_path
     assert {"x", "y", "psi", "r", "ax", "voltage_left"} <= set(found)
 
 
-def test_a_disarmed_vehicle_is_not_armed_unless_told(tmp_path: Path) -> None:
+def test_a_disarmed_vehicle_is_not_armed_without_the_option_arm(tmp_path: Path) -> None:
     write_files(tmp_path, 8.0, "tcp")
     with mock(tmp_path), running(tmp_path) as run:
         _, err = run.communicate(timeout=60)

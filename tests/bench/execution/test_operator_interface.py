@@ -58,7 +58,7 @@ def test_the_live_display_draws_the_view_and_keeps_printed_lines() -> None:
     assert "tare: [zero]" in text
 
 
-def test_a_terminal_of_80_columns_loses_nothing() -> None:
+def test_a_terminal_of_80_columns_shows_all_text() -> None:
     out = io.StringIO()
     console = Console(file=out, force_terminal=True, width=80, color_system=None)
     warning = "autopilot: no heartbeat for 3.1 s, and the antenna's plug is in the water"
@@ -111,7 +111,7 @@ def test_a_key_that_is_held_or_pressed_twice_counts_once() -> None:
     assert keys._without_repetitions("mm", 20.0) == "mm"
 
 
-def test_handlers_come_back_when_no_signal_came() -> None:
+def test_signal_handlers_are_restored_without_a_signal() -> None:
     before = [signal.getsignal(number) for number in CAUGHT]
     with StopSignals():
         assert [signal.getsignal(number) for number in CAUGHT] != before

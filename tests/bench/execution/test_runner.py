@@ -85,7 +85,7 @@ def test_skipped_set_points_are_reported(standin: StandIn, tmp_path: Path) -> No
     assert changes == [*sorted(changes[:-1]), 0.0]  # an older command never follows a newer command
 
 
-def test_garbage_on_the_lines_is_counted_and_the_run_goes_on(standin: StandIn, tmp_path: Path) -> None:
+def test_garbage_on_the_lines_is_counted_and_the_run_continues(standin: StandIn, tmp_path: Path) -> None:
     short_mission(tmp_path, seconds=4.0)
     noise = random.Random(1)
     with running(tmp_path) as run:

@@ -275,7 +275,7 @@ SILENT: list[tuple[str, Sample, str, float]] = [  # a source, a sample without t
 
 
 @pytest.mark.parametrize(("name", "sample", "limit", "patience"), SILENT)
-def test_a_limit_whose_quantity_is_no_longer_reported_stops(
+def test_a_limit_without_measurements_stops_the_run(
     guard: SafetyGuard, name: str, sample: Sample, limit: str, patience: float
 ) -> None:
     guard.check(status(patience - 0.05, 1001, **{name: sample}))
@@ -348,7 +348,7 @@ def test_a_position_lost_among_headings_becomes_outdated(guard: SafetyGuard) -> 
     assert math.isnan(alone)
 
 
-def test_of_two_receivers_the_one_that_sends_counts(guard: SafetyGuard) -> None:
+def test_the_newest_value_comes_from_the_receiver_that_still_sends(guard: SafetyGuard) -> None:
     now = status(200.0)
     old, new = (Latest(Gnss(T, 41.0, -8.0, fix=3, speed=v), now.t - age) for v, age in ((1.37, 120.0), (0.5, 0.1)))
     for pair in ((old, new), (new, old)):

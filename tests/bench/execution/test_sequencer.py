@@ -65,9 +65,9 @@ class Drive:
     """Mission under control of the sequencer from run time 100 on, polled 20 times a second."""
 
     def __init__(self, retries: int = 0) -> None:
-        self.acquisition, self.said = Acquisition(), list[str]()
+        self.acquisition, self.printed = Acquisition(), list[str]()
         self.course = MissionSequencer(
-            MISSION, 100.0, 0.2, self.acquisition, lambda name: 1.0, self.said.append, retries
+            MISSION, 100.0, 0.2, self.acquisition, lambda name: 1.0, self.printed.append, retries
         )
         self.now, self.status = 99.9, GOOD
 
@@ -103,7 +103,7 @@ def test_a_pause_commands_zero_and_resumes_at_the_beginning_of_the_step() -> Non
     # the clock of the mission stands still during the pause
     assert drive.course.elapsed(110.0) == pytest.approx(3.5, abs=0.1)
     drive.until(200.0, " ")
-    assert drive.said[-1] == "resumed with the beginning of one"
+    assert drive.printed[-1] == "resumed with the beginning of one"
     assert drive.n(110.1) == 0.0
     assert [drive.n(110.2 + dt) for dt in (0.1, 1.1, 2.1, 4.1)] == [0.4, 0.8, -0.4, 0.0]
     assert drive.names("segment") == ["static", "one", "one", "two", "static"]
@@ -163,7 +163,7 @@ def test_a_failed_step_is_repeated_up_to_the_allowed_number(fault: dict[str, obj
     again.status = replace(GOOD, **fault)  # type: ignore[arg-type]
     again.until(200.0)
     assert f"one: {words}" in again.names("invalid")
-    assert any(f"invalid: one: {words}" in line and "--retry" in line for line in again.said)
+    assert any(f"invalid: one: {words}" in line and "--retry" in line for line in again.printed)
     assert again.names("segment") == ["static", "one", "two", "static"]
 
 
@@ -223,11 +223,11 @@ class Following:
     """Follower of `left` on a simulated run clock, polled 50 times a second. A command may come at each poll."""
 
     def __init__(self) -> None:
-        self.acquisition, self.said, self.waiting = Acquisition(), list[str](), list[ReceivedCommand]()
+        self.acquisition, self.printed, self.waiting = Acquisition(), list[str](), list[ReceivedCommand]()
         self.waiting.append(ReceivedCommand(0.9, b"old", number=1))
         self.number = 1
         mission = Mission("follow", "mission", ("left",), MISSION.segments[:1], 60.0, 0.8, 2.0)
-        self.course = CommandFollower(mission, 100.0, 0.3, self.acquisition, self.said.append, self)
+        self.course = CommandFollower(mission, 100.0, 0.3, self.acquisition, self.printed.append, self)
         self.now = 99.9
 
     def put(self, samples: object, dropped: int) -> None:
@@ -316,7 +316,7 @@ def test_a_second_sender_and_a_flood_end_the_run() -> None:
         drive.until(103.1)
 
 
-def test_a_command_without_a_whole_attachment_ends_the_run() -> None:
+def test_a_command_without_a_complete_attachment_ends_the_run() -> None:
     drive = Following()
     drive.until(101.0, 0.0)
     with pytest.raises(SafetyStop, match="a command for thruster left lacks sequence number, time or id"):

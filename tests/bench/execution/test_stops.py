@@ -91,7 +91,7 @@ def test_zero_is_repeated_for_half_a_second(standin: StandIn, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("after", [pytest.param(0.3, marks=pytest.mark.study), 1.0])
-def test_a_port_that_comes_back_gets_its_zero_though_the_run_has_ended(tmp_path: Path, after: float) -> None:
+def test_a_returning_port_receives_zero_after_the_end_of_the_run(tmp_path: Path, after: float) -> None:
     short_mission(tmp_path, seconds=60.0)
     with StandIn(tmp_path, timeout_s=SLOW_ESC_S) as standin, running(tmp_path) as run:
         run.until_turning(standin)
@@ -185,7 +185,7 @@ def test_other_signals_end_the_run_like_ctrl_c(
     assert not open_log(run.log).warnings
 
 
-def test_a_signal_to_the_acquisition_process_is_reported_as_such(standin: StandIn, tmp_path: Path) -> None:
+def test_a_signal_to_the_acquisition_process_is_named_as_the_reason(standin: StandIn, tmp_path: Path) -> None:
     short_mission(tmp_path, seconds=60.0)
     with running(tmp_path) as run:
         run.until_turning(standin)
@@ -337,7 +337,7 @@ def test_too_much_force_is_a_safety_stop(standin: StandIn, tmp_path: Path) -> No
         ("force_n", {"calibration": ""}),
     ],
 )
-def test_a_limit_that_nothing_reports_is_refused_before_thrust(
+def test_a_limit_without_a_source_is_refused_before_thrust(
     standin: StandIn, tmp_path: Path, key: str, silence: dict[str, Any]
 ) -> None:
     short_mission(tmp_path, seconds=60.0)

@@ -42,7 +42,7 @@ def test_silence_is_a_reason_only_while_thrust_is_commanded() -> None:
     assert "no sign of life" in reason
 
 
-def test_a_pause_of_the_watchdog_itself_does_not_count_as_silence() -> None:
+def test_a_pause_of_the_watchdog_process_does_not_count_as_silence() -> None:
     watch = HeartbeatMonitor(0.0)
     assert watch.look(0.0, ACTIVE) is None
     assert watch.look(5.0, b"") is None
@@ -74,7 +74,7 @@ def test_the_watchdog_imports_only_the_modules_for_sending_zero() -> None:
 
 
 @pytest.mark.parametrize("failure", ["acquisition hangs", "acquisition killed", "both killed"])
-def test_after_a_hang_or_death_zero_comes_long_before_the_esc_timeout(tmp_path: Path, failure: str) -> None:
+def test_after_a_hang_or_death_zero_is_sent_long_before_the_esc_timeout(tmp_path: Path, failure: str) -> None:
     short_mission(tmp_path, seconds=60.0)
     with StandIn(tmp_path, 4.0, timeout_s=SLOW_ESC_S) as standin, running(tmp_path) as run:
         run.until_turning(standin)
@@ -114,11 +114,11 @@ def test_a_note_that_cannot_be_written_does_not_keep_thrust_on(tmp_path: Path) -
 
 
 def test_a_note_is_not_written_through_a_link(tmp_path: Path) -> None:
-    log, other = tmp_path / "run.mcap", tmp_path / "other.txt"
-    other.write_text("somebody else's")
-    note_path(log).symlink_to(other)
+    log, foreign_file = tmp_path / "run.mcap", tmp_path / "other.txt"
+    foreign_file.write_text("somebody else's")
+    note_path(log).symlink_to(foreign_file)
     write_note(log, "the acquisition process died")
-    assert other.read_text() == "somebody else's"
+    assert foreign_file.read_text() == "somebody else's"
 
 
 def test_a_run_ends_if_its_watchdog_dies(standin: StandIn, tmp_path: Path) -> None:

@@ -118,7 +118,7 @@ def test_check_refuses_thrusters_behind_px4() -> None:
     port = PortStatus("autopilot", "mavlink", "", 25.0, 25.0, 0.01, 9, 9, 0, 0, 0, 0, 99, 0.0, 0.0, "")
     link = LinkStatus(received=True, vehicle="PX4", age=0.1)
     status = Status(1.0, {"autopilot": port}, {}, {}, 0, "", 1, 1, 1.0, "", (), links={"autopilot": link})
-    (found,) = [one for one in check_ports(rig, status) if one.code == "autopilot-not-driven"]
+    (found,) = [finding for finding in check_ports(rig, status) if finding.code == "autopilot-not-driven"]
     assert (found.level, found.where) == (FAULT, "autopilot")
     assert "PX4: seatrial drives only ArduPilot Rover" in found.text
 
@@ -130,7 +130,7 @@ def test_check_refuses_thrusters_behind_px4() -> None:
 def test_a_device_without_samples_is_distinguished_from_a_wrong_baud_rate(frames: int, n_bytes: int, text: str) -> None:
     port = PortStatus("autopilot", "mavlink", "", 25.0, NAN, math.inf, 0, frames, 0, 0, 0, 0, n_bytes, NAN, NAN, "")
     status = Status(1.0, {"autopilot": port}, {}, {}, 0, "", 1, 1, 1.0, "", ())
-    (found,) = [one for one in check_ports(mav_rig(), status) if one.code == "device-silent"]
+    (found,) = [finding for finding in check_ports(mav_rig(), status) if finding.code == "device-silent"]
     assert text in found.text
 
 
@@ -163,11 +163,11 @@ GOOD = LinkStatus(
 def test_the_reported_state_of_an_autopilot_is_judged(link: LinkStatus, level: str, code: str, text: str) -> None:
     port = PortStatus("autopilot", "mavlink", "", 25.0, 25.0, 0.01, 999, 999, 0, 0, 0, 0, 9999, 0.0, 0.0, "")
     status = Status(1.0, {"autopilot": port}, {}, {}, 0, "", 1, 1, 1.0, "", (), links={"autopilot": link})
-    found = next(one for one in check_ports(mav_rig(), status) if one.code == code and text in one.text)
+    found = next(finding for finding in check_ports(mav_rig(), status) if finding.code == code and text in finding.text)
     assert (found.level, found.where) == (level, "autopilot")
     few = replace(link, lost=9)  # fewer than 1 % of the received bytes
     status = replace(status, links={"autopilot": few})
-    assert not [one for one in check_ports(mav_rig(), status) if one.code == "frames-lost"]
+    assert not [finding for finding in check_ports(mav_rig(), status) if finding.code == "frames-lost"]
 
 
 @pytest.mark.parametrize("remark", ["", "frames of node 7, which no thruster of the rig has"])
@@ -175,5 +175,5 @@ def test_a_remark_on_a_stream_is_not_a_fault(remark: str) -> None:
     expected = remark or "[Errno 5] it hung up"
     port = PortStatus("autopilot", "mavlink", "", 25.0, 25.0, 0.01, 9, 9, 0, 0, 0, 0, 99, 0.0, 0.0, expected, remark)
     status = Status(1.0, {"autopilot": port}, {}, {}, 0, "", 1, 1, 1.0, "", ())
-    (found,) = [one for one in check_ports(mav_rig(), status) if one.code == "port-error"]
+    (found,) = [finding for finding in check_ports(mav_rig(), status) if finding.code == "port-error"]
     assert (found.level, found.text) == (WARNING if remark else FAULT, expected)

@@ -71,9 +71,9 @@ def test_the_command_on_logs(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert "not as it should be: bad: left and right" in err
     status, out, _ = run(capsys, "check", "--json", str(bad))
     assert status == 1
-    told = json.loads(out)
-    assert told["format"] == "seatrial-check 1"
-    faults = [f for f in told["findings"] if f["level"] == "fault"]
+    result = json.loads(out)
+    assert result["format"] == "seatrial-check 1"
+    faults = [f for f in result["findings"] if f["level"] == "fault"]
     assert [(f["code"], f["where"]) for f in faults] == [("thruster-sides-swapped", "left and right")]
     assert all(f["advice"] for f in faults)
 
@@ -99,7 +99,7 @@ def test_options_that_exclude_each_other_are_wrong_usage(
     assert expected in err
 
 
-def test_a_file_that_is_no_log_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_of_another_format_gives_a_one_line_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "no.mcap"
     path.write_bytes(b"nothing of the kind")
     status, out, err = run(capsys, "check", str(path))
@@ -111,8 +111,8 @@ def test_a_file_that_is_no_log_is_one_line(tmp_path: Path, capsys: pytest.Captur
 def test_the_reported_delay_and_dead_band_match_the_thruster() -> None:
     recording = sailed(5, None, actuators=True)
     table = tables(recording.readings)
-    told = Channel(table["esc/1/command"]["t"].copy(), table["esc/1/command"]["n_cmd"].copy())
-    found = response(told, channels_of(recording)["n_left"])
+    commanded = Channel(table["esc/1/command"]["t"].copy(), table["esc/1/command"]["n_cmd"].copy())
+    found = response(commanded, channels_of(recording)["n_left"])
     assert isinstance(found, Response)
     assert found.delay == pytest.approx(0.345, abs=0.06)
     assert found.time_constant == pytest.approx(1 / 7.2115, abs=0.1)
@@ -134,13 +134,13 @@ def test_units_of_velocity_and_shaft_speed_are_recognised() -> None:
     recording = sailed(6)
     c, table = channels_of(recording), tables(recording.readings)
     for node, side in ((1, "left"), (2, "right")):
-        told = table[f"esc/{node}/command"]
-        c[f"n_cmd_{side}"] = Channel(told["t"].copy(), told["n_cmd"].copy())
+        command = table[f"esc/{node}/command"]
+        c[f"n_cmd_{side}"] = Channel(command["t"].copy(), command["n_cmd"].copy())
     sides = {"left": -0.15, "right": 0.15}
     assert not [f for f in check_signals(c, sides) if f.level != "ok"]
     knots = c | {n: Channel(c[n].t, c[n].value / 0.5144) for n in ("vx", "vy")}
-    told = [f for f in check_signals(knots, sides) if f.code == "velocity-unit"]
-    assert any("knots" in f.text for f in told)
+    findings = [f for f in check_signals(knots, sides) if f.code == "velocity-unit"]
+    assert any("knots" in f.text for f in findings)
     slow = c | {"n_left": Channel(c["n_left"].t, c["n_left"].value * 2 * np.pi / 60)}
     (found,) = [f for f in check_signals(slow, sides) if f.check == "units"]
     assert (found.where, found.code) == ("left", "shaft-speed-in-rad-per-s")

@@ -78,7 +78,7 @@ def fix(t: float) -> Gnss:
 
 
 @pytest.mark.parametrize("degrees", [0.1, 1.0])
-def test_a_compass_that_repeats_itself_is_not_stuck(tmp_path: Path, degrees: float) -> None:
+def test_a_compass_with_repeated_values_is_not_stuck(tmp_path: Path, degrees: float) -> None:
     def rounded(t: float) -> Ahrs:
         swing = 0.02 if degrees == 0.1 else 30.0
         steps = round((40.0 + swing * math.sin(0.2 * t)) / degrees)

@@ -88,7 +88,7 @@ def test_an_invalid_vehicle_is_not_predicted(vehicle: dict[str, float], why: str
     assert fence.text.endswith(f"[vehicle] of the rig {why}")
 
 
-def test_the_prediction_of_the_design_comes_first() -> None:
+def test_the_prediction_of_the_design_is_preferred() -> None:
     t = np.array([0.0, 30.0, 60.0])
     prediction = Prediction("m", t, np.array([0.0, 250.0, 10.0]), np.zeros(3), np.array([0.0, 60.0, 60.0]))
     (_, fence) = check_mission(replace(ahead(0.1, 60.0), prediction=prediction), RIG)

@@ -54,7 +54,7 @@ def test_every_device_is_logged(tmp_path: Path) -> None:
     assert np.allclose(gnss["lat"], 41.0)
 
 
-def test_garbage_is_counted_and_costs_no_message(tmp_path: Path) -> None:
+def test_garbage_is_counted_and_no_message_is_lost(tmp_path: Path) -> None:
     with TestBoat(tmp_path) as boat, acquiring(boat, tmp_path) as (acquisition, _, _):
         boat.write("ahrs", b"\x00" * 100)
         boat.write("gnss", b"garbage")
@@ -70,7 +70,7 @@ def test_garbage_is_counted_and_costs_no_message(tmp_path: Path) -> None:
 
 
 def test_transducers_of_nmea_are_in_the_log(tmp_path: Path) -> None:
-    """Only an import kept them."""
+    """Formerly, only an import kept the transducers."""
     with TestBoat(tmp_path) as boat, acquiring(boat, tmp_path) as (acquisition, _, _):
         before = acquisition.status().messages
         boat.write("gnss", sentence("IIXDR,U,12.5,V,CELL,T,900,R,ENGINE#0"))

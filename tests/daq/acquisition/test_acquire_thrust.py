@@ -148,7 +148,7 @@ def test_a_runner_that_falls_silent_ends_thrust_and_the_log(tmp_path: Path) -> N
     assert log.table(Ahrs, "ahrs")["t"][-1] - stop > 0.8  # the recording went on
 
 
-def test_without_thrust_a_silent_runner_ends_nothing(tmp_path: Path) -> None:
+def test_without_thrust_a_silent_runner_does_not_end_the_acquisition(tmp_path: Path) -> None:
     with TestBoat(tmp_path) as boat, acquiring(boat, tmp_path) as (acquisition, _, _):
         began = acquisition.status().t
         wait_for(lambda: acquisition.status().t > began + 1.0)
@@ -217,7 +217,7 @@ def test_sigterm_ends_at_zero_and_closes_the_log(tmp_path: Path) -> None:
     assert open_log(tmp_path / "run.mcap").warnings == []
 
 
-def test_an_acquisition_process_that_dies_is_one_clear_line(tmp_path: Path) -> None:
+def test_a_killed_acquisition_process_gives_a_one_line_error(tmp_path: Path) -> None:
     with TestBoat(tmp_path) as boat:
         rig = load_rig(boat.rig_path)
         path = tmp_path / "run.mcap"

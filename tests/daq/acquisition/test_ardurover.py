@@ -55,7 +55,7 @@ def port(rover: Rover, tmp_path: Path) -> int:
     return rover.port
 
 
-def test_a_log_sends_nothing_to_a_real_autopilot(tmp_path: Path, port: int) -> None:
+def test_a_log_does_not_send_to_a_real_autopilot(tmp_path: Path, port: int) -> None:
     (tmp_path / "rig.toml").write_text(RIG.format(port=port, more=""), encoding="utf-8")
     command = [sys.executable, "-m", "seatrial", "log", "rig.toml", "--duration", "5", "-o", "run.mcap"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
@@ -185,7 +185,7 @@ def test_a_fault_on_a_signed_link_ends_thrust_and_disarms(
     assert trial.seconds < trial.allowed + BUSY_S, trial
     assert trial.disarmed
     assert json.loads((folder / "rig.link-test.json").read_text())["devices"]["autopilot"]["receiver"] is False
-    assert message in trial.says
+    assert message in trial.message
 
 
 @pytest.mark.parametrize(

@@ -49,7 +49,7 @@ def test_a_decoded_message_equals_the_encoded_message(message: ipc.Message) -> N
     assert repr(ipc.decode_message(line)) == repr(message)  # NaN is equal only as text
 
 
-def test_a_message_may_come_in_pieces() -> None:
+def test_a_message_may_arrive_in_pieces() -> None:
     ours, theirs = socket.socketpair()
     channel = ipc.AcquisitionChannel(theirs)
     line = ipc.encode_message(ipc.ZeroThrust("end")) + ipc.encode_message(ipc.Stop())

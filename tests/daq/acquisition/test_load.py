@@ -17,13 +17,13 @@ SECONDS = 1.0
 
 
 def test_every_frame_is_logged_or_counted_as_lost(tmp_path: Path) -> None:
-    said, dropped = record(tmp_path, 4, LOSS_RATE, SECONDS, busy=False)
-    assert said["sent"] == 4 * LOSS_RATE * SECONDS
+    counts, dropped = record(tmp_path, 4, LOSS_RATE, SECONDS, busy=False)
+    assert counts["sent"] == 4 * LOSS_RATE * SECONDS
     with open_log(tmp_path / "log.mcap") as log:
         tables = [log.table(Ahrs, f"d{k}") for k in range(4)]
         last = [log.health(f"d{k}")[-1][1] for k in range(4)]
         assert sorted(log.sources(PortHealth)) == ["d0", "d1", "d2", "d3"]
-    assert sum(map(len, tables)) + dropped == said["sent"] - said["refused"]
+    assert sum(map(len, tables)) + dropped == counts["sent"] - counts["refused"]
     assert sum(health.dropped for health in last) == dropped
     assert [health.checksum_errors for health in last] == [0] * 4
     for table in tables:  # the roll rate is the number of the message

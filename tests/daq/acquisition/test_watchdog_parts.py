@@ -74,7 +74,7 @@ def words(sock: socket.socket) -> bytes:
         return b""
 
 
-def test_the_limits_are_those_of_the_safety_page() -> None:
+def test_the_limits_equal_the_limits_of_the_safety_page() -> None:
     """An ESC stops after a second. The watchdog has to act earlier, but later than the pauses of a busy machine."""
     assert (HANG_S, ANSWER_S, POLL_S, HEARTBEAT_S) == (0.6, 1.0, 0.02, 0.02)
     assert (watchdog.OPEN_S, watchdog.ZERO_S, watchdog.READY_S, watchdog.READ_BYTES) == (3.0, 1.0, 20.0, 4096)
@@ -108,7 +108,7 @@ def test_a_watchdog_that_does_not_answer_in_time_is_a_problem(beating: tuple[Hea
     assert heartbeat.trouble.startswith(f"the watchdog has not answered for {ANSWER_S:g} s: ")
 
 
-def test_an_answering_watchdog_or_a_pause_of_the_acquisition_is_no_problem(
+def test_a_problem_is_reported_only_if_the_watchdog_does_not_answer(
     beating: tuple[Heartbeat, socket.socket],
 ) -> None:
     heartbeat, theirs = beating
@@ -177,7 +177,7 @@ def test_a_pause_of_the_monitor_counts_as_one_poll() -> None:
         (ACTIVE, False, f"the acquisition process gave no sign of life for {HANG_S:g} s while thrust was commanded"),
     ],
 )
-def test_the_watch_answers_and_returns_why_it_ends(sent: bytes, closed: bool, reason: str) -> None:
+def test_the_watch_answers_and_returns_the_reason_of_its_end(sent: bytes, closed: bool, reason: str) -> None:
     ours, theirs = socket.socketpair()
     found: list[str] = []
     thread = threading.Thread(target=lambda: found.append(_watch(theirs)))

@@ -83,4 +83,4 @@ def test_a_frozen_sensor_stays_visible() -> None:
 def test_sample_and_hold_of_two_receivers_with_different_rates() -> None:
     t = np.arange(0.0, SECONDS, 0.05)
     found = held_signals(t, {"x": held(t, 5.0, 10), "y": held(t, 5.0, 10, phase=1.0), "psi": held(t, 1.0, 11)})
-    assert {name: round(one.rows) for name, one in found.items()} == {"x": 4, "y": 4, "psi": 20}
+    assert {name: round(held.rows) for name, held in found.items()} == {"x": 4, "y": 4, "psi": 20}

@@ -43,7 +43,7 @@ def test_the_documented_rig_is_read(example: str, tmp_path: Path) -> None:
     assert (rig.limits.force_n, rig.limits.radius_m, rig.vehicle) == (80.0, 200.0, {"m_u": 37.0})
 
 
-def test_absolute_and_socketcan_ports_stay_as_they_are(example: str) -> None:
+def test_absolute_and_socketcan_ports_are_not_changed(example: str) -> None:
     text = example.replace('"ports/ahrs"', '"/dev/ttyUSB3"').replace("slcan:ports/can", "socketcan:can0")
     rig = parse_rig(text, "/boats/rig.toml")
     assert rig.device("ahrs").port == "/dev/ttyUSB3"
@@ -105,7 +105,7 @@ def test_an_error_in_a_rig_is_named_in_one_line(example: str, old: str, new: str
     assert "\n" not in str(caught.value)
 
 
-def test_an_unreadable_rig_is_one_line(tmp_path: Path) -> None:
+def test_an_unreadable_rig_gives_a_one_line_error(tmp_path: Path) -> None:
     with pytest.raises(SeatrialError, match=r"none\.toml: cannot be read: No such file"):
         load_rig(tmp_path / "none.toml")
     (tmp_path / "latin.toml").write_bytes(b"name = '\xe5'")
@@ -167,7 +167,7 @@ def test_only_an_autopilot_may_have_a_network_address(port: str) -> None:
     "more",
     [f"x = {'[' * 20_000}", f"x = {'9' * 5_000}", f"[live]\nport = {'9' * 4_000}", f"[clock]\nspeed = {'9' * 4_000}"],
 )
-def test_a_rig_that_is_too_deep_or_too_long_is_one_line(example: str, more: str) -> None:
+def test_a_rig_that_is_too_deep_or_too_long_gives_a_one_line_error(example: str, more: str) -> None:
     text = example.replace("[clock]\nspeed = 20.0", "") if "clock" in more else example
     with pytest.raises(SeatrialError) as caught:
         parse_rig(f"{text}\n{more}" if more[0] == "[" else f"{more}\n{text}", "rig.toml")

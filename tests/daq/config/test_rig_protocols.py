@@ -60,7 +60,7 @@ def test_a_dbc_and_its_signals_make_a_decoder() -> None:
         (f'dbc = "nmea2000"\n{SIGNAL.replace("rpm", "speed")}', r"signal\[1\]\.field: must be one of rpm, current"),
     ],
 )
-def test_an_error_with_a_dbc_is_one_line(more: str, line: str) -> None:
+def test_an_error_with_a_dbc_gives_a_one_line_error(more: str, line: str) -> None:
     with pytest.raises(SeatrialError, match=line):
         rig("dbc", "socketcan:can0", more)
 

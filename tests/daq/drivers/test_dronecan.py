@@ -49,7 +49,7 @@ def rig(own: int = 100, node: int = 1) -> Rig:
 
 
 def crc64(text: bytes) -> int:
-    """CRC-64-WE bit by bit: by it the specification makes a signature from a definition."""
+    """Return the CRC-64-WE of a text, computed bit by bit. The specification computes signatures with it."""
     crc = 0xFFFFFFFFFFFFFFFF
     for byte in text:
         crc ^= byte << 56
@@ -59,7 +59,7 @@ def crc64(text: bytes) -> int:
 
 
 def crc16(data: bytes, crc: int) -> int:
-    """CRC-16-CCITT bit by bit."""
+    """Return the CRC-16-CCITT of data, computed bit by bit."""
     for byte in data:
         crc ^= byte << 8
         for _ in range(8):
@@ -67,7 +67,7 @@ def crc16(data: bytes, crc: int) -> int:
     return crc
 
 
-def test_a_command_as_it_was_seen_on_a_bus() -> None:
+def test_frames_of_a_command_equal_a_captured_bus() -> None:
     # Issue 68 of dronecan/libcanard: 1404067F, 13 5B 05 5F F3 C7 5D D3 is RawCommand [5651, 5569, 4095, 7453].
     values = [5651, 5569, 4095, 7453]
     seen = bytes.fromhex("135B055FF3C75DD3")
@@ -79,7 +79,7 @@ def test_a_command_as_it_was_seen_on_a_bus() -> None:
     assert found == [(seen[:-1], 1.0)]
 
 
-def test_a_node_status_as_it_was_seen_on_a_bus() -> None:
+def test_frame_of_a_node_status_equals_a_captured_bus() -> None:
     # jdefrance7/SeniorDesignProject, UAVCAN_Receiver_Test_v0: type 341, uptime 28 s, transfer 0; an Arduino printed 16
     # of the identifier's bits, 21782.
     ((identifier, data),) = dronecan.encode_node_status(28.9, 22, 0)
@@ -118,13 +118,13 @@ def test_ends_and_middle_are_exact(n: float) -> None:
 
 
 @pytest.mark.parametrize("commands", [{0: 1.01}, {0: float("nan")}, {20: 0.0}, {-1: 0.0}])
-def test_what_is_no_command(commands: dict[int, float]) -> None:
+def test_invalid_commands_are_rejected(commands: dict[int, float]) -> None:
     with pytest.raises(ValueError, match="is invalid; commands are -1 to 1"):
         dronecan.encode_command(commands, 1, 0)
 
 
 @pytest.mark.parametrize("size", [0, 1, 7, 8, 14, 33])
-def test_a_transfer_of_any_size_comes_out_as_it_went_in(size: int) -> None:
+def test_a_transfer_of_any_size_is_decoded_unchanged(size: int) -> None:
     kind, payload = MessageType(77, 0x1234567890ABCDEF, 40), bytes(range(size))
     assembler = Assembler(kind)
     found = [done for frame in frames_of(kind, payload, 3, 31) for done in assembler.take(*frame, 2.0)]
@@ -132,8 +132,8 @@ def test_a_transfer_of_any_size_comes_out_as_it_went_in(size: int) -> None:
     assert (assembler.unparsed_bytes, assembler.checksum_errors) == (0, 0)
 
 
-def said(raw: bytes) -> tuple[list[list[float]], int]:
-    """The commands in what a driver says, and how many NodeStatus."""
+def decoded(raw: bytes) -> tuple[list[list[float]], int]:
+    """Return the commands in the bytes that a driver sends, and the number of NodeStatus messages."""
     assembler, found, statuses = Assembler(dronecan.RAW_COMMAND), [], 0
     for at in range(0, len(raw), CAN_FRAME.size):
         frame = unpack_can(raw[at : at + CAN_FRAME.size])
@@ -143,23 +143,23 @@ def said(raw: bytes) -> tuple[list[list[float]], int]:
     return found, statuses
 
 
-def test_one_message_tells_every_controller() -> None:
+def test_each_message_contains_the_commands_of_all_controllers() -> None:
     driver = make_driver(rig().devices[0], rig(), make_decoder(rig().devices[0], rig()), LinkRole.DRIVE)
     assert isinstance(driver, DronecanDriver)
     ((raw, carried),) = driver.command([Due(1, 0.5, True)], {1: 0.5}, 10.0)
     assert carried == [Due(1, 0.5, True)]
-    commands, statuses = said(raw)
+    commands, statuses = decoded(raw)
     assert commands == [pytest.approx([0.0, 0.5, 0.0, 0.0], abs=1e-4)]
     assert statuses == 1
     ((raw, _),) = driver.command([Due(3, 0.25, True)], {1: 0.5, 3: 0.25}, 10.0 + STATUS_S / 2)
-    assert said(raw) == ([pytest.approx([0.0, 0.5, 0.0, -0.25], abs=1e-4)], 0)  # 3 is reversed
+    assert decoded(raw) == ([pytest.approx([0.0, 0.5, 0.0, -0.25], abs=1e-4)], 0)  # 3 is reversed
     ((raw, _),) = driver.command([], {1: 0.5, 3: 0.25}, 10.0 + STATUS_S)
-    assert said(raw)[1] == 1
+    assert decoded(raw)[1] == 1
     ((raw, _),) = driver.zero(12.0)
-    assert said(raw) == ([[0.0, 0.0, 0.0, 0.0]], 0)
+    assert decoded(raw) == ([[0.0, 0.0, 0.0, 0.0]], 0)
 
 
-def test_transfers_are_counted_so_that_none_is_taken_for_a_repetition() -> None:
+def test_successive_transfers_have_different_counters() -> None:
     driver = DronecanDriver(frozenset({0}), frozenset(), 7)
     numbers = []
     for k in range(40):
@@ -170,14 +170,14 @@ def test_transfers_are_counted_so_that_none_is_taken_for_a_repetition() -> None:
     assert numbers == [k % 32 for k in range(40)]
 
 
-def test_a_reversed_controller_reports_the_other_sign() -> None:
+def test_a_reversed_controller_reports_speeds_of_opposite_sign() -> None:
     decoder = make_decoder(rig().devices[0], rig())
     wire = [pack_can(*f) for node in (1, 3) for f in dronecan.encode(Esc(node, -900.0), 20 + node, 0)]
     found = {f.sample.node: f.sample.rpm for f in decoder.feed(b"".join(wire), 1.0) if isinstance(f.sample, Esc)}
     assert found == {1: -900.0, 3: 900.0}
 
 
-def test_the_rig_says_what_cannot_be(tmp_path: Path) -> None:
+def test_invalid_nodes_of_a_rig_are_rejected(tmp_path: Path) -> None:
     assert [thruster.pole_pairs for thruster in rig().thrusters] == [1, 1]
     assert rig(own=42).devices[0].own_node == 42
     with pytest.raises(SeatrialError, match=r"thruster.*node.*19"):

@@ -35,7 +35,7 @@ def ready(ends: Ends) -> Ends:
 
 
 def drive(ends: Ends, left: float, right: float, seconds: float) -> None:
-    """Commands every loop, as the acquisition repeats them."""
+    """Send the commands in every loop, as the acquisition does."""
     held = {1: left, 3: right}
     for _ in range(round(seconds * 50)):
         for data, _dues in ends.driver.command([Due(1, left, False)], held, ends.t):
@@ -52,7 +52,7 @@ def armed(ends: Ends) -> Ends:
     return ends
 
 
-def test_it_hears_the_vehicle_and_reads_its_parameters() -> None:
+def test_the_driver_receives_the_vehicle_and_reads_its_parameters() -> None:
     ends = ready(Ends(mav_rig()))
     link = ends.driver.link_at(ends.t)
     assert link.received
@@ -64,7 +64,7 @@ def test_it_hears_the_vehicle_and_reads_its_parameters() -> None:
     assert check_parameters(link.parameters, mav_rig().thrusters, 255) == ()
 
 
-def test_a_rate_that_is_denied_is_said_and_half_of_it_is_asked_for() -> None:
+def test_a_denied_rate_is_reported_and_half_the_rate_is_requested() -> None:
     ends = ready(Ends(mav_rig(rate=50.0)))
     refused = ends.driver.link_at(ends.t).refused
     assert "ATTITUDE at 50 Hz: denied" in refused
@@ -75,7 +75,7 @@ def test_a_rate_that_is_denied_is_said_and_half_of_it_is_asked_for() -> None:
     assert sum(isinstance(frame.sample, Ahrs) for frame in ends.frames) - before == pytest.approx(50, abs=3)
 
 
-def test_an_answer_that_never_comes_is_no_answer_and_nothing_hangs() -> None:
+def test_an_unanswered_request_is_reported_as_unanswered() -> None:
     ends = ready(Ends(mav_rig()))
     ends.deaf = True
     ends.driver.request("arm", 0.0)
@@ -126,7 +126,7 @@ def test_silence_ends_thrust_by_the_override_timeout_and_then_by_the_failsafe() 
     assert ends.driver.link_at(ends.t).alarm == "critical: GCS Failsafe"
 
 
-def test_neutral_goes_on_where_nothing_is_commanded() -> None:
+def test_neutral_is_sent_while_no_command_is_active() -> None:
     ends = armed(ready(Ends(mav_rig())))
     drive(ends, 0.5, 0.5, 0.3)
     drive(ends, 0.0, 0.0, 0.1)
@@ -135,7 +135,7 @@ def test_neutral_goes_on_where_nothing_is_commanded() -> None:
     assert ends.controllers[1].deadline > before + 2.5  # heard all the time, without a command of ours
 
 
-def test_it_disarms_at_the_end_only_what_it_armed() -> None:
+def test_the_driver_disarms_at_the_end_only_if_the_driver_armed_the_vehicle() -> None:
     ends = ready(Ends(mav_rig()))
     assert ends.driver.shutdown_bytes(ends.t) == b""
     armed(ends)
@@ -143,7 +143,7 @@ def test_it_disarms_at_the_end_only_what_it_armed() -> None:
     assert not ends.autopilot.vehicle.armed
 
 
-def test_a_vehicle_obeys_its_own_ground_station_only() -> None:
+def test_a_vehicle_accepts_commands_of_its_own_ground_station_only() -> None:
     ends = armed(ready(Ends(mav_rig())))
     stranger = Ends(mav_rig(more="own_system_id = 254"))
     stranger.driver.request("disarm", 0.0)
@@ -220,7 +220,7 @@ def test_a_parameter_that_was_not_answered_does_not_pass_as_good(name: str) -> N
     assert str(found).startswith(f"{name} was not answered by the autopilot; the link may lose messages: repeat")
 
 
-def test_a_parameter_whose_answers_were_all_lost_is_noted_and_forbids_to_drive() -> None:
+def test_a_parameter_without_an_answer_is_an_event_and_a_fatal_finding() -> None:
     ends = Ends(mav_rig())
     del ends.autopilot.vehicle.parameters["FS_TIMEOUT"]
     ends.run(7.0)
@@ -231,7 +231,7 @@ def test_a_parameter_whose_answers_were_all_lost_is_noted_and_forbids_to_drive()
     assert (found.name, found.fatal) == ("FS_TIMEOUT", True)
 
 
-def test_a_parameter_that_an_older_version_lacks_is_no_loss() -> None:
+def test_a_parameter_that_an_older_version_lacks_is_not_counted_as_lost() -> None:
     parameters = Ends(mav_rig()).autopilot.vehicle.parameters
     older = {
         name: value for name, value in parameters.items() if name not in NEWER_PARAMETERS and name != "MAV_GCS_SYSID"
@@ -258,7 +258,7 @@ def test_a_parameter_that_changes_under_way_is_an_event() -> None:
 
 
 @pytest.mark.parametrize(("role", "sends"), [(LinkRole.LISTEN, False), (LinkRole.ASK, True)])
-def test_who_does_not_drive_is_no_ground_station(role: LinkRole, sends: bool) -> None:
+def test_a_link_without_the_role_to_drive_sends_no_heartbeat_of_a_ground_station(role: LinkRole, sends: bool) -> None:
     rig = mav_rig()
     device = rig.device("autopilot")
     decoder = make_decoder(device, rig)
@@ -282,7 +282,7 @@ def test_who_does_not_drive_is_no_ground_station(role: LinkRole, sends: bool) ->
     assert bool(driver.hint) is not sends
 
 
-def test_a_request_goes_before_rates_and_takes_the_place_of_an_earlier_one() -> None:
+def test_a_request_is_sent_before_rates_and_replaces_an_earlier_request() -> None:
     ends = ready(Ends(mav_rig()))
     ends.deaf = True
     ends.driver._ask_rates(ends.t)  # of which none is answered
@@ -296,7 +296,7 @@ def test_a_request_goes_before_rates_and_takes_the_place_of_an_earlier_one() -> 
 
 
 def parsed(codec: Codec, data: bytes) -> list[Any]:
-    """The messages in whole frames."""
+    """Return the messages in complete frames."""
     found = []
     while data:
         about = parse_header(data, 0)
@@ -306,18 +306,18 @@ def parsed(codec: Codec, data: bytes) -> list[Any]:
     return found
 
 
-def test_the_answer_to_another_ground_station_is_not_ours() -> None:
+def test_an_answer_to_another_ground_station_is_ignored() -> None:
     ends = ready(Ends(mav_rig()))
     ends.deaf = True
     ends.driver.request("arm", 0.0)
     ends.run(0.1)
     vehicle = Codec(1, 1)
-    for target, told in ((254, ""), (255, "arm: failed")):
+    for target, message_of in ((254, ""), (255, "arm: failed")):
         ends.to_ground(vehicle.encode("COMMAND_ACK", 400, 4, 0, 0, target, 190))
-        assert ends.driver.link_at(ends.t).answer == told
+        assert ends.driver.link_at(ends.t).answer == message_of
 
 
-def test_the_reason_of_a_refusal_may_come_after_it() -> None:
+def test_the_reason_of_a_refusal_may_arrive_after_the_refusal() -> None:
     ends = ready(Ends(mav_rig()))
     ends.deaf = True
     ends.driver.request("arm", 0.0)
@@ -328,7 +328,7 @@ def test_the_reason_of_a_refusal_may_come_after_it() -> None:
     assert ends.driver.link_at(ends.t).answer == "arm: failed (Arm: Battery 1 below minimum arming voltage)"
 
 
-def test_the_second_half_of_a_long_text_is_no_alarm() -> None:
+def test_the_second_part_of_a_long_text_does_not_raise_an_alarm() -> None:
     ends = ready(Ends(mav_rig()))
     vehicle = Codec(1, 1)
     for part, text in enumerate((b"PreArm: AHRS: EKF3 Yaw inconsistent 21 deg. Wait o", b"r reboot")):
@@ -338,7 +338,7 @@ def test_the_second_half_of_a_long_text_is_no_alarm() -> None:
     assert "Leak" in ends.driver.link_at(ends.t).alarm
 
 
-def test_after_a_reboot_everything_is_asked_for_again() -> None:
+def test_after_a_reboot_rates_and_parameters_are_requested_again() -> None:
     ends = ready(Ends(mav_rig()))
     vehicle, ear = Codec(1, 1), Codec(9, 1)
     ends.deaf = True
@@ -350,7 +350,7 @@ def test_after_a_reboot_everything_is_asked_for_again() -> None:
 
 
 @pytest.mark.parametrize("heard", [True, False])
-def test_whether_a_receiver_was_heard_is_told_and_forgotten_with_a_restart(heard: bool) -> None:
+def test_state_of_the_receiver_is_reported_and_unknown_after_a_restart(heard: bool) -> None:
     ends = Ends(mav_rig())
     ends.autopilot.vehicle.receiver = heard
     ready(ends)
@@ -359,7 +359,7 @@ def test_whether_a_receiver_was_heard_is_told_and_forgotten_with_a_restart(heard
     assert ends.driver.link_at(ends.t).receiver is None
 
 
-def test_an_alarm_of_before_arming_ends_no_run_and_a_later_one_does() -> None:
+def test_arming_clears_earlier_alarms_and_later_alarms_remain() -> None:
     ends = ready(Ends(mav_rig()))
     ends.autopilot._queue_text(2, "GCS Failsafe")
     ends.run(0.1)
@@ -374,7 +374,7 @@ def test_an_alarm_of_before_arming_ends_no_run_and_a_later_one_does() -> None:
 @pytest.mark.parametrize(
     ("receiver", "failsafe", "ends_after"), [(True, 1.0, 1.0), (False, 1.0, 0.5), (False, 0.0, None)]
 )
-def test_the_mock_holds_the_last_override_where_no_receiver_was_ever_heard(
+def test_the_mock_without_a_receiver_holds_the_last_override(
     receiver: bool, failsafe: float, ends_after: float | None
 ) -> None:
     ends = armed(ready(Ends(mav_rig())))
@@ -389,7 +389,7 @@ def test_the_mock_holds_the_last_override_where_no_receiver_was_ever_heard(
     assert took == pytest.approx(20.0 if ends_after is None else ends_after, abs=0.1)
 
 
-def test_while_muted_nothing_is_sent_but_a_zero_is() -> None:
+def test_a_muted_driver_sends_zero_commands_only() -> None:
     ends = armed(ready(Ends(mav_rig())))
     drive(ends, 0.1, 0.1, 0.3)
     ends.driver.request("mute", 5.0)
@@ -408,7 +408,7 @@ def test_while_muted_nothing_is_sent_but_a_zero_is() -> None:
     assert ends.driver.command([Due(1, 0.1, True)], {1: 0.1}, ends.t)  # it does not last
 
 
-def test_another_station_of_our_id_and_lost_frames_are_counted() -> None:
+def test_another_station_with_the_same_id_and_lost_frames_are_counted() -> None:
     ends = ready(Ends(mav_rig()))
     assert (ends.driver.link_at(ends.t).other_station_frames, ends.driver.link_at(ends.t).lost) == (0, 0)
     ends.to_ground(Codec(255, 230).encode("HEARTBEAT", 6, 8, 0, 0, 4, 3))
@@ -432,7 +432,7 @@ def test_the_round_trip_is_measured() -> None:
     assert [event.text for event in ends.driver.events() if "TIMESYNC" in event.text]
 
 
-def test_rates_that_somebody_else_has_lowered_are_asked_for_again() -> None:
+def test_rates_lowered_by_another_station_are_requested_again() -> None:
     ends = ready(Ends(mav_rig()))
     ends.run(31.0)
     for number in (30, 36):  # ATTITUDE, SERVO_OUTPUT_RAW at 1 Hz
@@ -443,23 +443,23 @@ def test_rates_that_somebody_else_has_lowered_are_asked_for_again() -> None:
     assert sum(isinstance(frame.sample, Ahrs) for frame in ends.frames[before:]) == pytest.approx(50, abs=3)
 
 
-def test_mistakes_with_the_key_are_named(tmp_path: Path) -> None:
+def test_message_names_the_mistake_with_the_signing_key(tmp_path: Path) -> None:
     (tmp_path / "key").write_bytes(bytes(range(32)))
     (tmp_path / "other").write_bytes(bytes(32))
-    signed, other = (mav_rig(tmp_path, more=f'key_file = "{name}"') for name in ("key", "other"))
+    signed, wrong_key = (mav_rig(tmp_path, more=f'key_file = "{name}"') for name in ("key", "other"))
 
-    def told(ours: Rig, key: str, vehicle: Rig) -> str:
+    def message_of(ours: Rig, key: str, vehicle: Rig) -> str:
         ends = Ends(ours, tmp_path / key if key else None)
         ends.autopilot = AutopilotEmulator(vehicle, vehicle.device("autopilot"), ends.controllers, 1_800_000_000.0)
         ends.autopilot._rates["ATTITUDE"] = 25.0
         ends.run(3.0)
         return ends.driver.message()
 
-    assert told(signed, "key", signed) == ""
-    assert told(mav_rig(), "", mav_rig()) == ""
-    assert "no key_file" in told(mav_rig(), "", signed)
-    assert "another key" in told(other, "other", signed)
-    assert "they are not signed" in told(signed, "key", mav_rig())
+    assert message_of(signed, "key", signed) == ""
+    assert message_of(mav_rig(), "", mav_rig()) == ""
+    assert "no key_file" in message_of(mav_rig(), "", signed)
+    assert "another key" in message_of(wrong_key, "other", signed)
+    assert "they are not signed" in message_of(signed, "key", mav_rig())
 
 
 @pytest.mark.parametrize(
@@ -493,7 +493,7 @@ def test_the_rescuers_zero_is_confirmed_by_an_answer() -> None:
     assert rescuer.driver.confirmation == DISARMED
 
 
-def test_a_battery_of_more_amperes_than_its_field_holds_is_told_as_the_most_of_it() -> None:
+def test_a_battery_current_beyond_the_range_of_its_field_is_saturated() -> None:
     ends = Ends(mav_rig())
     ends.run(3.0)
     for node in ends.controllers:
@@ -507,18 +507,18 @@ def test_a_battery_of_more_amperes_than_its_field_holds_is_told_as_the_most_of_i
     assert currents == pytest.approx([327.67] * len(currents))
 
 
-def test_a_fence_that_drives_the_boat_home_is_refused_and_one_that_is_off_is_not() -> None:
+def test_an_enabled_fence_that_drives_the_boat_home_is_refused() -> None:
     good = Ends(mav_rig()).autopilot.vehicle.parameters
     thrusters = mav_rig().thrusters
     assert check_parameters({**good, "FENCE_ACTION": 1.0}, thrusters, 255) == ()
     (found,) = check_parameters({**good, "FENCE_ACTION": 1.0, "FENCE_ENABLE": 1.0}, thrusters, 255)
     assert (found.name, found.fatal) == ("FENCE_ACTION", True)
     without = {name: value for name, value in good.items() if not name.startswith(("FENCE", "BATT"))}
-    found = check_parameters(without, thrusters, 255)  # no monitor of a battery, no fence: said, and no more
-    assert [(one.value, one.fatal) for one in found] == [(None, False)] * 4
+    found = check_parameters(without, thrusters, 255)  # no battery monitor and no fence: reported, but not fatal
+    assert [(finding.value, finding.fatal) for finding in found] == [(None, False)] * 4
 
 
-def test_in_rtl_the_boat_drives_whatever_is_commanded() -> None:
+def test_in_rtl_the_boat_drives_independently_of_commands() -> None:
     ends = armed(ready(Ends(mav_rig())))
     drive(ends, 0.5, 0.5, 0.5)
     ends.driver.request("mode", float(RTL))
@@ -531,7 +531,7 @@ def test_a_receiver_without_a_fix_stops_its_time() -> None:
     blind = Gnss(1_800_000_000.0, NAN, NAN, n_sat=3)
 
     def run(ends: Ends, fixes: list[Gnss]) -> list[tuple[int, float]]:
-        """Fix and device time of what comes while the receiver says these, at 5 Hz."""
+        """Return fix and device time of the received frames while the receiver sends ``fixes`` at 5 Hz."""
         before = len(ends.frames)
         for fix in fixes:
             ends.autopilot.encode(fix, ends.t)
@@ -553,7 +553,7 @@ def test_a_receiver_without_a_fix_stops_its_time() -> None:
     assert (fix, math.isnan(t_device)) == (0, True)
 
 
-def test_an_override_of_zero_gives_a_channel_back() -> None:
+def test_an_override_of_zero_releases_a_channel() -> None:
     ends = armed(ready(Ends(mav_rig())))
     drive(ends, 0.5, 0.5, 1.0)
     assert ends.controllers[1].n > 0.4
@@ -564,7 +564,7 @@ def test_an_override_of_zero_gives_a_channel_back() -> None:
     assert abs(ends.autopilot.vehicle.sticks[3]) == pytest.approx(0.5, abs=0.01)  # 0xFFFF leaves a channel alone
 
 
-def test_a_parameter_that_another_station_changes_is_noticed_at_once_or_when_it_is_read_again() -> None:
+def test_a_parameter_changed_by_another_station_is_detected() -> None:
     """ArduPilot announces a change to every link; the announcement may be lost."""
     ends = ready(Ends(mav_rig()))
     assert ends.driver.link_at(ends.t).changed == ()
@@ -579,7 +579,7 @@ def test_a_parameter_that_another_station_changes_is_noticed_at_once_or_when_it_
         assert ends.driver.link_at(ends.t).changed[-1] == f"{name} was changed: {before:g} to {after:g}"
 
 
-def test_who_does_not_drive_reads_no_parameter_again() -> None:
+def test_a_link_without_the_role_to_drive_reads_parameters_once() -> None:
     ends = ready(Ends(mav_rig(), role=LinkRole.ASK))
     ends.autopilot.vehicle.parameters["FS_THR_ENABLE"] = 0.0
     ends.run(10.0)

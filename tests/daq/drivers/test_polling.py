@@ -32,7 +32,7 @@ newton_per_count = 2.0
 """
 
 
-def test_polls_come_at_the_rate_and_missed_polls_are_not_made_up() -> None:
+def test_polls_have_the_rate_and_missed_polls_are_not_repeated() -> None:
     driver = PollingDriver(b"?", 0.1)
     driver.opened(5.0)
     assert [driver.poll(5.0), driver.poll(5.05), driver.poll(5.11), driver.poll(5.12)] == [b"?", b"", b"?", b""]

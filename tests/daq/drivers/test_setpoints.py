@@ -24,7 +24,7 @@ def test_rows_are_due_at_their_time_and_repeated_in_between() -> None:
     assert setpoints.held == {1: 0.5, 2: 0.25}
 
 
-def test_zero_is_repeated_for_some_time_and_then_nothing_is_sent() -> None:
+def test_zero_is_repeated_for_a_limited_time() -> None:
     setpoints = Setpoints()
     setpoints.append([(1.0, {1: 0.5}), (2.0, {1: 0.0})])
     setpoints.due(1.0, 10.0)
@@ -63,7 +63,7 @@ def test_zero_is_settled_only_after_it_was_written_and_repeated() -> None:
     assert setpoints.is_settled(late + ZERO_FOR_S)
 
 
-def test_zero_before_any_command_sends_nothing() -> None:
+def test_zero_before_any_command_is_not_sent() -> None:
     setpoints = Setpoints()
     setpoints.append([(1.0, {1: 0.5})])
     setpoints.zero(0.0)

@@ -228,7 +228,7 @@ def test_an_import_with_a_rig_equals_a_recording(tmp_path: Path) -> None:
     assert {direction for _, direction, _ in raw} == {"rx"}
 
 
-def test_what_is_wrong_is_one_line(tmp_path: Path) -> None:
+def test_errors_of_a_can_log_are_one_line_each(tmp_path: Path) -> None:
     path = tmp_path / "run.log"
     path.write_text("(1.000000) can0 123#00\n(1.100000) can0 123#01\n")
     with pytest.raises(SeatrialError, match="none of its 2 frames is VESC, DroneCAN or NMEA 2000; give the DBC"):

@@ -163,14 +163,14 @@ def test_frames_after_midnight_belong_to_the_next_day(tmp_path: Path) -> None:
     assert t[10] == pytest.approx(86401.0)
 
 
-def test_a_log_without_times_is_refused_with_what_to_do(tmp_path: Path) -> None:
-    """candump without options writes such lines."""
+def test_a_log_without_times_is_refused_with_advice(tmp_path: Path) -> None:
+    """candump without options writes lines without times."""
     path = write(tmp_path, lines_of_frames(lambda k, i, d: f"  can0  {i}   [8]  {spaced(d)}"))
     with pytest.raises(SeatrialError, match=r"its frames have no times; record again with times: candump -ta can0"):
         guess_map(path)
 
 
-def test_lines_that_are_no_frames_are_counted(tmp_path: Path) -> None:
+def test_lines_without_a_frame_are_counted(tmp_path: Path) -> None:
     lines = DIALECTS["candump -ta"][0].copy()
     lines[7] = lines[7][:40]  # the data is missing
     lines[9] = " (1715504401.000000)  can0  20000004   [8]  00 08 00 00 00 00 00 00   ERRORFRAME"
@@ -189,6 +189,6 @@ def test_a_heading_with_a_date_that_does_not_exist_is_left_out(tmp_path: Path) -
             assert len(read_frames(write(tmp_path, lines))) == N
 
 
-def test_text_that_is_no_can_log_stays_a_table(tmp_path: Path) -> None:
+def test_a_text_without_can_frames_is_read_as_a_table(tmp_path: Path) -> None:
     path = write(tmp_path, ["t,yaw", *(f"{t:.1f},{t:.2f}" for t in T)])
     assert source_kind(path).name == "csv"

@@ -69,7 +69,7 @@ def test_the_style_of_a_text(text: str, style: TextStyle) -> None:
     assert sniff_style(Path("x"), text.encode("latin-1")) == style
 
 
-def test_a_text_that_is_no_table(tmp_path: Path) -> None:
+def test_a_text_without_a_table_is_refused(tmp_path: Path) -> None:
     (tmp_path / "x.csv").write_text("Dear reader,\nthis is a letter.\n")
     with pytest.raises(SeatrialError, match="no table of numbers found in this text"):
         guess_map(tmp_path / "x.csv")
@@ -242,7 +242,7 @@ def test_left_and_right_use_the_same_quantity(guess_of: Guessing) -> None:
     found = thrusters(guess_of("matlab", columns(*names, top=500.0)))
     assert found == {"n_left": ("rpm_left", "1", "linear"), "n_right": ("rpm_right", "1", "linear")}
     found = thrusters(guess_of("matlab", columns("duty_left", "cmd_right", "cmd_left", top=1.0)))
-    assert {name: one[0] for name, one in found.items()} == {"n_left": "cmd_left", "n_right": "cmd_right"}
+    assert {name: signal[0] for name, signal in found.items()} == {"n_left": "cmd_left", "n_right": "cmd_right"}
     found = thrusters(guess_of("matlab", columns("duty_left", "cmd_right", top=1.0)))
     assert len(found) == 1
     found = thrusters(guess_of("matlab", columns("motor_left_setpoint", "motor_right_setpoint", top=1.0)))
@@ -469,9 +469,9 @@ def test_the_topics_of_mavros_are_found(tmp_path: Path) -> None:
 
     def twist(k: int) -> Any:
         vector = types["geometry_msgs/msg/Vector3"]
-        one = types["geometry_msgs/msg/Twist"](vector(1.0, 2.0, 0.0), vector(0.0, 0.0, 0.5))
+        message = types["geometry_msgs/msg/Twist"](vector(1.0, 2.0, 0.0), vector(0.0, 0.0, 0.5))
         header = head(k)
-        return types["geometry_msgs/msg/TwistStamped"](header, one)
+        return types["geometry_msgs/msg/TwistStamped"](header, message)
 
     def pulses(k: int) -> Any:
         return types["mavros_msgs/msg/RCOut"](head(k), np.array([1500 + k, 0, 1500 - k, 0], np.uint16))

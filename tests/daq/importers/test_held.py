@@ -59,7 +59,7 @@ def imported(path: Path, root: str = "", of_x: str = "") -> Path:
 def test_repeats_are_left_out_by_signal_and_reported(table: Path) -> None:
     with pytest.warns(SeatrialWarning) as warnings:
         log = imported(table)
-    lines = [str(one.message).partition("run.csv: ")[2] for one in warnings]
+    lines = [str(warning.message).partition("run.csv: ")[2] for warning in warnings]
     reason = "values repeat the previous value and are left out"
     assert lines == [
         f"x, y: held between measurements 1 s apart; 1900 of 2000 {reason}",
@@ -83,7 +83,7 @@ def test_repeats_that_are_kept_are_found_by_the_check(table: Path, root: str, of
     assert "1900 of 2000" in found.text
 
 
-def test_repeats_of_one_signal_are_dropped_on_demand(table: Path) -> None:
+def test_repeats_of_a_signal_are_dropped_on_request(table: Path) -> None:
     with pytest.warns(SeatrialWarning, match="n_left"):
         log = imported(table, of_x='repeats = "drop"')
     assert len(values(log, "x")[0]) == 100

@@ -176,7 +176,7 @@ def test_a_number_that_marks_rest_becomes_zero(folder: Path) -> None:
     np.testing.assert_allclose(values(out, "psi")[1], np.radians([170.0, 90.0, -160.0]))  # in the unit of the signal
 
 
-def test_rows_whose_time_repeats_or_runs_backwards_are_left_out(folder: Path) -> None:
+def test_rows_with_repeated_or_decreasing_times_are_omitted(folder: Path) -> None:
     repeats = "t,cmd,heading\n0.0,1,1\n0.1,2,2\n0.1,3,3\n0.2,4,4\n"
     with pytest.raises(SeatrialError, match=r"line 4, column 't': time repeats; csv\.time_order = \"drop\""):
         import_files(*write(folder, repeats))
@@ -191,7 +191,7 @@ def test_rows_whose_time_repeats_or_runs_backwards_are_left_out(folder: Path) ->
     assert values(out, "n_left") == ([0.0, 0.1, 0.2], [1.0, 2.0, 4.0])  # the first of the repeated rows
 
 
-def test_a_single_wrong_time_costs_its_own_row_only(folder: Path) -> None:
+def test_a_single_wrong_time_removes_a_single_row(folder: Path) -> None:
     rows = "t,cmd,heading\n" + "".join(f"{5000 if k == 50 else k},0,{k}\n" for k in range(100))
     with pytest.warns(SeatrialWarning, match=r"1 row of \d+ left out"):
         (out,) = import_files(*write(folder, rows, csv='time_order = "drop"'))
@@ -239,7 +239,7 @@ def test_times_of_day_continue_after_midnight(folder: Path) -> None:
         ("t,cmd,heading\n1e12,1,2\n", "times must be between 1970 and 2038"),
     ],
 )
-def test_an_error_in_a_csv_file_is_one_line(folder: Path, rows: str, line: str) -> None:
+def test_an_error_in_a_csv_file_gives_a_one_line_error(folder: Path, rows: str, line: str) -> None:
     with pytest.raises(SeatrialError, match=re.escape(line)) as caught:
         import_files(*write(folder, rows))
     assert "\n" not in str(caught.value)
@@ -292,7 +292,7 @@ def test_an_invalid_iso_time_is_refused(folder: Path) -> None:
         ("[csv]", "[csv]\nskiprows = 2", r"csv\.skiprows: unknown key 'skiprows'; did you mean 'skip_rows'\?"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_with_a_map_is_one_line(folder: Path, old: str, new: str, line: str) -> None:
+def test_an_invalid_import_map_gives_a_one_line_error(folder: Path, old: str, new: str, line: str) -> None:
     path, _ = write(folder)
     text = path.read_text()
     assert old in text
@@ -338,10 +338,10 @@ def test_merged_files_must_each_have_their_part(folder: Path) -> None:
         match=r"'surge_\*_odomvel\.csv' must match exactly one of the given files; correct it, as it matches: none",
     ):
         import_files(path, [one], force=True)
-    other = folder / "notes.csv"
-    other.write_text("a\n1\n")
+    notes = folder / "notes.csv"
+    notes.write_text("a\n1\n")
     with pytest.raises(SeatrialError, match=r"notes\.csv must match exactly one \[\[file\]\], and it matches 0"):
-        import_files(path, [one, two, other], force=True)
+        import_files(path, [one, two, notes], force=True)
 
 
 def test_repeated_values_are_left_out(folder: Path) -> None:
@@ -433,7 +433,7 @@ def test_two_clocks_in_one_column_are_a_fault(folder: Path) -> None:
 
 
 def test_two_receivers_with_equal_times_in_one_table_are_named(folder: Path) -> None:
-    """One has 5 Hz, the other 1 Hz. The advice was a rate, as for stamps that are coarser than the rows."""
+    """The receivers have 5 Hz and 1 Hz. The former advice, a rate, is right only for coarse stamps."""
     rows = "t,cmd,heading\n"
     for k in range(400):
         rows += f"{0.2 * k:.1f},0,{k % 90}\n" + (f"{0.2 * k:.1f},0,{k % 90 + 5}\n" if k % 5 == 0 else "")

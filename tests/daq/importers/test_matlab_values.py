@@ -173,7 +173,7 @@ def test_other_objects_of_version_7_3_are_imported(tmp_path: Path) -> None:
 
 
 def test_references_without_an_object_are_not_read_as_numbers(tmp_path: Path) -> None:
-    """An earlier version read such a reference as six numbers."""
+    """An earlier version read a reference to another value as six numbers."""
     path = tmp_path / "run.mat"
     with h5py.File(path, "w", userblock_size=512) as file:
         made = file.create_dataset("TT", data=np.array([[0xDD000000, 2, 1, 1, 1, 1]], np.uint32))
@@ -202,16 +202,16 @@ def test_a_structure_with_time_of_a_scope_is_imported(tmp_path: Path) -> None:
     assert guess.problem == ""
     (tmp_path / "map.toml").write_text(guess.text)
     (out,) = import_files(tmp_path / "map.toml", [path], out=tmp_path / "run.mcap")
-    for name, one in (("psi", YAW), ("x", 3.0 * T), ("n_right", RIGHT)):
-        np.testing.assert_allclose(values(out, name), (T, one), atol=1e-12)
+    for name, value in (("psi", YAW), ("x", 3.0 * T), ("n_right", RIGHT)):
+        np.testing.assert_allclose(values(out, name), (T, value), atol=1e-12)
 
 
 def test_structures_with_time_of_one_signal_each_share_their_table(tmp_path: Path) -> None:
     """x and y of two To Workspace blocks are one position. A block with another rate stays separate."""
     path = tmp_path / "run.mat"
     blocks = {
-        name: {"time": T[:, None], "signals": {"values": one.reshape(1, 1, -1), "dimensions": 1.0, "label": ""}}
-        for name, one in SIGNALS.items()
+        name: {"time": T[:, None], "signals": {"values": value.reshape(1, 1, -1), "dimensions": 1.0, "label": ""}}
+        for name, value in SIGNALS.items()
     }
     blocks["volts"] = {"time": T[::2, None], "signals": {"values": 12.0 + T[::2, None], "dimensions": 1.0, "label": ""}}
     savemat(path, blocks)

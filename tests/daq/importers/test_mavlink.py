@@ -77,7 +77,7 @@ def test_a_tlog_becomes_a_log_with_the_times_of_the_autopilot(tmp_path: Path) ->
         import_mavlink(tmp_path / "run.tlog", out=tmp_path / "run.tlog", force=True)
 
 
-def test_damage_in_a_tlog_loses_only_the_damaged_messages(tmp_path: Path) -> None:
+def test_damage_in_a_tlog_affects_only_the_damaged_messages(tmp_path: Path) -> None:
     tlog(tmp_path / "clean.tlog")
     tlog(tmp_path / "dirty.tlog", b"\xfd\x00garbage")
     clean, dirty = (import_mavlink(tmp_path / f"{n}.tlog", out=tmp_path / f"{n}.mcap")[0] for n in ("clean", "dirty"))
@@ -89,7 +89,7 @@ def test_damage_in_a_tlog_loses_only_the_damaged_messages(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("damaged", [1, 2**63])
-def test_a_damaged_time_that_no_log_can_hold_is_one_line(tmp_path: Path, damaged: int) -> None:
+def test_a_damaged_time_that_no_log_can_hold_gives_a_one_line_error(tmp_path: Path, damaged: int) -> None:
     """The device times are mapped by the arrival times, so they would be wrong too."""
     path = tmp_path / "run.tlog"
     tlog(path)
@@ -118,7 +118,7 @@ def attitudes(*autopilots: tuple[int, float]) -> bytes:
     return data
 
 
-def test_of_two_autopilots_one_is_imported_and_the_other_is_named(tmp_path: Path) -> None:
+def test_one_of_two_autopilots_is_imported_and_the_omitted_autopilot_is_named(tmp_path: Path) -> None:
     path = tmp_path / "run.tlog"
     path.write_bytes(attitudes((1, 12.0), (2, 400.0)))
     with pytest.warns(
@@ -131,14 +131,14 @@ def test_of_two_autopilots_one_is_imported_and_the_other_is_named(tmp_path: Path
 
 
 @pytest.mark.parametrize("boot", [12.5, 400.0])
-def test_two_autopilots_of_one_number_are_one_line(tmp_path: Path, boot: float) -> None:
+def test_two_autopilots_with_the_same_number_give_a_one_line_error(tmp_path: Path, boot: float) -> None:
     path = tmp_path / "run.tlog"
     path.write_bytes(attitudes((1, 12.0), (1, boot)))
     with pytest.raises(SeatrialError, match="two autopilots send as system 1"):
         import_mavlink(path, out=tmp_path / "run.mcap")
 
 
-def test_a_file_that_is_not_a_tlog_is_one_line(tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_tlog_gives_a_one_line_error(tmp_path: Path) -> None:
     path = tmp_path / "x.tlog"
     path.write_bytes(b"hello" * 100)
     with pytest.raises(SeatrialError, match="no heartbeat of an autopilot"):
@@ -202,7 +202,7 @@ def dataflash(path: Path, firmware: str = "ArduRover V4.7.0 (1a2b3c4d)", rpm: fl
     ("firmware", "mode"),
     [("ArduRover V4.7.0", "HOLD"), ("ArduSub V4.5.0", "GUIDED"), ("ArduPlane V4.6.0", "ACRO"), ("strange", "mode 4")],
 )
-def test_modes_of_a_dataflash_log_are_those_of_its_vehicle(tmp_path: Path, firmware: str, mode: str) -> None:
+def test_modes_of_a_dataflash_log_have_the_names_of_its_vehicle(tmp_path: Path, firmware: str, mode: str) -> None:
     """The text that names the mode comes after the mode."""
     dataflash(tmp_path / "00000001.BIN", firmware)
     out, _ = import_mavlink(tmp_path / "00000001.BIN", out=tmp_path / "bin.mcap")
@@ -229,12 +229,12 @@ def test_a_mapped_log_keeps_the_autopilots_parameters_and_compares_the_rig(tmp_p
     with pytest.warns(SeatrialWarning, match=message):
         (out,) = import_files(tmp_path / "map.toml", [path], out=tmp_path / "run.mcap")
     direct, _ = import_mavlink(path, rig=load_rig(tmp_path / "rig.toml"), out=tmp_path / "direct.mcap")
-    with open_log(out) as log, open_log(direct) as other:
+    with open_log(out) as log, open_log(direct) as direct_log:
         reported = [(kind, text) for _, kind, text in log.events() if kind not in ("import", "clock")]
-        assert reported == [(kind, text) for _, kind, text in other.events() if kind not in ("import", "clock")]
+        assert reported == [(kind, text) for _, kind, text in direct_log.events() if kind not in ("import", "clock")]
         assert reported or source == "tlog"
         assert log.hold("n_left") == "sampled"
-        by_map, by_rig = channels(log)["n_left"], channels(other)["n_cmd_left"]
+        by_map, by_rig = channels(log)["n_left"], channels(direct_log)["n_cmd_left"]
     assert by_map.sampled == pytest.approx(by_rig.sampled)
     assert by_map.sampled > 0.03
     assert by_map.hold == by_rig.hold == "average"
@@ -256,7 +256,7 @@ def test_the_content_of_a_damaged_dataflash_log_is_not_printed(
     assert capsys.readouterr().out == ""
 
 
-def test_a_message_with_another_format_loses_only_itself(tmp_path: Path) -> None:
+def test_a_message_of_unknown_form_does_not_affect_other_messages(tmp_path: Path) -> None:
     path = tmp_path / "00000001.BIN"
     dataflash(path)
     path.write_bytes(path.read_bytes().replace(b"TimeUS,ArmState", b"TimeUS,Arm_is__"))
@@ -379,8 +379,8 @@ def test_lost_frames_and_parameters_of_a_tlog_are_reported(tmp_path: Path) -> No
     rig = mav_rig()
     left = rig.thrusters[0]
     assert left.output is not None
-    other = replace(rig, thrusters=(replace(left, output=replace(left.output, pwm_us=(1000.0, 1500.0, 2000.0))),))
-    _, message = import_mavlink(tmp_path / "cut.tlog", rig=other, out=tmp_path / "cut.mcap")
+    other_rig = replace(rig, thrusters=(replace(left, output=replace(left.output, pwm_us=(1000.0, 1500.0, 2000.0))),))
+    _, message = import_mavlink(tmp_path / "cut.tlog", rig=other_rig, out=tmp_path / "cut.mcap")
     assert " 1 lost," in message
     assert "SERVO1_MIN is 1100, wanted 1000" in message
     _, message = import_mavlink(tmp_path / "run.tlog", rig=rig, out=tmp_path / "run.mcap")
@@ -388,7 +388,7 @@ def test_lost_frames_and_parameters_of_a_tlog_are_reported(tmp_path: Path) -> No
     assert "differs from the rig" not in message
 
 
-def test_a_damaged_dataflash_log_is_one_line(tmp_path: Path) -> None:
+def test_a_damaged_dataflash_log_gives_a_one_line_error(tmp_path: Path) -> None:
     path = tmp_path / "bad.BIN"
     path.write_bytes(b"\xa3\x95" + bytes(range(200)))
     with pytest.raises(SeatrialError, match=r"bad\.BIN: .*DataFlash"):
@@ -408,7 +408,7 @@ def test_zeroed_blocks_of_a_dataflash_log_lose_only_their_messages(tmp_path: Pat
         assert len(log.table(Ahrs, "autopilot")) >= 15
 
 
-def test_a_flipped_bit_in_a_time_loses_one_message(tmp_path: Path) -> None:
+def test_a_flipped_bit_in_a_time_removes_one_message(tmp_path: Path) -> None:
     path = tmp_path / "00000001.BIN"
     dataflash(path)
     data = bytearray(path.read_bytes())

@@ -43,8 +43,8 @@ def test_nan_of_px4_motors_in_a_bag_is_a_motor_that_is_stopped(tmp_path: Path) -
     with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         connection = writer.add_connection("/fmu/out/actuator_motors", kind, typestore=store)
         for k, t in enumerate(T):
-            one = store.types[kind](k, np.array([NAN if STOPPED[k] else 0.5, 0.25], np.float32))
-            writer.write(connection, round((1.7e9 + t) * 1e9), store.serialize_cdr(one, kind))
+            message = store.types[kind](k, np.array([NAN if STOPPED[k] else 0.5, 0.25], np.float32))
+            writer.write(connection, round((1.7e9 + t) * 1e9), store.serialize_cdr(message, kind))
     (table,) = read_bag(tmp_path / "bag", SourceOptions())
     np.testing.assert_allclose(table.columns["control[0]"], np.where(STOPPED, 0.0, 0.5))
     assert "stopped motor" in table.remark
@@ -82,12 +82,12 @@ def test_a_fit_leaves_the_gaps_out(tmp_path: Path) -> None:
     with pytest.warns(SeatrialWarning):
         log = log_of(tmp_path, ', nan = "drop"')
     loaded, _ = load_all([log], [])
-    assert [(one.run.t_from, one.run.t_to) for one in loaded] == [
+    assert [(part.run.t_from, part.run.t_to) for part in loaded] == [
         pytest.approx((0.0, 20.0)), pytest.approx((32.0, 45.0)), pytest.approx((48.0, 59.9))
     ]  # fmt: skip
-    assert [one.about["name"] for one in loaded] == ["run[0:20]", "run[32:45]", "run[48:59.9]"]
-    for one in loaded:
-        times = np.array([one.run.t_from, *one.run.channels["psi"].t[[0, -1]], one.run.t_to])
+    assert [part.about["name"] for part in loaded] == ["run[0:20]", "run[32:45]", "run[48:59.9]"]
+    for part in loaded:
+        times = np.array([part.run.t_from, *part.run.channels["psi"].t[[0, -1]], part.run.t_to])
         assert np.all(np.diff(times - np.array([0.11, 0.0, 0.0, 0.0])) >= 0.0)
 
 

@@ -110,13 +110,13 @@ def test_the_transducers_of_nmea_keep_their_names(tmp_path: Path) -> None:
 
 
 def test_two_receivers_in_one_stream_are_named(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:
-    """One at 5 Hz and one at 1 Hz, with equal epochs: the second position of an epoch was dropped in silence."""
-    both, one = b"", b""
+    """The receivers have 5 Hz and 1 Hz, with equal epochs. Formerly, one position of an epoch was dropped silently."""
+    both, single = b"", b""
     for k in range(50):
         fix = nmea.encode(Gnss(1.7e9 + 0.2 * k, 59.0, 10.0, fix=3))
-        one += fix
+        single += fix
         both += fix + (nmea.encode(Gnss(1.7e9 + 0.2 * k, 59.0, 10.0001, fix=3)) if k % 5 == 0 else b"")
-    (tmp_path / "one.nmea").write_bytes(one)
+    (tmp_path / "one.nmea").write_bytes(single)
     import_raw("nmea", tmp_path / "one.nmea", out=tmp_path / "one.mcap")
     assert not recwarn.list
     (tmp_path / "both.nmea").write_bytes(both)
@@ -136,7 +136,7 @@ def test_two_receivers_in_one_stream_are_named(tmp_path: Path, recwarn: pytest.W
     ],
 )
 def test_dates_of_an_earlier_gps_era_are_named(start: float, written: float, word: str, tmp_path: Path) -> None:
-    """They were imported without a word."""
+    """Formerly, they were imported without a warning."""
     (tmp_path / "old.nmea").write_bytes(b"".join(nmea.encode(Gnss(start + k, 59.0, 10.0, fix=3)) for k in range(60)))
     os.utime(tmp_path / "old.nmea", (written, written))
     out, expected = tmp_path / "old.mcap", f"its dates are {word} 1024 weeks too early"
@@ -206,7 +206,7 @@ def test_without_any_date_the_day_is_1970_01_01(tmp_path: Path) -> None:
         assert log.table(Gnss, "gnss")["t"].tolist() == pytest.approx([(1.7e9 + k) % 86400.0 for k in range(4)])
 
 
-def test_an_attitude_with_its_own_time_keeps_it(tmp_path: Path) -> None:
+def test_an_attitude_with_its_own_time_keeps_this_time(tmp_path: Path) -> None:
     fixes = [nmea.encode(Gnss(1_700_006_400.0 + k, 59.0, 10.0, fix=3)) for k in range(3)]
     attitudes = [sentence(f"PASHR,00000{k}.{m:02d},90.0,T,0.0,0.0,0.0") for k in range(3) for m in (20, 40, 60, 80)]
     body = b"".join(fixes[k] + b"".join(attitudes[4 * k : 4 * k + 4]) for k in range(3))
@@ -228,7 +228,7 @@ def test_a_capture_of_a_load_cell_is_imported(tmp_path: Path) -> None:
     assert all(math.isnan(f) for f in table["force"])
 
 
-def test_what_is_wrong_is_one_line(ascii_capture: Path, tmp_path: Path) -> None:
+def test_errors_of_a_raw_import_are_one_line_each(ascii_capture: Path, tmp_path: Path) -> None:
     with pytest.raises(SeatrialError, match=r"still\.txt: its samples have no times; .*--rate"):
         import_raw("vectornav", ascii_capture, out=tmp_path / "x.mcap")
     with pytest.raises(SeatrialError, match=r"still\.txt: \d+ complete nmea messages?, and no sample in them"):

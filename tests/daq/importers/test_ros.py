@@ -37,7 +37,10 @@ def header(k: int) -> object:
 
 
 def imu(k: int) -> Any:
-    """The bow faces north-west, 135 degrees from east as ROS counts, and is raised by 10 degrees (pitch -10 in ROS)."""
+    """Return an IMU message of a boat at rest.
+
+    The bow faces north-west, 135 degrees from east as ROS counts, and is raised by 10 degrees (pitch -10 in ROS).
+    """
     vector, turn = STORE.types["geometry_msgs/msg/Vector3"], STORE.types["geometry_msgs/msg/Quaternion"]
     yaw, pitch = math.radians(135.0), math.radians(-10.0)
     attitude = turn(
@@ -312,7 +315,7 @@ def test_a_bag_exported_from_a_log_is_imported_by_its_guess(tmp_path: Path) -> N
     np.testing.assert_allclose(vx, gnss["vel_n"][np.isfinite(gnss["vel_n"])], atol=1e-12)
 
 
-def test_what_is_wrong_is_one_line(bag: Path, tmp_path: Path) -> None:
+def test_errors_of_a_bag_import_are_one_line_each(bag: Path, tmp_path: Path) -> None:
     with pytest.raises(
         SeatrialError, match="no topic /gps; name one of its topics in the import map: /fix, /imu/data, /name"
     ):
@@ -414,15 +417,15 @@ def with_wal(folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("how", ["file", "folder", "folder without metadata"])
-def test_a_database_with_a_wal_is_read_whole_and_stays_as_it_is(tmp_path: Path, how: str) -> None:
+def test_a_database_with_a_wal_is_read_completely_and_not_changed(tmp_path: Path, how: str) -> None:
     path = with_wal(tmp_path)
     if how.endswith("metadata"):
         (path.parent / "metadata.yaml").unlink()
-    before = {one.name: one.read_bytes() for one in path.parent.iterdir()}
+    before = {file.name: file.read_bytes() for file in path.parent.iterdir()}
     (table,) = read_bag(path if how == "file" else path.parent, SourceOptions())
     assert len(table) == N
     assert f"{path.name} read with {path.name}-wal" in table.remark
-    assert {one.name: one.read_bytes() for one in path.parent.iterdir()} == before
+    assert {file.name: file.read_bytes() for file in path.parent.iterdir()} == before
 
 
 @pytest.mark.parametrize("kind", ["pipe", "link", "damaged"])

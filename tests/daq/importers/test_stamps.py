@@ -61,7 +61,7 @@ def test_stamps_of_the_recorders_clock_are_kept() -> None:
     for name in RATES:
         np.testing.assert_array_equal(found[name].t, T0 + bag.true[name])
     np.testing.assert_array_equal(found["/cmd"].t, bag.found["/cmd"].receipt)
-    assert not any(one.remark for one in found.values())
+    assert not any(signal.remark for signal in found.values())
 
 
 @pytest.mark.parametrize("rate", [0.2, 0.5, 0.8, 0.98, 1.0, 2.0])
@@ -69,7 +69,7 @@ def test_commands_follow_a_simulation_at_any_rate(rate: float) -> None:
     bag = Bag(lambda t: START + t - T0, lambda t: t / rate)
     found = bag.times()
     assert max(bag.errors(found).values()) < 0.06
-    assert min(one.t.min() for one in found.values()) == pytest.approx(T0, abs=0.1)
+    assert min(signal.t.min() for signal in found.values()) == pytest.approx(T0, abs=0.1)
     assert "another clock" in found["/imu"].remark
     assert ("times the rate" in found["/imu"].remark) == (rate != 1.0)
     assert "corrected by the stamps of the other topics" in found["/cmd"].remark
@@ -115,7 +115,7 @@ def test_a_late_message_keeps_its_stamp() -> None:
     receipt[late] = T0 + 53.0 + 1e-3 * np.arange(late.sum())
     found = bag.times()
     np.testing.assert_array_equal(found["/fix"].t, T0 + bag.true["/fix"])
-    assert not any(one.remark for one in found.values())
+    assert not any(signal.remark for signal in found.values())
 
 
 @pytest.mark.parametrize("by", [3.0, 3600.0])
@@ -129,11 +129,16 @@ def test_a_step_of_the_recorders_clock_is_taken_out_of_the_commands(by: float) -
 
 @pytest.mark.parametrize("by", [-4.0, -30.0])
 @pytest.mark.parametrize("topics", [tuple(RATES), ("/fix",)])
-def test_a_recorder_that_was_set_back_loses_only_ambiguous_messages(by: float, topics: tuple[str, ...]) -> None:
+def test_only_ambiguous_messages_of_a_recorder_that_was_set_back_are_omitted(
+    by: float, topics: tuple[str, ...]
+) -> None:
     bag = Bag(recorder=lambda t: t + by * (t > 60.0), topics=topics)
-    for name, one in bag.found.items():  # the times as a reader of the bag receives them
-        order = np.argsort(one.receipt, kind="stable")
-        bag.found[name], bag.true[name] = MessageTimes(one.receipt[order], one.stamp[order]), bag.true[name][order]
+    for name, signal in bag.found.items():  # the times as a reader of the bag receives them
+        order = np.argsort(signal.receipt, kind="stable")
+        bag.found[name], bag.true[name] = (
+            MessageTimes(signal.receipt[order], signal.stamp[order]),
+            bag.true[name][order],
+        )
     found = bag.times()
     assert max(bag.errors(found).values()) < 0.1
     assert not any(lost(found, name) for name in topics)
@@ -178,7 +183,7 @@ def test_a_device_with_another_clock_is_moved_to_the_others(rate: float) -> None
     assert not found["/imu"].remark
 
 
-def test_a_stamp_that_stands_still_is_ignored() -> None:
+def test_a_constant_stamp_is_ignored() -> None:
     bag = Bag()
     bag.found["/fix"].stamp[:] = T0
     found = bag.times()

@@ -341,7 +341,7 @@ def test_rows_and_cells_that_are_left_out_are_counted(tmp_path: Path, text: str,
         imported(tmp_path, text)
 
 
-def test_a_text_in_a_cell_is_an_error_of_a_map_that_drops_nothing(tmp_path: Path) -> None:
+def test_a_text_in_a_cell_is_an_error_if_the_map_drops_no_rows(tmp_path: Path) -> None:
     source = tmp_path / "run.csv"
     source.write_text(DIALECTS["text in cells"][0])
     text = guess_map(source).text.replace(', nan = "drop", time_order = "drop"', "")

@@ -36,7 +36,7 @@ def table(path: Path, text: str, *, by_cells: bool = False) -> TextTable:
         '"t","x"\n"0","1"\n"1","2"\n',
     ],
 )
-def test_numbers_and_line_numbers_are_those_of_the_reader_of_cells(tmp_path: Path, text: str) -> None:
+def test_numbers_and_line_numbers_equal_the_reader_of_cells(tmp_path: Path, text: str) -> None:
     found, expected = table(tmp_path / "a.csv", text), table(tmp_path / "b.csv", text, by_cells=True)
     assert found.names == expected.names
     assert found.lines == expected.lines
@@ -51,6 +51,6 @@ def test_text_of_a_numeric_table_is_as_written(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("cell", ["1_0", "inf", "0x10", "one"])
-def test_a_cell_that_is_no_finite_number_is_named_with_its_line(tmp_path: Path, cell: str) -> None:
+def test_error_names_the_line_of_a_cell_without_a_finite_number(tmp_path: Path, cell: str) -> None:
     with pytest.raises(SeatrialError, match=rf"line 3, column 'x': '{cell}' is not a (finite )?number"):
         table(tmp_path / "a.csv", f"t,x\n0,1\n1,{cell}\n2,3\n").numbers("x")

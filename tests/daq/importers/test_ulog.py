@@ -75,7 +75,7 @@ def test_a_topic_without_times_is_left_out(tmp_path: Path) -> None:
 
 
 @needs_pyulog
-def test_a_file_that_makes_the_reader_loop_is_one_line(tmp_path: Path) -> None:
+def test_a_file_that_makes_the_reader_loop_gives_a_one_line_error(tmp_path: Path) -> None:
     path = tmp_path / "loop.ulg"
     path.write_bytes(b"ULog\x01\x12\x35\x01" + bytes(8) + b"\xff\xffD" * 30_000)  # the last formats end beyond the file
     with pytest.raises(SeatrialError, match="too much of the file is damaged"):
@@ -83,20 +83,20 @@ def test_a_file_that_makes_the_reader_loop_is_one_line(tmp_path: Path) -> None:
 
 
 @needs_pyulog
-def test_a_damaged_ulog_is_one_line(tmp_path: Path) -> None:
+def test_a_damaged_ulog_gives_a_one_line_error(tmp_path: Path) -> None:
     (tmp_path / "x.ulg").write_bytes(b"ULog\x01\x12\x35")
     with pytest.raises(SeatrialError, match=r"x\.ulg: cannot be read as a PX4 log"):
         guess_map(tmp_path / "x.ulg")
 
 
-def test_without_its_library_it_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_library_gives_a_one_line_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyulog", None)
     flight(tmp_path / "flight.ulg")
     with pytest.raises(SeatrialError, match=r"pip install 'seatrial\[ulog\]'"):
         guess_map(tmp_path / "flight.ulg")
 
 
-def test_a_torn_record_loses_only_itself() -> None:
+def test_a_torn_record_does_not_affect_other_records() -> None:
     def record(kind: bytes, data: bytes) -> bytes:
         return struct.pack("<HB", len(data), kind[0]) + data
 
@@ -131,7 +131,7 @@ def test_a_torn_log_is_reported(tmp_path: Path) -> None:
 @needs_pyulog
 @pytest.mark.parametrize("kind", ["nested", "wide", "in itself"])
 def test_formats_that_multiply_are_refused_at_once(tmp_path: Path, kind: str) -> None:
-    """Some kilobytes of such formats took gigabytes and minutes in an earlier version."""
+    """In an earlier version, some kilobytes of nested formats took gigabytes and minutes."""
     formats = {
         "nested": [*(f"a{k}:a{k + 1}[250] x;" for k in range(9)), "a9:float[250] x;"],
         "wide": ["a0:uint64_t timestamp;" + "".join(f"float[99] f{k};" for k in range(3000))],

@@ -67,17 +67,17 @@ def test_one_flipped_bit_causes_no_wrong_number(whole: Path, tmp_path: Path, n_a
 
 
 @pytest.mark.parametrize("n_trials", [60, pytest.param(160, marks=pytest.mark.study)])
-def test_random_damage_is_one_line_or_a_readable_log(whole: Path, tmp_path: Path, n_trials: int) -> None:
+def test_random_damage_gives_a_one_line_error_or_a_readable_log(whole: Path, tmp_path: Path, n_trials: int) -> None:
     data, path, everything = whole.read_bytes(), tmp_path / "damaged.mcap", repr(tables(open_log(whole)))
     rng = random.Random(3)
     for k in range(n_trials):
         at, length = rng.randrange(8, len(data)), rng.randrange(1, 400)
-        other = rng.randrange(8, len(data))
+        target = rng.randrange(8, len(data))
         middle = [
             b"",
             rng.randbytes(length) + data[at : at + length],
             rng.randbytes(length),
-            data[other : other + length],
+            data[target : target + length],
         ]
         path.write_bytes(data[:at] + middle[k % 4] + data[at + length :])
         found = ""
@@ -92,7 +92,7 @@ def test_random_damage_is_one_line_or_a_readable_log(whole: Path, tmp_path: Path
         assert not any("\n" in line for line in lines)
 
 
-def test_a_damaged_chunk_loses_only_itself(whole: Path, tmp_path: Path) -> None:
+def test_a_damaged_chunk_does_not_affect_other_chunks(whole: Path, tmp_path: Path) -> None:
     raw = RawLog(whole)
     at = raw._chunks[N_ROUNDS // 2]
     data = bytearray(whole.read_bytes())
@@ -103,7 +103,7 @@ def test_a_damaged_chunk_loses_only_itself(whole: Path, tmp_path: Path) -> None:
     assert [("damaged and left out" in warning) for warning in log.warnings] == [True]
 
 
-def test_a_wrong_length_loses_only_its_chunk(whole: Path, tmp_path: Path) -> None:
+def test_a_wrong_length_does_not_affect_other_chunks(whole: Path, tmp_path: Path) -> None:
     record = int(RawLog(whole)._chunks[N_ROUNDS // 2]["at"])
     data = bytearray(whole.read_bytes())
     for wrong in (2**50, 0):
@@ -137,7 +137,7 @@ def test_part_of_a_cut_chunk_is_used(tmp_path: Path) -> None:
     [b"", b"\x89MCA", b"PK\x03\x04" * 100, b"time,x\n1,2\n", b"\0" * 4096],
     ids=["0", "4", "zip", "csv", "zeros"],
 )
-def test_a_file_that_is_not_a_log_is_one_line(tmp_path: Path, content: bytes) -> None:
+def test_a_file_that_is_not_a_log_gives_a_one_line_error(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "what.mcap"
     path.write_bytes(content)
     with pytest.raises(SeatrialError, match=r"what\.mcap: (not an MCAP log|the file is empty)"):
@@ -155,9 +155,9 @@ def chunk_record(packed: bytes, size: int, compression: bytes = b"zstd", checksu
 HOSTILE = {
     "record of 2^60 bytes": struct.pack("<BQ", 5, 2**60),
     "record of 2^64 - 1 bytes": struct.pack("<BQ", 5, 2**64 - 1),
-    "chunk that says 2^62": chunk_record(zstandard.compress(b"x" * 100), 2**62),
-    "bomb that says little": chunk_record(zstandard.compress(bytes(200 * 2**20)), 100),
-    "frame that says 2^40": chunk_record(
+    "chunk of stated length 2^62": chunk_record(zstandard.compress(b"x" * 100), 2**62),
+    "bomb with a small stated length": chunk_record(zstandard.compress(bytes(200 * 2**20)), 100),
+    "frame of stated length 2^40": chunk_record(
         b"\x28\xb5\x2f\xfd\xe0" + struct.pack("<Q", 2**40) + b"\x01\0\0", 2**40 % 2**26
     ),
     "message of no length": chunk_record(struct.pack("<BQ", 5, 3) + b"abc", 12, b""),
@@ -192,8 +192,8 @@ def test_a_bomb_of_small_messages_takes_no_memory(whole: Path, tmp_path: Path, m
 
     monkeypatch.setattr("seatrial.daq.log.mcap_reader.FEW_MESSAGES", 200_000)
     data, end = whole.read_bytes(), RawLog(whole)._chunks[-1]["stop"]
-    one = struct.pack("<BQHIQQ", 5, 22, 60_000, 0, 10**9, 10**9)
-    bomb = chunk_record(zstandard.compress(one * 300_000), len(one) * 300_000)
+    record = struct.pack("<BQHIQQ", 5, 22, 60_000, 0, 10**9, 10**9)
+    bomb = chunk_record(zstandard.compress(record * 300_000), len(record) * 300_000)
     path = tmp_path / "bomb.mcap"
     path.write_bytes(data[:end] + bomb * 100 + data[end:])
     assert path.stat().st_size < 300_000

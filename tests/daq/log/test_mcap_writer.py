@@ -61,7 +61,7 @@ def write_theirs(parts: list[list[Message]]) -> bytes:
     return stream.getvalue()
 
 
-def test_the_bytes_equal_those_of_mcaps_own_writer() -> None:
+def test_the_bytes_equal_the_output_of_the_mcap_library() -> None:
     # mcap writes its indexes in the order of appearance, so the first messages come in the order of the channels.
     parts = [some_messages(3, seed=0), some_messages(9, seed=1)]
     ours = write_ours(parts)
@@ -100,7 +100,7 @@ def test_a_file_without_messages_can_be_opened(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("cut", [0.3, 0.6, 0.95])
-def test_a_truncated_chunk_loses_only_itself(tmp_path: Path, cut: float) -> None:
+def test_a_truncated_chunk_does_not_affect_other_chunks(tmp_path: Path, cut: float) -> None:
     messages = some_messages(300, seed=4)
     data = write_ours([messages])
     path = tmp_path / "cut.mcap"

@@ -64,7 +64,7 @@ class ForgetfulDisk:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_a_power_loss_loses_only_data_since_the_last_sync(
+def test_a_power_loss_affects_only_data_since_the_last_sync(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int
 ) -> None:
     rng, now = random.Random(seed), [0.0]

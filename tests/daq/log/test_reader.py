@@ -1,4 +1,4 @@
-"""What a log says of itself, and what the commands make of it; damage is `test_log_damage`."""
+"""Tests of the reader of logs and of the command `info`. `test_log_damage` tests damaged logs."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from seatrial.daq.samples import Ahrs, Command, Esc, Frame, Gnss, LoadCell, Port
 from tests.daq.logs import HEALTH, N_ROUNDS, T0, is_prefix, recorder, tables, write_everything
 
 
-def test_what_a_whole_log_says_of_itself(whole: Path) -> None:
+def test_open_log_returns_the_content_of_a_complete_log(whole: Path) -> None:
     log = open_log(whole)
     assert (log.complete, log.warnings) == (True, [])
     assert log.sources(Ahrs) == ["ahrs", "imu"]
@@ -52,7 +52,7 @@ def test_what_a_whole_log_says_of_itself(whole: Path) -> None:
     assert log.table(Esc, "esc", node=2)["rpm"].tolist() == [77.0] * N_ROUNDS
 
 
-def test_asking_for_what_is_not_there(whole: Path) -> None:
+def test_a_missing_topic_or_node_gives_an_error(whole: Path) -> None:
     log = open_log(whole)
     with pytest.raises(SeatrialError, match=r"no messages on /gps/gnss; use a topic that has messages: .*/gnss/gnss"):
         log.table(Gnss, "gps")
@@ -72,7 +72,7 @@ def test_time_never_decreases(tmp_path: Path) -> None:
     assert table["value"].tolist() == [0.0, 1.0, 2.0, 3.0]
 
 
-def test_salvage_makes_a_whole_file(whole: Path, tmp_path: Path) -> None:
+def test_salvage_makes_a_complete_file(whole: Path, tmp_path: Path) -> None:
     data = whole.read_bytes()
     killed, out = tmp_path / "killed.mcap", tmp_path / "whole.mcap"
     killed.write_bytes(data[: len(data) * 2 // 3])
@@ -119,7 +119,7 @@ def test_info_of_many_events_shows_how_the_run_ended(tmp_path: Path) -> None:
     assert f"... {60 - shown} events left out" in gap
 
 
-def test_info_says_a_swarm_of_events_in_one_line(tmp_path: Path) -> None:
+def test_info_prints_repeated_events_in_one_line(tmp_path: Path) -> None:
     log = recorder(tmp_path / "run.mcap")
     for k in range(30):
         log.event(T0 + k, "skipped", f"{k + 1} set-points")
@@ -134,7 +134,7 @@ def test_info_says_a_swarm_of_events_in_one_line(tmp_path: Path) -> None:
     ]
 
 
-def test_info_counts_one_as_one(tmp_path: Path) -> None:
+def test_info_prints_singular_nouns_for_a_count_of_one(tmp_path: Path) -> None:
     log = recorder(tmp_path / "run.mcap", attachments={"note": b"1"})
     log.event(T0, "mark", "alone")
     log.close()
@@ -144,7 +144,7 @@ def test_info_counts_one_as_one(tmp_path: Path) -> None:
     assert "note (1 byte)" in out
 
 
-def test_the_index_is_only_believed_where_it_is_right(tmp_path: Path) -> None:
+def test_a_wrong_message_index_does_not_change_the_table(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     log = recorder(path)
     for i in range(20):
@@ -182,7 +182,7 @@ def test_a_log_does_not_write_to_the_terminal(tmp_path: Path) -> None:
 
 
 def a_run(path: Path, n: int, kill: bool = False, chunk: int = 250) -> Path:
-    """Two AHRS of 1 kHz, one of them only in the second half; a chunk every `chunk` samples, which parts a sample."""
+    """Record two AHRS at 1 kHz, the second only in the second half, with a new chunk every `chunk` samples."""
     log = recorder(path)
     for i in range(n):
         t = T0 + 1e-3 * i
@@ -224,7 +224,7 @@ def test_a_time_window_and_a_topic_are_read_without_the_rest(
 
 
 def test_a_recording_that_was_cut_off_is_opened_by_its_indexes(tmp_path: Path) -> None:
-    """Cut anywhere, what is counted is what is read."""
+    """After a cut at any byte, the counts of the log equal the number of readable messages."""
     data = a_run(tmp_path / "run.mcap", 600, chunk=40).read_bytes()
     path = tmp_path / "cut.mcap"
     for size in range(len(data) // 2, len(data), len(data) // 37):
@@ -234,7 +234,7 @@ def test_a_recording_that_was_cut_off_is_opened_by_its_indexes(tmp_path: Path) -
             assert sum(log.counts.values()) == sum(len(found.heads) for found in log._file.read())
 
 
-def test_a_summary_is_not_believed_where_it_does_not_tell_all(tmp_path: Path) -> None:
+def test_an_incomplete_summary_does_not_hide_samples(tmp_path: Path) -> None:
     path = a_run(tmp_path / "run.mcap", 600)
     data = path.read_bytes()
     last = RawLog(path)._chunks[-1]
@@ -248,9 +248,11 @@ def test_a_summary_is_not_believed_where_it_does_not_tell_all(tmp_path: Path) ->
         assert (log.complete, log.warnings) == (True, [])
 
 
-def test_tables_that_are_read_together_are_those_that_are_read_one_by_one(whole: Path, tmp_path: Path) -> None:
-    """Of a whole log, of samples whose parts lie in several chunks, of a cut log, and of one with a chunk twice, in
-    which nothing is joined."""
+def test_tables_read_together_equal_tables_read_separately(whole: Path, tmp_path: Path) -> None:
+    """The logs are a complete log, a log with samples in several chunks, a cut log, and a log with a repeated chunk.
+
+    Samples of the log with a repeated chunk are not joined.
+    """
     joined = a_run(tmp_path / "run.mcap", 600, chunk=40)
     data = joined.read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[: 2 * len(data) // 3])
@@ -265,7 +267,7 @@ def test_tables_that_are_read_together_are_those_that_are_read_one_by_one(whole:
             assert len(log.table(Ahrs, "ahrs")) == len(one_by_one["Ahrs ahrs"])
 
 
-def test_what_is_wrong_with_one_topic_is_said_by_its_table_alone(tmp_path: Path) -> None:
+def test_an_invalid_topic_does_not_affect_tables_of_other_topics(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     log = LogWriter(path, metadata={}, attachments={}, time_ns=0)
     good, other, short = (log.channel(topic(Scalar, n), TYPES[Scalar]) for n in ("good", "short", "shorter"))
@@ -293,7 +295,7 @@ print(len(table), table.nbytes, peak_mb() - before)
 """
 
 
-def test_reading_takes_24_bytes_a_message_and_48_mb_over_what_it_returns(tmp_path: Path) -> None:
+def test_memory_of_reading_is_the_result_plus_24_bytes_per_message_and_48_mb(tmp_path: Path) -> None:
     n, n_topics = 300_000, 4
     log = LogWriter(tmp_path / "run.mcap", metadata={}, attachments={}, time_ns=0)
     pack = cdr_layout(TYPES[Scalar], b"").pack
@@ -325,7 +327,7 @@ except Exception as error:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of the address space")
-def test_a_memory_that_is_too_small_is_one_line(tmp_path: Path) -> None:
+def test_a_memory_that_is_too_small_gives_a_one_line_error(tmp_path: Path) -> None:
     path = a_run(tmp_path / "run.mcap", 40_000)
     done = subprocess.run([sys.executable, "-c", LIMITED, str(path)], capture_output=True, text=True, check=True)
     assert done.stdout.startswith(f"SeatrialError {path}: /ahrs/imu has 40000 messages")
@@ -347,8 +349,8 @@ def test_records_beside_the_messages_are_bounded(tmp_path: Path, monkeypatch: py
             assert len(opened.events()) == 1
 
 
-def test_a_name_of_megabytes_is_left_out(tmp_path: Path) -> None:
-    """To spell its control characters for the terminal took minutes."""
+def test_a_name_of_megabytes_is_omitted(tmp_path: Path) -> None:
+    """Formerly, the escapes of its control characters for the terminal took minutes."""
     path = tmp_path / "run.mcap"
     name = "\x1b" * 4_000_000
     log = recorder(path, attachments={name: b"1", "small.txt": b"1"}, metadata={"rig": name})
@@ -358,10 +360,10 @@ def test_a_name_of_megabytes_is_left_out(tmp_path: Path) -> None:
     with open_log(path) as opened:
         assert set(opened.attachments) == {"rig.toml", "small.txt"}
         assert any("left out (a name of 4000000 characters is too long)" in warning for warning in opened.warnings)
-        said = CliRunner().invoke(cli.info, [str(path)]).output
+        output = CliRunner().invoke(cli.info, [str(path)]).output
     assert time.process_time() - before < 5.0
-    assert len(said) < 20_000
-    assert "\x1b" not in said
+    assert len(output) < 20_000
+    assert "\x1b" not in output
 
 
 RECORD = struct.Struct("<BQ")
@@ -371,8 +373,8 @@ def record(opcode: int, content: bytes) -> bytes:
     return RECORD.pack(opcode, len(content)) + content
 
 
-def test_records_of_applications_that_compress_to_nothing_take_no_time(tmp_path: Path) -> None:
-    """62 kB: ten chunks of seven million records without content each, which took more than a minute."""
+def test_millions_of_empty_records_of_applications_are_skipped_quickly(tmp_path: Path) -> None:
+    """The file of 62 kB has ten chunks of seven million empty records. Formerly, the reader took more than a minute."""
     plain = record(0x80, b"") * (MAX_CHUNK_BYTES // RECORD.size)
     packed = zstandard.ZstdCompressor().compress(plain)
     head = struct.pack("<QQQII", 0, 9, len(plain), 0, 4) + b"zstd" + struct.pack("<Q", len(packed))
@@ -386,8 +388,8 @@ def test_records_of_applications_that_compress_to_nothing_take_no_time(tmp_path:
     assert time.process_time() - before < 5.0
 
 
-def test_channels_that_no_index_tells_are_found_among_records_of_applications() -> None:
-    """The limit on records of applications costs no message of a file that has some."""
+def test_messages_without_an_index_are_found_among_records_of_applications() -> None:
+    """The limit on records of applications does not omit messages between these records."""
     message = record(5, struct.pack("<HIQQ", 1, 0, 1, 1) + b"x")
     plain = (record(0x80, b"") * 10 + message) * 20_000
     assert len(scan([(np.frombuffer(plain, np.uint8), b"")], lambda *_: None).heads) == 20_000
@@ -404,7 +406,7 @@ def test_many_segments_are_open_one_at_a_time(tmp_path: Path) -> None:
     assert len(os.listdir("/proc/self/fd")) <= before + 1
 
 
-def test_stamps_of_two_clocks_are_told(tmp_path: Path) -> None:
+def test_times_that_run_back_are_reported_and_checked(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     log = recorder(path)
     for i in range(20):
@@ -430,7 +432,7 @@ def test_an_interval_of_time_that_is_not_a_number_is_refused(tmp_path: Path, lim
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_growing_log_is_read_on_wherever_it_ended(tmp_path: Path, seed: int) -> None:
+def test_a_growing_log_is_extended_after_any_number_of_bytes(tmp_path: Path, seed: int) -> None:
     """The file grows by random numbers of bytes, so that most looks end inside a record."""
     write_everything(tmp_path / "whole.mcap", N_ROUNDS)
     data, path = (tmp_path / "whole.mcap").read_bytes(), tmp_path / "run.mcap"

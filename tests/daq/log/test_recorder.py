@@ -61,7 +61,7 @@ ROOT = Path(__file__).parents[3]
 
 
 def run_fill(path: Path, *limit: str) -> tuple[int, list[str]]:
-    """Write until the disk refuses; returns how many messages went in and the lines said."""
+    """Write until the disk is full. Return the number of written messages and the printed lines."""
     command = [sys.executable, "-c", FILL, str(path), *limit]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120, check=True)
     first, *rest = done.stdout.splitlines()
@@ -75,12 +75,12 @@ def test_a_killed_recording_keeps_all_but_the_last_moment(tmp_path: Path, seed: 
     n_before = random.Random(seed).randint(150, 500)
     process = subprocess.Popen([sys.executable, "-c", RECORD, str(path)], cwd=ROOT, stdout=subprocess.PIPE)
     assert process.stdout is not None
-    told = process.stdout.read(8 * n_before)
+    received = process.stdout.read(8 * n_before)
     os.kill(process.pid, signal.SIGKILL)
-    told += process.stdout.read()
+    received += process.stdout.read()
     process.wait()
     process.stdout.close()
-    written = np.frombuffer(told[: len(told) // 8 * 8], "<f8")
+    written = np.frombuffer(received[: len(received) // 8 * 8], "<f8")
     log = open_log(path)
     table = log.table(Ahrs, "ahrs")
     assert not log.complete
@@ -92,7 +92,7 @@ def test_a_killed_recording_keeps_all_but_the_last_moment(tmp_path: Path, seed: 
     assert {"git", "host", "operator", "command_line", "version.seatrial"} <= set(log.metadata)
 
 
-def test_everything_about_the_run_stands_in_the_file_before_the_first_sample(tmp_path: Path) -> None:
+def test_metadata_and_attachments_are_in_the_file_before_the_first_sample(tmp_path: Path) -> None:
     log = recorder(tmp_path / "run.mcap", metadata={"operator": "Ada"})
     found = open_log(tmp_path / "run.mcap")
     assert found.metadata["operator"] == "Ada"
@@ -122,7 +122,7 @@ def test_log_time_never_decreases_and_stamps_stay(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("t", [float("nan"), float("inf"), -5.0, 1e300])
-def test_a_time_that_is_none_takes_the_time_of_the_log(tmp_path: Path, t: float) -> None:
+def test_an_invalid_time_is_replaced_by_the_time_of_the_log(tmp_path: Path, t: float) -> None:
     log = recorder(tmp_path / "run.mcap")
     log.write("surge", Frame(Scalar(1.0), T0, float("nan")), T0)
     log.write("surge", Frame(Scalar(2.0), t, float("nan")), t)
@@ -131,7 +131,7 @@ def test_a_time_that_is_none_takes_the_time_of_the_log(tmp_path: Path, t: float)
     np.testing.assert_allclose(table["t"], [T0, T0], atol=1e-6)
 
 
-def test_what_is_rare_does_not_wait_for_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_few_waiting_messages_are_written_soon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mcap_writer, "FEW_FLUSH_S", 0.0)
     monkeypatch.setattr(mcap_writer, "FLUSH_S", 1000.0)
     path = tmp_path / "run.mcap"
@@ -183,7 +183,7 @@ def test_after_close(tmp_path: Path) -> None:
         log.event(T0, "mark", "late")
 
 
-def test_a_short_write_leaves_whole_records(tmp_path: Path) -> None:
+def test_a_short_write_leaves_complete_records(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     count, lines = run_fill(path, str(1_000_000))
     assert "writing failed (File too large)" in lines[0]
@@ -199,7 +199,7 @@ def test_a_short_write_leaves_whole_records(tmp_path: Path) -> None:
     assert {len(data) for _, _, data in kept} == {2000}
 
 
-def test_a_full_disk_costs_nothing_but_the_rest(tmp_path: Path) -> None:
+def test_a_log_on_a_full_disk_is_closed_and_keeps_all_earlier_messages(tmp_path: Path) -> None:
     disk = tmp_path / "disk"
     disk.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", "size=3m", "tmpfs", str(disk)]
@@ -226,7 +226,7 @@ def test_a_full_disk_costs_nothing_but_the_rest(tmp_path: Path) -> None:
         subprocess.run(["umount", str(disk)], check=True)
 
 
-def test_a_log_without_room_for_the_ballast_leaves_nothing_open(tmp_path: Path) -> None:
+def test_a_log_without_room_for_the_ballast_leaves_no_open_file(tmp_path: Path) -> None:
     """A recorder on a full disk tries again every 0.25 s, and would run out of file descriptors."""
     n_open = len(os.listdir("/dev/fd"))
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -240,7 +240,7 @@ def test_a_log_without_room_for_the_ballast_leaves_nothing_open(tmp_path: Path) 
     assert os.listdir(tmp_path) == []
 
 
-def test_what_other_readers_make_of_it(tmp_path: Path) -> None:
+def test_the_mcap_library_reads_the_log_completely(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     write_everything(path)
     data = path.read_bytes()
@@ -251,8 +251,8 @@ def test_what_other_readers_make_of_it(tmp_path: Path) -> None:
         header = reader.get_header()
         summary = reader.get_summary()
         assert len(list(reader.iter_messages())) == sum(open_log(path).counts.values())
-        assert [one.name for one in reader.iter_attachments()] == ["rig.toml", "mission.toml"]
+        assert [attachment.name for attachment in reader.iter_attachments()] == ["rig.toml", "mission.toml"]
     assert header.profile == "ros2"
     assert summary is not None
     assert {channel.message_encoding for channel in summary.channels.values()} == {"cdr"}
-    assert {one.encoding for one in summary.schemas.values()} == {"ros2msg"}
+    assert {schema.encoding for schema in summary.schemas.values()} == {"ros2msg"}

@@ -1,4 +1,4 @@
-"""`seatrial recover` and `info` of logs of several segments, of folders, and of what is whole."""
+"""Tests of `seatrial recover` and `info` on logs of several segments, on folders and on complete logs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests.daq.logs import T0, StoppedClock, rig, tables, write_everything
 
 @pytest.fixture
 def killed_set(tmp_path: Path) -> Path:
-    """A run of 35 s in segments of 10 s, killed in the fourth; the first of them."""
+    """Record a run of 35 s in segments of 10 s, killed in the fourth. Return the first segment."""
     path = tmp_path / "logs/run.mcap"
     log = Recorder(path, rig=replace(rig(), segments=Segments(seconds=10.0)), clock=StoppedClock())
     for k in range(350):
@@ -41,7 +41,7 @@ def run(command: str, *words: object) -> Result:
     return CliRunner().invoke(getattr(cli, command), list(map(str, words)), catch_exceptions=False)
 
 
-def test_all_segments_of_a_killed_run_become_one_whole_file(killed_set: Path) -> None:
+def test_all_segments_of_a_killed_run_are_joined_to_one_complete_file(killed_set: Path) -> None:
     with open_log(killed_set) as log:
         yaw = log.table(Ahrs, "ahrs")["yaw"]
     assert 300 < len(yaw) < 350
@@ -61,7 +61,7 @@ def test_all_segments_of_a_killed_run_become_one_whole_file(killed_set: Path) ->
         run("recover", killed_set, "-o", killed_set.with_name("run.3.mcap"), "--force")
 
 
-def test_a_whole_log_is_said_to_be_whole(whole: Path, tmp_path: Path) -> None:
+def test_recover_reports_a_complete_log_as_undamaged(whole: Path, tmp_path: Path) -> None:
     done = run("recover", whole, "-o", tmp_path / "new/copy.mcap")
     assert done.stdout.endswith("messages; nothing was wrong with it\n")
     assert done.stderr == ""
@@ -69,11 +69,11 @@ def test_a_whole_log_is_said_to_be_whole(whole: Path, tmp_path: Path) -> None:
         assert repr(tables(copy)) == repr(tables(log))
 
 
-def test_a_folder_stands_for_the_one_log_in_it(killed_set: Path) -> None:
+def test_a_folder_with_a_single_log_is_accepted_as_this_log(killed_set: Path) -> None:
     folder = killed_set.parent
-    said = run("info", folder).stdout
-    assert said == run("info", killed_set).stdout
-    assert "in 4 segments, cut off" in said
+    output = run("info", folder).stdout
+    assert output == run("info", killed_set).stdout
+    assert "in 4 segments, cut off" in output
     write_everything(folder / "other.mcap")
     done = run("info", folder)
     assert done.exit_code == 2
@@ -84,29 +84,29 @@ def test_a_folder_stands_for_the_one_log_in_it(killed_set: Path) -> None:
     assert "does not exist" in run("info", folder / "nothing").stderr
 
 
-def test_a_later_segment_says_what_it_is_part_of(killed_set: Path) -> None:
-    said = run("info", killed_set.with_name("run.2.mcap")).stdout
-    assert "segment 2 of run.mcap; open that file for the whole log" in said
+def test_info_of_a_later_segment_names_its_first_file(killed_set: Path) -> None:
+    output = run("info", killed_set.with_name("run.2.mcap")).stdout
+    assert "segment 2 of run.mcap; open that file for the whole log" in output
     killed_set.rename(killed_set.with_name("away.mcap"))
     assert "segment 2" not in run("info", killed_set.with_name("run.2.mcap")).stdout
 
 
-def test_a_log_without_a_message_is_said_to_have_none(killed_set: Path) -> None:
+def test_info_reports_a_log_without_messages(killed_set: Path) -> None:
     data = killed_set.read_bytes()
     alone = killed_set.with_name("beginning.mcap")
     alone.write_bytes(data[: data.index(b"rig.toml") - 40])
-    said = run("info", alone).stdout
-    assert "no messages" in said
-    assert "1970" not in said
+    output = run("info", alone).stdout
+    assert "no messages" in output
+    assert "1970" not in output
 
 
-def test_a_missing_segment_is_said(killed_set: Path) -> None:
+def test_a_missing_segment_gives_a_warning(killed_set: Path) -> None:
     killed_set.with_name("run.1.mcap").unlink()
     with open_log(killed_set) as log:
         assert log.warnings[-1].startswith("a segment is missing: run.1.mcap; copy it into the folder of ")
 
 
-def test_a_first_segment_that_is_lost_names_the_others(killed_set: Path) -> None:
+def test_a_lost_first_segment_gives_an_error_that_names_the_other_segments(killed_set: Path) -> None:
     killed_set.write_bytes(b"")
     with pytest.raises(
         SeatrialError, match=r"empty.*open its possible later segments one by one: run\.1\.mcap, run\.2\.mcap, run\.3"

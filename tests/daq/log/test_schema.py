@@ -78,7 +78,7 @@ def _check(topic: str, message: object) -> None:
         assert (m.port, m.reconnects, m.clock_bias) == (HEALTH.port, 5, 0.004)  # type: ignore[attr-defined]
 
 
-def test_every_sample_comes_back(tmp_path: Path) -> None:
+def test_every_sample_is_read_back_unchanged(tmp_path: Path) -> None:
     path = tmp_path / "all.mcap"
     write_everything(path)
     log = open_log(path)

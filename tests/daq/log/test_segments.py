@@ -66,9 +66,9 @@ def test_segments_by_time_are_read_as_one_log(tmp_path: Path) -> None:
         with AnyReader([part]) as reader:
             assert sum(1 for _ in reader.messages()) > 0
         with part.open("rb") as file:
-            assert [one.name for one in make_reader(file).iter_attachments()] == ["rig.toml"]
-    with open_log(tmp_path / "run.2.mcap") as one:
-        assert 90 <= len(one.table(Ahrs, "ahrs")) <= 110
+            assert [attachment.name for attachment in make_reader(file).iter_attachments()] == ["rig.toml"]
+    with open_log(tmp_path / "run.2.mcap") as segment:
+        assert 90 <= len(segment.table(Ahrs, "ahrs")) <= 110
 
 
 def test_segments_by_size(tmp_path: Path) -> None:
@@ -214,7 +214,7 @@ def fill(path: Path) -> None:
             hog.write(b"x" * 4096)
 
 
-def test_the_acquisition_warns_within_a_second_and_goes_on(small_disk: Path, tmp_path: Path) -> None:
+def test_the_acquisition_warns_within_a_second_and_continues(small_disk: Path, tmp_path: Path) -> None:
     boat_folder = tmp_path / "boat"
     boat_folder.mkdir()
     with TestBoat(boat_folder) as boat:
@@ -249,8 +249,8 @@ def test_the_watchdog_note_of_an_earlier_log_is_not_used_for_a_new_log(tmp_path:
     write(log, 20)
     log.close()
     recover_log(path, out)
-    for one in (path, out):
-        with open_log(one) as opened:
+    for file in (path, out):
+        with open_log(file) as opened:
             assert opened.warnings == []
     note_path(path).write_text("2026-05-01T12:00:00Z watchdog: the acquisition process died\n")
     with open_log(path) as opened:  # of this log

@@ -1,4 +1,4 @@
-"""Tests of `seatrial init`: its rig runs with simulated devices, its checklist parses, and it loses nothing."""
+"""Tests of `seatrial init`: its rig runs with simulated devices, its checklist parses, and existing files are kept."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_help_of_yes_says_what_it_needs() -> None:
     assert "--yes Ask nothing; needs --devices or --from-found." in shown
 
 
-def test_values_that_nobody_has_given_are_marked(tmp_path: Path) -> None:
+def test_assumed_values_are_marked_in_the_rig(tmp_path: Path) -> None:
     init(
         tmp_path, "--name", "our boat", "--devices", "nmea@/dev/gnss@38400@5,vesc", "--thrusters", "port_side,star",
         "--nodes", "7,8", "--position-m", "star=-0.4,0.25,0.1", "--pole-pairs", "11", "--rpm-max", "3000",
@@ -155,7 +155,7 @@ def test_existing_files_stay(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("words", "message"),
     [
         ([], "give the devices with --devices, --from-found or both"),
         (["--devices", "gps"], "'gps' is not a protocol; known: vectornav"),
@@ -170,11 +170,11 @@ def test_existing_files_stay(tmp_path: Path) -> None:
         (["--devices", "loadcell", "--newton-per-count", "0"], "must be a finite number other than zero"),
     ],
 )
-def test_a_wrong_answer_is_one_line_and_writes_nothing(tmp_path: Path, words: list[str], says: str) -> None:
+def test_a_wrong_answer_gives_a_one_line_error_and_no_file(tmp_path: Path, words: list[str], message: str) -> None:
     folder = tmp_path / "new"
     done = CliRunner().invoke(command_line.cli, ["init", str(folder), *words])
     assert done.exit_code in (1, 2)
-    assert says in (done.output if done.exit_code == 2 else str(done.exception))
+    assert message in (done.output if done.exit_code == 2 else str(done.exception))
     assert not folder.exists()
 
 
@@ -279,7 +279,7 @@ def test_the_questions_at_a_terminal(tmp_path: Path) -> None:
     assert rig.limits.radius_m is None
 
 
-def test_ctrl_c_while_asking_writes_nothing(tmp_path: Path) -> None:
+def test_ctrl_c_at_a_question_writes_no_file(tmp_path: Path) -> None:
     def interrupt(terminal: Terminal) -> None:
         terminal.answer("boat or bench", "")
         terminal.await_text("name of the rig")

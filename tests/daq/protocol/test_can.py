@@ -116,7 +116,7 @@ def test_esc_status_written_by_the_library_is_read() -> None:
         assert is_close(frame.sample, sent, rel=1e-3, tolerance=0.13)  # these fields have 16 bits on the wire
 
 
-def test_our_frames_equal_those_of_the_library() -> None:
+def test_frames_equal_the_frames_of_the_library() -> None:
     ours = dronecan.encode(Esc(3, -1234.0, 3.5, voltage=16.2, temperature=310.0 - 273.15), 42, 7)
     library = ("58a7000000000d87", "4c0043d85c2efb27", "c00c47")
     assert [(identifier, data.hex()) for identifier, data in ours] == [(0x10040A2A, data) for data in library]

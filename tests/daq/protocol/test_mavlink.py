@@ -196,9 +196,9 @@ def test_other_systems_are_counted_and_ignored() -> None:
 
 
 def test_with_a_key_only_frames_signed_with_it_are_accepted() -> None:
-    key, other = bytes(range(32)), bytes(32)
+    key, wrong_key = bytes(range(32)), bytes(32)
     message = ("SERVO_OUTPUT_RAW", 1, 0, 1700, 0, 1500, *[0] * 13)
-    for sender, heard in ((None, 0), (other, 0), (key, 2)):
+    for sender, heard in ((None, 0), (wrong_key, 0), (key, 2)):
         there = decoder()
         there.secure(Codec(255, 190, key, 1_800_000_000.0))
         data = Codec(1, 1, sender, 1_800_000_000.0).encode(*message)

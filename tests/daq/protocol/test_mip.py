@@ -98,7 +98,7 @@ def test_vectors_of_several_packets_are_joined() -> None:
     assert (later.sample.r, math.isnan(later.sample.az)) == (pytest.approx(0.3), True)  # too old to be repeated
 
 
-def test_a_filter_that_loses_its_attitude_does_not_silence_the_sensor() -> None:
+def test_samples_continue_after_the_filter_loses_its_attitude() -> None:
     invalid = mip.packet(mip.FILTER, {0x05: struct.pack(">3fH", 0.01, -0.02, 1.5, 0)})
     decoder = mip.Decoder()
     n_samples = [

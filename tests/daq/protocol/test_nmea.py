@@ -142,7 +142,7 @@ def test_zda_gives_the_date() -> None:
     assert read(data, t_rx=0.0)[0].utc == T
 
 
-def test_void_fixes_have_no_position_and_a_zda_alone_is_no_sample() -> None:
+def test_void_fixes_have_no_position_and_a_zda_alone_gives_no_sample() -> None:
     void = sentence("GPGGA,221320.00,,,,,0,00,99.9,,M,,M,,") + sentence("GPRMC,221320.00,V,,,,,,,141123,,,N")
     (sample,) = read(void)
     assert is_close(sample, Gnss(T, NAN, NAN, n_sat=0))

@@ -88,9 +88,9 @@ def test_a_fast_packet_without_a_frame_is_left_out_and_counted() -> None:
 
 
 def test_fast_packets_of_two_senders_may_be_interleaved() -> None:
-    one = fast_packet(nmea2000.FIX, encode_body(FIX), 1, source=10)
-    other = fast_packet(nmea2000.FIX, encode_body(FIX), 1, source=20)
-    mixed = [frame for pair in zip(one, other, strict=True) for frame in pair]
+    first_receiver = fast_packet(nmea2000.FIX, encode_body(FIX), 1, source=10)
+    second_receiver = fast_packet(nmea2000.FIX, encode_body(FIX), 1, source=20)
+    mixed = [frame for pair in zip(first_receiver, second_receiver, strict=True) for frame in pair]
     there = Decoder(settle=0.0)
     assert len(fed(*mixed, decoder=there)) == 1  # the sample of the lower address
     assert counters(there) == (2, 0, 0)
@@ -141,13 +141,13 @@ def test_of_several_compasses_another_is_used_if_the_first_is_silent() -> None:
 
 def test_a_missing_satellite_count_does_not_change_the_used_receiver() -> None:
     there, uncounted = Decoder(settle=0.0), replace(FIX, n_sat=0)
-    other = fast_packet(nmea2000.FIX, encode_body(FIX), 1, source=20)
+    second_receiver = fast_packet(nmea2000.FIX, encode_body(FIX), 1, source=20)
     n_frames = []
     for k in range(30):
         leader = fast_packet(nmea2000.FIX, encode_body(FIX if k % 3 else uncounted), 1, source=10)
-        n_frames.append(len(fed(*leader, *other, decoder=there, t=k / 2)))
+        n_frames.append(len(fed(*leader, *second_receiver, decoder=there, t=k / 2)))
     assert n_frames[2:] == [1] * 28
-    assert len(fed(*other, decoder=there, t=17.5)) == 1
+    assert len(fed(*second_receiver, decoder=there, t=17.5)) == 1
 
 
 def test_a_speed_without_course_and_a_differential_fix_are_read() -> None:
@@ -164,8 +164,8 @@ def test_a_speed_without_course_and_a_differential_fix_are_read() -> None:
 def test_a_fix_has_the_speed_of_its_own_receiver() -> None:
     there = Decoder(settle=0.0)
     mine, *fix = encode(FIX, source=18)
-    other, *_ = encode(replace(FIX, vel_n=9.0, speed=NAN), source=3)
-    ((sample, _, _),) = fed(mine, other, *fix, decoder=there)
+    second_receiver, *_ = encode(replace(FIX, vel_n=9.0, speed=NAN), source=3)
+    ((sample, _, _),) = fed(mine, second_receiver, *fix, decoder=there)
     assert isinstance(sample, Gnss)
     assert sample.vel_n == pytest.approx(FIX.vel_n, abs=6e-3)
 
@@ -202,8 +202,10 @@ def test_an_old_course_is_not_that_of_a_new_fix() -> None:
     assert math.isnan(sample.vel_n)
 
 
-@pytest.mark.parametrize("says", [(AHRS, FIX), (FIX,), (AHRS,)])
-def test_the_rate_is_that_of_headings_or_without_them_of_fixes(tmp_path: Path, says: tuple[Ahrs | Gnss, ...]) -> None:
+@pytest.mark.parametrize("transmitted", [(AHRS, FIX), (FIX,), (AHRS,)])
+def test_the_rate_is_the_rate_of_headings_or_of_fixes_if_no_headings_are_sent(
+    tmp_path: Path, transmitted: tuple[Ahrs | Gnss, ...]
+) -> None:
     text = (
         'format = "seatrial-rig 1"\nname = "r"\n[[device]]\nname = "bus"\nprotocol = "nmea2000"\n'
         'port = "slcan:can"\nrate_hz = 10.0\n'
@@ -213,7 +215,7 @@ def test_the_rate_is_that_of_headings_or_without_them_of_fixes(tmp_path: Path, s
     assert device.bitrate == 250_000
     loop = DeviceLoop(device, SerialPort("can", 115200), make_decoder(device, rig), RunClock(), LogSink())
     for k in range(7):
-        loop._decode_received(can([frame for sample in says for frame in encode(sample, sid=k)]), 10.0 + k)
+        loop._decode_received(can([frame for sample in transmitted for frame in encode(sample, sid=k)]), 10.0 + k)
     assert loop._rated == 5  # from 1.2 s on
 
 
@@ -228,4 +230,6 @@ def test_a_receiver_with_a_fix_precedes_one_without() -> None:
     assert math.isnan(received[0].t_device)  # before its first fix a receiver sends the time of its own clock
     assert received[1].t_device == pytest.approx(FIX.utc, abs=1e-4)
     blind = fast_packet(nmea2000.FIX, encode_body(void), 0, source=5)
-    assert len(fed(*blind, decoder=there, t=2.5 + nmea2000.STALE_S + 0.1)) == 1  # the other receiver is silent
+    assert (
+        len(fed(*blind, decoder=there, t=2.5 + nmea2000.STALE_S + 0.1)) == 1
+    )  # the second_receiver receiver is silent

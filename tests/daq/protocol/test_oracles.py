@@ -82,7 +82,7 @@ def test_nav_pvt_is_read_as_pyubx2_reads_it() -> None:
         same_pvt(epoch(framed), theirs)
 
 
-def test_our_nav_pvt_is_read_by_pyubx2() -> None:
+def test_encoded_nav_pvt_is_read_by_pyubx2() -> None:
     theirs = UBXReader.parse(ubx.encode(Gnss(T + 0.25, 41.1234567, -8.7654321, 12.345, 0.5, -0.25, 0.125, 5, 12)))
     assert (theirs.lat, theirs.lon, theirs.hMSL) == (41.1234567, -8.7654321, 12345)
     assert (theirs.velN, theirs.velE, theirs.velD) == (500, -250, 125)
@@ -254,7 +254,7 @@ def test_esc_status_of_the_dronecan_library_is_read() -> None:
     assert decoder.checksum_errors == decoder.unparsed_bytes == 0
 
 
-def test_our_dronecan_frames_equal_those_of_the_library() -> None:
+def test_dronecan_frames_equal_the_frames_of_the_library() -> None:
     uavcan, random = pydronecan.uavcan, rng()
     for number in range(N):
         commands = random.integers(-8191, 8192, random.integers(1, 21)).tolist()
@@ -275,7 +275,7 @@ def canboat(decoder: NMEA2000Decoder, frames: list[tuple[int, bytes]]) -> dict[i
     return found
 
 
-def test_our_nmea_2000_messages_are_read_by_nmea2000() -> None:
+def test_encoded_nmea_2000_messages_are_read_by_nmea2000() -> None:
     random, decoder = rng(), NMEA2000Decoder()
     for number in range(N):
         yaw, rate = random.uniform(0.0, 6.28), random.uniform(-1, 1)

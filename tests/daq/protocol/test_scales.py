@@ -67,7 +67,7 @@ def test_answers_of_mantracourt_are_read() -> None:
     assert math.isnan(cell(mantracourt.Decoder().feed(b"1\r", 5.0)[0]).force)
 
 
-def test_a_refusal_is_reported_until_an_answer_comes() -> None:
+def test_a_refusal_is_reported_until_the_next_answer() -> None:
     decoder = mantracourt.Decoder(query="!001:FOO?")
     assert decoder.feed(b"!001:FOO?\r?\r", 5.0) == []  # the echo of a half-duplex adapter, and then the refusal
     assert "refuses the request !001:FOO?" in decoder.remark

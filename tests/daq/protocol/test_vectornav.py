@@ -27,7 +27,7 @@ def binary(groups: int, words: list[int], payload: bytes) -> bytes:
     return bytes([SYNC]) + body + struct.pack(">H", crc16(body))
 
 
-def test_a_line_of_a_real_vn100_is_read_as_its_manual_says() -> None:
+def test_a_line_of_a_real_vn100_is_read_in_the_units_of_its_manual() -> None:
     line = (
         b"$VNYMR,+100.949,-007.330,+000.715,-00.0049,-00.2449,+00.5397,-01.258,-00.100,-09.701,"
         b"-00.000018,+00.001122,-00.000551*69\r\n"
@@ -111,7 +111,7 @@ def test_garbage_between_messages_is_skipped() -> None:
     check_garbage(Decoder, messages, 4)
 
 
-def test_a_flipped_bit_is_counted_and_loses_one_message() -> None:
+def test_a_flipped_bit_is_counted_and_removes_one_message() -> None:
     good = encode_binary(AHRS, 1.0)
     for at in range(1, len(good)):
         bad = bytearray(good)

@@ -1,4 +1,4 @@
-"""Tables of a rig from an autopilot's parameters: what is driven, and a comment for each caveat."""
+"""Tests of the tables of a rig from an autopilot's parameters: thrusters, and a comment for each caveat."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.daq.mavlink_ends import Ends, mav_rig
 
 
 def tables(**changes: float) -> tuple[Rig, list[str]]:
-    """The rig that comes out, and its caveats, of the mock's parameters with these changes."""
+    """Return the rig and the caveats of the mock's parameters with changes."""
     parameters = {**Ends(mav_rig()).autopilot.vehicle.parameters, **changes}
     found = DiscoveredAutopilot("udp:127.0.0.1:14550", "", "mavlink", vehicle="ArduPilot Rover", parameters=parameters)
     text = found.toml("mavlink1")
@@ -24,7 +24,7 @@ def tables(**changes: float) -> tuple[Rig, list[str]]:
     return parse_rig(f'format = "seatrial-rig 1"\nname = "found"\n{text}', Path("rig.toml")), caveats
 
 
-def test_the_thrusters_of_the_mock_are_those_of_its_rig() -> None:
+def test_the_tables_of_the_mock_autopilot_have_the_thrusters_of_its_rig() -> None:
     rig, caveats = tables()
     wanted = {t.name: (t.node, t.output, t.position_m[1] < 0.0) for t in mav_rig().thrusters}
     assert {t.name: (t.node, t.output, t.position_m[1] < 0.0) for t in rig.thrusters} == wanted
@@ -34,7 +34,7 @@ def test_the_thrusters_of_the_mock_are_those_of_its_rig() -> None:
     assert rig.devices[0].mavlink.rates == {"SERVO_OUTPUT_RAW": 40.0}  # four fifths of its loop, by a network
 
 
-def test_two_boats_in_one_rig_have_thrusters_of_their_own() -> None:
+def test_two_boats_in_one_rig_have_separate_thrusters() -> None:
     parameters = Ends(mav_rig()).autopilot.vehicle.parameters
     boats = [
         DiscoveredAutopilot(f"udp:127.0.0.1:{port}", "", "mavlink", vehicle="ArduPilot Rover", parameters=parameters)
@@ -62,7 +62,7 @@ def test_channels_pulses_and_ground_station_are_the_autopilots() -> None:
 @pytest.mark.parametrize(
     ("name", "value"), [("FS_ACTION", 1), ("RC_OVERRIDE_TIME", 3), ("SERVO3_REVERSED", 1), ("MOT_THR_MAX", 50)]
 )
-def test_what_forbids_to_drive_is_a_caveat(name: str, value: float) -> None:
+def test_a_parameter_that_prevents_driving_is_a_caveat(name: str, value: float) -> None:
     _, caveats = tables(**{name: value})
     assert any(caveat.startswith(f"{name} is {value:g}") for caveat in caveats)
 
@@ -75,7 +75,7 @@ def test_a_boat_with_a_rudder_has_no_thruster() -> None:
 
 
 @pytest.mark.parametrize("changes", [{"SERVO2_FUNCTION": 73.0}, {"SERVO2_FUNCTION": 73.0, "SERVO4_FUNCTION": 73.0}])
-def test_a_second_output_of_a_side_is_a_caveat_and_no_thruster(changes: dict[str, float]) -> None:
+def test_a_second_output_of_a_side_is_a_caveat_instead_of_a_thruster(changes: dict[str, float]) -> None:
     rig, caveats = tables(**changes)
     assert [(t.name, t.node) for t in rig.thrusters] == [("left", 1), ("right", 3)]
     also = [caveat for caveat in caveats if "turns with channel 1, too" in caveat]
@@ -100,15 +100,15 @@ def test_other_vehicles_are_named_and_have_no_thruster(vehicle: str) -> None:
     assert vehicle in text.splitlines()[0]
 
 
-@pytest.mark.parametrize(("autopilot", "vehicle", "said"), [
+@pytest.mark.parametrize(("autopilot", "vehicle", "message"), [
     (12, 11, "PX4, system 1; only ArduPilot Rover can be driven, this vehicle is only logged"),
     (3, 12, "ArduSub, system 1; only ArduPilot Rover can be driven, this vehicle is only logged"),
     (3, 11, "ArduPilot Rover, system 1"),
 ])  # fmt: skip
-def test_devices_says_what_is_driven(autopilot: int, vehicle: int, said: str) -> None:
-    """A heartbeat over UDP; with --toml nothing is asked of what is not driven."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
-        other.bind(("127.0.0.1", 0))
+def test_only_a_rover_with_ardupilot_can_be_driven(autopilot: int, vehicle: int, message: str) -> None:
+    """The vehicle sends heartbeats over UDP. With --toml, a vehicle that cannot be driven gets no request."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle_socket:
+        vehicle_socket.bind(("127.0.0.1", 0))
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
             taken.bind(("127.0.0.1", 0))
             port = taken.getsockname()[1]
@@ -117,15 +117,15 @@ def test_devices_says_what_is_driven(autopilot: int, vehicle: int, said: str) ->
 
         def beat() -> None:
             while not ending.wait(0.1):
-                other.sendto(codec.encode("HEARTBEAT", vehicle, autopilot, 0, 0, 4, 3), ("127.0.0.1", port))
+                vehicle_socket.sendto(codec.encode("HEARTBEAT", vehicle, autopilot, 0, 0, 4, 3), ("127.0.0.1", port))
 
         thread = threading.Thread(target=beat)
         thread.start()
         found = identify_autopilot(f"udpin:127.0.0.1:{port}", 0, vehicle != 11)
         ending.set()
         thread.join()
-        assert found.says == said
-        other.setblocking(False)
-        if "logged" in said:
+        assert found.says == message
+        vehicle_socket.setblocking(False)
+        if "logged" in message:
             with pytest.raises(BlockingIOError):
-                other.recv(100)
+                vehicle_socket.recv(100)

@@ -55,7 +55,7 @@ SAYS: dict[str, tuple[int, Callable[[int], bytes]]] = {
 
 @contextlib.contextmanager
 def device(baud: int, say: Callable[[int], bytes]) -> Iterator[str]:
-    """Device that sends every 20 ms. A host that listens at another baud rate gets garbage."""
+    """Serve a device that sends every 20 ms. A host that listens at another baud rate gets garbage."""
     master, slave = os.openpty()
     tty.setraw(slave)
     os.set_blocking(master, False)
@@ -125,7 +125,7 @@ def test_a_receiver_without_a_fix_is_recognised() -> None:
     assert "it sends data, but has no fix" in done.output
 
 
-def test_right_frames_without_a_sample_are_no_wrong_baud_rate() -> None:
+def test_valid_frames_without_a_sample_are_not_reported_as_a_wrong_baud_rate() -> None:
     """The receiver only lists satellites."""
     with device(9600, lambda k: sentence("GPGSV,1,1,00")) as port:
         found = identify_protocol(port, bauds=(9600,), listen=0.4)
@@ -136,8 +136,8 @@ def test_right_frames_without_a_sample_are_no_wrong_baud_rate() -> None:
 def test_an_unknown_device_is_reported() -> None:
     with device(115200, lambda k: b"\x00\xf7 nothing of the kind") as port:
         found = identify_protocol(port, bauds=(115200, 9600), listen=0.2)
-    says = "bytes of no known protocol at 115200, 9600 baud: check the output settings of the device, or give --baud"
-    assert (found.protocol, found.says) == ("", says)
+    message = "bytes of no known protocol at 115200, 9600 baud: check the output settings of the device, or give --baud"
+    assert (found.protocol, found.says) == ("", message)
     assert "is not there" in identify_protocol("/dev/none", listen=0.1).says
 
 

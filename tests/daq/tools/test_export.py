@@ -98,7 +98,9 @@ def test_a_name_from_a_foreign_log_stays_in_the_folder(tmp_path: Path) -> None:
     assert sorted(path.name for path in (tmp_path / "deep").rglob("*.csv")) == names
 
 
-def test_parquet_without_its_library_is_one_line(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_parquet_without_its_library_gives_a_one_line_error(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with open_log(log) as opened, pytest.raises(SeatrialError, match=r"pip install 'seatrial\[parquet\]'"):
         export_log(opened, "parquet", tmp_path / "out")

@@ -199,12 +199,12 @@ def test_the_end_of_the_server_prints_no_output(
         time.sleep(0.2 * turns)
     assert [record.getMessage() for record in caplog.records if record.name == "asyncio"] == []
     assert capfd.readouterr().err == ""
-    for one in there:
-        one.close()
+    for connection in there:
+        connection.close()
 
 
 @needs_foxglove
-def test_a_port_in_use_is_one_line() -> None:
+def test_a_port_in_use_gives_a_one_line_error() -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
@@ -213,7 +213,7 @@ def test_a_port_in_use_is_one_line() -> None:
             pass
 
 
-def test_without_its_library_it_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_library_gives_a_one_line_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "foxglove", None)
     with pytest.raises(SeatrialError, match=r"pip install 'seatrial\[live\]'"), LiveServer(rig(), lambda: status(T0)):
         pass

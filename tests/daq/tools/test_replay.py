@@ -86,7 +86,7 @@ def test_an_acquisition_records_the_same_samples_again(recorded: Path, tmp_path:
             first, second = log.table(Ahrs, "ahrs"), again.table(Ahrs, "ahrs")
             assert np.array_equal(first["r"], second["r"])
             assert np.array_equal(first["t_device"], second["t_device"])
-            escs = [len(one.table(Esc, "esc", node=1)) for one in (log, again)]
+            escs = [len(opened.table(Esc, "esc", node=1)) for opened in (log, again)]
             assert escs[0] == escs[1] > 100
 
 
@@ -185,7 +185,7 @@ def test_a_missing_device_of_a_replay_is_named(recorded: Path, tmp_path: Path) -
 
 
 def test_a_device_that_is_given_twice_has_one_port(recorded: Path, tmp_path: Path) -> None:
-    said: list[str] = []
+    printed: list[str] = []
     with open_log(recorded) as log:
-        assert replay_log(log, ["ahrs", "ahrs"], tmp_path, said=said.append, stopped=lambda: True) == 0
-    assert said[0].count("ahrs") == 1
+        assert replay_log(log, ["ahrs", "ahrs"], tmp_path, said=printed.append, stopped=lambda: True) == 0
+    assert printed[0].count("ahrs") == 1

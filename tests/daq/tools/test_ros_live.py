@@ -55,7 +55,7 @@ def listener(router: Router) -> Iterator[Any]:
     opened.close()
 
 
-def test_topics_and_messages_are_those_of_rmw_zenoh(router: Router, listener: Any) -> None:
+def test_topics_and_messages_equal_the_output_of_rmw_zenoh(router: Router, listener: Any) -> None:
     subscriber = listener.declare_subscriber("7/**", zenoh.handlers.FifoChannel(1000))
     with Ros2Node(rig(router, domain=7, namespace="boat")) as node:
         assert "is connected" in node.await_router(5.0)
@@ -96,12 +96,12 @@ AHEAD_S = 3600.0  # the sender's clock before ours
 
 
 def late(ways: list[tuple[float, float]], sender: bytes = b"a", allowed_s: float = 0.3) -> list[bool]:
-    """Whether commands are late that were sent at these times and took so long."""
+    """Return whether commands with these send times and delays are late."""
     found = LateCommands(allowed_s)
     return [found.is_late(ReceivedCommand(0.1, sender, at + AHEAD_S), at + took) for at, took in ways]
 
 
-def test_a_command_is_late_by_the_quickest_of_its_sender_whatever_its_clock_says() -> None:
+def test_lateness_of_a_command_is_relative_to_the_fastest_command_of_its_sender() -> None:
     assert late([(0.0, 0.02), (0.1, 0.3), (0.2, 0.35), (0.3, 2.0), (0.4, 0.02)]) == [False, False, True, True, False]
     assert late([(0.05 * k, 0.05 * k) for k in range(10)]) == [False] * 7 + [True] * 3  # a queue that grows
     found = LateCommands(0.3)
@@ -127,7 +127,7 @@ def test_a_command_that_was_held_up_is_not_taken(router: Router) -> None:
         assert "1 command ignored because of late arrival" in node.summary()
 
 
-def test_it_takes_commands_whatever_the_type_hash(router: Router, listener: Any) -> None:
+def test_commands_with_any_type_hash_are_accepted(router: Router, listener: Any) -> None:
     with Ros2Node(rig(router), ["left"]) as node, Commander(router, 1e-3) as commander:
         node.await_router(5.0)
         time.sleep(0.3)
@@ -146,7 +146,7 @@ def test_it_takes_commands_whatever_the_type_hash(router: Router, listener: Any)
         assert node.take() == {"left": []}
 
 
-def test_a_router_may_come_late_and_go(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_router_may_start_late_and_stop(monkeypatch: pytest.MonkeyPatch) -> None:
     router = Router()
     with Ros2Node(rig(router)) as node:
         assert "does not answer" in node.await_router(0.2)
@@ -171,7 +171,7 @@ def test_a_router_may_come_late_and_go(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "47 samples could not be published" in node.summary()
 
 
-def test_without_the_package_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_error_without_the_package_names_the_package_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "zenoh", None)
     with pytest.raises(SeatrialError, match=r"seatrial\[ros2\]"), Ros2Node(rig_of_logs()):
         pass
@@ -182,7 +182,7 @@ def test_a_router_that_hangs_holds_up_neither_log_nor_end(tmp_path: Path) -> Non
     text = (
         f"import time; from tests.daq.ros_ends import Router; r = Router({router.address!r}); r.start(); time.sleep(99)"
     )
-    with TestBoat(tmp_path) as boat, subprocess.Popen([sys.executable, "-c", text], cwd=ROOT) as other:
+    with TestBoat(tmp_path) as boat, subprocess.Popen([sys.executable, "-c", text], cwd=ROOT) as process:
         with boat.rig_path.open("a", encoding="utf-8") as rig_file:
             rig_file.write(f'[ros2]\nrouter = "{router.address}"\n')
         listener = None
@@ -193,14 +193,14 @@ def test_a_router_that_hangs_holds_up_neither_log_nor_end(tmp_path: Path) -> Non
         words = ["-m", "seatrial", "log", str(boat.rig_path), "--ros2", "-o", str(tmp_path / "run.mcap")]
         with subprocess.Popen([sys.executable, *words], cwd=ROOT, stdout=subprocess.PIPE, text=True) as run:
             wait_for(lambda: heard.handler.try_recv() is not None, 60.0, what="a message")
-            other.send_signal(signal.SIGSTOP)
+            process.send_signal(signal.SIGSTOP)
             stopped = time.time()
             time.sleep(2.0)
             begun = time.monotonic()
             run.send_signal(signal.SIGINT)
             out, _ = run.communicate(timeout=60.0)
             assert time.monotonic() - begun < 15.0  # Zenoh alone waits for 20 to 40
-        other.kill()
+        process.kill()
         listener.close()
     assert run.returncode == 0
     assert "messages" in out
@@ -211,21 +211,21 @@ def test_a_router_that_hangs_holds_up_neither_log_nor_end(tmp_path: Path) -> Non
 
 
 def test_every_sample_that_is_logged_is_streamed(tmp_path: Path) -> None:
-    """From real ports through the acquisition process."""
+    """The samples come from real ports through the acquisition process."""
     taken: list[StreamedSample] = []
     with TestBoat(tmp_path) as boat:
         loaded = load_rig(boat.rig_path)
         with Acquisition(loaded, tmp_path / "run.mcap", clock=RunClock(loaded.speed)) as acquisition:
             acquisition.stream(lambda samples, dropped: taken.extend(samples) or (dropped and pytest.fail("dropped")))
             wait_for(lambda: len(taken) > 300, what="samples")
-            newest = max(one.t for one in taken)
+            newest = max(sample.t for sample in taken)
     with open_log(tmp_path / "run.mcap") as log:
         rows = log.table(Ahrs, "ahrs")
-    streamed = [one for one in taken if one.device == "ahrs"]
-    t = np.array([one.t for one in streamed])
+    streamed = [sample for sample in taken if sample.device == "ahrs"]
+    t = np.array([sample.t for sample in streamed])
     logged = rows[(rows["t"] >= t[0] - 1e-6) & (rows["t"] <= newest)][: len(t)]
     np.testing.assert_allclose(t, logged["t"], atol=1e-6)
-    np.testing.assert_array_equal([one.sample.r for one in streamed], logged["r"])  # type: ignore[union-attr]
+    np.testing.assert_array_equal([sample.sample.r for sample in streamed], logged["r"])  # type: ignore[union-attr]
 
 
 class _Sample:
@@ -241,7 +241,7 @@ class _Bytes(bytes):
         return bytes(self)
 
 
-def test_only_a_whole_attachment_names_its_sender() -> None:
+def test_only_a_complete_attachment_names_its_sender() -> None:
     number = b"\0\1\0\0" + struct.pack("<d", 0.25)
     whole = ATTACHMENT.pack(7, 2_000_000_000, 16, b"g" * 16)
     assert _decoded_command(_Sample(number, whole)) == ReceivedCommand(0.25, b"g" * 16, 2.0, 7)

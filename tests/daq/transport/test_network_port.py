@@ -31,7 +31,7 @@ from tests.daq.ptys import wait_for
 
 
 @pytest.fixture
-def other() -> Iterator[socket.socket]:
+def peer() -> Iterator[socket.socket]:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         sock.bind(("127.0.0.1", 0))
         sock.settimeout(2.0)
@@ -49,13 +49,15 @@ def read(port: Port) -> bytes:
     return port.read()
 
 
-def test_who_is_confirmed_is_answered_and_keeps_the_link(other: socket.socket, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_a_confirmed_sender_is_answered_and_keeps_the_link(
+    peer: socket.socket, monkeypatch: pytest.MonkeyPatch
+) -> None:
     number = free()
     port = make_net_port(f"udp:127.0.0.1:{number}")
     port.open()
     port.write(b"nobody is there")  # lost, and no error
-    other.sendto(b"one", ("127.0.0.1", number))
-    other.sendto(b"two", ("127.0.0.1", number))
+    peer.sendto(b"one", ("127.0.0.1", number))
+    peer.sendto(b"two", ("127.0.0.1", number))
     assert read(port) == b"one"
     assert not port.is_confirmed
     port.write(b"nobody is known")
@@ -63,7 +65,7 @@ def test_who_is_confirmed_is_answered_and_keeps_the_link(other: socket.socket, m
     port.confirm()
     assert port.is_confirmed
     port.write(b"answer")
-    assert other.recv(100) == b"answer"
+    assert peer.recv(100) == b"answer"
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
         stranger.sendto(b"mine", ("127.0.0.1", number))
         assert b"mine" not in read(port)
@@ -81,21 +83,21 @@ def test_who_is_confirmed_is_answered_and_keeps_the_link(other: socket.socket, m
     assert port.fileno() == -1
 
 
-def test_a_listening_port_is_taken_over_from_a_process_that_still_has_it(other: socket.socket) -> None:
+def test_a_listening_port_is_taken_over_from_a_process_that_still_has_it(peer: socket.socket) -> None:
     number = free()
     hung, second, watchdog = (make_net_port(f"udp:127.0.0.1:{number}") for _ in range(3))
     hung.open()
     with pytest.raises(PortError, match="in use by another program"):
         second.open()
-    other.sendto(b"before", ("127.0.0.1", number))
+    peer.sendto(b"before", ("127.0.0.1", number))
     assert read(hung) == b"before"
     watchdog.take_over()
     for k in range(5):
-        other.sendto(b"%d" % k, ("127.0.0.1", number))
+        peer.sendto(b"%d" % k, ("127.0.0.1", number))
         assert read(watchdog) == b"%d" % k
     watchdog.confirm()
     watchdog.write(b"zero")
-    assert other.recvfrom(10) == (b"zero", ("127.0.0.1", number))
+    assert peer.recvfrom(10) == (b"zero", ("127.0.0.1", number))
     with pytest.raises(PortError, match="in use by another program"):
         second.open()
     watchdog.close()
@@ -104,7 +106,7 @@ def test_a_listening_port_is_taken_over_from_a_process_that_still_has_it(other: 
     second.close()
 
 
-def test_udpout_speaks_to_an_address_even_before_anybody_listens(other: socket.socket) -> None:
+def test_udpout_sends_before_the_receiver_listens(peer: socket.socket) -> None:
     number = free()
     port = make_net_port(f"udpout:127.0.0.1:{number}")
     port.open()
@@ -136,11 +138,11 @@ def test_tcp_connects_and_a_closed_connection_is_a_lost_port() -> None:
         port.close()
 
 
-def test_what_cannot_be_opened_says_so(other: socket.socket) -> None:
+def test_a_port_that_cannot_be_opened_gives_an_error_with_the_reason(peer: socket.socket) -> None:
     with pytest.raises(PortError, match="no program listens there"):
         make_net_port(f"tcp:127.0.0.1:{free(socket.SOCK_STREAM)}").open()
     with pytest.raises(PortError, match="in use by another program"):
-        make_net_port(f"udpin:127.0.0.1:{other.getsockname()[1]}").open()
+        make_net_port(f"udpin:127.0.0.1:{peer.getsockname()[1]}").open()
     with pytest.raises(PortError, match="no address"):
         make_net_port("udpout:no.such.host.invalid:14550").open()
 
@@ -165,14 +167,14 @@ def test_what_cannot_be_opened_says_so(other: socket.socket) -> None:
         (("[[thruster]]", "[device.rates]\nATTITUD = 5.0\n[[thruster]]"), r"rates.ATTITUD: not a supported message"),
     ],
 )
-def test_what_is_wrong_in_a_rig_is_named(change: tuple[str, str], line: str) -> None:
+def test_error_names_the_invalid_key_of_a_rig(change: tuple[str, str], line: str) -> None:
     text = rig_text().replace(*change, 1)
     with pytest.raises(SeatrialError, match=line) as caught:
         parse_rig(text, Path("rig.toml"))
     assert "\n" not in str(caught.value)
 
 
-def test_rates_are_asked_for_in_order_and_may_be_set() -> None:
+def test_rates_are_requested_in_order_and_can_be_set() -> None:
     rig = parse_rig(rig_text(more='gnss = "fused"\nrates = {RAW_IMU = 0.0, ATTITUDE = 10.0}'), Path("rig.toml"))
     device = rig.device("autopilot")
     assert device.mavlink is not None
@@ -247,10 +249,10 @@ def test_a_frame_is_not_put_together_of_two_senders(tmp_path: Path) -> None:
     port.open()
     frame = heartbeat(rover())
     with (
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other_one,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as first_sender,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as second_sender,
     ):
-        for sock, data in ((one, frame[:10]), (other_one, frame[10:])):
+        for sock, data in ((first_sender, frame[:10]), (second_sender, frame[10:])):
             sock.sendto(data, ("127.0.0.1", number))
             decode_read(port, decoder, read(port), 0.0)
             assert not port.is_confirmed
@@ -259,7 +261,7 @@ def test_a_frame_is_not_put_together_of_two_senders(tmp_path: Path) -> None:
     port.close()
 
 
-def test_the_watchdog_is_heard_on_a_signed_link_long_after_it_was_made(tmp_path: Path) -> None:
+def test_an_old_watchdog_is_still_accepted_on_a_signed_link(tmp_path: Path) -> None:
     """Oracle: pymavlink's own check of an autopilot that has since heard, and sent, later signatures."""
     number = free()
     (tmp_path / "key").write_bytes(KEY)

@@ -70,7 +70,7 @@ def test_a_gap_shorter_than_an_interval_is_not_shown() -> None:
     assert not np.isnan(found.value).any()
 
 
-def test_nothing_and_a_single_sample() -> None:
+def test_an_empty_signal_and_a_single_sample_are_drawn() -> None:
     nothing = np.zeros(0)
     assert len(decimate(nothing, nothing, 0.0, 1.0, 10, np.inf).t) == 0
     assert decimate(np.array([3.0]), np.array([2.0]), 0.0, 1.0, 10, np.inf).value.tolist() == [2.0]

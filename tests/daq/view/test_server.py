@@ -1,4 +1,4 @@
-"""Tests of the server of a page: who gets an answer, what can be asked, and that nothing but GET is possible."""
+"""Tests of the server of a page: accepted clients, possible requests, and the refusal of all methods except GET."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def test_the_files_of_the_page_need_the_token(served: Served, name: str) -> None
     assert "Access-Control-Allow-Origin" not in headers
 
 
-def test_the_page_asks_nothing_of_the_network(served: Served) -> None:
+def test_the_page_loads_no_file_from_the_network(served: Served) -> None:
     for name in ("", "view.js", "view.css", "uplot.min.css"):
         text = served.ask(f"/{served.token}/{name}")[1].decode()
         addresses = set(re.findall(r"https?://[^\s\"'`)]*|[\"'(]//[\w.]+", text))
@@ -103,7 +103,7 @@ def test_the_page_asks_nothing_of_the_network(served: Served) -> None:
 
 
 @pytest.mark.parametrize("name", ["", "view.js", "api/logs", "api/log", "api/data", "api/cut?interval=1:2", "missing"])
-def test_without_the_token_nothing_is_answered(served: Served, name: str) -> None:
+def test_requests_without_the_token_are_refused(served: Served, name: str) -> None:
     wrong = "A" * len(served.token)
     almost = served.token[:-1] + ("a" if served.token[-1] != "a" else "b")
     for path in (f"/{name}", f"/{wrong}/{name}", f"/{almost}/{name}", f"/{served.token}x/{name}", f"//{name}"):
@@ -163,7 +163,7 @@ def test_no_other_file_can_be_read(served: Served) -> None:
         assert content == b"no such page\n"
 
 
-def test_data_are_those_of_the_log(served: Served) -> None:
+def test_data_equal_the_content_of_the_log(served: Served) -> None:
     with open_log(served.folder / "a.mcap") as log:
         raw = log.table(LoadCell, "loadcell")
     signal = quote("/loadcell/counts:counts")
@@ -190,7 +190,7 @@ def test_data_are_those_of_the_log(served: Served) -> None:
         "cut?interval=a:b", "cut?interval=nan:nan", "log?log",
     ],
 )  # fmt: skip
-def test_a_wrong_request_is_one_line(served: Served, query: str) -> None:
+def test_a_wrong_request_gives_a_one_line_error(served: Served, query: str) -> None:
     status, content, _ = served.ask(f"/{served.token}/api/{query}")
     assert status == 400
     assert content.count(b"\n") == 1
@@ -219,6 +219,6 @@ def test_many_and_silent_connections_do_not_block_for_ever(served: Served, monke
             connection.close()
 
 
-def test_a_port_in_use_is_one_line(served: Served) -> None:
+def test_a_port_in_use_gives_a_one_line_error(served: Served) -> None:
     with pytest.raises(SeatrialError, match=f"{served.port}.*give another --port"):
         listen(served.port)

@@ -95,7 +95,7 @@ def test_a_page_may_be_served_longer_than_a_file_may_be_read(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("content", [b"", b"no log", b"\x89MCAP0\r\n" + bytes(50)], ids=["empty", "text", "zeros"])
-def test_a_file_that_is_no_log_is_one_line(tmp_path: Path, content: bytes) -> None:
+def test_a_file_of_another_format_gives_a_one_line_error(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "a.mcap").write_bytes(content)
     os.utime(tmp_path / "a.mcap", (time.time() - 60.0,) * 2)  # nobody writes it any more
     with command(tmp_path, "view", "a.mcap", "--no-browser") as process:
@@ -110,7 +110,7 @@ def test_a_file_that_is_no_log_is_one_line(tmp_path: Path, content: bytes) -> No
 
 
 @pytest.mark.parametrize("kind", ["boat", "bench"])
-def test_log_serves_the_page_of_what_it_records(tmp_path: Path, kind: str) -> None:
+def test_log_with_view_serves_the_page_of_its_recording(tmp_path: Path, kind: str) -> None:
     write_demo_rig(kind, tmp_path, 2.0)
     with (
         mock_process(tmp_path, kind, f"{kind}-rig.toml", "--seed", "3"),

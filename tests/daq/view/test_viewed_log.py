@@ -31,7 +31,7 @@ def _look_each_time(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def old(path: Path) -> Path:
-    """Let a file look as if nobody had written it for a minute."""
+    """Set the time of a file to one minute ago, as if it were no longer written."""
     os.utime(path, (time.time() - 60.0,) * 2)
     return path
 
@@ -112,7 +112,7 @@ def test_a_log_without_messages(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.95])
-def test_a_truncated_log_shows_what_is_there(tmp_path: Path, share: float) -> None:
+def test_a_truncated_log_shows_its_readable_samples(tmp_path: Path, share: float) -> None:
     write_everything(tmp_path / "a.mcap", N_ROUNDS)
     data = (tmp_path / "a.mcap").read_bytes()
     (tmp_path / "b.mcap").write_bytes(data[: int(share * len(data))])
@@ -212,7 +212,7 @@ def test_a_recording_that_stops_without_its_end_is_cut(tmp_path: Path, monkeypat
     log.close()
 
 
-def test_a_long_recording_forgets_its_beginning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_recording_shows_its_latest_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(viewed_log, "MAX_LIVE_BYTES", 100_000)
     path = tmp_path / "a.mcap"
     viewed, log = ViewedLog(path, wait=True), recorder(path)

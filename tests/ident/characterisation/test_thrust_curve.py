@@ -261,18 +261,18 @@ def test_curve_is_restored_from_its_file(tmp_path: Path) -> None:
     assert (found.thrusters, found.calibration) == (2, 0.02)
     np.testing.assert_allclose(found.curve.force, curve.force, rtol=1e-6)
     np.testing.assert_allclose(found.thrust_of_one(COMMANDS), curve(COMMANDS) / 2, rtol=1e-6)
-    other = tmp_path / "other.toml"
-    other.write_text('format = "seatrial-model 1"\n')
-    assert load_curve(other) is None
+    path = tmp_path / "other.toml"
+    path.write_text('format = "seatrial-model 1"\n')
+    assert load_curve(path) is None
     text = (tmp_path / "model.toml").read_text()
     for bad in (
         text.replace("thrusters = 2", "thrusters = 0"),
         text.replace("[curve]", "[curves]"),
         text.replace("calibration = 0.02", "calibration = 2"),
     ):
-        other.write_text(bad)
+        path.write_text(bad)
         with pytest.raises(SeatrialError, match=r"other\.toml: "):
-            load_curve(other)
+            load_curve(path)
 
 
 def test_thrust_from_commands(tmp_path: Path) -> None:

@@ -271,7 +271,7 @@ def test_fixed_and_initial_values_are_used(fitted: Path, tmp_path: Path, run: Ru
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("words", "message"),
     [
         (
             "vehicle {estimation} --validate {estimation}",
@@ -293,7 +293,7 @@ def test_fixed_and_initial_values_are_used(fitted: Path, tmp_path: Path, run: Ru
     ],
 )
 def test_impossible_request_gives_a_one_line_error(
-    fitted: Path, tmp_path: Path, run: Run, words: str, says: str
+    fitted: Path, tmp_path: Path, run: Run, words: str, message: str
 ) -> None:
     rig = tmp_path / "rig.toml"
     rig.write_text('format = "seatrial-rig 1"\n', encoding="utf-8")
@@ -306,7 +306,7 @@ def test_impossible_request_gives_a_one_line_error(
     out = tmp_path / "out"
     status, _, err = run("ident", *(w.format(**places) for w in words.split()), "--out", out)
     assert status == 1
-    assert says in err
+    assert message in err
     assert err.count("\n") == 1
     assert "internal error" not in err
     assert not (out / "model.toml").exists()

@@ -136,14 +136,14 @@ def test_existing_files_are_replaced_with_force(tmp_path: Path, capsys: pytest.C
 
 def test_invalid_output_path_is_rejected_before_the_search(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The results beside a mission m.json would overwrite it."""
-    for name, says in (
+    for name, message in (
         ("m.json", "a name that ends in .toml"),
         ("m.html", "a name that ends in .toml"),
         ("none/m.toml", "no such folder"),
     ):
         status, _, err = run(capsys, "design", "horizontal", *QUICK, "--out", str(tmp_path / name))
         assert status == 1
-        assert says in err
+        assert message in err
     assert not list(tmp_path.iterdir())
 
 
@@ -276,7 +276,7 @@ def test_typical_size_follows_the_size_of_the_boat() -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "status", "says"),
+    ("words", "status", "message"),
     [
         (("horizontal", "--area", "40"), 2, "not NORTHxEAST"),
         (("horizontal", "--criterion", "Ds"), 2, "Ds needs the parameters to estimate; give them by --parameters"),
@@ -306,13 +306,13 @@ def test_typical_size_follows_the_size_of_the_boat() -> None:
     ],
 )
 def test_invalid_request_gives_a_one_line_error(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], status: int, says: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], status: int, message: str
 ) -> None:
     out = tmp_path / "m.toml"
     more = [*QUICK] if "--steps" not in words else ["--evaluations", "500", "--duration", "40"]
     got, _, err = run(capsys, "design", *words, *more, "--out", str(out))
     assert got == status
-    assert says in err
+    assert message in err
     assert status == 2 or err.count("\n") == 1
     assert not out.exists()
 

@@ -43,20 +43,20 @@ def test_parts_of_a_log_with_a_gap_need_no_more_memory_than_alone(tmp_path: Path
     try:
         with pytest.warns(SeatrialWarning, match=rf"no sensor has a sample from 30 to {end} s: the log is cut there"):
             loaded, _ = load_all([path], [])
-        records = [make_record(horizontal_model(), one.run, 10.0) for one in loaded]
+        records = [make_record(horizontal_model(), part.run, 10.0) for part in loaded]
         evidence = log_evidence(path)
         found = check_log(path)
     finally:
         resource.setrlimit(resource.RLIMIT_AS, limit)
-    assert [one.about["name"] for one in loaded] == ["run[0:30]", f"run[{end}:{SECONDS + SECONDS + gap:.0f}]"]
-    assert [r.name for r in records] == [one.about["name"] for one in loaded]
+    assert [part.about["name"] for part in loaded] == ["run[0:30]", f"run[{end}:{SECONDS + SECONDS + gap:.0f}]"]
+    assert [r.name for r in records] == [part.about["name"] for part in loaded]
     alone = make_record(horizontal_model(), load_run(log_with_gap(tmp_path / "b.mcap", 1.0), "judged").run, 10.0)
-    for one in records:
-        assert one.duration == pytest.approx(SECONDS, abs=0.5)
-        assert one.n_rows < 0.6 * alone.n_rows
-    assert [one.name for one in evidence] == [one.about["name"] for one in loaded]
-    assert all(1000 < one.intervals[0].t.size < 1600 for one in evidence)
-    assert max(row.interval.max() for one in evidence for row in one.intervals) < 1.0
+    for part in records:
+        assert part.duration == pytest.approx(SECONDS, abs=0.5)
+        assert part.n_rows < 0.6 * alone.n_rows
+    assert [part.name for part in evidence] == [part.about["name"] for part in loaded]
+    assert all(1000 < part.intervals[0].t.size < 1600 for part in evidence)
+    assert max(row.interval.max() for part in evidence for row in part.intervals) < 1.0
     assert [f for f in found if f.level == "fault"] == []
 
 

@@ -360,7 +360,7 @@ def test_missing_sensor_is_left_out_and_reported() -> None:
 
 
 @pytest.mark.parametrize(
-    ("drop", "change", "says"),
+    ("drop", "change", "message"),
     [
         (
             ("w",),
@@ -388,11 +388,13 @@ def test_missing_sensor_is_left_out_and_reported() -> None:
         ),
     ],
 )
-def test_impossible_record_gives_a_one_line_error(drop: tuple[str, ...], change: dict[str, Channel], says: str) -> None:
+def test_impossible_record_gives_a_one_line_error(
+    drop: tuple[str, ...], change: dict[str, Channel], message: str
+) -> None:
     signals = {n: c for n, c in channels().items() if n not in drop} | change
     with pytest.raises(ValueError, match="run 7") as problem:
         build_record(model(), signals, name="run 7")
-    assert str(problem.value) == says
+    assert str(problem.value) == message
 
 
 def test_record_can_be_reduced_to_other_models_and_parts() -> None:

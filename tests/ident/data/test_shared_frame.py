@@ -153,12 +153,12 @@ def test_offsets_are_antisymmetric_and_cross_the_date_line() -> None:
 
 def test_distant_logs_keep_their_own_origins_and_reject_a_common_point(tmp_path: Path) -> None:
     logs, _ = load_all(placed(tmp_path, (0.0, 0.0), (11_000.0, 0.0)), [])
-    assert [one.origin.log for one in logs if one.origin] == ["log0", "log1"]
+    assert [log.origin.log for log in logs if log.origin] == ["log0", "log1"]
     plain, moored = horizontal_model(), horizontal_model() + catalogue()["mooring"]
     require_one_frame(plain, logs)
     with pytest.raises(SeatrialError, match="more than 10 km from the first fix of log0, but mooring has one position"):
         require_one_frame(moored, logs)
-    untested = _untestable_candidates(nominal_model(plain), catalogue(), [one.run for one in logs])
+    untested = _untestable_candidates(nominal_model(plain), catalogue(), [log.run for log in logs])
     assert sorted(u.effect.name for u in untested) == ["bank", "mooring", "shallow-water", "tether"]
     assert "fixed point over ground" in untested[0].reason
     assert not _untestable_candidates(nominal_model(plain), catalogue(), [logs[0].run])

@@ -38,8 +38,8 @@ UNSCALED = SimpleNamespace(values={}, inputs=())  # A model without thrust coeff
 def refit(name: str, criterion: float, t: float = 5.0, fit: object = None, **more: Any) -> Refit:
     """Return a refit with an effect of this name. Fields that the attribution does not read are left out."""
     effect = Effect(name, name.replace("-", " "), {}, **kind_of(name), **more)
-    stage = SimpleNamespace(fit=fit or SimpleNamespace(names=(), flags=()))
-    return Refit(effect, cast(Any, stage), criterion + 8.3, 1, criterion, 50.0, t)
+    fitted = SimpleNamespace(fit=fit or SimpleNamespace(names=(), flags=()))
+    return Refit(effect, cast(Any, fitted), criterion + 8.3, 1, criterion, 50.0, t)
 
 
 def a_fit(
@@ -108,7 +108,7 @@ def test_remaining_score_makes_an_effect_ambiguous_above_a_threshold(worth: floa
         )
 
 
-def test_remaining_scores_are_no_reason_against_an_effect_that_keeps_its_size_beside_them() -> None:
+def test_effect_that_keeps_its_size_stays_identified_despite_remaining_scores() -> None:
     left = (*(score(f"other-{k}", 60.0) for k in range(9)), score("yaw-bias", 58.0))
     mismatch = refit("mismatch", 700.0, alternatives=("yaw-bias",))
     rounds = (one_round(mismatch), one_round(refit("wind", 140.0)))
@@ -126,7 +126,7 @@ def test_remaining_scores_are_no_reason_against_an_effect_that_keeps_its_size_be
     )
 
 
-def test_a_small_curve_is_no_reason_against_an_effect_that_keeps_its_size() -> None:
+def test_effect_that_keeps_its_size_stays_identified_despite_a_small_curve() -> None:
     rounds = (one_round(refit("yaw-bias", 195.0)), one_round(refit("X(past of n_sum)", 27.0)))
     evidence = AttributionEvidence((), N, unaffected=frozenset({"yaw-bias"}))
     assert assess_alternatives(rounds, evidence)[0].attribution == "identified"
@@ -228,8 +228,8 @@ def test_tether_with_an_uncertain_anchor_position_is_ambiguous(errors: tuple[flo
     scan = dict.fromkeys(ends, (0.0, 12.0))
     line = refit("tether", 800.0, fit=fit, parameters=parameters, scan=scan, fixed_point=True)
     track = SimpleNamespace(outputs=("psi", "x", "y"), y=np.array([[0.1, -1.4, -5.1], [0.2, 10.3, 8.4], [np.nan] * 3]))
-    stage = cast(Any, SimpleNamespace(fit=fit, records=[track]))
-    (found,) = attributions_of(one_round(replace(line, fitted=stage)))
+    fitted = cast(Any, SimpleNamespace(fit=fit, records=[track]))
+    (found,) = attributions_of(one_round(replace(line, fitted=fitted)))
     assert found.attribution == attribution
 
 
@@ -239,8 +239,8 @@ def test_scanned_parameters_other_than_the_anchor_are_not_treated_as_a_position(
     effect = catalogue()[name]
     n = len(effect.parameters)
     fit = a_fit(tuple(p.name for p in effect.parameters), np.ones(n), 0.01 * np.eye(n))
-    stage = cast(Any, SimpleNamespace(fit=fit, records=[]))
-    (found,) = attributions_of(one_round(replace(refit(name, 800.0, fit=fit), effect=effect, fitted=stage)))
+    fitted = cast(Any, SimpleNamespace(fit=fit, records=[]))
+    (found,) = attributions_of(one_round(replace(refit(name, 800.0, fit=fit), effect=effect, fitted=fitted)))
     assert found.attribution == "identified"
 
 
@@ -421,8 +421,8 @@ def test_size_of_a_per_record_parameter_is_tested_like_a_common_parameter() -> N
     for values, attribution in (((0.5, -9.0), "identified"), ((0.5, 0.1), "ambiguous")):
         fit = a_fit(("V_dx@0", "V_dx@1"), values, np.eye(2))
         drifting = refit("current-drift", 800.0, fit=fit, parameters=drift)
-        stage = cast(Any, SimpleNamespace(fit=fit, **vars(records)))
-        (found,) = attributions_of(one_round(replace(drifting, fitted=stage)))
+        fitted = cast(Any, SimpleNamespace(fit=fit, **vars(records)))
+        (found,) = attributions_of(one_round(replace(drifting, fitted=fitted)))
         assert found.attribution == attribution
     assert found.reasons == ("the data do not determine its size: V_dx@0 = 0.5 ± 1 m/s^2",)
 
@@ -430,12 +430,12 @@ def test_size_of_a_per_record_parameter_is_tested_like_a_common_parameter() -> N
 def test_attribution_uses_the_estimates_of_the_final_model() -> None:
     """A size that was determined in its own round may be undetermined after a later effect was added."""
 
-    def stage(value: float) -> Any:
+    def fitted(value: float) -> Any:
         return SimpleNamespace(fit=a_fit(("F",), [value], np.eye(1)))
 
-    wind = refit("wind", 800.0, fit=stage(6.0).fit, parameters=(Parameter("F", 0.0, "N"),))
+    wind = refit("wind", 800.0, fit=fitted(6.0).fit, parameters=(Parameter("F", 0.0, "N"),))
     (alone,) = assess_alternatives([one_round(wind)], AttributionEvidence((), N))
-    (beside,) = assess_alternatives([one_round(wind)], AttributionEvidence((), N, after=stage(1.5)))
+    (beside,) = assess_alternatives([one_round(wind)], AttributionEvidence((), N, after=fitted(1.5)))
     assert (alone.attribution, beside.attribution) == ("identified", "ambiguous")
 
 

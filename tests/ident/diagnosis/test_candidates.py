@@ -290,7 +290,7 @@ def test_loss_of_one_thruster_acts_on_surge_and_yaw() -> None:
     assert not column[:, [states.index(name) for name in ("x", "psi", "v", "b_X")]].any()
 
 
-def test_columns_of_a_steady_wind_are_those_of_its_force() -> None:
+def test_columns_of_a_steady_wind_equal_the_columns_of_its_force() -> None:
     """The columns do not contain the drag that a wind of finite speed adds to a moving boat, for boats of any size."""
     path = path_for(base_for())
     states, p = [s.name for s in path.model.states], path.model.values

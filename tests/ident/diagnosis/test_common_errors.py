@@ -86,7 +86,7 @@ def test_a_delay_cannot_be_negative() -> None:
     assert found.names == ("gyro-scale",)
 
 
-def test_white_residuals_select_nothing() -> None:
+def test_white_residuals_select_no_error() -> None:
     selected = 0
     for seed in range(40):
         sizes = {name: [0.0] * len(catalogue()[name].parameters) for name in MEMBERS}

@@ -55,16 +55,16 @@ def test_effects_are_ordered_by_importance_with_nonparametric_effects_mostly_las
 def test_effect_has_no_importance_if_the_model_without_it_cannot_be_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
     """A comparison with the nominal model instead would credit this effect with the gain of all effects."""
 
-    def stage(log_posterior: float, *effects: Refit) -> Any:
+    def fitted(log_posterior: float, *effects: Refit) -> Any:
         model = SimpleNamespace(effects=[c.effect for c in effects])
         return SimpleNamespace(fit=SimpleNamespace(model=model, log_posterior=log_posterior))
 
     def fails(*_: Any) -> Any:
         raise ValueError("x0")
 
-    wind_refit, before = chosen("wind"), stage(0.0)
-    wind_refit = replace(wind_refit, fitted=stage(900.0, wind_refit))
-    lift_refit = replace(chosen("lift"), fitted=stage(930.0, wind_refit, chosen("lift")), prediction=cast(Any, "fell"))
+    wind_refit, before = chosen("wind"), fitted(0.0)
+    wind_refit = replace(wind_refit, fitted=fitted(900.0, wind_refit))
+    lift_refit = replace(chosen("lift"), fitted=fitted(930.0, wind_refit, chosen("lift")), prediction=cast(Any, "fell"))
     monkeypatch.setattr(importance, "_fit_with_effects", fails)
     monkeypatch.setattr(importance, "comparison", lambda *_: SimpleNamespace(error_ratio=1.2))
     rounds = [Round((), (), (c,), c) for c in (wind_refit, lift_refit)]

@@ -94,7 +94,7 @@ def test_prior_of_a_candidate_limits_the_shift() -> None:
     assert np.all(np.abs(held.shifts) < 0.02 * np.abs(free.shifts))
 
 
-def test_nothing_is_added_if_no_candidate_passes() -> None:
+def test_no_variance_is_added_if_no_candidate_passes() -> None:
     assert model_uncertainty(regression()[2], [], {}) is None
     fit = cast(Fit, object())
     assert with_model_uncertainty(fit, None) is fit

@@ -55,7 +55,7 @@ FELL, ROSE = PredictionChange(0.7, 0.6, 0.8, 10.0, {}), PredictionChange(1.3, 1.
 
 def blank(**more: Any) -> Any:
     """Return a stand-in for a fitted model that has only the given fields."""
-    return cast(Any, type("Stage", (), {"fit": None, **more})())
+    return cast(Any, type("FakeFit", (), {"fit": None, **more})())
 
 
 def a_search(*candidates: Effect) -> _Search:
@@ -167,8 +167,8 @@ def test_two_effects_that_hide_each_other_are_added_together(
     monkeypatch.setattr(search, "Comparison", lambda *_: blank(gain=(40.0, pair_t)))
     mine = a_search(trial.effect, wind.effect)
     trial = replace(trial, outcome=Outcome.NOT_VALIDATED)
-    other = replace(refit("lift", 90.0, gain=-1.0), outcome=Outcome.NOT_VALIDATED)
-    found = mine._look_ahead(blank(), Round((), ("bias",), (trial, other), None), 3)
+    rejected = replace(refit("lift", 90.0, gain=-1.0), outcome=Outcome.NOT_VALIDATED)
+    found = mine._look_ahead(blank(), Round((), ("bias",), (trial, rejected), None), 3)
     assert asked == (["bias"] if tried else [])
     assert (found is not None) is kept
     assert ("bias" in mine.candidates) is not kept
@@ -180,7 +180,7 @@ def test_two_effects_that_hide_each_other_are_added_together(
         assert first.chosen in first.refits
         assert last.chosen is wind
     # There has to be room for two effects.
-    assert mine._look_ahead(blank(), Round((), ("bias",), (trial, other), None), 1) is None
+    assert mine._look_ahead(blank(), Round((), ("bias",), (trial, rejected), None), 1) is None
 
 
 def test_candidate_with_a_negative_score_criterion_is_still_refitted(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -245,7 +245,7 @@ def test_round_without_a_significant_score_lists_the_tested_candidates() -> None
 def test_search_that_reached_its_limit_names_the_untried_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
     """The untried candidates were never refitted, so their importance is unknown."""
     mine, score = a_search(Effect("wind", "wind", {})), Score("wind", 900.0, 1, 50.0, {}, {}, threshold=12.0)
-    monkeypatch.setattr(mine, "scored", lambda _stage: ([score], [score]))
+    monkeypatch.setattr(mine, "scored", lambda _fitted: ([score], [score]))
     mine.forward(blank(), 0)
     assert mine.untried == [score]
     chosen = refit("hump", 900.0)

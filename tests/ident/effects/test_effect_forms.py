@@ -10,8 +10,7 @@ from scipy.linalg import solve_continuous_lyapunov
 
 from seatrial.ident.data.record import LogSegment, make_record
 from seatrial.ident.diagnosis.candidates import wave_peak_score
-from seatrial.ident.effects.environment.waves import EFFECT as WAVES
-from seatrial.ident.effects.environment.waves import FORCES, waves_at
+from seatrial.ident.effects.environment.waves import WAVES
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.engine.vectorised_model import VectorisedModel
 from seatrial.ident.estimation.fitted_model import fit_and_evaluate, fit_nominal_model, nominal_model
@@ -177,7 +176,6 @@ def test_waves_have_the_size_of_their_parameters() -> None:
     assert gain * np.sqrt(P[0, 0]) == pytest.approx(3.0, rel=1e-6)
     frequency = np.abs(np.linalg.eigvals(A))[0] / (2 * np.pi)
     assert frequency == pytest.approx(0.4)
-    assert {p.name for p in waves_at(0.7).parameters if p.value > 0} >= {f"A_{f}" for f in FORCES}
 
 
 @pytest.mark.study

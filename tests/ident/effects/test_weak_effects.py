@@ -51,9 +51,9 @@ def scores_of(boat: IndependentBoat, gyro: bool = True) -> tuple[list[Score], li
     wanted = {n: e for n, e in catalogue().items() if full.accepts(e)}
     everything, candidates = with_all_candidates(full, wanted, [run])
     records = [make_record(everything, run, 10.0)]
-    stage = fit_with_rescaling(full, records, ())
-    size = size_of(stage.fit.model)
-    return score_all(stage, records, {n: scale_priors(e, size) for n, e in candidates.items()})
+    fitted = fit_with_rescaling(full, records, ())
+    size = size_of(fitted.fit.model)
+    return score_all(fitted, records, {n: scale_priors(e, size) for n, e in candidates.items()})
 
 
 def estimates(found: Diagnosis, names: Sequence[str]) -> Mapping[str, tuple[float, float]]:

@@ -75,15 +75,15 @@ def test_per_record_parameters_of_an_effect_come_from_the_other_blocks(data: lis
     """They are not adapted to the predicted block. Per-record parameters of the nominal model are adapted to it."""
     for kind, held_out in ((EffectKind.CATALOGUE, True), (EffectKind.DISTURBANCE, False)):
         model = MODEL + replace(drifting(), kind=kind)
-        stage = fit_and_evaluate(model, data, data[1:])
-        blocks = validated_in_blocks(stage).validation
+        fitted = fit_and_evaluate(model, data, data[1:])
+        blocks = validated_in_blocks(fitted).validation
         at = list(model.values).index("extra")
         for view in blocks:
-            likelihood = Likelihood(stage.fit.model)
+            likelihood = Likelihood(fitted.fit.model)
             score = likelihood.scores(view.record, view.values, ["extra"])
             z = float(score.gradient[0] / np.sqrt(score.information[0, 0]))
             if held_out:
-                assert abs(view.values[at] - stage.validation[0].values[at]) < 1.0
+                assert abs(view.values[at] - fitted.validation[0].values[at]) < 1.0
             else:
                 prior = view.values[at] / 25.0 / np.sqrt(score.information[0, 0])
                 assert abs(z - prior) < 0.1  # The value is at the maximum of the posterior.
@@ -104,12 +104,12 @@ def charging() -> Effect:
 def test_block_starts_from_the_states_of_an_effect_in_the_whole_record(data: list[Record]) -> None:
     plain = fit_and_evaluate(MODEL, data, [])
     blocks = cut_into_blocks(data, plain.estimation, MODEL.block)
-    stage = fit_and_evaluate(MODEL + charging(), data, blocks)
+    fitted = fit_and_evaluate(MODEL + charging(), data, blocks)
     assert all("z" not in r.start for r in blocks.records)
-    for view, of in zip(stage.validation, blocks.record_indices, strict=True):
+    for view, of in zip(fitted.validation, blocks.record_indices, strict=True):
         states = [s.name for s in view.model.states]
         mean, sd = view.record.start["z"]
-        assert mean == pytest.approx(stage.estimation[of].run.x_filt[:, states.index("z")].mean())
+        assert mean == pytest.approx(fitted.estimation[of].run.x_filt[:, states.index("z")].mean())
         assert view.run.x_pred[0, states.index("z")] == pytest.approx(mean)
         assert 0.5 < mean < 1.0
         assert sd > 0.1
@@ -119,7 +119,7 @@ def test_block_starts_from_the_states_of_an_effect_in_the_whole_record(data: lis
 def test_failed_validation_run_is_listed_and_the_others_are_kept(data: list[Record]) -> None:
     wild = replace(data[1], name="wild", u=np.full_like(data[1].u, 1e200), u_next=np.full_like(data[1].u, 1e200))
     for model in (MODEL, MODEL + replace(drifting(), kind=EffectKind.DISTURBANCE)):
-        stage = fit_and_evaluate(model, data[:1], [data[1], wild])
-        assert [v.record.name for v in stage.validation] == ["run1"]
-        assert [f.record for f in stage.failed] == ["wild"]
-        assert "likelihood" in stage.failed[0].reason
+        fitted = fit_and_evaluate(model, data[:1], [data[1], wild])
+        assert [v.record.name for v in fitted.validation] == ["run1"]
+        assert [f.record for f in fitted.failed] == ["wild"]
+        assert "likelihood" in fitted.failed[0].reason

@@ -19,7 +19,7 @@ from tests.missions import boat_with, channels_of
 SECONDS = 100.0
 
 
-def fitted(kind: str) -> FittedModel:
+def fit_to_mission(kind: str) -> FittedModel:
     """Return the fit to a mission: ``mixed``, ``constant`` and equal commands, or at ``rest``."""
     t, commands = make_mission("mixed", SECONDS, 103).setpoints()
     commands = {"mixed": 1.0, "constant": 0.0, "rest": 0.0}[kind] * np.asarray(commands)
@@ -38,21 +38,21 @@ def fitted(kind: str) -> FittedModel:
     ],
 )
 def test_masses_without_excitation_are_named_with_the_reason(kind: str, least: set[str], reason: str) -> None:
-    stage = fitted(kind)
-    found = unexcited_motion(stage.fit, stage.records)
+    fitted = fit_to_mission(kind)
+    found = unexcited_motion(fitted.fit, fitted.records)
     assert found is not None
     assert set(found.parameters) >= least
     assert found.reason == reason
-    (text,) = [w.text for w in estimation_warnings(stage.fit, stage.records) if w.code == "motion-not-excited"]
+    (text,) = [w.text for w in estimation_warnings(fitted.fit, fitted.records) if w.code == "motion-not-excited"]
     assert text.startswith(f"The data do not determine {', '.join(found.parameters)}: {reason}. ")
     assert "mission generate --kind mixed" in text
     # No effect is identified on such data.
     assert f"the data do not determine {', '.join(found.parameters)}: {reason}" in _reservations(
-        stage, stage, DEFAULT_POLICY
+        fitted, fitted, DEFAULT_POLICY
     )
 
 
 def test_a_mixed_mission_excites_all_motion() -> None:
-    stage = fitted("mixed")
-    assert unexcited_motion(stage.fit, stage.records) is None
-    assert "motion-not-excited" not in {w.code for w in estimation_warnings(stage.fit, stage.records)}
+    fitted = fit_to_mission("mixed")
+    assert unexcited_motion(fitted.fit, fitted.records) is None
+    assert "motion-not-excited" not in {w.code for w in estimation_warnings(fitted.fit, fitted.records)}

@@ -42,12 +42,12 @@ def with_free_noise(*names: str) -> Model:
 )
 def test_sensor_that_only_a_validation_run_has_is_not_used(model: Model, estimation: list[str], used: bool) -> None:
     """With its built-in noise, the sensor could reject any model, or hide that a model is wrong."""
-    stage = fit_nominal_model(model, [run(1, *estimation)], [run(2, "speed", "place")])
-    (view,) = stage.validation
+    fitted = fit_nominal_model(model, [run(1, *estimation)], [run(2, "speed", "place")])
+    (view,) = fitted.validation
     place = view.record.outputs.index("place")
     assert np.isfinite(view.record.y[:, place]).any() == used
     assert np.isfinite(view.record.y[:, 1 - place]).any()
-    assert stage.fit.converged
+    assert fitted.fit.converged
 
 
 @pytest.mark.parametrize(
@@ -77,8 +77,8 @@ def test_failed_refit_for_another_vessel_size_restarts_at_the_first_fit(
         return fit_and_evaluate(model, *arguments[:-1], SearchSettings(max_iterations=1))
 
     monkeypatch.setattr(fitted_model, "fit_and_evaluate", once_lost)
-    stage = fit_nominal_model(horizontal_model("force"), [LogSegment("light", found)], [])
-    assert stage.fit.converged
+    fitted = fit_nominal_model(horizontal_model("force"), [LogSegment("light", found)], [])
+    assert fitted.fit.converged
     assert len(asked) == 3
-    assert asked[2] == pytest.approx(stage.fit.model.values["m_u"], rel=0.02)
-    assert stage.fit.model.values["m_u"] == pytest.approx(0.05 * boat_with(None, 1).truth()["m_u"], rel=0.1)
+    assert asked[2] == pytest.approx(fitted.fit.model.values["m_u"], rel=0.02)
+    assert fitted.fit.model.values["m_u"] == pytest.approx(0.05 * boat_with(None, 1).truth()["m_u"], rel=0.1)

@@ -33,7 +33,7 @@ def test_error_of_a_dead_zone_between_two_levels_reaches_both_levels(dead_zone: 
 
 
 def trough(z: np.ndarray) -> float:
-    """A likelihood that is flat for 0.2 < z[0] < 0.7, and everywhere in z[1]."""
+    """Return a likelihood that is flat for 0.2 < z[0] < 0.7, and everywhere in z[1]."""
     return -1e4 * max(0.2 - z[0], z[0] - 0.7, 0.0)
 
 
@@ -70,8 +70,9 @@ def test_distant_fall_is_found_but_a_value_that_is_not_finite_is_not() -> None:
 
 
 def kinked(z: np.ndarray) -> fisher_scoring.Evaluation:
-    """A narrow curved valley. The third coordinate acts only below 1; above 1 the likelihood is flat, and far off it
-    drops.
+    """Return the value of a narrow curved valley.
+
+    The third coordinate acts only below 1; above 1 the likelihood is flat, and far off it drops.
     """
     J = np.array([[-20.0 * z[0], 10.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 3.0 * float(z[2] < 1.0)]])
     r = np.array([10.0 * (z[1] - z[0] ** 2), 1.0 - z[0], 3.0 * min(z[2] - 1.0, 0.0)])
@@ -88,7 +89,7 @@ def test_search_continues_after_a_coordinate_loses_its_information() -> None:
 
 
 def ridge(z: np.ndarray) -> fisher_scoring.Evaluation:
-    """A ridge with less curvature than the expected information and with a small kink at its top."""
+    """Return the value of a ridge of less curvature than the expected information, with a small kink at its top."""
     sign = np.where(z >= 0.0, 1.0, -1.0)
     value = float(np.sum(-0.05 * np.abs(z) - 0.03 * z**2))
     return fisher_scoring.Evaluation(value, -0.05 * sign - 0.06 * z, np.eye(z.size), np.zeros(z.size))
@@ -106,8 +107,9 @@ def test_predicted_gain_of_a_failed_bfgs_step_is_ignored(start: float) -> None:
 
 
 def running_away(z: np.ndarray) -> fisher_scoring.Evaluation:
-    """A bowl about 1. Beyond 3, the simulation would diverge: the value rises above the slope, and the sensitivities
-    are meaningless.
+    """Return the value of a bowl about 1.
+
+    Beyond 3, the simulation would diverge: the value rises above the slope, and the sensitivities are meaningless.
     """
     if z[0] > 3.0:
         return fisher_scoring.Evaluation(-20.0, np.array([1e24]), np.array([[1e48]]), np.zeros(1))

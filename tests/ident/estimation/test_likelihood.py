@@ -249,7 +249,7 @@ def with_rows_between(record: Record) -> Record:
     return replace(record, t=t, y=y, u=u, u_next=np.vstack([u[1:], u[-1:]]))
 
 
-def test_row_without_samples_changes_nothing_for_a_linear_model() -> None:
+def test_row_without_samples_does_not_change_the_likelihood_of_a_linear_model() -> None:
     """Every step integrates the linear system exactly. The test adds rows twice; some rows have one sample of two."""
     model, record = linear(), linear_record()
     v, likelihood = values_of(model), Likelihood(model)

@@ -309,7 +309,7 @@ def test_only_the_record_of_a_moved_per_record_parameter_is_evaluated_again(monk
 
 
 def quadratic(z: np.ndarray) -> fisher_scoring.Evaluation:
-    """A concave bowl with its top at (1, -2). Values beyond 3 are NaN."""
+    """Return the value of a concave bowl with its top at (1, -2). Values beyond 3 are NaN."""
     H = np.array([[2.0, 0.6], [0.6, 1.0]])
     d = z - np.array([1.0, -2.0])
     value = float("nan") if z[0] > 3 else -0.5 * d @ H @ d
@@ -326,7 +326,10 @@ def test_scoring_stays_inside_bounds_and_avoids_nan() -> None:
 
 
 def shallow(z: np.ndarray) -> fisher_scoring.Evaluation:
-    """The maximum is at 10 in z[0]. The data hardly inform the logarithm z[1], so its step would be -100000."""
+    """Return the value of a function with its maximum at 10 in z[0].
+
+    The data hardly inform the logarithm z[1], so its step would be -100000.
+    """
     H = np.diag([4.0, 1e-9])
     value = -2.0 * (z[0] - 10.0) ** 2 - 1e-4 * z[1]
     return fisher_scoring.Evaluation(float(value), np.array([-4.0 * (z[0] - 10.0), -1e-4]), H, np.zeros(2))

@@ -252,7 +252,7 @@ def value_beyond_bounds(document: tomlkit.TOMLDocument) -> None:
 
 
 @pytest.mark.parametrize(
-    ("damage", "says"),
+    ("damage", "message"),
     [
         (change(format="seatrial-rig 1"), "format is 'seatrial-rig 1', not 'seatrial-model 1'"),
         (change(source=None), "fit it again: it has no entry 'source'"),
@@ -275,14 +275,14 @@ def value_beyond_bounds(document: tomlkit.TOMLDocument) -> None:
         (prior(-30.0, 2.0), "m_u: its prior [-30, 2] needs"),
     ],
 )
-def test_damaged_file_gives_a_one_line_error(tmp_path: Path, found: Fit, damage: object, says: str) -> None:
+def test_damaged_file_gives_a_one_line_error(tmp_path: Path, found: Fit, damage: object, message: str) -> None:
     path = saved(tmp_path / "model.toml", found)
     document = tomlkit.parse(path.read_text(encoding="utf-8"))
     damage(document)  # type: ignore[operator]
     path.write_text(tomlkit.dumps(document), encoding="utf-8")
     with pytest.raises(SeatrialError) as problem:
         load_model(path)
-    assert says in str(problem.value)
+    assert message in str(problem.value)
     assert "\n" not in str(problem.value)
 
 

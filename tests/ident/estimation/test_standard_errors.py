@@ -58,7 +58,7 @@ def test_error_widens_less_the_stronger_the_bound_is_active() -> None:
     assert assessed(0.95, (3.0, -30.0))[1].flags == (("b", "at its bound"),)
 
 
-def test_uncorrelated_bound_or_interior_neighbour_changes_nothing() -> None:
+def test_uncorrelated_bound_or_interior_neighbour_does_not_change_the_error() -> None:
     assert assessed(0.3, (3.0, 0.0))[1].flags == (("b", "at its bound"),)
     _, found = assessed(0.95, (3.0, 0.5))
     assert found.errors == pytest.approx([1.0, 1.0])

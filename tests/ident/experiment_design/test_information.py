@@ -106,7 +106,7 @@ def test_lanes_are_independent_and_a_shared_input_equals_copies() -> None:
         batch(u, values[:5])
 
 
-def test_extremes_equal_those_of_the_simulation() -> None:
+def test_extremes_equal_the_extremes_of_the_simulation() -> None:
     model = horizontal_model(current=False)
     t, u = boat_inputs(15.0)
     found = Experiments(model, HULL, t)

@@ -118,14 +118,14 @@ def run_fmu(folder: Path, name: str, values: np.ndarray, dt: float) -> tuple[np.
     states, outputs = ([v.name for v in rows if v.role == role] for role in ("state", "output"))
     found: list[list[float]] = []
     measured: list[list[float]] = []
-    with instance(folder, name) as one:
-        one.start(**named(FMUS[name], initial(FMUS[name]), values[0]))
+    with instance(folder, name) as vessel:
+        vessel.start(**named(FMUS[name], initial(FMUS[name]), values[0]))
         for k, now in enumerate(values):
-            one.set(**dict(zip(content.physical_inputs, map(float, now), strict=True)))
+            vessel.set(**dict(zip(content.physical_inputs, map(float, now), strict=True)))
             if k:
-                measured.append(one.get(*outputs))
-            one.step(k * dt, dt)
-            found.append(one.get(*states))
+                measured.append(vessel.get(*outputs))
+            vessel.step(k * dt, dt)
+            found.append(vessel.get(*states))
     return np.array(found), np.array(measured)
 
 
@@ -192,52 +192,52 @@ def test_steps_of_any_duration_are_accepted(folder: Path) -> None:
     wanted, _ = simulate_python(text, initial(COMMAND), short[0], short, 0.0003)
     np.testing.assert_allclose(states, wanted, rtol=1e-4, atol=1e-4)
     durations = np.random.default_rng(5).choice([1e-7, 2e-4, 0.01, 0.3, 1.7], 200)
-    with instance(folder, "command") as one, instance(folder, "command", "two") as two:
+    with instance(folder, "command") as vessel, instance(folder, "command", "two") as twin:
         t = 0.0
-        for some in (one, two):
+        for some in (vessel, twin):
             some.start(before__n_cmd_left=0.4, before__n_cmd_right=0.4)
             some.set(n_cmd_left=0.4, n_cmd_right=0.4)
         for dt in durations:
-            one.step(t, dt)
+            vessel.step(t, dt)
             t += dt
-        two.step(0.0, t)
+        twin.step(0.0, t)
         # The commands are constant, so that the duration of the steps has no influence but that on the integration.
-        np.testing.assert_allclose(one.get("u", "n_left"), two.get("u", "n_left"), rtol=1e-6)
-        one.step(t, 5000.0)
-        assert np.isfinite(one.get("u")).all()
+        np.testing.assert_allclose(vessel.get("u", "n_left"), twin.get("u", "n_left"), rtol=1e-6)
+        vessel.step(t, 5000.0)
+        assert np.isfinite(vessel.get("u")).all()
 
 
 def test_two_instances_share_no_state(folder: Path) -> None:
-    with instance(folder, "command") as one, instance(folder, "command", "two") as two:
-        one.start()
-        two.start(p__m_u=80.0)
+    with instance(folder, "command") as vessel, instance(folder, "command", "two") as twin:
+        vessel.start()
+        twin.start(p__m_u=80.0)
         for k in range(40):
-            one.set(n_cmd_left=0.6, n_cmd_right=0.6)
-            two.set(n_cmd_left=-0.2, n_cmd_right=0.2)
-            one.step(0.05 * k, 0.05)
-            two.step(0.05 * k, 0.05)
-        together = one.get("u", "r"), two.get("u", "r")
-        assert one.get("p.m_u") != two.get("p.m_u")
+            vessel.set(n_cmd_left=0.6, n_cmd_right=0.6)
+            twin.set(n_cmd_left=-0.2, n_cmd_right=0.2)
+            vessel.step(0.05 * k, 0.05)
+            twin.step(0.05 * k, 0.05)
+        together = vessel.get("u", "r"), twin.get("u", "r")
+        assert vessel.get("p.m_u") != twin.get("p.m_u")
     alone = []
     for parameters, left, right in (({}, 0.6, 0.6), ({"p__m_u": 80.0}, -0.2, 0.2)):
-        with instance(folder, "command") as one:
-            one.start(**parameters)
-            one.set(n_cmd_left=left, n_cmd_right=right)
+        with instance(folder, "command") as vessel:
+            vessel.start(**parameters)
+            vessel.set(n_cmd_left=left, n_cmd_right=right)
             for k in range(40):
-                one.step(0.05 * k, 0.05)
-            alone.append(one.get("u", "r"))
+                vessel.step(0.05 * k, 0.05)
+            alone.append(vessel.get("u", "r"))
     assert list(together) == alone
 
 
 def test_saved_state_continues_the_same_motion(folder: Path) -> None:
-    with instance(folder, "command") as one, instance(folder, "command", "two") as two:
-        one.start()
-        two.start()
-        one.set(n_cmd_left=0.7, n_cmd_right=0.1)
+    with instance(folder, "command") as vessel, instance(folder, "command", "two") as twin:
+        vessel.start()
+        twin.start()
+        vessel.set(n_cmd_left=0.7, n_cmd_right=0.1)
         for k in range(10):
-            one.step(0.05 * k, 0.05)
-        kept = one.fmu.getFMUState()
-        as_bytes = one.fmu.serializeFMUState(kept)
+            vessel.step(0.05 * k, 0.05)
+        kept = vessel.fmu.getFMUState()
+        as_bytes = vessel.fmu.serializeFMUState(kept)
 
         def onwards(some: Instance) -> list[float]:
             for k in range(10, 30):
@@ -245,77 +245,79 @@ def test_saved_state_continues_the_same_motion(folder: Path) -> None:
                 some.step(0.05 * k, 0.05)
             return some.get("x", "u", "r", "n_left")
 
-        first = onwards(one)
-        one.fmu.setFMUState(kept)
-        assert one.get("n_cmd_left") == [0.7]
-        assert onwards(one) == first
-        restored = two.fmu.deSerializeFMUstate(as_bytes)
-        two.fmu.setFMUState(restored)
-        assert onwards(two) == first
-        for some, state in ((one, kept), (two, restored)):
+        first = onwards(vessel)
+        vessel.fmu.setFMUState(kept)
+        assert vessel.get("n_cmd_left") == [0.7]
+        assert onwards(vessel) == first
+        restored = twin.fmu.deSerializeFMUstate(as_bytes)
+        twin.fmu.setFMUState(restored)
+        assert onwards(twin) == first
+        for some, state in ((vessel, kept), (twin, restored)):
             some.fmu.freeFMUState(state)
         with pytest.raises(FMICallException):
-            two.fmu.deSerializeFMUstate(as_bytes[:-8])
-        assert "the bytes are not a state of this model" in two.messages[-1]
+            twin.fmu.deSerializeFMUstate(as_bytes[:-8])
+        assert "the bytes are not a state of this model" in twin.messages[-1]
 
 
 def test_reset_returns_to_the_defaults(folder: Path) -> None:
-    with instance(folder, "command") as one:
+    with instance(folder, "command") as vessel:
         motions = []
         for _ in range(2):
-            one.start()
-            one.set(n_cmd_left=0.7, n_cmd_right=0.1)
+            vessel.start()
+            vessel.set(n_cmd_left=0.7, n_cmd_right=0.1)
             for k in range(20):
-                one.step(0.05 * k, 0.05)
-            motions.append(one.get("x", "u", "r"))
-            one.set(p__m_u=99.0)
-            one.fmu.reset()
-            assert one.get("p.m_u", "x", "n_cmd_left") == [COMMAND.values["m_u"], 0.0, 0.0]
+                vessel.step(0.05 * k, 0.05)
+            motions.append(vessel.get("x", "u", "r"))
+            vessel.set(p__m_u=99.0)
+            vessel.fmu.reset()
+            assert vessel.get("p.m_u", "x", "n_cmd_left") == [COMMAND.values["m_u"], 0.0, 0.0]
         assert motions[0] == motions[1]
 
 
-def run(one: Instance, first: int, last: int) -> None:
+def run(vessel: Instance, first: int, last: int) -> None:
     for k in range(first, last):
-        one.step(0.1 * k, 0.1)
+        vessel.step(0.1 * k, 0.1)
 
 
-def test_errors_are_reported_and_change_nothing(folder: Path) -> None:
-    def refused(one: Instance, words: str, call: Any, *arguments: Any, **values: Any) -> None:
-        before = one.fmu.getReal(list(range(len(one.references))))
+def test_errors_are_reported_and_do_not_change_the_state(folder: Path) -> None:
+    def refused(vessel: Instance, words: str, call: Any, *arguments: Any, **values: Any) -> None:
+        before = vessel.fmu.getReal(list(range(len(vessel.references))))
         with pytest.raises(FMICallException):
             call(*arguments, **values)
-        assert words in one.messages[-1], one.messages
-        assert one.fmu.getReal(list(range(len(one.references)))) == before
+        assert words in vessel.messages[-1], vessel.messages
+        assert vessel.fmu.getReal(list(range(len(vessel.references)))) == before
 
-    with instance(folder, "command") as one:
-        refused(one, "is not initialised", one.step, 0.0, 0.1)
-        refused(one, "call fmi2EnterInitializationMode before", one.fmu.exitInitializationMode)
-        one.start()
-        refused(one, "fmi2SetReal: n_cmd_left is set to no finite number", one.set, n_cmd_right=0.1, n_cmd_left=np.nan)
-        refused(one, "fmi2SetReal: u is a result", one.set, u=1.0)
-        refused(one, "start.u can be set only before the start", one.set, start__u=1.0)
-        refused(one, "p.tau_n is set to a value outside its bounds", one.set, p__tau_n=0.9)
-        refused(one, "p.m_u is set to a value outside its bounds", one.set, p__m_u=0.0)
-        refused(one, "communicationStepSize is not a positive number", one.step, 0.0, 0.0)
-        refused(one, "communicationStepSize is not a positive number", one.step, 0.0, np.nan)
-        refused(one, "currentCommunicationPoint is not the end of the last step", one.step, 0.3, 0.1)
-        refused(one, "there is no variable with this reference", one.fmu.getReal, [100000])
-        refused(one, "only real variables", one.fmu.getInteger, [0])
-        refused(one, "call it once", one.fmu.setupExperiment)
-        one.step(0.0, 0.1)
-        one.set(n_cmd_left=1e200)
+    with instance(folder, "command") as vessel:
+        refused(vessel, "is not initialised", vessel.step, 0.0, 0.1)
+        refused(vessel, "call fmi2EnterInitializationMode before", vessel.fmu.exitInitializationMode)
+        vessel.start()
+        refused(
+            vessel, "fmi2SetReal: n_cmd_left is set to no finite number", vessel.set, n_cmd_right=0.1, n_cmd_left=np.nan
+        )
+        refused(vessel, "fmi2SetReal: u is a result", vessel.set, u=1.0)
+        refused(vessel, "start.u can be set only before the start", vessel.set, start__u=1.0)
+        refused(vessel, "p.tau_n is set to a value outside its bounds", vessel.set, p__tau_n=0.9)
+        refused(vessel, "p.m_u is set to a value outside its bounds", vessel.set, p__m_u=0.0)
+        refused(vessel, "communicationStepSize is not a positive number", vessel.step, 0.0, 0.0)
+        refused(vessel, "communicationStepSize is not a positive number", vessel.step, 0.0, np.nan)
+        refused(vessel, "currentCommunicationPoint is not the end of the last step", vessel.step, 0.3, 0.1)
+        refused(vessel, "there is no variable with this reference", vessel.fmu.getReal, [100000])
+        refused(vessel, "only real variables", vessel.fmu.getInteger, [0])
+        refused(vessel, "call it once", vessel.fmu.setupExperiment)
+        vessel.step(0.0, 0.1)
+        vessel.set(n_cmd_left=1e200)
         with pytest.raises(FMICallException):
-            run(one, 1, 40)
-        assert "is no longer finite" in one.messages[-1]
+            run(vessel, 1, 40)
+        assert "is no longer finite" in vessel.messages[-1]
         with pytest.raises(FMICallException):
-            one.step(0.2, 0.1)
-        assert "an earlier step failed; reset the model" in one.messages[-1]
-        one.fmu.reset()
-        one.start()
-        one.step(0.0, 0.1)
-        one.fmu.terminate()
+            vessel.step(0.2, 0.1)
+        assert "an earlier step failed; reset the model" in vessel.messages[-1]
+        vessel.fmu.reset()
+        vessel.start()
+        vessel.step(0.0, 0.1)
+        vessel.fmu.terminate()
         with pytest.raises(FMICallException):
-            one.step(0.1, 0.1)
+            vessel.step(0.1, 0.1)
 
 
 def test_binary_of_another_model_is_refused(folder: Path, tmp_path: Path) -> None:

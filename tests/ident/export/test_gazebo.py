@@ -88,7 +88,7 @@ STATES = [(0.9, 0.2, -0.4, 0.5, 0.3), (-0.3, -0.1, 0.6, -0.7, 0.2), (0.0, 0.0, 0
 
 @pytest.mark.parametrize("state", STATES)
 def test_gazebo_blocks_give_the_accelerations_of_the_model(state: tuple[float, ...]) -> None:
-    """Equations of gz-sim: (M + A) a + C(v) v = wrench - D(v) v, with D = -xU - xUabsU |u| of the plugin."""
+    """The equations of gz-sim are (M + A) a + C(v) v = wrench - D(v) v, with D = -xU - xUabsU |u| of the plugin."""
     model = blocks_of("gazebo")
     inertial = numbers(model.find("link/inertial"))
     assert (inertial["mass"], inertial["izz"]) == (MASS, INERTIA)

@@ -30,7 +30,7 @@ from seatrial.ident.models.nomoto import nomoto_model
 from seatrial.ident.models.thruster import delayed_channels, thruster_model
 from tests.ident.exported import build_c_simulation, saved, simulate_casadi, simulate_python
 
-STEP = 0.0125  # s between the copies of the command in a bench model
+COPY_STEP_S = 0.0125  # s between the copies of the command in a bench model
 CURVE = {"c1": 40.0, "c2": 1.5}
 
 
@@ -62,7 +62,7 @@ def commands(n: int) -> np.ndarray:
 def bench_record(model: Model, command: np.ndarray, dt: float, rate: float) -> Record:
     """Return the record of a bench log whose command has a sample every dt."""
     t = dt * np.arange(len(command) + 1)
-    channels = delayed_channels(Channel(t, np.append(command, command[-1])), STEP)
+    channels = delayed_channels(Channel(t, np.append(command, command[-1])), COPY_STEP_S)
     rows = np.arange(0.0, t[-1], 1.0 / rate)
     for output in model.outputs:
         channels[output.name] = Channel(rows, np.zeros(rows.size))
@@ -77,13 +77,13 @@ def cascade(values: np.ndarray, dt: float) -> np.ndarray:
     """
     hull, sides = VectorisedModel(boat()), ("left", "right")
     shafts = [VectorisedModel(m) for m in BENCHES.values()]
-    records = [bench_record(m, values[:, k], dt, 1.0 / STEP) for k, m in enumerate(BENCHES.values())]
+    records = [bench_record(m, values[:, k], dt, 1.0 / COPY_STEP_S) for k, m in enumerate(BENCHES.values())]
     p_boat = np.array(list(boat().values.values()))
     p_bench = [np.array(list(m.values.values())) for m in BENCHES.values()]
-    parts, x, found = round(dt / STEP), np.zeros(8), []
+    parts, x, found = round(dt / COPY_STEP_S), np.zeros(8), []
     for k in range(len(values)):
         for part in range(parts):
-            t = dt * k + STEP * part + 1e-6
+            t = dt * k + COPY_STEP_S * part + 1e-6
             u = [r.u[np.searchsorted(r.t, t, side="right") - 1] for r in records]
 
             def rates(z: np.ndarray, u: list[np.ndarray] = u) -> np.ndarray:
@@ -94,9 +94,9 @@ def cascade(values: np.ndarray, dt: float) -> np.ndarray:
                 return np.concatenate([motion, turning])
 
             k1 = rates(x)
-            k2 = rates(x + STEP / 2 * k1)
-            k3 = rates(x + STEP / 2 * k2)
-            x = x + STEP / 6 * (k1 + 2 * k2 + 2 * k3 + rates(x + STEP * k3))
+            k2 = rates(x + COPY_STEP_S / 2 * k1)
+            k3 = rates(x + COPY_STEP_S / 2 * k2)
+            x = x + COPY_STEP_S / 6 * (k1 + 2 * k2 + 2 * k3 + rates(x + COPY_STEP_S * k3))
         found.append(x)
     return np.array(found)
 
@@ -153,8 +153,8 @@ def test_joined_model_is_the_same_in_all_languages(tmp_path: Path) -> None:
 
 
 def test_header_names_the_bench_model_of_each_thruster() -> None:
-    other = replace(saved(RIGHT), provenance={"logs": ["right.mcap sha256:99"]})
-    text = export(saved(boat()), "c", thrusters={"left": saved(LEFT), "right": other})
+    unknown_log = replace(saved(RIGHT), provenance={"logs": ["right.mcap sha256:99"]})
+    text = export(saved(boat()), "c", thrusters={"left": saved(LEFT), "right": unknown_log})
     assert "n_cmd_left drives n_left: shaft dynamics and thrust curve fitted to a.mcap sha256:12" in text
     assert "n_cmd_right drives n_right: shaft dynamics and thrust curve fitted to right.mcap sha256:99" in text
     content = join(collect_content(saved(boat())), {"": saved(LEFT)})
@@ -173,7 +173,7 @@ def thrust_of(content: Any, n: float) -> float:
     return float(row[0, [s.name for s in model.states].index("u")]) * model.values["m_u"]
 
 
-def test_effects_of_the_thruster_are_kept_and_those_of_the_tank_are_not() -> None:
+def test_effects_of_the_thruster_are_kept_and_effects_of_the_tank_are_removed() -> None:
     effects = catalogue()
     bench = (LEFT + effects["thrust-exponent"] + effects["recirculation"] + effects["cell-lag"]).with_values(
         {"p_n": 0.4}
@@ -317,12 +317,12 @@ def files(folder: Path) -> tuple[Path, Path]:
 def test_export_command_joins_one_file_or_one_for_each_thruster(tmp_path: Path) -> None:
     hull, bench = files(tmp_path)
     words = ["export", str(hull), "--to", "python"]
-    one = CliRunner().invoke(ident, [*words, "--thruster", str(bench)], catch_exceptions=False)
+    shared = CliRunner().invoke(ident, [*words, "--thruster", str(bench)], catch_exceptions=False)
     two = [*words, "--thruster", f"left={bench.parent}", "--thruster", f"right={bench}"]
-    assert one.stdout == CliRunner().invoke(ident, two, catch_exceptions=False).stdout
-    assert 'PHYSICAL_INPUTS = ("n_cmd_left", "n_cmd_right")' in one.stdout
+    assert shared.stdout == CliRunner().invoke(ident, two, catch_exceptions=False).stdout
+    assert 'PHYSICAL_INPUTS = ("n_cmd_left", "n_cmd_right")' in shared.stdout
     spaced = [*words, "--thruster", f" left = {bench.parent}", "--thruster", f"right= {bench}"]
-    assert one.stdout == CliRunner().invoke(ident, spaced, catch_exceptions=False).stdout
+    assert shared.stdout == CliRunner().invoke(ident, spaced, catch_exceptions=False).stdout
     blank = CliRunner().invoke(ident, [*words, "--thruster", f" ={bench}"])
     assert "has no name of a thruster; write NAME=FILE, or FILE for all" in " ".join(blank.output.split())
     twice = CliRunner().invoke(ident, [*words, "--thruster", str(bench), "--thruster", str(bench)])

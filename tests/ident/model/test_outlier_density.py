@@ -65,7 +65,7 @@ def test_score_and_its_slope_are_derivatives() -> None:
 
 
 def test_efficiency_on_normal_noise_is_high() -> None:
-    """Asymptotic efficiency of an M-estimator, A^2 / (B I), of the mean and of the scale."""
+    """The reference is the asymptotic efficiency A^2 / (B I) of an M-estimator of the mean and of the scale."""
     slope, square = (
         mean_of(outlier_density.score_slope, normal),
         mean_of(lambda z: outlier_density.score(z) ** 2, normal),
@@ -182,7 +182,7 @@ def test_outliers_are_ignored_and_counted() -> None:
         assert found.converged
         z = [(found.estimate(n)[0] - truth[n]) / found.estimate(n)[1] for n in FREE]
         assert np.abs(z).max() < 4, dict(zip(FREE, z, strict=True))
-        inside += [abs(one) < 3 for one in z]
+        inside += [abs(score) < 3 for score in z]
         plain = fit(model, [record])
         broken += abs(plain.estimate("e_psi")[0] - truth["e_psi"]) > 3 * plain.estimate("e_psi")[1]
         run = Likelihood(found.model).filter(record, found.record_values[0])
@@ -275,11 +275,11 @@ def test_good_samples_at_the_start_are_kept() -> None:
     rng, t = np.random.default_rng(3), 0.1 * np.arange(200)
     noise = rng.standard_normal((300, 200))
     for moved in (0.0 * t, 50.0 * t, 20.0 * t**2, 20.0 * np.sin(2.0 * t), np.cumsum(noise[0])):
-        assert not any(_first_inlier(t, moved + one, False) for one in noise)
-    assert not any(_first_inlier(t, 3.0 * np.sin(3.0 * t + k) + 0.05 * one, False) for k, one in enumerate(noise))
-    assert not any(_first_inlier(t, np.round(0.3 * one), False) for one in noise)
+        assert not any(_first_inlier(t, moved + sample, False) for sample in noise)
+    assert not any(_first_inlier(t, 3.0 * np.sin(3.0 * t + k) + 0.05 * sample, False) for k, sample in enumerate(noise))
+    assert not any(_first_inlier(t, np.round(0.3 * sample), False) for sample in noise)
     angle = 3.1 + 2.0 * t + np.pi
-    assert not any(_first_inlier(t, np.mod(angle + 0.02 * one, 2 * np.pi) - np.pi, True) for one in noise)
+    assert not any(_first_inlier(t, np.mod(angle + 0.02 * sample, 2 * np.pi) - np.pi, True) for sample in noise)
     assert _first_inlier(t[:2], np.array([0.0, 9.0]), False) == 0
     assert _first_inlier(t, np.append(9.0, np.round(0.3 * noise[0][1:])), False) == 1
 
@@ -306,11 +306,11 @@ def test_gnss_with_one_percent_of_gross_outliers() -> None:
         spoilt[name] = Channel(clean[name].t, value)
     model = horizontal_model("shaft")
     plain = fit_nominal_model(model, [LogSegment("run", clean)], [])
-    stage = fit_nominal_model(model, [LogSegment("run", spoilt)], [], ROBUST)
+    fitted = fit_nominal_model(model, [LogSegment("run", spoilt)], [], ROBUST)
     known = np.isfinite(plain.fit.errors)
-    moved = (stage.fit.values - plain.fit.values)[known] / plain.fit.errors[known]
+    moved = (fitted.fit.values - plain.fit.values)[known] / plain.fit.errors[known]
     assert np.abs(moved).max() < 1.0
-    notes = dict(line.split(": ", 1) for line in stage.outlier_notes)
+    notes = dict(line.split(": ", 1) for line in fitted.outlier_notes)
     for name in ("x", "y"):
         counted = int(notes[name].split()[0])
         assert hit.size - 2 <= counted <= hit.size + 1  # The first outlier is before the start of the record.

@@ -157,7 +157,7 @@ def test_yaw_is_identified(measured: str) -> None:
         assert abs(value - model.values[name]) < 4 * error, name
 
 
-def test_nominal_values_are_those_of_the_thesis() -> None:
+def test_nominal_values_equal_the_values_of_the_thesis() -> None:
     table = {"m_u": 37.0, "d_u": 0.2, "d_uu": 25.0, "m_r": 9.69, "d_r": 4.14, "d_rr": 6.23, "a": A, "c1": C1, "c2": C2}
     known = surge_model().values | yaw_model().values | thruster_model().values
     for name, value in table.items():

@@ -1,4 +1,4 @@
-"""Tests that every number of a fit states its origin, and that nothing is held which nobody gave.
+"""Tests that every number of a fit states its origin, and that no number is held without a source.
 
 A parameter of a built-in model or effect is built-in until data, a rig file or the user give it. The held ones, which
 the data do not change, are listed here one by one: the thrust and the arms (masses are then reported as ratios to
@@ -42,7 +42,7 @@ def origins(parameters: tuple[Parameter, ...]) -> set[ParameterOrigin]:
 
 
 @pytest.mark.parametrize("source", HELD)
-def test_number_of_a_model_is_built_in_and_those_held_are_listed(source: str) -> None:
+def test_numbers_of_a_model_are_built_in_and_held_numbers_are_listed(source: str) -> None:
     model = make_model(source, tuple(SENSORS))
     if source not in ("surge", "yaw"):
         model = with_disturbances(model)
@@ -51,7 +51,7 @@ def test_number_of_a_model_is_built_in_and_those_held_are_listed(source: str) ->
 
 
 @pytest.mark.parametrize("name", catalogue())
-def test_number_of_an_effect_is_built_in_and_none_is_held(name: str) -> None:
+def test_numbers_of_an_effect_are_built_in_and_not_held(name: str) -> None:
     effect = catalogue()[name]
     added = (carrier(effect) + effect).parameters[len(carrier(effect).parameters) :]
     assert added
@@ -59,7 +59,7 @@ def test_number_of_an_effect_is_built_in_and_none_is_held(name: str) -> None:
     assert not [p.name for p in added if p.exact]
 
 
-def test_number_of_an_unknown_effect_is_built_in_and_none_is_held() -> None:
+def test_numbers_of_an_unknown_effect_are_built_in_and_not_held() -> None:
     model = horizontal_model("shaft")
     effects = [
         nonparametric_effect(model, ForceCurve("N", "u"), (0.0, 1.0)),

@@ -31,7 +31,7 @@ from tests.missions import boat_log, boat_with
 ARM, MOUNT = (0.5, -0.3, -0.8), (0.06, -0.08, 0.1)
 
 
-def fitted(model: Model, boat: Fitted, seconds: float, seed: int) -> FittedModel:
+def fit_to_simulation(model: Model, boat: Fitted, seconds: float, seed: int) -> FittedModel:
     channels, _ = sail(boat, seconds, seed)
     return fit_nominal_model(model, [LogSegment("mission", channels)], [], rate=20.0)
 
@@ -40,7 +40,7 @@ def fitted(model: Model, boat: Fitted, seconds: float, seed: int) -> FittedModel
 def test_lever_arm_and_mounting_are_identified_with_the_hull() -> None:
     model = with_effects(make_model("kinematic:shaft:yaw"), ["lever-arm", "mount"])
     assert [e.name for e in model.effects] == ["lever-arm-attitude", "mount-attitude"]
-    found = fitted(model, Fitted(ARM, MOUNT), 150.0, 1).fit
+    found = fit_to_simulation(model, Fitted(ARM, MOUNT), 150.0, 1).fit
     assert found.converged
     angles = dict(zip(("phi_mount", "theta_mount", "psi_mount"), MOUNT, strict=True))
     truth = TRUTH | dict(zip(("l_x", "l_y", "l_z"), ARM, strict=True)) | angles
@@ -57,7 +57,7 @@ def test_lever_arm_of_the_rig_file_explains_the_data() -> None:
     for name, arm in (("whole", ARM), ("no height", (*ARM[:2], 0.0)), ("none", (0.0, 0.0, 0.0))):
         model, notes = apply_rig_geometry(kinematic_model(yaw=True), rig_with(arm))
         assert not notes
-        fits[name] = fitted(model, boat, 60.0, 2).fit
+        fits[name] = fit_to_simulation(model, boat, 60.0, 2).fit
     assert fits["whole"].log_likelihood > fits["no height"].log_likelihood + 1000.0
     assert fits["no height"].log_likelihood > fits["none"].log_likelihood + 1000.0
     assert "antenna_x" not in fits["whole"].model.free
@@ -70,17 +70,17 @@ def test_lever_arm_of_the_rig_file_explains_the_data() -> None:
 def test_wandering_current_is_estimated() -> None:
     boat = Fitted(wander=0.01)
     channels, current = sail(boat, 300.0, 3)
-    stage = fit_nominal_model(
+    fitted = fit_nominal_model(
         make_model("kinematic:shaft:yaw:random-walk-current"), [LogSegment("mission", channels)], [], rate=20.0
     )
-    value, error = stage.fit.estimate("q_V")
+    value, error = fitted.fit.estimate("q_V")
     assert abs(value - boat.wander) < 4 * error < 0.4 * boat.wander
     for name in ("m_u", "m_v", "m_r", "d_v"):
-        value, error = stage.fit.estimate(name)
+        value, error = fitted.fit.estimate(name)
         assert abs(value - TRUTH[name]) < 4 * error, name
-    (view,) = stage.estimation
-    names = [s.name for s in stage.model.states]
-    values = dict(zip(stage.fit.model.values, view.values, strict=True))
+    (view,) = fitted.estimation
+    names = [s.name for s in fitted.model.states]
+    values = dict(zip(fitted.fit.model.values, view.values, strict=True))
     for axis, true in zip("xy", current.T, strict=True):
         smooth = view.smoothed.x[:, names.index(f"drift_{axis}")] + values[f"V_{axis}"]
         at = np.interp(view.record.t, channels["x"].t, true)

@@ -195,10 +195,10 @@ def _scores(scale: float) -> tuple[dict[str, Score], float]:
     wanted = {n: e for n, e in catalogue().items() if n in ("yaw-bias", "lift", "lever-arm", "coulomb")}
     everything, kept = with_all_candidates(full, wanted, [run])
     rows = [make_record(everything, run, 10.0)]
-    stage = fit_with_rescaling(full, rows, ())
-    size = size_of(stage.fit.model)
-    scores, _ = score_all(stage, rows, {n: scale_priors(e, size) for n, e in kept.items()})
-    return {s.name: s for s in scores}, stage.fit.model.values["m_u"]
+    fitted = fit_with_rescaling(full, rows, ())
+    size = size_of(fitted.fit.model)
+    scores, _ = score_all(fitted, rows, {n: scale_priors(e, size) for n, e in kept.items()})
+    return {s.name: s for s in scores}, fitted.fit.model.values["m_u"]
 
 
 @pytest.mark.study

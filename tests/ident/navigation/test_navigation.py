@@ -37,13 +37,13 @@ SURE = 1e-3  # False-alarm rate: a correct navigator fails one set in a thousand
 
 
 @cache
-def fitted(seed: int) -> FittedModel:
+def fit_to_mission(seed: int) -> FittedModel:
     recording, _ = sail(boat_with(None, seed), 200.0, seed)
     return fit_nominal_model(horizontal_model(), [LogSegment("fit", channels_of(recording))], [])
 
 
-def known(stage: FittedModel) -> ParameterCovariance:
-    fit = stage.fit
+def known(fitted: FittedModel) -> ParameterCovariance:
+    fit = fitted.fit
     good = np.flatnonzero(np.isfinite(fit.errors) & (fit.errors > 0.0))
     return ParameterCovariance(tuple(fit.names[i] for i in good), fit.covariance[np.ix_(good, good)])
 
@@ -51,7 +51,9 @@ def known(stage: FittedModel) -> ParameterCovariance:
 @cache
 def mission(seed: int, run: int) -> tuple[Record, Truth]:
     recording, _ = sail(boat_with(None, seed), SECONDS, 100 * run + seed, run=run)
-    return make_record(fitted(seed).fit.model, LogSegment("mission", channels_of(recording)), 10.0), recording.truth
+    return make_record(
+        fit_to_mission(seed).fit.model, LogSegment("mission", channels_of(recording)), 10.0
+    ), recording.truth
 
 
 def truth_at(done: Navigation, truth: Truth) -> Array:
@@ -70,11 +72,11 @@ def ends(quiet: float = 1.0) -> tuple[Array, Array, Array, Array]:
     """
     d2, inside, by_filter, by_smoother = [], [], [], []
     for seed in SEEDS:
-        stage = fitted(seed)
-        model = stage.fit.model.with_values({n: stage.fit.model.values[n] * quiet for n in ("q_X", "q_Y", "q_N")})
+        fitted = fit_to_mission(seed)
+        model = fitted.fit.model.with_values({n: fitted.fit.model.values[n] * quiet for n in ("q_X", "q_Y", "q_N")})
         for run in RUNS:
             rows, truth = mission(seed, run)
-            done = navigate(model, rows, without_gnss=GAPS, known=known(stage) if quiet == 1.0 else None)
+            done = navigate(model, rows, without_gnss=GAPS, known=known(fitted) if quiet == 1.0 else None)
             place = truth_at(done, truth)
             (predicted, P), (best, _) = done.position(done.predicted), done.position(done.best)
             assert len(gnss_outages(done)) == len(GAPS)
@@ -119,7 +121,7 @@ def test_outage_of_the_log_is_found_and_compared_with_the_next_fix() -> None:
     y = rows.y.copy()
     y[np.ix_((rows.t > 100.0) & (rows.t < 130.0) | (rows.t > rows.t[-1] - 10.0), gnss)] = np.nan
     lost = replace(rows, y=y)
-    gap, tail = gnss_outages(navigate(fitted(1).fit.model, lost, smoothed=False))
+    gap, tail = gnss_outages(navigate(fit_to_mission(1).fit.model, lost, smoothed=False))
     assert gap.start == pytest.approx(100.0, abs=0.25)
     assert gap.end == pytest.approx(130.0, abs=0.25)
     assert not gap.withheld
@@ -131,7 +133,9 @@ def test_outage_of_the_log_is_found_and_compared_with_the_next_fix() -> None:
     assert tail.open
     assert tail.duration == pytest.approx(10.0, abs=0.3)
     assert tail.error is tail.inside is None
-    withheld, end = gnss_outages(navigate(fitted(1).fit.model, rows, without_gnss=[(100.1, 130.0), (290.0, 1e3)]))
+    withheld, end = gnss_outages(
+        navigate(fit_to_mission(1).fit.model, rows, without_gnss=[(100.1, 130.0), (290.0, 1e3)])
+    )
     assert withheld.at_end.radius == pytest.approx(gap.at_end.radius, rel=0.02)
     assert withheld.best is not None
     assert withheld.best.n == 150
@@ -142,7 +146,7 @@ def test_outage_of_the_log_is_found_and_compared_with_the_next_fix() -> None:
 def test_claimed_uncertainty_before_the_first_fix_is_right() -> None:
     """The first fixes are late or withheld. The result is an outage whose track starts at an uncertain position."""
     rows, truth = mission(1, 2)
-    done = navigate(fitted(1).fit.model, rows, without_gnss=[(-1.0, 40.0)], known=known(fitted(1)))
+    done = navigate(fit_to_mission(1).fit.model, rows, without_gnss=[(-1.0, 40.0)], known=known(fit_to_mission(1)))
     (first,) = gnss_outages(done)
     assert first.leading
     assert not first.open
@@ -153,7 +157,7 @@ def test_claimed_uncertainty_before_the_first_fix_is_right() -> None:
     e = done.position(done.best)[0][0] - truth_at(done, truth)[0]
     assert e @ np.linalg.solve(done.position(done.best)[1][0], e) < stats.chi2.isf(SURE, 2)
     assert navigation_answer([first], [done]).startswith("Before the first fix, 40 s after the start, the smoothed")
-    (gap, *_) = gnss_outages(navigate(fitted(1).fit.model, rows, without_gnss=[(100.0, 130.0)]))
+    (gap, *_) = gnss_outages(navigate(fit_to_mission(1).fit.model, rows, without_gnss=[(100.0, 130.0)]))
     both = navigation_answer([first, gap], [done])
     assert both.startswith("1 GNSS outage, the worst of 30 s")
     assert "Before the first fix" in both
@@ -162,14 +166,14 @@ def test_claimed_uncertainty_before_the_first_fix_is_right() -> None:
 @pytest.mark.study
 def test_current_is_estimated_during_navigation() -> None:
     rows, _ = mission(2, 2)
-    done = navigate(fitted(2).fit.model, rows, smoothed=False)
+    done = navigate(fit_to_mission(2).fit.model, rows, smoothed=False)
     current = done.current()
     assert current is not None
     assert current[0, 2] == pytest.approx(0.5, rel=0.05)  # This is the standard deviation of the prior.
     true = boat_with(None, 2).truth()
     assert (current[-1, 2:] < 0.05).all()
     assert (np.abs(current[-1, :2] - [true["current_n"], true["current_e"]]) < 4 * current[-1, 2:]).all()
-    smoothed = navigate(fitted(2).fit.model, rows).current()
+    smoothed = navigate(fit_to_mission(2).fit.model, rows).current()
     assert smoothed is not None
     assert smoothed[0, 2] < 0.01
 
@@ -181,10 +185,10 @@ def test_model_without_a_current_is_unchanged() -> None:
 
 
 def test_effect_of_parameter_errors_equals_a_monte_carlo_result() -> None:
-    stage = fitted(1)
+    fitted = fit_to_mission(1)
     rows = mission(1, 2)[0].part(0.0, 90.0)
     gap = [(40.0, 70.0)]
-    model, covariance = stage.fit.model, known(stage)
+    model, covariance = fitted.fit.model, known(fitted)
     assert covariance.covariance is not None
     i, names = covariance.names.index("m_u"), ("m_u", "d_v")
     # The errors are enlarged so that they matter.
@@ -217,9 +221,9 @@ def test_circle_holds_95_percent() -> None:
 def test_impossible_navigation_is_rejected() -> None:
     rows = mission(1, 2)[0]
     with pytest.raises(ValueError, match=r"no GNSS position between 500 s and 600 s to withhold"):
-        navigate(fitted(1).fit.model, rows, without_gnss=[(500.0, 600.0)])
+        navigate(fit_to_mission(1).fit.model, rows, without_gnss=[(500.0, 600.0)])
     with pytest.raises(ValueError, match="no GNSS position is left"):
-        navigate(fitted(1).fit.model, rows, without_gnss=[(0.0, 1e9)])
+        navigate(fit_to_mission(1).fit.model, rows, without_gnss=[(0.0, 1e9)])
     blind = horizontal_model(sensors=("attitude", "gyro"))
     with pytest.raises(ValueError, match="has no position: x"):
         navigate(blind, rows)

@@ -10,7 +10,7 @@ from seatrial.ident.numerics.pattern_search import PatternSearch, violates_const
 
 
 def bowl(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Narrow valley in four dimensions with its optimum at (0.3, 0.3, 0.3, 0.3)."""
+    """Return the value of a narrow valley in four dimensions with its optimum at (0.3, 0.3, 0.3, 0.3)."""
     d = z - 0.3
     return -(d**2).sum(axis=1) - 20.0 * (np.diff(d, axis=1) ** 2).sum(axis=1), np.zeros(len(z))
 

@@ -149,15 +149,15 @@ def test_interrupt_ends_the_processes_without_tracebacks(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("arguments", "says"),
+    ("arguments", "message"),
     [
         ((1, "slurm"), "there is no such backend; use loky, dask, ray"),
         ((1, "loky", "tcp://x:1"), "have no scheduler; add --backend dask or --backend ray"),
         ((1, None, "tcp://x:1"), "have no scheduler"),
     ],
 )
-def test_workers_that_do_not_exist(arguments: tuple[Any, ...], says: str) -> None:
-    with pytest.raises(SeatrialError, match=says):
+def test_workers_that_do_not_exist(arguments: tuple[Any, ...], message: str) -> None:
+    with pytest.raises(SeatrialError, match=message):
         Workers(*arguments)
 
 
@@ -170,8 +170,10 @@ def test_scheduler_that_does_not_answer(address: str, monkeypatch: pytest.Monkey
 
 def test_workers_with_another_version_are_refused(cluster: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("seatrial.ident.parallel.workers.version", lambda name: "9.9")
-    says = r"worker tcp://\S+ has seatrial \S+, and this computer has 9\.9: pip install 'seatrial\[ident,dask\]==9\.9'"
-    with pytest.raises(SeatrialError, match=says):
+    message = (
+        r"worker tcp://\S+ has seatrial \S+, and this computer has 9\.9: pip install 'seatrial\[ident,dask\]==9\.9'"
+    )
+    with pytest.raises(SeatrialError, match=message):
         list(run_many(range(2), chores.square, Workers(backend="dask", scheduler=cluster.scheduler_address)))
 
 

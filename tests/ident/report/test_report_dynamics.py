@@ -116,13 +116,13 @@ def test_table_has_interval_t_sname_and_origin() -> None:
 
 def trace(**more: Any) -> Trace:
     t = np.arange(0.0, 100.0, 0.5)
-    given = {"record": "a", "role": "estimation", "channel": "x", "unit": "m", "angle": False, "t": t}
-    given |= {"measured": np.sin(t / 10.0), "model": np.sin(t / 10.0), "sd": 0.01 * t}
-    given |= {"t_horizon": t, "horizon": np.sin(t / 10.0), "sd_horizon": 0.1 + 0.0 * t}
-    return Trace(**(given | more))
+    common = {"record": "a", "role": "estimation", "channel": "x", "unit": "m", "angle": False, "t": t}
+    common |= {"measured": np.sin(t / 10.0), "model": np.sin(t / 10.0), "sd": 0.01 * t}
+    common |= {"t_horizon": t, "horizon": np.sin(t / 10.0), "sd_horizon": 0.1 + 0.0 * t}
+    return Trace(**(common | more))
 
 
-def test_wide_interval_says_where_and_why() -> None:
+def test_wide_interval_has_a_place_and_a_reason() -> None:
     row = trace()
     where, why = wide_band(row, row.t, row.sd, None) or ("", "")
     assert where == "position north x (widest at 100 s, ± 2.0 m)"
@@ -137,7 +137,7 @@ def test_wide_interval_says_where_and_why() -> None:
     assert "disturbance forces" in why
 
 
-def test_signals_with_one_reason_and_equal_warnings_are_said_once() -> None:
+def test_equal_reasons_and_warnings_are_stated_once() -> None:
     content = KINDS["diagnosis"]()
     same = {"logs": ["a"], "code": "not-in-model", "reason": "the model does not use it"}
     content["unused_signals"] = [{"signal": n, **same} for n in ("p", "q", "voltage_left")]

@@ -24,7 +24,7 @@ def palette(dark: bool) -> dict[str, str]:
     return found | (dict(re.findall(r"--([a-z]+): (#[0-9a-f]{6})", rest)) if dark else {})
 
 
-def contrast(one: str, two: str) -> float:
+def contrast(foreground: str, background: str) -> float:
     """Return the contrast of two colours by WCAG 2.2, 1 to 21."""
 
     def luminance(colour: str) -> float:
@@ -32,7 +32,7 @@ def contrast(one: str, two: str) -> float:
         linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
         return float(linear @ [0.2126, 0.7152, 0.0722])
 
-    high, low = sorted((luminance(one), luminance(two)), reverse=True)
+    high, low = sorted((luminance(foreground), luminance(background)), reverse=True)
     return (high + 0.05) / (low + 0.05)
 
 

@@ -48,16 +48,16 @@ def test_vehicle_result_needs_no_computation(
     segments: list[LogSegment], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     model = with_outlier_model(horizontal_model())
-    stage = fit_nominal_model(model, segments[:1], segments[1:])
-    evaluation = evaluate(stage)
+    fitted = fit_nominal_model(model, segments[:1], segments[1:])
+    evaluation = evaluate(fitted)
     no_more_computing(monkeypatch)
-    result = vehicle_result(stage, evaluation, MADE, [], [], FitContext(model.values, stage.outlier_notes))
+    result = vehicle_result(fitted, evaluation, MADE, [], [], FitContext(model.values, fitted.outlier_notes))
     write_result(result, tmp_path / "result.json")
     write_report(result, tmp_path / "report.html")
     assert to_json(read_result(tmp_path / "result.json").fit) == to_json(result.fit)  # type: ignore[union-attr]
-    assert "u" in validity(stage)
+    assert "u" in validity(fitted)
     with pytest.raises(AssertionError, match="computed while"):
-        evaluate(stage)
+        evaluate(fitted)
 
 
 def test_diagnosis_result_needs_no_computation(

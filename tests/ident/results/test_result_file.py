@@ -62,20 +62,20 @@ def test_result_is_read_as_written(kind: str, tmp_path: Path) -> None:
     assert next(iter(json.loads(to_json(result)))) == "kind"
 
 
-def assert_same(one: Any, two: Any) -> None:
+def assert_same(actual: Any, expected: Any) -> None:
     """Assert that two contents of JSON are equal, but for one unit of the seventh digit of a number."""
-    if isinstance(one, float) or isinstance(two, float):
-        assert math.isclose(one, two, rel_tol=1.1e-6, abs_tol=1e-37)
-    elif isinstance(one, dict):
-        assert one.keys() == two.keys()
-        for key in one:
-            assert_same(one[key], two[key])
-    elif isinstance(one, list):
-        assert len(one) == len(two)
-        for a, b in zip(one, two, strict=True):
+    if isinstance(actual, float) or isinstance(expected, float):
+        assert math.isclose(actual, expected, rel_tol=1.1e-6, abs_tol=1e-37)
+    elif isinstance(actual, dict):
+        assert actual.keys() == expected.keys()
+        for key in actual:
+            assert_same(actual[key], expected[key])
+    elif isinstance(actual, list):
+        assert len(actual) == len(expected)
+        for a, b in zip(actual, expected, strict=True):
             assert_same(a, b)
     else:
-        assert one == two
+        assert actual == expected
 
 
 def diagnosed(folder: Path) -> Path:

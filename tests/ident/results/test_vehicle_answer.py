@@ -62,11 +62,11 @@ def test_dead_zone_is_stated_down_to_the_smallest_tested_command() -> None:
     t = 0.02 * np.arange(len(n))
     tried = smallest_command([Record("bench", t, n, n, np.zeros((len(n), 0)), ("n_cmd_0",), ())])
     assert tried == 0.2
-    for d, says in ((0.0, "and has no dead zone above the smallest command tried, 20 %;"),
+    for d, message in ((0.0, "and has no dead zone above the smallest command tried, 20 %;"),
                     (0.25, "and does not turn below 25.0 % of full command;")):  # fmt: skip
         known = {"a": 5.0, "tau": 0.1, "d": d}
         fitted: Any = SimpleNamespace(estimate=lambda name, known=known: (known[name], 0.0))
-        assert says in thruster_answer(fitted, has_force=False, smallest=tried)
+        assert message in thruster_answer(fitted, has_force=False, smallest=tried)
 
 
 def test_finding_of_many_logs_is_reported_once() -> None:
@@ -101,7 +101,7 @@ def test_late_sensor_warning_names_the_biased_parameters(level: str, code: str, 
 WHITE = "The residuals are white and uncorrelated with the inputs"
 
 
-def said(
+def residual_sentence(
     residuals: list[float],
     cross: list[tuple[str, float]],
     channels: str = "x",
@@ -243,40 +243,44 @@ def test_fit_of_all_channels_comes_first(horizon: float, words: str) -> None:
 
 
 def test_untested_residuals_are_not_called_white() -> None:
-    assert said([], []) == (
+    assert residual_sentence([], []) == (
         "There are too few samples to test whether the residuals are white; record at least 60 samples of a channel."
     )
-    assert said([0.4], [], "xy") == f"{WHITE} (too few samples to test: y)."
+    assert residual_sentence([0.4], [], "xy") == f"{WHITE} (too few samples to test: y)."
 
 
 def test_many_tests_are_corrected_for_their_number() -> None:
-    assert said([0.004] + [0.5] * 7, [("n", 0.002)] + [("n", 0.5)] * 15) == f"{WHITE}."
-    assert said([0.004], []).startswith("The residuals are not white")
-    assert said([0.5], [("n", 0.002)]).startswith("The residuals are correlated with the inputs")
-    assert said([1e-5] + [0.5] * 7, []).startswith("The residuals are not white")
+    assert residual_sentence([0.004] + [0.5] * 7, [("n", 0.002)] + [("n", 0.5)] * 15) == f"{WHITE}."
+    assert residual_sentence([0.004], []).startswith("The residuals are not white")
+    assert residual_sentence([0.5], [("n", 0.002)]).startswith("The residuals are correlated with the inputs")
+    assert residual_sentence([1e-5] + [0.5] * 7, []).startswith("The residuals are not white")
 
 
 def test_correlation_with_an_input_is_quantified() -> None:
     """A long record shows correlations that do not matter. Autocorrelated noise of a filter does not prove a missing
     effect.
     """
-    known = said([0.5], [("n", 1e-9), ("m", 1e-5), ("k", 0.5)], correlations=[0.04, 0.071, 0.3], searchable=True)
+    known = residual_sentence(
+        [0.5], [("n", 1e-9), ("m", 1e-5), ("k", 0.5)], correlations=[0.04, 0.071, 0.3], searchable=True
+    )
     assert known == (
         "The residuals are correlated with the inputs (correlation up to 0.071, north): run `seatrial ident "
         "diagnose` to see whether an effect is missing."
     )
-    assert said([1e-9], [], searchable=True).endswith("to see whether an effect is missing.")
-    assert said([1e-9], []).endswith(
+    assert residual_sentence([1e-9], [], searchable=True).endswith("to see whether an effect is missing.")
+    assert residual_sentence([1e-9], []).endswith(
         ": an effect is missing, or the noise of a sensor is autocorrelated. Look at the residuals in the report, or "
         "try another --model."
     )
 
 
 def test_correlation_with_a_measured_input_is_reported_separately() -> None:
-    assert "correlated with phi and theta, which the model uses as measured inputs" in said(
+    assert "correlated with phi and theta, which the model uses as measured inputs" in residual_sentence(
         [0.5], [("theta", 1e-9), ("phi", 1e-9)]
     )
-    assert said([0.5], [("theta", 1e-9), ("n_left", 1e-9)]).startswith("The residuals are correlated with the inputs")
+    assert residual_sentence([0.5], [("theta", 1e-9), ("n_left", 1e-9)]).startswith(
+        "The residuals are correlated with the inputs"
+    )
 
 
 @pytest.mark.study
@@ -361,7 +365,7 @@ def test_fit_that_did_not_converge_has_no_other_answer() -> None:
     )
 
 
-def test_fit_that_stopped_close_to_its_maximum_says_so() -> None:
+def test_answer_states_that_the_fit_stopped_close_to_its_maximum() -> None:
     records = [turning_record(n_rows=300)]
     found = fit(turning().with_free(("m", "d")), records, start={"m": 15.0})
     assert not [w for w in estimation_warnings(found, records) if w.code == "nearly-converged"]

@@ -25,7 +25,7 @@ from seatrial.ident.estimation.output_error import simulate
 from seatrial.ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
 from seatrial.ident.model.parameter import INF, Parameter
 from seatrial.ident.model.structure import Input, Model, Output, Sensor, State, plain_model
-from seatrial.ident.parallel import Outcome, Workers
+from seatrial.ident.parallel import TaskOutcome, Workers
 from seatrial.ident.report.study_page import study_as_text
 from seatrial.ident.reporter import QUIET
 from seatrial.ident.studies.cases import CASES, make_case
@@ -193,13 +193,13 @@ def test_failed_and_unconverged_fits_are_in_the_verdict() -> None:
     """The statistics of the remaining fits may look right."""
     result = page_examples.study()
     fine, _, none = result.studies
-    for failed, unconverged, says in (
+    for failed, unconverged, message in (
         (0, 0, "surge, 500 replicates: 2 of 2"),
         (0, 1, "surge, 500 replicates, of which 1 did not converge: 2 of 2 parameters meet the aims"),
         (50, 300, "of which 50 failed and 300 did not converge: too many for a verdict."),
     ):
         part = msgspec.structs.replace(fine, failed=failed, unconverged=unconverged)
-        assert says in study.study_answer(part)
+        assert message in study.study_answer(part)
         text = study_as_text(msgspec.structs.replace(result, studies=(part,)))
         assert ("left out of the table: " in text) == bool(failed + unconverged)
     assert study.study_answer(none) == "none: no replicate can be judged: 1 did not converge."
@@ -350,9 +350,9 @@ def test_replicates_of_a_dead_process_are_failures_that_the_next_run_repeats(
 ) -> None:
     case, run_many = make_case("surge", seconds=30.0), study.run_many
 
-    def dying(tasks: Iterable[Sequence[int]], *rest: Any) -> Iterator[Outcome[Any, Any]]:
+    def dying(tasks: Iterable[Sequence[int]], *rest: Any) -> Iterator[TaskOutcome[Any, Any]]:
         for outcome in run_many(tasks, *rest):
-            yield Outcome(outcome.task, None, "its process died 3 times") if 0 in outcome.task else outcome
+            yield TaskOutcome(outcome.task, None, "its process died 3 times") if 0 in outcome.task else outcome
 
     monkeypatch.setattr(study, "run_many", dying)
     rows = study.run_study(case, 3, 2, tmp_path / "a.jsonl", workers=Workers(1))
@@ -454,7 +454,7 @@ def test_study_command_writes_result_and_page(tmp_path: Path, capsys: pytest.Cap
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("words", "message"),
     [
         ("boat", "no study of 'boat': there are surge, yaw, horizontal, kinematic, thruster, noise"),
         ("surge --truth m_x=1", "has no parameter 'm_x'"),
@@ -463,14 +463,14 @@ def test_study_command_writes_result_and_page(tmp_path: Path, capsys: pytest.Cap
     ],
 )
 def test_impossible_study_gives_a_one_line_error(
-    words: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as leaving:
         command_line.main(["ident", "study", *words.split(), "--out", str(tmp_path)])
     err = capsys.readouterr().err
     assert leaving.value.code == 1
     assert err.count("\n") == 1
-    assert says in err
+    assert message in err
 
 
 @pytest.mark.parametrize("jobs", ["0", "-2"])

@@ -116,7 +116,7 @@ def test_changed_file_is_another_study(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("source", "says"),
+    ("source", "message"),
     [
         ("{file}:model", "is a Model without a mission; give a seatrial.ident.studies.monte_carlo.Case"),
         ("{file}:number", "number is a int, not a seatrial.ident.studies.monte_carlo.Case"),
@@ -126,10 +126,10 @@ def test_changed_file_is_another_study(tmp_path: Path) -> None:
         ("boat", "no study of 'boat': there are surge"),
     ],
 )
-def test_source_without_a_case_is_rejected(source: str, says: str, tmp_path: Path) -> None:
+def test_source_without_a_case_is_rejected(source: str, message: str, tmp_path: Path) -> None:
     file = tmp_path / "mine.py"
     file.write_text(OWN, encoding="utf-8")
-    with pytest.raises(SeatrialError, match=says):
+    with pytest.raises(SeatrialError, match=message):
         make_case(source.format(file=file))
 
 

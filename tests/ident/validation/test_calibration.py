@@ -32,7 +32,7 @@ from tests.missions import boat_with, channels_of, sail
 
 
 @cache
-def stage() -> FittedModel:
+def fitted() -> FittedModel:
     """Return a model of a boat without a hidden effect, fitted to one mission and validated on another."""
     runs = [
         LogSegment(name, channels_of(sail(boat_with(None, 2), 250.0, k, run=k)[0])) for k, name in enumerate("ab", 1)
@@ -58,7 +58,7 @@ def validated(judged: PredictionEvaluation) -> ByHorizon[Mapping[str, Calibratio
 
 @pytest.mark.study
 def test_right_model_is_calibrated() -> None:
-    judged = evaluate(stage())
+    judged = evaluate(fitted())
     found = validated(judged)
     for kind in (found.one_step, found.horizon):
         assert set(kind) == {"psi", "r", "ax", "ay", "x", "y", "vx", "vy"}
@@ -75,7 +75,7 @@ def test_right_model_is_calibrated() -> None:
 
 @pytest.mark.study
 def test_too_little_sensor_noise_is_overconfident_one_step_ahead() -> None:
-    judged = evaluate(with_values(stage(), {"e_xy": 0.5, "e_psi": 0.5}))
+    judged = evaluate(with_values(fitted(), {"e_xy": 0.5, "e_psi": 0.5}))
     found = validated(judged).one_step
     assert {n for n, c in found.items() if c.verdict == "overconfident"} >= {"x", "y", "psi"}
     assert found["x"].inside_95 < 0.85
@@ -84,13 +84,13 @@ def test_too_little_sensor_noise_is_overconfident_one_step_ahead() -> None:
 
 
 def test_too_little_process_noise_is_overconfident_over_the_horizon() -> None:
-    found = validated(evaluate(with_values(stage(), {"q_X": 0.1, "q_Y": 0.1, "q_N": 0.1})))
+    found = validated(evaluate(with_values(fitted(), {"q_X": 0.1, "q_Y": 0.1, "q_N": 0.1})))
     assert found.horizon["psi"].verdict == "overconfident"
     assert found.horizon["vx"].verdict == "overconfident"
 
 
 def test_too_much_noise_is_underconfident() -> None:
-    found = validated(evaluate(with_values(stage(), {"e_xy": 2.0, "q_X": 3.0, "q_Y": 3.0, "q_N": 3.0})))
+    found = validated(evaluate(with_values(fitted(), {"e_xy": 2.0, "q_X": 3.0, "q_Y": 3.0, "q_N": 3.0})))
     assert found.one_step["x"].verdict == "underconfident"
     assert found.horizon["psi"].verdict == "underconfident"
     assert found.one_step["x"].inside_50 > 0.6
@@ -202,7 +202,7 @@ def test_intervals_are_never_narrowed() -> None:
 
 
 def test_standard_deviations_over_the_horizon_are_widened_by_the_validation_data() -> None:
-    narrow = evaluate(with_values(stage(), {"q_X": 0.2, "q_Y": 0.2, "q_N": 0.2}))
+    narrow = evaluate(with_values(fitted(), {"q_X": 0.2, "q_Y": 0.2, "q_N": 0.2}))
     assert narrow.validation is not None
     for name, factor in narrow.widening.items():
         assert factor == narrow.validation.calibration.horizon[name].widening

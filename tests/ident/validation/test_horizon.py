@@ -198,7 +198,7 @@ def test_longer_horizon_uses_longer_blocks() -> None:
     runs = [
         LogSegment(name, channels_of(sail(boat_with(None, 2), 150.0, k, run=k)[0])) for k, name in enumerate("ab", 1)
     ]
-    stage = fit_nominal_model(horizontal_model(), runs[:1], runs[1:])
-    far, near = (prediction_changes(evaluated, evaluated) for evaluated in (evaluate(stage, 60.0), evaluate(stage)))
+    fitted = fit_nominal_model(horizontal_model(), runs[:1], runs[1:])
+    far, near = (prediction_changes(evaluated, evaluated) for evaluated in (evaluate(fitted, 60.0), evaluate(fitted)))
     assert near["validation"].channels["psi"].low == pytest.approx(1.0)
     assert np.isnan(far["validation"].channels["psi"].low)  # Errors over 90 s do not fill four blocks of 120 s.

@@ -91,9 +91,9 @@ def test_reason_for_no_information_criteria(
     model = horizontal_model("shaft")
     saved = SavedModel(model, {}, {}, provenance={"logs": ["run1.mcap sha256:abababababababab"]})
     first = ComparedModel("a", saved, {}, ("run1",))
-    other = replace(saved, model=replace(model, second_order=change.get("second", False)))
-    other = replace(other, **{n: v for n, v in change.items() if n != "second"})
-    found = _why_not_comparable(first, replace(first, saved=other), [log(sha256)], score)
+    changed = replace(saved, model=replace(model, second_order=change.get("second", False)))
+    changed = replace(changed, **{n: v for n, v in change.items() if n != "second"})
+    found = _why_not_comparable(first, replace(first, saved=changed), [log(sha256)], score)
     assert reason in found
     assert bool(found) is bool(reason)
 

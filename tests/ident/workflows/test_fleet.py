@@ -89,7 +89,7 @@ def test_dask_cluster_gives_the_numbers_of_one_process(
 
 
 @pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")
-def test_rows_are_those_of_a_single_fit(logs: list[Path]) -> None:
+def test_rows_equal_the_result_of_a_single_fit(logs: list[Path]) -> None:
     single = st.fit(logs[1], score_tests=False, fixed={"c2": 1.1}, priors={"c1": (40.0, 2.0)})
     many = st.fit_many(logs[1:3], score_tests=False, fixed={"c2": 1.1}, priors={"c1": (40.0, 2.0)}, jobs=1)
     row = many.values().loc[str(logs[1])]

@@ -185,18 +185,18 @@ def test_no_segment_of_two_equal_logs_is_indispensable(
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("words", "message"),
     [
         (("--parameters", "mass"), "the model has no free parameter 'mass'; its free parameters are m_u, m_v"),
         (("--parameters", "c1"), "no free parameter 'c1'"),
     ],
 )
 def test_invalid_parameter_gives_a_one_line_error(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], says: str
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], message: str
 ) -> None:
     status, _, err = run(capsys, folder / "model.toml", folder / "one.mcap", *words, "--out", tmp_path / "out")
     assert status == 1
-    assert says in err
+    assert message in err
     assert err.count("\n") == 1
     assert not (tmp_path / "out").exists()
 

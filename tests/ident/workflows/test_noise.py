@@ -80,7 +80,7 @@ def test_known_noise_is_estimated(still: Path, tmp_path: Path, capsys: pytest.Ca
     assert "Sensor noise" in report
 
 
-def test_json_is_the_result_without_its_curves_and_nothing_else(
+def test_json_output_is_only_the_result_without_its_curves(
     still: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     capsys.readouterr()
@@ -143,14 +143,14 @@ def test_spikes_and_coarse_resolution_are_reported_first(tmp_path: Path) -> None
     np.savetxt(tmp_path / "odd.csv", table, "%.8f", ",", header="r,q,p", comments="")
     (tmp_path / "map.toml").write_text(MAP + "".join(SIGNAL.format(n, "rad/s") for n in "rqp"))
     run("import", tmp_path / "map.toml", tmp_path / "odd.csv", "-o", tmp_path / "odd.mcap")
-    for name, says in (
+    for name, message in (
         ("q", ", but with 4 of 4000 innovations beyond 6 standard deviations, the largest "),
         ("p", "steps of 0.06 rad/s from value to value, coarse compared with its noise."),
         ("r", "The channel is white noise plus a random walk."),
     ):
         run("ident", "noise", tmp_path / "odd.mcap", "--signal", name, "--out", tmp_path / name)
         result = read(tmp_path / name)[0]
-        assert says in result["answer"]
+        assert message in result["answer"]
         consequence = {"q": "The numbers include these samples", "p": "The numbers are not those"}.get(
             name, "The numbers "
         )

@@ -78,16 +78,16 @@ def test_thrust_source_is_the_best_that_all_logs_have(
 
 
 @pytest.mark.parametrize(
-    ("names", "way", "says"),
+    ("names", "way", "message"),
     [
         (("n_left", "n_right"), PropulsionInput.MEASURED, "thrust from the measured shaft speeds"),
         (("n_cmd_left", "n_cmd_right"), PropulsionInput.COMMAND, "no shaft speed is measured"),
         (("n_left", "n_right", "n_cmd_left", "n_cmd_right"), PropulsionInput.MEASURED, "the measured shaft speeds"),
     ],
 )
-def test_commands_are_not_called_measured_speeds(names: tuple[str, ...], way: PropulsionInput, says: str) -> None:
+def test_commands_are_not_called_measured_speeds(names: tuple[str, ...], way: PropulsionInput, message: str) -> None:
     log = with_derived_signals(replace(loaded(*names, *AHRS, *GNSS), propulsion=way), "nomoto", None)
-    assert says in thrust_from(make_model("nomoto"), [log])
+    assert message in thrust_from(make_model("nomoto"), [log])
     assert thrust_from(horizontal_model("force"), [log]) == ""
 
 
@@ -139,16 +139,16 @@ def test_range_of_a_state_is_not_that_of_an_input_with_the_same_name() -> None:
     gyro.
     """
     channels, _ = rolling_sail(Fitted(), 40.0, 4)
-    stage = fit_nominal_model(make_model("kinematic:shaft:yaw"), [LogSegment("run", channels)], [], rate=20.0)
-    (view,) = stage.estimation
-    r = view.run.x_filt[:, [s.name for s in stage.model.states].index("r")]
-    ranges = validity(stage)
+    fitted = fit_nominal_model(make_model("kinematic:shaft:yaw"), [LogSegment("run", channels)], [], rate=20.0)
+    (view,) = fitted.estimation
+    r = view.run.x_filt[:, [s.name for s in fitted.model.states].index("r")]
+    ranges = validity(fitted)
     assert ranges["r"] == pytest.approx(tuple(np.percentile(r, (1, 99))))
     assert ranges["r"][1] < view.record.u[:, list(view.record.inputs).index("r")].max()
     assert {"u", "v", "n_left", "phi", "q"} <= set(ranges)
 
 
-def test_sensor_rates_are_those_of_the_rows(tmp_path: Path) -> None:
+def test_sensor_rates_equal_the_rate_of_the_rows(tmp_path: Path) -> None:
     """A rate of 50 Hz is averaged to 10 Hz; 5 Hz stays. If a log lacks a sensor, the rate comes from the other log."""
     logs = [load_run(boat_log(tmp_path / f"{k}.mcap", boat_with(None, 1), 30.0, k), "estimation").run for k in (1, 2)]
     blind = replace(logs[1], channels={k: c for k, c in logs[1].channels.items() if k not in ("x", "y")})

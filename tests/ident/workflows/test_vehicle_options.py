@@ -73,13 +73,13 @@ def test_unknown_robust_sensor_in_the_file_is_rejected(out: Path, tmp_path: Path
 
 
 @pytest.mark.parametrize(
-    ("name", "says"),
+    ("name", "message"),
     [("mass", "--profile mass: model horizontal has"), ("c1", "--profile c1: the parameter is fixed, not estimated")],
 )
-def test_impossible_profile_is_rejected_before_the_fit(name: str, says: str, logs: tuple[Path, Path]) -> None:
+def test_impossible_profile_is_rejected_before_the_fit(name: str, message: str, logs: tuple[Path, Path]) -> None:
     done = CliRunner().invoke(ident, ["vehicle", str(logs[0]), "--no-score-tests", "--fix", "c1=40", "--profile", name])
     assert isinstance(done.exception, SeatrialError)
-    assert says in str(done.exception)
+    assert message in str(done.exception)
     assert "fitting" not in done.output
 
 

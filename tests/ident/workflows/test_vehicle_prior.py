@@ -50,13 +50,13 @@ def test_prior_has_the_weight_of_its_standard_deviation(log: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("option", "says"),
+    ("option", "message"),
     [("mass=1:2", "--prior mass: model horizontal has"), ("m_u=-1:2", "--prior m_u=-1:2: parameter m_u")],
 )
-def test_impossible_prior_is_rejected(log: Path, option: str, says: str) -> None:
+def test_impossible_prior_is_rejected(log: Path, option: str, message: str) -> None:
     done = CliRunner().invoke(ident, ["vehicle", str(log), "--no-score-tests", "--prior", option])
     assert isinstance(done.exception, SeatrialError)
-    assert says in str(done.exception)
+    assert message in str(done.exception)
 
 
 @pytest.mark.parametrize("option", ["m_u=1", "m_u=1:0", "m_u=a:b", "m_u=1:2:3"])

@@ -130,10 +130,10 @@ class FakePlant:
     shafts = ()
 
     def __init__(self) -> None:
-        self.told: list[tuple[int, float, float]] = []
+        self.commands: list[tuple[int, float, float]] = []
 
     def command(self, thruster: int, t: float, n_cmd: float) -> None:
-        self.told.append((thruster, t, n_cmd))
+        self.commands.append((thruster, t, n_cmd))
 
     def thrust(self, thruster: int) -> float:
         return 0.0
@@ -170,7 +170,7 @@ def test_commands_reach_their_node_and_time_out_on_their_own() -> None:
     for esc in escs.values():
         esc.check(12.5)
     assert changes[-1] == (pytest.approx(11.9), 1, 0.0, "timeout")
-    assert plant.told[-1] == (0, pytest.approx(11.9), 0.0)
+    assert plant.commands[-1] == (0, pytest.approx(11.9), 0.0)
     bus.receive(duty(1, 0.2), 13.0)
     assert escs[1].n == pytest.approx(0.2)
 
@@ -180,16 +180,16 @@ def test_a_reversed_thruster_turns_ahead_for_a_negative_duty() -> None:
     escs = controllers(plant, (True, False))
     bus = VescBus(escs, {1: 7, 2: 7})
     bus.receive(b"O\r" + duty(1, -0.5), 0.0)
-    assert plant.told == [(0, 0.0, pytest.approx(0.5))]
+    assert plant.commands == [(0, 0.0, pytest.approx(0.5))]
     assert escs[1].duty == pytest.approx(-0.5)
 
 
-def test_a_closed_channel_moves_nothing() -> None:
+def test_a_command_on_a_closed_channel_is_ignored() -> None:
     plant = FakePlant()
     bus = VescBus(controllers(plant), {1: 7, 2: 7})
     assert bus.receive(duty(1, 0.5), 0.0) == b"\a"
     assert bus.receive(CanFrame(0, b"").data, 0.0) == b""
-    assert plant.told == []
+    assert plant.commands == []
 
 
 def test_rigs_that_no_mock_can_serve() -> None:
@@ -270,13 +270,13 @@ def test_the_clock_of_a_device_that_is_set_back_is_followed() -> None:
     assert faults.clock_error("ahrs", 40.0) == pytest.approx(40.0 * 100e-6 - 0.6)
 
 
-def test_a_motor_draws_current_whichever_way_it_turns() -> None:
+def test_a_motor_draws_current_in_both_directions() -> None:
     for n in (0.8, -0.8):
         sensor = EscSensor(1, 0, 1, 4500.0)
         assert np.mean([sensor.read(n, 20.0 * n, n, 0.0, 0.1).current for _ in range(50)]) > 3.0
 
 
-def test_garbage_is_as_long_as_the_bytes_it_replaces() -> None:
+def test_garbage_has_the_length_of_the_replaced_bytes() -> None:
     faults = Faults([parse_fault("garbage@1:1")], np.random.default_rng(1))
     whole = b"\xfa" * 40
     assert faults.bytes("ahrs", whole, 0.5) == whole

@@ -40,8 +40,8 @@ def test_answers_by_the_manual() -> None:
         (b"L\r", b"\r"),
         (b"T000000010\r", b"\a"),  # listen-only mode
     ]
-    for said, expected in script:
-        assert adapter.feed(said)[0] == expected, said
+    for sent, expected in script:
+        assert adapter.feed(sent)[0] == expected, sent
 
 
 @pytest.mark.parametrize(
@@ -141,7 +141,7 @@ def test_python_can_opens_sends_and_receives(far: Far) -> None:
         ]
 
 
-def test_a_closed_channel_sends_nothing(far: Far) -> None:
+def test_a_closed_channel_does_not_send_frames(far: Far) -> None:
     assert far.adapter.encode(CanFrame(1, b"\x01")) == b""
     with opened(far) as bus:
         assert bus.get_version(5.0) == (10, 13)

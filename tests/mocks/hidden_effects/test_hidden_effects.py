@@ -86,7 +86,7 @@ def test_the_pendulum_shakes_the_boat() -> None:
     assert np.abs(ahead[True] - ahead[False]).max() > 0.1
 
 
-def test_scale_zero_is_no_effect() -> None:
+def test_an_effect_of_scale_zero_does_not_change_the_motion() -> None:
     plain = run((), (0.7, 0.4), 8.0).motion()
     for name in (*EFFECTS, *SITE, *OUTSIDE):
         assert run((make_effect(name, 2, scale=0.0),), (0.7, 0.4), 8.0).motion() == pytest.approx(plain, abs=1e-9), name
@@ -111,7 +111,7 @@ def test_reverse_thrust_is_lost_astern_only() -> None:
     assert surge("reverse-thrust", -0.6) / surge("", -0.6) == pytest.approx(math.sqrt(0.7), abs=0.06)
 
 
-def test_battery_sag_comes_with_use() -> None:
+def test_battery_sag_grows_with_use() -> None:
     assert surge("battery-sag", 0.8, 5.0) > 0.98 * surge("", 0.8, 5.0)
     assert surge("battery-sag", 0.8, 200.0) < 0.96 * surge("", 0.8, 200.0)
 
@@ -256,9 +256,9 @@ def test_a_turned_thruster_pushes_to_the_side_of_its_angle() -> None:
         assert effect.jet is not None
         angle, right = effect.parameters["angle"], bool(effect.parameters["right"])
         left_only, right_only = effect.jet(0.6, 0.0), effect.jet(0.0, 0.6)
-        alone, other = (right_only, left_only) if right else (left_only, right_only)
+        alone, opposite = (right_only, left_only) if right else (left_only, right_only)
         assert alone[0] * angle > 0.0 > alone[0] * alone[1]  # the thruster is at the stern
-        assert other == (0.0, 0.0)
+        assert opposite == (0.0, 0.0)
         assert run((effect,), (0.6, 0.6), 2.0).state[5] * angle < -0.001
 
 
@@ -311,7 +311,7 @@ def test_drag_is_larger_over_the_shoal() -> None:
     assert abs(beside) < 0.01 * abs(over)
 
 
-def test_the_payload_slides_once_and_the_centre_of_gravity_stays_there() -> None:
+def test_the_payload_slides_once_and_does_not_return() -> None:
     effect = make_effect("payload-shift", 4)
     assert effect.payload is not None
     at, plain, moved = effect.payload.at, list[float](), list[float]()

@@ -52,7 +52,7 @@ def test_noise_that_differs_from_the_assumption() -> None:
     assert set(NOISE) == {"noise-gps", "noise-gusts", "noise-outliers", "noise-small-r"}
 
 
-def test_gusts_come_and_go() -> None:
+def test_gusts_begin_and_end() -> None:
     effect = (make_effect("noise-gusts", 1),)
     plant = BoatPlant(Boat(Hull(), ThrusterTruth(), (0.0, 0.0), effect, 0), state=REST, disturbed=False)
     surge = []

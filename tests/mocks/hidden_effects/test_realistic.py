@@ -130,7 +130,7 @@ def test_each_imperfection_shows_in_the_signals(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", EQUIPMENT)
-def test_equipment_of_scale_zero_is_no_effect(name: str) -> None:
+def test_equipment_of_scale_zero_does_not_change_the_motion(name: str) -> None:
     with_effect, plain = sampled(make_effect(name, 2, 0.0), seconds=8.0), sampled(seconds=8.0)
     for device, rows in plain.items():
         for column in rows.dtype.names or ():

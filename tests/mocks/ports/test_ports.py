@@ -62,7 +62,7 @@ def test_a_pulled_port_hangs_up_and_returns(port: PtyPort) -> None:
         assert host.read(4) == b"back"
 
 
-def test_close_leaves_nothing_behind(tmp_path: Path) -> None:
+def test_close_removes_all_ports(tmp_path: Path) -> None:
     port = PtyPort(tmp_path / "gnss")
     port.close()
     assert list(tmp_path.iterdir()) == []
@@ -82,7 +82,7 @@ def test_another_mock_on_the_same_port_is_refused(port: PtyPort) -> None:
         PtyPort(port.path)
 
 
-def test_a_real_file_is_left_alone(tmp_path: Path) -> None:
+def test_a_real_file_is_not_replaced(tmp_path: Path) -> None:
     (tmp_path / "ahrs").write_text("precious")
     with pytest.raises(SeatrialError, match="is not the port of a mock"):
         PtyPort(tmp_path / "ahrs")
@@ -90,7 +90,7 @@ def test_a_real_file_is_left_alone(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["ahrs"]
 
 
-def test_a_slow_reader_loses_nothing(port: PtyPort) -> None:
+def test_a_slow_reader_receives_all_bytes(port: PtyPort) -> None:
     sent = os.urandom(50_000)
     with opened(port) as host:
         port.write(b"hello", 1.0)
