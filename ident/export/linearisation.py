@@ -13,7 +13,7 @@ from seatrial.daq.errors import SeatrialError, closest_name
 from seatrial.ident.estimation import PARAMETER_STEP, ParameterCovariance, principal_directions
 from seatrial.ident.export.codegen import without_nuisance
 from seatrial.ident.export.rates import Rates
-from seatrial.ident.model import COMMAND, SHAFT_SPEED, Model, is_of_thruster
+from seatrial.ident.model import COMMAND, SHAFT_SPEED, THRUSTER_FORCE, Model, is_of_thruster
 from seatrial.ident.numerics import Array
 
 BALANCED = 1e-6  # largest rate at the operating point, in the unit of each state per second
@@ -342,7 +342,9 @@ def side_inputs(names: Sequence[str]) -> list[str]:
 
     They are shaft speeds or commands (``n_...``) and thrusts (``f_...``).
     """
-    sides = [n for n in names if n.endswith(("_left", "_right")) and n.startswith(("n_", "f_"))]
+    sides = [
+        n for n in names if n.endswith(("_left", "_right")) and is_of_thruster(n, SHAFT_SPEED, COMMAND, THRUSTER_FORCE)
+    ]
     return sides if {n.rpartition("_")[2] for n in sides} == {"left", "right"} else []
 
 
