@@ -5,6 +5,7 @@ from __future__ import annotations
 from seatrial.ident.report.blocks import Canvas, Section
 from seatrial.ident.report.sections import (
     answer,
+    comparison,
     dynamics,
     navigation,
     noise,
@@ -16,6 +17,7 @@ from seatrial.ident.report.sections import (
     thruster,
 )
 from seatrial.ident.results import (
+    ComparisonResult,
     DiagnosisResult,
     FitResult,
     InformationResult,
@@ -31,9 +33,11 @@ from seatrial.ident.results import (
 def opening(result: Result) -> Section:
     """Return the section of the report page that follows its headline: the main numbers of the result.
 
-    It is empty for a result that is neither a fit nor a diagnosis. For a fit that did not converge, it has at most the
-    caveat of a diagnosis.
+    For a comparison it is the table of its models. It is empty for any other result that is neither a fit nor a
+    diagnosis. For a fit that did not converge, it has at most the caveat of a diagnosis.
     """
+    if isinstance(result, ComparisonResult):
+        return Section("answer", "", comparison.opening_blocks(result))
     return answer.section(result)
 
 
@@ -64,6 +68,10 @@ def body(canvas: Canvas, result: Result) -> list[Section]:
     elif isinstance(result, InformationResult):
         found = [parameters.information_section(result), parameters.segments_section(canvas, result)]
         found.append(runs.run_section(canvas, result.logs, result.inputs))
+    elif isinstance(result, ComparisonResult):
+        found = [comparison.best_section(result), comparison.errors_section(result)]
+        found += [comparison.likelihood_section(result), comparison.overlay_section(canvas, result)]
+        found.append(runs.run_section(canvas, result.logs, ()))
     else:
         raise TypeError(
             f"write_report has no page for a {type(result).__name__}: use write_design_page for a design, and "
