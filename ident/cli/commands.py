@@ -500,7 +500,7 @@ def study(
     MODEL is surge, yaw, horizontal, kinematic, thruster, noise or designed; a fitted model.toml; or FILE.py:NAME, a
     user-defined Case. The study reports bias, variance and coverage of the intervals. The estimator is that of the
     other commands, or of the model.toml, unless an option changes it. The results, with report.html, are in the folder
-    --out. An interrupted study continues there.
+    --out, and all replicates are one Parquet file there. An interrupted study continues there.
 
     \b
     Example:

@@ -235,6 +235,25 @@ def test_python_interface_takes_a_list_or_one_model_after_the_other(
             call()
 
 
+def test_the_page_runs_as_written(
+    models: list[Path],
+    logs: list[Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for model, name in zip(models, ("vehicle", "diagnosis"), strict=True):
+        shutil.copytree(model.parent, tmp_path / name)
+    shutil.copy(logs[2], tmp_path / "run3.mcap")
+    monkeypatch.chdir(tmp_path)
+    text = (Path(__file__).parents[3] / "docs/how-to/compare.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    exec(compile(block, "compare.md", "exec"), {})
+    assert "RMS error and fit: 2 s ahead" in capsys.readouterr().out
+    assert "Measured (grey) and predicted: Simulation" in (tmp_path / "overlay.html").read_text(encoding="utf-8")
+    assert (tmp_path / "comparison/report.html").exists()
+
+
 def test_figure_has_each_model_in_its_own_colour_and_dash(compared: ComparisonResult) -> None:
     figure = st.Comparison(compared).plot("psi", "vx", horizon="simulation")
     lines = [x for x in figure.data if x["mode"] == "lines" and "fill" not in x and x["name"] != "measured"]
