@@ -222,6 +222,9 @@ def test_python_interface_takes_a_list_or_one_model_after_the_other(
     again = read_result(listed.save(tmp_path / "saved") / "result.json")
     assert isinstance(again, ComparisonResult)
     assert again.answer == listed.answer
+    figures = [x.plot("r") for x in (st.load(tmp_path / "saved"), listed)]
+    assert [(x["name"], x["mode"]) for x in figures[0].data] == [(x["name"], x["mode"]) for x in figures[1].data]
+    assert figures[0].layout == figures[1].layout
     for call, message in (
         (lambda: st.compare(models[0], logs[2]), "a comparison needs two models or more"),
         (lambda: st.compare(models), "there are no logs"),
