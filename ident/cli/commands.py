@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import click
 
 from seatrial.daq.console import make_console
 from seatrial.daq.errors import SeatrialError
-from seatrial.daq.options import FiniteRange, json_option, output_option, print_json
+from seatrial.daq.options import FiniteRange, json_option, output_option
 from seatrial.ident.cli.options import (
     FILE,
     FOLDER,
@@ -101,35 +102,54 @@ def _parse_intervals(
 @ident.command(short_help="Compare fitted models on the same logs.")
 @click.argument("models", nargs=-1, required=True, type=MODEL)
 @click.option("--on", "logs", multiple=True, required=True, type=LOG, help="Log to compare on; may be repeated.")
-@horizon_option
+@click.option(
+    "--horizon",
+    "horizons",
+    multiple=True,
+    type=FiniteRange(0.02, 3600.0),
+    metavar="SECONDS",
+    help="Prediction horizon, beside one step ahead and simulation; may be repeated.  [default: that of the first "
+    "model: 10, on the bench 1]",
+)
 @click.option(
     "--rate", type=FiniteRange(0.0, min_open=True), help="Rate of the rows [Hz].  [default: 10, on the bench 50]"
 )
 @click.option("--thruster", help="The static curve that the models were fitted with, or the name of the thruster.")
 @despite_option
 @window_option
+@partial(workers_options, jobs=None)
 @trust_option
+@output_option(
+    FOLDER, "Folder for result.json and report.html; without it, the result is only printed.", callback=check_output
+)
+@force_option
 @json_option()
-def compare(models: tuple[Path, ...], logs: tuple[Path, ...], as_json: bool, **how: Any) -> None:
+def compare(models: tuple[Path, ...], logs: tuple[Path, ...], out: Path | None, as_json: bool, **how: Any) -> None:
     """Predict the same logs by several fitted MODELS, compare each model with the first one, and print the comparison.
 
-    Give at least two models, and logs that no model was fitted to.
+    Each model predicts one step ahead, over each horizon, and in simulation from the inputs alone. For each channel the
+    comparison has the error and the fit of each model, and a verdict by a 95 % interval. Give at least two models, and
+    logs that no model was fitted to.
 
     \b
     Example:
-      seatrial ident compare vehicle/model.toml diagnosis/model.toml --on run4.mcap
+      seatrial ident compare vehicle/model.toml diagnosis/model.toml --on run4.mcap --out comparison
+      seatrial ident compare vehicle diagnosis --on run4.mcap --horizon 2 --horizon 10
     """
-    from seatrial.ident.workflows.compare import CompareRequest, compare_models, comparison_lines, comparison_table
+    from seatrial.ident.report import print_result
+    from seatrial.ident.workflows.compare import CompareRequest, compare_models
 
+    request = CompareRequest(models, logs, out=out, **how)
     try:
-        found = compare_models(CompareRequest(models, logs, **how), LineReporter(err=True))
+        result = compare_models(request, command_line(), LineReporter(err=True))
     except (ValueError, KeyError) as problem:
         raise SeatrialError(str(problem).strip("'\"")) from problem
     if as_json:
-        print_json(comparison_table(found))
-        return
-    for line in comparison_lines(found):
-        click.echo(line)
+        print_result_json(result)
+    else:
+        print_result(result, make_console())
+    if out is not None:
+        click.echo(f"report: {out / 'report.html'}", err=as_json)
 
 
 @click.command(short_help="Estimate position, speeds and current with a fitted model.")
@@ -552,7 +572,7 @@ def study(
     MODEL is surge, yaw, horizontal, kinematic, thruster, noise or designed; a fitted model.toml; or FILE.py:NAME, a
     user-defined Case. The study reports bias, variance and coverage of the intervals. The estimator is that of the
     other commands, or of the model.toml, unless an option changes it. The results, with report.html, are in the folder
-    --out. An interrupted study continues there.
+    --out, and all replicates are one Parquet file there. An interrupted study continues there.
 
     \b
     Example:

@@ -163,29 +163,38 @@ def parse_rates(context: click.Context, parameter: click.Parameter, items: Seque
     return found
 
 
-def check_jobs(_context: click.Context, _parameter: click.Parameter, number: int) -> int:
+def check_jobs(_context: click.Context, _parameter: click.Parameter, number: int | None) -> int | None:
     """Check the value of ``--jobs``, and return it (click callback).
 
-    The value is a number of processes, or -1 for as many as the computer has cores.
+    The value is a number of processes, or -1 for as many as the computer has cores. None, without the option, is
+    returned unchanged.
 
     Raises
     ------
     click.BadParameter
         If it is 0 or below -1.
     """
-    if number < 1 and number != -1:
+    if number is not None and number < 1 and number != -1:
         raise click.BadParameter(f"{number} is not a number of processes; give 1 or more, or -1 (one for each core)")
     return number
 
 
-def workers_options(f: Callable[..., Any]) -> Callable[..., Any]:
+def workers_options(f: Callable[..., Any], jobs: int | None = -1) -> Callable[..., Any]:
     """Decorate a command with ``--jobs``, ``--backend`` and ``--scheduler``: the processes that run its tasks.
 
     The command receives them as one argument ``workers`` (`Workers`).
+
+    Parameters
+    ----------
+    f : callable
+        The command.
+    jobs : int or None
+        Value of ``--jobs`` if it is not given: -1 for one process for each core; None for this process alone, and for
+        one for each core on a cluster that is started on this computer.
     """
 
     @wraps(f)
-    def command(*args: Any, jobs: int, backend: Any, scheduler: str, **rest: Any) -> Any:
+    def command(*args: Any, jobs: int | None, backend: Any, scheduler: str, **rest: Any) -> Any:
         """Call the decorated command with ``workers`` in place of the three options."""
         from seatrial.ident.parallel import Workers
 
@@ -202,8 +211,9 @@ def workers_options(f: Callable[..., Any]) -> Callable[..., Any]:
         show_default=True,
         help="Processes of this computer, or a Dask or Ray cluster.",
     )(command)
-    words = "Number of processes on this computer.  [default: -1, one for each core]"
-    return click.option("--jobs", type=int, default=-1, callback=check_jobs, help=words)(command)
+    usual = "1; -1: one for each core" if jobs is None else "-1, one for each core"
+    words = f"Number of processes on this computer.  [default: {usual}]"
+    return click.option("--jobs", type=int, default=jobs, callback=check_jobs, help=words)(command)
 
 
 def parse_names(_context: click.Context, _parameter: click.Parameter, text: str | None) -> tuple[str, ...]:

@@ -59,6 +59,7 @@ from .parameter_covariance import dynamic_parameters as dynamic_parameters
 from .parameter_covariance import parameter_uncertainty as parameter_uncertainty
 from .parameter_covariance import prediction_variance as prediction_variance
 from .parameter_covariance import principal_directions as principal_directions
+from .parameter_covariance import uncertainty_of as uncertainty_of
 from .prior_knowledge import apply_rig_geometry as apply_rig_geometry
 from .prior_knowledge import fix_parameters as fix_parameters
 from .prior_knowledge import set_initial_values as set_initial_values

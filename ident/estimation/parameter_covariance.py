@@ -166,6 +166,33 @@ class ParameterCovariance:
     covariance: Array | None = None
 
 
+def uncertainty_of(known: ParameterCovariance, model: Model) -> ParameterUncertainty | None:
+    """Return the uncertainty of the parameters of a saved model for predictions, as a square root of their covariance.
+
+    Noise parameters are left out, because the mean of a prediction does not depend on them.
+
+    Parameters
+    ----------
+    known
+        Covariance of the parameters in their own units.
+    model
+        Model at whose values the covariance holds.
+
+    Returns
+    -------
+    ParameterUncertainty or None
+        None if the covariance is unknown or contains no parameter of the model except noise.
+    """
+    names = [p.name for p in model.parameters]
+    keep = [i for i, n in enumerate(known.names) if n in names and n not in model.noise_parameters]
+    if known.covariance is None or not keep:
+        return None
+    columns = tuple(names.index(known.names[i]) for i in keep)
+    slopes = np.array([p.slope(p.value) for p in (model.parameters[c] for c in columns)])
+    P = known.covariance[np.ix_(keep, keep)] / np.outer(slopes, slopes)
+    return ParameterUncertainty(columns, covariance_root(P, NULL_SPACE_TOLERANCE))
+
+
 def principal_directions(model: Model, values: Array, known: ParameterCovariance | None) -> list[Array]:
     """Return parameter vectors moved by 0.05 standard deviations along each principal direction of their covariance.
 

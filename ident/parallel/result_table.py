@@ -22,6 +22,48 @@ Row = dict[str, Any]
 TYPES = {str: "string", float: "float64", int: "int64", bool: "bool_"}
 
 
+def write_rows(path: Path, columns: Mapping[str, type], rows: Sequence[Row], settings: Mapping[str, Any]) -> None:
+    """Write rows of results as one Parquet file, as `ResultTable` does. An existing file is replaced as a whole.
+
+    Parameters
+    ----------
+    path : Path
+        The file, in a folder that exists.
+    columns, settings
+        As for `ResultTable`.
+    rows : sequence of dict
+        The rows. A column that a row does not have is None.
+
+    Raises
+    ------
+    SeatrialError
+        If pyarrow is not installed.
+    """
+    pyarrow = _import_arrow()
+    table = pyarrow.Table.from_pylist(list(rows), schema=_schema(pyarrow, columns, settings))
+    with new_file(path) as scratch:
+        pyarrow.parquet.write_table(table, scratch)
+
+
+def _import_arrow() -> Any:
+    """Import pyarrow with its modules for Parquet, and return it; SeatrialError with the extra if it is missing."""
+    try:
+        import pyarrow
+        import pyarrow.compute
+        import pyarrow.parquet
+    except ModuleNotFoundError as problem:
+        raise SeatrialError("Parquet needs the package pyarrow: pip install 'seatrial[parquet]'") from problem
+    return pyarrow
+
+
+def _schema(pyarrow: Any, columns: Mapping[str, type], settings: Mapping[str, Any]) -> Any:
+    """Return the ``pyarrow.Schema`` of a table, with the settings as JSON in its metadata."""
+    return pyarrow.schema(
+        [(name, getattr(pyarrow, TYPES[kind])()) for name, kind in columns.items()],
+        metadata={SETTINGS: json.dumps(settings, sort_keys=True).encode()},
+    )
+
+
 class ResultTable:
     """Rows of results, and the Parquet file that holds them.
 
@@ -50,18 +92,9 @@ class ResultTable:
         self, path: Path | None, columns: Mapping[str, type], key: str, error: str, settings: Mapping[str, Any]
     ) -> None:
         """Read the finished rows of an earlier run from the file, if it exists."""
-        try:
-            import pyarrow
-            import pyarrow.compute
-            import pyarrow.parquet
-        except ModuleNotFoundError as problem:
-            raise SeatrialError("Parquet needs the package pyarrow: pip install 'seatrial[parquet]'") from problem
-        self._arrow, self._parquet = pyarrow, pyarrow.parquet
-        self.path, self._key = path, key
-        self._schema = pyarrow.schema(
-            [(name, getattr(pyarrow, TYPES[kind])()) for name, kind in columns.items()],
-            metadata={SETTINGS: json.dumps(settings, sort_keys=True).encode()},
-        )
+        self._arrow = pyarrow = _import_arrow()
+        self.path, self._key, self._parquet = path, key, pyarrow.parquet
+        self._schema = _schema(pyarrow, columns, settings)
         self._table = self._schema.empty_table() if path is None or not path.exists() else self._read(path, error)
         self._new: list[Row] = []
         self._written, self._took = time.monotonic(), 0.0

@@ -18,7 +18,7 @@ from seatrial.daq.files import write_output
 from seatrial.ident.report import formatting, sections
 from seatrial.ident.report.blocks import Canvas, Grid, Section
 from seatrial.ident.report.drawing import DARK, TEMPLATE, Budget, Figure, compact
-from seatrial.ident.results import Result
+from seatrial.ident.results import ComparisonResult, Result
 
 PLOTLY = "plotly-cartesian.min.js"  # the bundle with lines, heat maps and bars (docs/decisions/0036-vendored-plotly.md)
 LARGEST_PAGE = 3_000_000  # bytes: mail and version control take it, and a phone opens it at once
@@ -32,6 +32,7 @@ KINDS = {
     "navigation": "Navigation",
     "information": "Information in logs",
     "campaigns": "Changes between campaigns",
+    "comparison": "Comparison of models",
 }
 
 
@@ -186,7 +187,10 @@ def _count_traces(result: Result) -> int:
     traces the page has, the fewer points each of them gets.
     """
     weights = {"traces": 8, "track": 3, "inputs": 1, "residuals": 2, "residual_forces": 4, "noise": 2, "navigation": 40}
-    return sum(weight * len(getattr(result, key, ())) for key, weight in weights.items())
+    count = sum(weight * len(getattr(result, key, ())) for key, weight in weights.items())
+    if isinstance(result, ComparisonResult):
+        count = sum(1 + 2 * len(row.predictions) for row in result.traces)
+    return count
 
 
 def _script_safe_json(value: Any) -> str:

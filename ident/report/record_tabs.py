@@ -32,7 +32,8 @@ class RecordTab:
         Name of the record.
     role
         Role of the record: ``estimation``, ``validation``, ``navigated`` (its states were estimated by `seatrial ident
-        navigate`) or ``judged`` (its information was computed by `seatrial ident information`); empty if unknown.
+        navigate`), ``judged`` (its information was computed by `seatrial ident information`) or ``compared`` (models
+        were compared on it); empty if unknown.
     """
 
     name: str

@@ -11,13 +11,18 @@ from rich.table import Table
 from rich.text import Text
 
 from seatrial.daq.console import print_prose, print_table
+from seatrial.daq.errors import counted
 from seatrial.ident.report import formatting
 from seatrial.ident.report.sections.campaigns import VALUES, change_of, effect_words
+from seatrial.ident.report.sections.comparison import MARKS, WORDS, interval_words, kind_title, ratio_words, signed
 from seatrial.ident.report.sections.parameters import interval, segment_in_words
 from seatrial.ident.report.sections.predictions import by_role, error_words, horizons
 from seatrial.ident.results import (
     CampaignErrors,
     CampaignsResult,
+    ComparedChannel,
+    ComparedModel,
+    ComparisonResult,
     DiagnosisResult,
     EffectParameter,
     EffectRow,
@@ -39,6 +44,7 @@ from seatrial.ident.results import (
 
 MAX_OUTAGES, MAX_SEGMENTS, MAX_NOISE_CHANNELS = 8, 24, 12  # largest numbers of rows of a table
 MAX_PARAMETERS, MAX_CANDIDATES, MAX_ERROR_CHANNELS = 9, 6, 8
+MOST_WITH_FIT, MOST_COMPARED = 3, 6  # largest numbers of models in a row of a table with their fit, and without it
 MAX_FAILED = 8  # largest number of rows of a table of failed logs
 MIN_GROWTH = 1.05  # a standard error that grows by a smaller factor does not depend on the segment
 
@@ -68,6 +74,8 @@ def tables_of(result: Result) -> list[Table]:
         return [*([fleet_table(result)] if result.parameters else []), *failed_tables(result)]
     if isinstance(result, CampaignsResult):
         return campaign_tables(result)
+    if isinstance(result, ComparisonResult):
+        return [models_table(result), *compared_tables(result), likelihood_table(result)]
     return []
 
 
@@ -261,6 +269,111 @@ def _reasons_table(title: str, what: str, rows: Sequence[tuple[str, str]]) -> Ta
     for name, reason in rows[:MAX_FAILED]:
         table.add_row(Text(name), Text(reason))
     return table
+
+
+def models_table(result: ComparisonResult) -> Table:
+    """Return the table of the compared models: label, error against the first model, counts of verdicts, and name.
+
+    The error is the ratio over all channels and the first horizon. A mark shows whether the model is better (▼) or
+    worse (▲) than the first one. The counts are the numbers of channels and kinds of prediction in which it is better,
+    worse and not distinguishable.
+    """
+    table = titled_table(f"Models, and their error {result.horizons[0]:g} s ahead over all channels")
+    table.padding = (0, 1, 0, 0)
+    table.add_column("", no_wrap=True, style="bold")
+    for title in ("free", f"error/({result.models[0].label})", "95 %", "▼/▲/same"):
+        table.add_column(Text(title), justify="right", no_wrap=True)
+    table.add_column("", overflow="fold")
+    for m in result.models:
+        ratio = next((c.against_reference for c in m.changes if c.seconds == result.horizons[0]), None)
+        first = m is result.models[0]
+        words = "1" if first else ratio_words(ratio)
+        error = Text(words) if ratio is None else Text(MARKS[ratio.verdict][0] + words, STYLES[ratio.verdict])
+        counts = "–" if first else "/".join(str(n) for n in result.counts(m.label).values())
+        cells = (Text(w) for w in (interval_words(ratio), counts, m.name))
+        table.add_row(Text(f"({m.label})"), Text(str(m.n_free)), error, *cells)
+    return table
+
+
+def compared_tables(result: ComparisonResult) -> list[Table]:
+    """Return a table of the RMS errors of all models for each kind of prediction, with a row for each channel.
+
+    With up to three models, a cell also has the fit. More than six models are divided into several tables.
+    """
+    labels = [m.label for m in result.models]
+    with_fit, tables = len(labels) <= MOST_WITH_FIT, []
+    for kind in result.kinds:
+        rows = [row for row in result.channels if (row.kind, row.seconds) == kind]
+        for begin in range(0, len(labels), MOST_COMPARED):
+            shown = labels[begin : begin + MOST_COMPARED]
+            table = titled_table(f"RMS error{' and fit' * with_fit}: {_lower(kind_title(*kind))}")
+            table.padding = (0, 1, 0, 0)
+            table.add_column("", no_wrap=True)
+            table.add_column("", no_wrap=True)
+            for label in shown:
+                table.add_column(Text(f"({label})"), justify="right", no_wrap=True)
+            table.add_column("best", no_wrap=True)
+            for row in rows:
+                factor, unit = formatting.degrees_for(row.unit)
+                cells = [_compared_cell(row, label, factor, with_fit) for label in shown]
+                table.add_row(Text(row.channel), Text(unit), *cells, Text(" ".join(row.not_worse) or "–"))
+            tables.append(table)
+    return tables
+
+
+STYLES = {"better": "bold green", "worse": "bold red", "indistinguishable": ""}
+
+
+def _lower(title: str) -> str:
+    """Return a title with a small first letter: ``Simulation`` becomes ``simulation``."""
+    return title[0].lower() + title[1:]
+
+
+def _compared_cell(row: ComparedChannel, label: str, factor: float, with_fit: bool) -> Text:
+    """Return the cell of one model: the RMS error, with a mark if it is better or worse than the first model.
+
+    ``factor`` is that to the shown unit. A model that does not predict the channel has a dash.
+    """
+    e = next((e for e in row.errors if e.model == label), None)
+    if e is None:
+        return Text("–")
+    mark, style = "", ""
+    if e.against_reference is not None:
+        mark, style = MARKS[e.against_reference.verdict][0], STYLES[e.against_reference.verdict]
+    words = error_words(None if e.rms is None else factor * e.rms)
+    fit = f" {formatting.percent(e.fit):>6}" if with_fit else ""
+    return Text(mark + words, style) + Text(fit, "dim")
+
+
+def likelihood_table(result: ComparisonResult) -> Table:
+    """Return the table of the log score and of the information criteria of each model, in sentences."""
+    table = titled_table(f"Likelihood against ({result.models[0].label}), one step ahead")
+    table.show_header = False
+    table.padding = (0, 1, 0, 0)
+    table.add_column("", no_wrap=True, style="bold")
+    table.add_column("", overflow="fold")
+    for m in result.models[1:]:
+        table.add_row(Text(f"({m.label})"), Text(" ".join(_likelihood_sentences(m))))
+    return table
+
+
+def _likelihood_sentences(m: ComparedModel) -> list[str]:
+    """Return the sentences on the likelihood of a model against the first one: log score, and criteria or a reason."""
+    if m.score is None:
+        return ["The models do not predict the same samples, so their likelihoods are not compared."]
+    low, high = m.score.low, m.score.high
+    interval = "too short for an interval" if low is None or high is None else f"95 %: {signed(low)} to {signed(high)}"
+    kind = "cross-validated log score" if m.score.held_out else "log score"
+    found = [f"The {kind} is {signed(m.score.gain)} ({interval}): {WORDS[m.score.verdict]}."]
+    if m.criteria is None:
+        return [*found, f"No AIC, BIC and likelihood ratio: {m.no_criteria}."]
+    c = m.criteria
+    found.append(f"ΔAIC {signed(c.aic)}, ΔBIC {signed(c.bic)}.")
+    if c.p is not None:
+        p = formatting.probability(c.p)
+        of, p = counted(c.parameters, "parameter"), p if p.startswith("<") else f"= {p}"
+        found.append(f"Likelihood ratio {formatting.plain(2.0 * c.gain)} for {of}, p {p}.")
+    return found
 
 
 def _growth_text(factor: float) -> str:

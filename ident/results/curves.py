@@ -19,6 +19,7 @@ import numpy as np
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.numerics import Array
 from seatrial.ident.results.commands import ChannelNoise, GnssFixes, NavigatedRecord, StateTrace
+from seatrial.ident.results.comparison import ComparedPrediction, ComparedTrace
 from seatrial.ident.results.parts import InputTrace, Part, ResidualForce, ResidualTests, Trace, Track, WhitenessTests
 
 # The curves of each table: the field of their abscissa, and the fields over it. The abscissa of a table that lacks this
@@ -35,6 +36,8 @@ CURVES: Mapping[type[Part], Mapping[str, tuple[str, ...]]] = {
     StateTrace: {"t": ("value", "sd", "measured")},
     GnssFixes: {"t": ("x", "y", "used")},
     ChannelNoise: {"frequency": ("psd", "psd_model")},
+    ComparedTrace: {"t": ("measured",)},
+    ComparedPrediction: {"t": ("predicted", "sd")},
 }
 KEYS = ("table", "path", "record", "name", "axis")  # columns of text; ``at`` and the fields are numbers
 STUB = "parquet"  # key in result.json that replaces the numbers of an array: {"parquet": n}
@@ -125,7 +128,8 @@ def _curves_of(value: Any, path: tuple[str, ...], record: str, around: Part | No
     if not isinstance(value, Part):
         return
     record = str(getattr(value, "record", record))
-    words = (getattr(value, key, None) for key in ("channel", "force", "name"))
+    # the name of a table without a name, such as a prediction of a channel, is that of the table around it
+    words = (getattr(part, key, None) for part in (value, around) for key in ("channel", "force", "name"))
     name = next((word for word in words if isinstance(word, str)), "")
     table = ".".join(key for key in path if not key.isdecimal())
     for axis, names in CURVES.get(type(value), {}).items():

@@ -76,12 +76,13 @@ class LogSummary(Part, frozen=True, kw_only=True):
     """Log that a result was made from: file, role, duration and findings of its checks.
 
     The role `navigated` is that of `seatrial ident navigate`, which estimates the states of the boat. The role `judged`
-    is that of `seatrial ident information`, which computes the information of the log.
+    is that of `seatrial ident information`, which computes the information of the log, and `compared` that of `seatrial
+    ident compare`.
     """
 
     path: Annotated[str, Meta(description="file name, with the time window if only a part was used")]
     sha256: Annotated[str, Meta(description="SHA-256 of the file; empty if a time window was given")]
-    role: Annotated[str, Meta(description="`estimation`, `validation`, `navigated` or `judged`")]
+    role: Annotated[str, Meta(description="`estimation`, `validation`, `navigated`, `judged` or `compared`")]
     name: Annotated[str, Meta(description="name of the log, which its record has too")]
     duration: Annotated[float, Meta(description="[s]")]
     rig: Annotated[str | None, Meta(description="name of the rig")] = None
@@ -126,6 +127,7 @@ WarningCode = Literal[
     "effect-untested",
     "rates-assumed",
     "beyond-validity",
+    "compared-on-fitted-log",
 ]
 
 

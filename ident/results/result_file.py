@@ -30,6 +30,7 @@ from seatrial.ident.results.commands import (
     SegmentInformation,
     StudyResult,
 )
+from seatrial.ident.results.comparison import ComparisonResult
 from seatrial.ident.results.curves import moved_fields, read_parquet, stub, to_parquet, with_curves
 from seatrial.ident.results.parts import (
     FORMAT,
@@ -63,6 +64,7 @@ AnyResult = (
     | StudyResult
     | FleetResult
     | CampaignsResult
+    | ComparisonResult
 )
 
 

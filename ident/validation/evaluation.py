@@ -278,7 +278,7 @@ def _evaluate_set(
     )
     records = tuple(
         RecordPrediction(
-            v.record, {n: _horizon_prediction(v.record, n, e, f.get(n)) for n, e in by_name.items()}, by_name, s
+            v.record, {n: horizon_prediction(v.record, n, e, f.get(n)) for n, e in by_name.items()}, by_name, s
         )
         for v, by_name, f, s in zip(views, errors_ahead, forecasts, simulated, strict=True)
     )
@@ -303,7 +303,7 @@ def _widened(evaluation: SetEvaluation, factors: Mapping[str, float]) -> SetEval
     return replace(evaluation, records=records)
 
 
-def _horizon_prediction(
+def horizon_prediction(
     record: Record, name: str, errors: PredictionErrors, forecast: Forecast | None
 ) -> HorizonPrediction:
     """Return the predictions of the channel ``name`` at the times of their errors: measured value minus error.

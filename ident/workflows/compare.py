@@ -1,27 +1,61 @@
-"""Workflow of `seatrial ident compare`: comparison of the predictions of several fitted models on the same logs."""
+"""Workflow of `seatrial ident compare`: comparison of the predictions of several fitted models on the same logs.
+
+Each prediction of a record by a model is a task, which may run on another computer. The errors of all models are
+compared at the samples that all of them predict.
+"""
 
 from __future__ import annotations
 
+import string
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
+import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
-from seatrial.daq.errors import SeatrialError
+from seatrial.daq.errors import SeatrialError, counted
 from seatrial.ident.checks import device_faults
-from seatrial.ident.data import WHOLE, LoadedLog, Record, TimeWindows, load_all, make_record
-from seatrial.ident.estimation import RecordEvaluation, SavedModel, evaluate_records, load_model
+from seatrial.ident.data import WHOLE, LoadedLog, LogSegment, Record, TimeWindows, load_all, make_record
+from seatrial.ident.estimation import SavedModel, load_model, uncertainty_of
 from seatrial.ident.model import Model
-from seatrial.ident.numerics import chi2_sf, student_ppf
+from seatrial.ident.parallel import Workers, run_many
+from seatrial.ident.report import write_report
 from seatrial.ident.reporter import Reporter
-from seatrial.ident.validation import PredictionChange, PredictionErrors, horizon_errors, prediction_change_by_record
+from seatrial.ident.results import (
+    ComparedChannel,
+    ComparedKind,
+    ComparedModel,
+    ComparedPrediction,
+    ComparedRatio,
+    ComparedTrace,
+    ComparisonResult,
+    ResultWarning,
+    provenance,
+    write_result,
+)
+from seatrial.ident.validation import MAX_STARTS, MIN_STRIDE, correlated_blocks, prediction_change_by_record
 from seatrial.ident.workflows.check import check_first
+from seatrial.ident.workflows.compared_predictions import (
+    ONE_STEP,
+    SIMULATION,
+    Kind,
+    PredictedRecord,
+    PredictionTask,
+    predict_record,
+)
+from seatrial.ident.workflows.comparison_errors import at_common_samples, channel_rows, ratio_row
+from seatrial.ident.workflows.comparison_likelihood import (
+    information_criteria,
+    log_score,
+    logs_of_fit,
+    why_not_comparable,
+)
 from seatrial.ident.workflows.model_inputs import check_horizon, hold_lines, in_one_frame, model_of_logs
 
-FEWEST_BLOCKS = 4  # blocks of time that an interval of the log score needs
+BLOCK_LENGTHS = 2.0  # block length of the log score, in times over which residuals may be correlated
+SAME_TIME = 1e-6  # s: records whose starts and ends differ by less cover the same time
+CHANCE = 0.05  # share of the verdicts on two equal models that are wrong
 
 
 @dataclass(frozen=True)
@@ -34,8 +68,8 @@ class CompareRequest:
         The model.toml of each model; at least two. The first one is the reference.
     logs
         Logs on which the models are compared.
-    horizon
-        Prediction horizon [s]; None: that of the first model.
+    horizons
+        Prediction horizons [s]; empty: that of the first model.
     rate
         Rate of the rows (instants of a record) [Hz], over which faster sensors are averaged. None: 50 Hz if the first
         model is a thruster model, 10 Hz if it is a vehicle model.
@@ -46,108 +80,49 @@ class CompareRequest:
         Whether to compare on logs with faults that make a fit meaningless.
     window
         Interval of time of the logs to use: one for all, or one for each.
+    names
+        Name of each model for the result; empty: the path of its file.
+    out
+        Folder for result.json and report.html; None: no file is written.
+    workers
+        Processes that predict the records.
     """
 
     models: Sequence[Path]
     logs: Sequence[Path]
-    horizon: float | None = None
+    horizons: Sequence[float] = ()
     rate: float | None = None
     thruster: str | None = None
     despite_faults: bool = False
     window: TimeWindows = WHOLE
+    names: Sequence[str] = ()
+    out: Path | None = None
+    workers: Workers = field(default_factory=Workers)
 
 
 @dataclass(frozen=True)
-class LogScore:
-    """Difference of two models in the log-likelihood of the samples, each predicted one step ahead.
-
-    The log-likelihood is the logarithmic score of the predictions (Gneiting and Raftery 2007). It needs no correction
-    for the number of parameters if neither model was fitted to these logs.
-
-    Attributes
-    ----------
-    gain
-        Log-likelihood of the second model less that of the first.
-    low, high
-        95 % interval of the gain, by Student's t over blocks of time; NaN for fewer than four blocks.
-    blocks
-        Number of blocks of time into which the logs are divided. The blocks are so long that their gains are nearly
-        independent.
-    """
-
-    gain: float
-    low: float
-    high: float
-    blocks: int
-
-    @property
-    def verdict(self) -> str:
-        """Result for the second model: ``better`` or ``worse`` if the interval excludes zero, otherwise ``unchanged``.
-
-        It is ``unchanged`` without an interval.
-        """
-        return "better" if self.low > 0.0 else "worse" if self.high < 0.0 else "unchanged"
-
-
-@dataclass(frozen=True)
-class InformationCriteria:
-    """Criteria of two maximum likelihood fits to the same logs, the second model against the first.
-
-    Attributes
-    ----------
-    gain
-        Log-likelihood of the second model less that of the first.
-    parameters
-        Number of estimated parameters of the second model less that of the first.
-    aic, bic
-        Change of Akaike's and of the Bayesian information criterion; negative if the second model is better.
-    p
-        p value of the likelihood-ratio test of the hypothesis that the additional parameters of the second model are
-        not needed. None unless the first model is the second one with some of its free parameters fixed or missing.
-    """
-
-    gain: float
-    parameters: int
-    aic: float
-    bic: float
-    p: float | None
-
-
-@dataclass(frozen=True)
-class ComparedModel:
-    """One model of a comparison.
+class _Candidate:
+    """One model of a comparison with its data.
 
     Attributes
     ----------
     name
-        Path of its model.toml.
+        Name for the result.
+    path
+        Its model.toml.
     saved
-        The model with its estimates.
-    rms
-        RMS prediction error over the horizon by channel, over all logs, in the unit of the channel; infinite if a
-        prediction diverged.
-    fitted_to_logs
-        Names of the logs of the comparison that the model was fitted to. Its errors on them are too small.
-    change
-        Change of the prediction errors from the first model to this one; None for the first model.
-    score
-        Difference in log-likelihood of the samples from the first model to this one. None for the first model, and if
-        the models do not predict the same samples.
-    criteria
-        Information criteria of this model against the first one. None for the first model, and if ``no_criteria`` is
-        not empty.
-    no_criteria
-        Reason why there are no information criteria; empty for the first model, and if there are criteria.
+        The model as saved.
+    model
+        The model as it predicts the logs: with the holds of the logs, and with a first-order filter.
+    segments
+        Signals of the logs for this model.
     """
 
     name: str
+    path: Path
     saved: SavedModel
-    rms: Mapping[str, float]
-    fitted_to_logs: tuple[str, ...]
-    change: PredictionChange | None = None
-    score: LogScore | None = None
-    criteria: InformationCriteria | None = None
-    no_criteria: str = ""
+    model: Model
+    segments: Sequence[LogSegment]
 
     @property
     def n_free(self) -> int:
@@ -155,318 +130,305 @@ class ComparedModel:
         return sum(p.free and not p.per_record for p in self.saved.model.parameters)
 
 
-@dataclass(frozen=True)
-class ModelComparison:
-    """Comparison of models on the same logs.
-
-    Attributes
-    ----------
-    horizon
-        Prediction horizon [s].
-    units
-        Unit of each output channel, by name of the channel.
-    models
-        The compared models in the order of the request. The first one is the reference.
-    """
-
-    horizon: float
-    units: Mapping[str, str]
-    models: tuple[ComparedModel, ...]
-
-
-def compare_models(request: CompareRequest, reporter: Reporter) -> ModelComparison:
+def compare_models(request: CompareRequest, command: str, reporter: Reporter) -> ComparisonResult:
     """Predict the same logs by several fitted models, and compare the predictions with those of the first model.
 
     Each model keeps its estimates. Only the parameters that belong to a log, such as the current, are estimated anew
-    for each log and model.
+    for each log and model. All models predict the same interval of time of each log, and their errors are compared at
+    the samples that all of them predict. With a folder ``request.out``, result.json and report.html are written there.
 
     Parameters
     ----------
     request : CompareRequest
         Models, logs and options.
+    command : str
+        Command line, for the provenance.
     reporter : Reporter
-        Receives progress.
+        Receives progress and warnings.
 
     Returns
     -------
-    ModelComparison
-        Prediction errors of each model, and its differences to the first model.
+    ComparisonResult
+        Prediction errors of each model, and its differences to the first model and to the best one.
 
     Raises
     ------
     SeatrialError
         If there are fewer than two models, if a file cannot be read, if the logs have faults that make a fit
-        meaningless (unless ``despite_faults``), if no log is longer than a given horizon, or if a model cannot predict
-        a log.
+        meaningless (unless ``despite_faults``), if no log is longer than a given horizon, if a model cannot predict a
+        log, or if a cluster cannot be used.
     """
     if len(request.models) < 2:
         raise SeatrialError("a comparison needs two models or more; give another model.toml")
     loaded, _ = load_all(request.logs, [], request.window, device_faults)
-    check_horizon(request.horizon, loaded, [])
+    for horizon in request.horizons:
+        check_horizon(horizon, loaded, [])
     saved = [load_model(path) for path in request.models]
     loaded, _ = check_first(loaded, [], saved[0].model, request.despite_faults)
-    horizon, rate = request.horizon or saved[0].model.horizon, request.rate
-    compared: list[tuple[SavedModel, list[RecordEvaluation], dict[str, dict[str, PredictionErrors]]]] = []
+    loaded = [replace(log, about={**log.about, "role": "compared"}) for log in loaded]
+    notes: list[str] = []
     for path, known in zip(request.models, saved, strict=True):
-        reporter.progress(f"predicting the logs by {path}")
         for line in hold_lines(known, loaded):
             reporter.warning(f"{path}: {line}")
+            notes.append(f"{path}: {line}")
+    rate, compared = request.rate, list[_Candidate]()
+    for path, name, known in zip(request.models, request.names or map(str, request.models), saved, strict=True):
         # First order, so that the likelihoods of all models are comparable.
         model = replace(known.model, second_order=False)
         placed, _ = in_one_frame(model, loaded, [], known.origin)
         model, segments, _, usual = model_of_logs(model, path, placed, [], request.thruster)
         rate = rate or usual
-        views, failed = evaluate_records(model, [make_record(model, s, rate) for s in segments])
-        if failed:
+        compared.append(_Candidate(name, path, known, model, segments))
+    rate = rate or 10.0
+    horizons = tuple(dict.fromkeys(request.horizons)) or (saved[0].model.horizon,)
+    records = records_of_same_time([(c.model, c.segments) for c in compared], rate)
+    predicted = _predicted(compared, records, horizons, rate, request.workers, reporter)
+    result = _result(compared, records, predicted, horizons, loaded, command, notes)
+    if request.out is not None:
+        write_comparison(result, request.out)
+    return result
+
+
+def write_comparison(result: ComparisonResult, out: Path) -> Path:
+    """Write result.json and report.html of a comparison to a folder, and return it.
+
+    The folder is created if it does not exist. Existing files of these names are replaced.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    write_result(result, out / "result.json")
+    write_report(result, out / "report.html")
+    return out
+
+
+def labels(n: int) -> list[str]:
+    """Return the labels of n models: ``a`` to ``z``, then ``a1``, ``b1``, ..."""
+    letters = string.ascii_lowercase
+    return [letters[k % len(letters)] + (str(k // len(letters)) if k >= len(letters) else "") for k in range(n)]
+
+
+def records_of_same_time(models: Sequence[tuple[Model, Sequence[LogSegment]]], rate: float) -> list[list[Record]]:
+    """Return the records of each model, all of which cover the same interval of time of a log.
+
+    A record begins where all signals of its model are known, which differs between models with other inputs. The
+    records of a log are therefore cut to the time that all of them cover, so that their times count from one instant.
+
+    Parameters
+    ----------
+    models : sequence of (Model, sequence of LogSegment)
+        Models, and for each the signals of the logs, in the same order.
+    rate : float
+        Rate of the rows [Hz].
+
+    Raises
+    ------
+    ValueError
+        If a log lacks signals of a model, or if the signals of the models do not overlap.
+    """
+    records = [[make_record(model, s, rate) for s in segments] for model, segments in models]
+    for k in range(len(records[0])):
+        starts = [float(own[k].meta["t0"]) for own in records]
+        ends = [start + float(own[k].t[-1]) for start, own in zip(starts, records, strict=True)]
+        if max(starts) - min(starts) > SAME_TIME or max(ends) - min(ends) > SAME_TIME:
+            for own, (model, segments) in zip(records, models, strict=True):
+                own[k] = make_record(model, replace(segments[k], t_from=max(starts), t_to=min(ends)), rate)
+    return records
+
+
+def _predicted(
+    compared: Sequence[_Candidate],
+    records: Sequence[Sequence[Record]],
+    horizons: tuple[float, ...],
+    rate: float,
+    workers: Workers,
+    reporter: Reporter,
+) -> list[dict[str, PredictedRecord]]:
+    """Predict each record by each model in parallel tasks, and return the predictions of each model by record.
+
+    SeatrialError is raised if a model cannot predict a record.
+    """
+    longest = max(own.duration for own in records[0])
+    interval = max(MIN_STRIDE / rate, longest / MAX_STARTS)
+    tasks = [
+        PredictionTask(i, c.model, record, horizons, interval, uncertainty_of(c.saved.covariance(), c.model))
+        for i, (c, own) in enumerate(zip(compared, records, strict=True))
+        for record in own
+    ]
+    found = [dict[str, PredictedRecord]() for _ in compared]
+    for n, outcome in enumerate(run_many(tasks, predict_record, workers, reporter), 1):
+        path, record = compared[outcome.task.index].path, outcome.task.record.name
+        if outcome.value is None:
             raise SeatrialError(
-                f"{path}: this model cannot predict {failed[0].record}: {failed[0].reason}; leave out this log or model"
+                f"{path}: this model cannot predict {record}: {outcome.error}; leave out this log or model"
             )
-        errors = {v.record.name: horizon_errors(v.model, v.record, v.values, v.run.x_filt, horizon) for v in views}
-        compared.append((known, views, errors))
-    first, rows = compared[0], list[ComparedModel]()
-    for path, (known, views, errors) in zip(request.models, compared, strict=True):
-        row = ComparedModel(str(path), known, _rms_by_channel(errors), _logs_of_fit(known, loaded))
-        if rows:
-            score = _log_score(first[1], views)
-            reason = _why_not_comparable(rows[0], row, loaded, score)
+        found[outcome.task.index][record] = outcome.value
+        reporter.progress(f"{n} of {len(tasks)}: {record} predicted by {path}")
+    return [{record.name: by[record.name] for record in records[0]} for by in found]
+
+
+def _result(
+    compared: Sequence[_Candidate],
+    records: Sequence[Sequence[Record]],
+    predicted: Sequence[Mapping[str, PredictedRecord]],
+    horizons: tuple[float, ...],
+    loaded: Sequence[LoadedLog],
+    command: str,
+    notes: Sequence[str],
+) -> ComparisonResult:
+    """Return the result of a comparison from the predictions of each model by record.
+
+    ``records`` has the records of each model in the order of ``loaded``, and ``notes`` the remarks on the logs.
+    """
+    letters = labels(len(compared))
+    block = BLOCK_LENGTHS * max(c.model.block for c in compared)
+    kinds = [ONE_STEP, *(Kind("horizon", s) for s in horizons), SIMULATION]
+    units = {o.name: o.unit for c in compared for o in c.model.outputs}
+    channels = list[ComparedChannel]()
+    changes: list[list[ComparedKind]] = [[] for _ in compared]
+    for kind in kinds:
+        errors = at_common_samples([{r: p.errors[kind] for r, p in by.items()} for by in predicted])
+        lengths = dict.fromkeys(units, max(block, BLOCK_LENGTHS * (kind.seconds or 0.0)))
+        if kind == SIMULATION:
+            for name, length in (item for other in errors[1:] for item in correlated_blocks(errors[0], other).items()):
+                lengths[name] = max(lengths[name], length)
+        channels += channel_rows(kind, errors, letters, units, lengths)
+        length = max(lengths.values())
+        for own, other in zip(changes[1:], errors[1:], strict=True):
+            found = prediction_change_by_record(errors[0], other, kind.seconds or 0.0, length)
+            if (ratio := ratio_row(found)) is not None:
+                own.append(ComparedKind(kind=kind.kind, seconds=kind.seconds, block=length, against_reference=ratio))
+    models = list[ComparedModel]()
+    for label, c, by, own in zip(letters, compared, predicted, changes, strict=True):
+        row = ComparedModel(
+            label=label,
+            name=c.name,
+            model=c.model.name,
+            n_free=c.n_free,
+            fitted_to=logs_of_fit(c.saved, loaded),
+            changes=tuple(own),
+        )
+        if models:
+            held_out = not (models[0].fitted_to or row.fitted_to)
+            score = log_score(predicted[0], by, block, held_out)
+            saved, fitted_to = (compared[0].saved, c.saved), (models[0].fitted_to, row.fitted_to)
+            reason = why_not_comparable(saved, fitted_to, loaded, score)
             criteria = None
             if score is not None and not reason:
-                criteria = _criteria(first[0].model, known.model, first[1], score.gain)
-            change = prediction_change_by_record(first[2], errors, horizon)
-            row = replace(row, change=change, score=score, criteria=criteria, no_criteria=reason)
-        rows.append(row)
-    units = {o.name: o.unit for known, _, _ in compared for o in known.model.outputs}
-    return ModelComparison(horizon, units, tuple(rows))
-
-
-def _logs_of_fit(saved: SavedModel, logs: Sequence[LoadedLog]) -> tuple[str, ...]:
-    """Return the names of those of ``logs`` that the model ``saved`` was fitted to.
-
-    A log is recognised by its hash, which the model file lists. A log of which only an interval was read has no hash
-    and is recognised by the name of its file.
-    """
-    used = [str(line) for line in saved.provenance.get("logs", ())]
-    found = []
-    for log in logs:
-        digest, name = str(log.about.get("sha256") or "")[:16], Path(str(log.about["path"])).name.partition("[")[0]
-        if any(digest in line if digest else Path(line.partition(" sha256:")[0]).name == name for line in used):
-            found.append(log.run.name)
-    return tuple(found)
-
-
-def _why_not_comparable(
-    first: ComparedModel, second: ComparedModel, logs: Sequence[LoadedLog], score: LogScore | None
-) -> str:
-    """Return the reason why there are no information criteria of two models; an empty text if they are valid.
-
-    They are valid if both models were fitted to exactly the compared ``logs``, each read as a whole, by maximum
-    likelihood without REML and with a first-order filter. ``score``: difference of the models in log-likelihood; None
-    if they do not predict the same samples.
-    """
-    if score is None:
-        return "the models do not predict the same samples"
-    if any(not log.about.get("sha256") for log in logs):
-        return "only a part of a log is used, and a model file does not contain the part that it was fitted to"
-    both = (first, second)
-    if any(len(m.fitted_to_logs) != len(logs) or len(m.saved.provenance["logs"]) != len(logs) for m in both):
-        return "not all models were fitted to exactly these logs"
-    if any(m.saved.reml for m in both):
-        return "a model was fitted with REML, whose noise is not that of the largest likelihood (fit with --no-reml)"
-    if any(m.saved.model.second_order for m in both):
-        return "a model was fitted with a second-order filter (fit with --no-second-order)"
-    return ""
-
-
-def _criteria(first: Model, second: Model, first_views: Sequence[RecordEvaluation], gain: float) -> InformationCriteria:
-    """Return the information criteria of the second of two fitted models against the first.
-
-    Parameters
-    ----------
-    first, second : Model
-        The models with their estimates.
-    first_views : sequence of RecordEvaluation
-        Evaluation of the first model on each record. The evaluation of the second model has the same samples.
-    gain : float
-        Log-likelihood of the second model less that of the first.
-
-    Returns
-    -------
-    InformationCriteria
-        Its p value is None unless the first model is the second one with at least one free parameter fixed or missing.
-    """
-    more = _n_estimates(second, len(first_views)) - _n_estimates(first, len(first_views))
-    n = sum(int(np.isfinite(v.record.y).sum()) for v in first_views)
-    p = float(chi2_sf(2.0 * max(gain, 0.0), more)) if more > 0 and _is_nested(first, second) else None
-    return InformationCriteria(gain, more, 2.0 * (more - gain), more * float(np.log(n)) - 2.0 * gain, p)
-
-
-def _n_estimates(model: Model, n_records: int) -> int:
-    """Return the number of estimates of a fit to ``n_records`` records; a per-record parameter has one per record."""
-    return sum(n_records if p.per_record else 1 for p in model.parameters if p.free)
-
-
-def _is_nested(first: Model, second: Model) -> bool:
-    """Return whether the first model is the second model with some (or none) of its free parameters fixed or missing.
-
-    Both models must have the same source (name of the structure). Each parameter of the first must exist in the second,
-    and each free parameter of the first must be free there. A parameter that is fixed in the second must have the same
-    value in the first, to nine digits or to 1e-8 in its unit.
-    """
-    free = [{p.name for p in m.parameters if p.free} for m in (first, second)]
-    fixed = [p for p in second.parameters if not p.free and p.name in first.values]
-    return (
-        first.source == second.source
-        and set(first.values) <= set(second.values)
-        and free[0] <= free[1]
-        and all(np.isclose(first.values[p.name], p.value, rtol=1e-9) for p in fixed)
+                criteria = information_criteria(compared[0].saved.model, c.saved.model, by, score.gain)
+            row = msgspec.structs.replace(row, score=score, criteria=criteria, no_criteria=reason)
+        models.append(row)
+    made = provenance(loaded, command)
+    verdicts = sum(e.against_reference is not None for row in channels for e in row.errors)
+    chance = (
+        f"Each verdict is at the level of 95 %: of {counted(verdicts, 'verdict')} on equal models, about "
+        f"{CHANCE * verdicts:.1g} would be wrong by chance."
     )
+    result = ComparisonResult(
+        created=made.created,
+        seatrial=made.seatrial,
+        command=made.command,
+        logs=made.logs,
+        answer="",
+        warnings=tuple(_warnings(models)),
+        notes=(*notes, *([chance] if verdicts else [])),
+        horizons=horizons,
+        models=tuple(models),
+        channels=tuple(channels),
+        traces=tuple(_traces(compared, records, predicted, letters)),
+    )
+    return msgspec.structs.replace(result, answer=comparison_answer(result))
 
 
-def _rms_by_channel(errors: Mapping[str, Mapping[str, PredictionErrors]]) -> dict[str, float]:
-    """Return the RMS prediction error of each channel over all records, in the unit of the channel.
-
-    ``errors`` has the prediction errors by record and channel. The mean is over the errors of all records together, not
-    over the records. The RMS error is infinite if a prediction diverged.
-    """
-    names = dict.fromkeys(name for by_channel in errors.values() for name in by_channel)
-    pooled = {n: np.concatenate([by[n].e for by in errors.values() if n in by]) for n in names}
-    return {n: float(np.sqrt(np.mean(e**2))) for n, e in pooled.items()}
-
-
-def _log_score(before: Sequence[RecordEvaluation], after: Sequence[RecordEvaluation]) -> LogScore | None:
-    """Return the difference in log-likelihood of the samples between two models, ``before`` and ``after``.
-
-    Each sequence has the evaluation of a model on the same logs in the same order. The blocks of time are twice as long
-    as residuals may be correlated; the last one of a log has up to twice this length. Only the time that both records
-    of a log cover is used. The result is None if the models do not predict the same number of samples of each channel
-    in it: then the likelihoods are not comparable. The interval is NaN with fewer than four blocks.
-    """
-    gains: list[float] = []
-    for a, b in zip(before, after, strict=True):
-        # Only the time that both records cover: the inputs of the models may begin and end at different times.
-        begin, end = max(a.record.t[0], b.record.t[0]), min(a.record.t[-1], b.record.t[-1])
-        inside = [(v.record.t >= begin) & (v.record.t <= end) for v in (a, b)]
-        if _samples_by_channel(a.record, inside[0]) != _samples_by_channel(b.record, inside[1]):
-            return None
-        # Blocks of twice the time over which residuals may be correlated; the last one is the longest.
-        length = 2.0 * a.model.block
-        last = max(int((end - begin) / length) - 1, 0)
-        sums = []
-        for v, rows in zip((a, b), inside, strict=True):
-            block = np.minimum((v.record.t[rows] - begin) // length, last).astype(int)
-            sums.append(np.bincount(block, v.ll[rows], last + 1))
-        gains += (sums[1] - sums[0]).tolist()
-    gain, n = float(np.sum(gains)), len(gains)
-    if n < FEWEST_BLOCKS:
-        return LogScore(gain, float("nan"), float("nan"), n)
-    reach = float(student_ppf(0.975, n - 1) * np.std(gains, ddof=1) * np.sqrt(n))
-    return LogScore(gain, gain - reach, gain + reach, n)
-
-
-def _samples_by_channel(record: Record, rows: NDArray[np.bool_]) -> dict[str, int]:
-    """Return the number of samples of each channel in the rows of a record for which the mask ``rows`` is true.
-
-    Channels without samples in these rows are left out.
-    """
-    counts = np.isfinite(record.y[rows]).sum(axis=0).tolist()
-    return {name: n for name, n in zip(record.outputs, counts, strict=True) if n}
-
-
-def comparison_table(found: ModelComparison) -> dict[str, Any]:
-    """Return a comparison as a mapping for JSON, with the numbers that `comparison_lines` prints and their intervals.
-
-    The first model has no `change`, `score` and `criteria` (None), which compare a model with the first one.
-    """
-    models = [
-        {
-            "model": m.name,
-            "n_free": m.n_free,
-            "rms": dict(m.rms),
-            "fitted_to_logs": list(m.fitted_to_logs),
-            "change": m.change
-            and {"ratio": m.change.ratio, "low": m.change.low, "high": m.change.high, "verdict": m.change.verdict},
-            "score": m.score and {**asdict(m.score), "verdict": m.score.verdict},
-            "criteria": m.criteria and asdict(m.criteria),
-            "no_criteria": m.no_criteria,
-        }
-        for m in found.models
+def _warnings(models: Sequence[ComparedModel]) -> list[ResultWarning]:
+    """Return a warning for each model that was fitted to a compared log."""
+    return [
+        ResultWarning(
+            code="compared-on-fitted-log",
+            text=f"({m.label}) was fitted to {', '.join(m.fitted_to)}: its errors there are smaller than on other "
+            "logs. Compare on logs that no model has used.",
+        )
+        for m in models
+        if m.fitted_to
     ]
-    return {"kind": "comparison", "horizon": found.horizon, "units": dict(found.units), "models": models}
 
 
-def comparison_lines(found: ModelComparison, names: Sequence[str] | None = None) -> list[str]:
-    """Return a comparison as lines of text.
+def _traces(
+    compared: Sequence[_Candidate],
+    records: Sequence[Sequence[Record]],
+    predicted: Sequence[Mapping[str, PredictedRecord]],
+    letters: Sequence[str],
+) -> list[ComparedTrace]:
+    """Return the measured channels of each record with the predictions of all models.
 
-    The lines are the list of models, a table of the RMS prediction errors by channel, the differences of each model to
-    the first one, and warnings about models that were fitted to the compared logs. The models have the
-    labels (a), (b), ... in their order. The table shows ``-`` for a channel that a model does not predict.
+    The samples are those of the first model that predicts the channel. Instants without a sample are left out, and so
+    are channels without any sample.
+    """
+    found = []
+    for k in range(len(records[0])):
+        outputs = {
+            o.name: (o, own[k])
+            for c, own in reversed(list(zip(compared, records, strict=True)))
+            for o in c.model.outputs
+        }
+        for name in dict.fromkeys(o.name for c in compared for o in c.model.outputs):
+            output, record = outputs[name]
+            y = record.y[:, record.outputs.index(name)]
+            seen = np.isfinite(y)
+            if not seen.any():
+                continue
+            predictions = tuple(
+                ComparedPrediction(
+                    model=letter, kind=kind.kind, seconds=kind.seconds, t=curve.t, predicted=curve.y, sd=curve.sd
+                )
+                for letter, by in zip(letters, predicted, strict=True)
+                for kind, by_channel in by[record.name].curves.items()
+                if (curve := by_channel.get(name)) is not None
+            )
+            found.append(
+                ComparedTrace(
+                    record=record.name,
+                    channel=name,
+                    unit=output.unit,
+                    angle=output.angle,
+                    t=record.t[seen],
+                    measured=y[seen],
+                    predictions=predictions,
+                )
+            )
+    return found
+
+
+def comparison_answer(result: ComparisonResult) -> str:
+    """Return the conclusion of a comparison: the best model over the first horizon, and its error over all channels.
 
     Parameters
     ----------
-    found : ModelComparison
-        The comparison.
-    names : sequence of str, optional
-        Names of the models, in their order; by default the paths of their files.
+    result : ComparisonResult
+        The comparison; its field ``answer`` is not used.
     """
-    names = list(names or (m.name for m in found.models))
-    channels = list(dict.fromkeys(n for m in found.models for n in m.rms))
-    head = ["", "unit", *(f"({chr(ord('a') + k)})" for k in range(len(names)))]
-    table = [head, *([c, found.units[c], *(_error_text(m.rms.get(c)) for m in found.models)] for c in channels)]
-    widths = [max(len(row[k]) for row in table) for k in range(len(head))]
-    lines = [
-        f"({chr(ord('a') + k)}) {name}, {m.n_free} free parameters"
-        for k, (name, m) in enumerate(zip(names, found.models, strict=True))
-    ]
-    lines += ["", f"RMS prediction error {found.horizon:g} s ahead"]
-    for row in table:
-        left = [cell.ljust(w) for cell, w in zip(row[:2], widths[:2], strict=True)]
-        lines.append("  ".join([*left, *(c.rjust(w) for c, w in zip(row[2:], widths[2:], strict=True))]).rstrip())
-    for k, m in enumerate(found.models):
-        if m.change is not None:
-            lines += ["", f"({chr(ord('a') + k)}) against (a): {_change_text(m.change)}", _score_text(m.score)]
-            lines.append(_criteria_text(m))
-    for k, m in enumerate(found.models):
-        if m.fitted_to_logs:
-            lines.append(
-                f"({chr(ord('a') + k)}) was fitted to {', '.join(m.fitted_to_logs)}: its errors there are smaller than "
-                "on other logs. Compare on logs that no model has used."
-            )
-    return lines
+    seconds = result.horizons[0]
+    first, *others = result.models
+    shown = [(m, c.against_reference) for m in others for c in m.changes if c.seconds == seconds]
+    if not shown:
+        return f"The logs have no prediction {seconds:g} s ahead that can be compared."
+    best = next((row for row in shown if row[0].label == result.best), None)
+    if best is not None:
+        words = f"Best {seconds:g} s ahead: ({best[0].label}) {best[0].name}. {_change_words(*best, first)}"
+    elif all(ratio.verdict == "worse" for _, ratio in shown):
+        nearest = min(shown, key=lambda row: row[1].ratio)
+        words = f"Best {seconds:g} s ahead: ({first.label}) {first.name}. {_change_words(*nearest, first)}"
+    else:
+        words = f"No model is significantly better than ({first.label}) {first.name} {seconds:g} s ahead."
+        if len(shown) == 1:
+            words += f" {_change_words(*shown[0], first)}"
+    return words
 
 
-def _error_text(error: float | None) -> str:
-    """Return the text of an RMS error: a number of three digits, or ``diverged`` if it is not finite.
-
-    The text for None, a channel that the model does not predict, is ``-``.
-    """
-    return "-" if error is None else f"{error:.3g}" if np.isfinite(error) else "diverged"
-
-
-def _change_text(change: PredictionChange) -> str:
-    """Return a sentence on the change of the prediction error of all channels, with its 95 % interval.
-
-    Without a finite interval the sentence has no verdict, and states that the logs are too short.
-    """
-    by, low, high = (100.0 * (r - 1.0) for r in (change.ratio, change.low, change.high))
-    if not np.isfinite(low):
-        return f"the prediction error of all channels changes by {by:+.0f} %; the logs are too short for an interval."
-    verdict = {"fell": "smaller", "rose": "larger", "unchanged": "not significantly different"}[change.verdict]
-    return f"the prediction error of all channels is {verdict}: {by:+.0f} % (95 %: {low:+.0f} to {high:+.0f} %)."
-
-
-def _score_text(score: LogScore | None) -> str:
-    """Return a sentence on the difference of two models in log-likelihood, or on its absence if ``score`` is None."""
-    if score is None:
-        return "The models do not predict the same samples, so their likelihoods are not compared."
-    interval = f" (95 %: {score.low:.1f} to {score.high:.1f})" if np.isfinite(score.low) else ""
-    verdict = {"better": "better", "worse": "worse", "unchanged": "not significantly different"}[score.verdict]
-    return f"One step ahead it is {verdict}: log-likelihood {score.gain:+.1f}{interval}, {score.blocks} blocks of time."
-
-
-def _criteria_text(m: ComparedModel) -> str:
-    """Return a sentence with the information criteria of a compared model, or with the reason why there are none."""
-    c = m.criteria
-    if c is None:
-        return f"AIC, BIC and likelihood ratio are not given: {m.no_criteria}."
-    ratio = "" if c.p is None else f"; likelihood ratio {2 * c.gain:.1f} for {c.parameters} parameters, p = {c.p:.2g}"
-    return f"On the data of both fits: Delta AIC {c.aic:+.1f}, Delta BIC {c.bic:+.1f}{ratio}."
+def _change_words(model: ComparedModel, ratio: ComparedRatio, reference: ComparedModel) -> str:
+    """Return a sentence on the error of a model over all channels against that of the reference."""
+    by = 100.0 * (ratio.ratio - 1.0)
+    side = "smaller" if by < 0.0 else "larger"
+    words = f"The error of ({model.label}) over all channels is {abs(by):.0f} % {side} than that of ({reference.label})"
+    if ratio.low is None or ratio.high is None:
+        return f"{words}; the logs are too short for an interval."
+    low, high = (f"{100.0 * (r - 1.0):+.0f}".replace("-", "−") for r in (ratio.low, ratio.high))
+    return f"{words} (95 %: {low} to {high} %)."

@@ -1,7 +1,8 @@
 """Workflow of `seatrial ident study`: Monte Carlo study of the estimator on simulated missions.
 
 A replicate is one simulated mission and the fit to it. Replicates run in parallel, and each is stored as one line of
-JSON. The summary is written to result.json and to a page, study.md.
+JSON. At the end all replicates are also one Parquet file. The summary is written to result.json and to a page,
+study.md.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
 
@@ -33,7 +35,9 @@ from seatrial.ident.studies import (
     run_replicates,
     summarise,
 )
+from seatrial.ident.workflows.study_table import write_replicates
 
+REPLICATES = "replicates.parquet"
 BATCH = 25  # largest number of replicates in a task, which are simulated together
 TASK_S = 10.0  # s: aim for the CPU time of a task; its replicates are lost if the study is stopped before its end
 ROWS = 3  # version of the content of a line of JSON
@@ -239,9 +243,9 @@ class StudyRequest:
 def run_studies(request: StudyRequest, command: str, reporter: Reporter) -> StudyResult:
     """Run the study of each model, and write the results.
 
-    The files in the folder ``request.out`` are one NAME.jsonl of replicates for each case, result.json, and study.md
-    with its folder of pictures. The page report.html is written by the command. Replicates that exist there from an
-    earlier run are used.
+    The files in the folder ``request.out`` are one NAME.jsonl of replicates for each case, replicates.parquet with all
+    of them (if pyarrow is installed), result.json, and study.md with its folder of pictures. The page report.html is
+    written by the command. Replicates that exist there from an earlier run are used.
 
     Parameters
     ----------
@@ -262,7 +266,7 @@ def run_studies(request: StudyRequest, command: str, reporter: Reporter) -> Stud
     SeatrialError
         If a model or an option cannot be used, or if ``request.out`` is a file.
     """
-    cases, out, method = request.cases(), request.out, request.method
+    cases, out, method, replicates = request.cases(), request.out, request.method, list[tuple[Case, list[Row]]]()
     if out.exists() and not out.is_dir():
         raise SeatrialError(f"{out}: is a file; give a folder with --out")
     parts = []
@@ -277,6 +281,7 @@ def run_studies(request: StudyRequest, command: str, reporter: Reporter) -> Stud
             reporter=reporter,
         )
         parts.append(model_study(case, rows, method))
+        replicates.append((case, rows))
     made = provenance([], command)
     result = StudyResult(
         created=made.created, seatrial=made.seatrial, command=made.command,
@@ -285,6 +290,10 @@ def run_studies(request: StudyRequest, command: str, reporter: Reporter) -> Stud
     )  # fmt: skip
     write_result(result, out / "result.json")
     write_study_docs(result, out / "study.md")
+    if find_spec("pyarrow") is None:
+        reporter.progress(f"{REPLICATES} is not written: it needs pyarrow, pip install 'seatrial[parquet]'")
+    else:
+        write_replicates(out / REPLICATES, replicates, request.seed, method, made.seatrial)
     return result
 
 

@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, overload
 
-from seatrial.api.fits import FittedResult, Logs, model_path, window_of
-from seatrial.api.logs import as_paths
-from seatrial.api.messages import Messages, errors_of_users
+from seatrial.api.figures import Figure
+from seatrial.api.fits import FittedResult, Logs, model_path, python_call, window_of
+from seatrial.api.logs import PathLike, as_paths
+from seatrial.api.messages import Messages, errors_of_users, text_of
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import import_library
 
 if TYPE_CHECKING:
-    from seatrial.ident.workflows.compare import ModelComparison
+    from seatrial.ident.results import ComparisonResult
 
 AnyModel = Any  # PathLike, FittedVehicle, FittedDiagnosis or Saved, which is imported only if it is needed
 Models = Sequence[AnyModel] | Mapping[str, AnyModel]
@@ -23,85 +25,185 @@ Models = Sequence[AnyModel] | Mapping[str, AnyModel]
 
 @dataclass(frozen=True, repr=False)
 class Comparison(Shown):
-    """Comparison of fitted models by their prediction errors on the same logs. `compare` returns it.
+    """Comparison of fitted models by their predictions of the same logs. `compare` returns it.
 
     Attributes
     ----------
-    names : tuple of str
-        Name of each model; the first one is the reference.
-    found : ModelComparison
-        Prediction errors of each model, and their differences from the first one (`seatrial.ident.workflows.compare`).
+    result : ComparisonResult
+        Content of result.json: for each model and channel the errors one step ahead, over each horizon and in
+        simulation, with verdicts by 95 % intervals; log score and information criteria; and the predictions over time.
     """
 
-    names: tuple[str, ...]
-    found: ModelComparison
+    result: ComparisonResult
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of each model; the first one is the reference."""
+        return tuple(m.name for m in self.result.models)
+
+    @property
+    def answer(self) -> str:
+        """Best model over the first horizon, and its error over all channels against that of the first model."""
+        return self.result.answer
 
     @property
     def best(self) -> str:
-        """Name of the model with the smallest prediction error over the horizon.
+        """Name of the model with the smallest prediction error over the first horizon.
 
         Only models that are significantly better than the first one are considered: the 95 % interval of the change of
         the prediction error excludes no change. If there are none, it is the first.
         """
-        better = [
-            (m.change.ratio, name)
-            for name, m in zip(self.names, self.found.models, strict=True)
-            if m.change is not None and m.change.verdict == "fell"
-        ]
-        return min(better)[1] if better else self.names[0]
+        return next(m.name for m in self.result.models if m.label == self.result.best)
 
     def summary(self) -> str:
-        """Return the comparison as text: RMS errors by channel, then the difference of each model to the first one."""
-        from seatrial.ident.workflows.compare import comparison_lines
-
-        return "\n".join(comparison_lines(self.found, self.names))
+        """Return the comparison as text, as the command prints it: answer, errors by channel, and likelihoods."""
+        return text_of(self.result)
 
     def to_pandas(self) -> Any:
-        """Return the RMS prediction errors as a ``pandas.DataFrame``: a row for each channel, a column for each model.
+        """Return all errors as a ``pandas.DataFrame``: a row for each kind of prediction, channel and model.
 
-        A channel that a model does not predict is NaN.
+        The columns are ``kind`` (one_step, horizon, simulation), ``seconds`` (the horizon, else NaN), ``channel``,
+        ``unit``, ``model`` (its name), ``rms`` (NaN: diverged), ``fit`` (1: perfect), ``ratio``, ``low``, ``high`` and
+        ``verdict`` (against the first model, with the 95 % interval), and ``best`` (whether the error is the smallest).
+        A model has no row for a channel that it does not predict.
 
         Raises
         ------
         SeatrialError
             If pandas is not installed.
         """
-        columns = {name: dict(m.rms) for name, m in zip(self.names, self.found.models, strict=True)}
-        return import_library("pandas").DataFrame(columns)
+        names = {m.label: m.name for m in self.result.models}
+        rows = []
+        for row in self.result.channels:
+            of_channel = {"kind": row.kind, "seconds": row.seconds, "channel": row.channel, "unit": row.unit}
+            for e in row.errors:
+                found = e.against_reference
+                ratio = {n: None if found is None else getattr(found, n) for n in ("ratio", "low", "high", "verdict")}
+                own = {"model": names[e.model], "rms": e.rms, "fit": e.fit}
+                rows.append({**of_channel, **own, **ratio, "best": e.model == row.best})
+        frame = import_library("pandas").DataFrame(rows)
+        numbers = ["seconds", "rms", "fit", "ratio", "low", "high"]
+        return frame.astype(dict.fromkeys(numbers, float))
+
+    def plot(self, *channels: str, horizon: float | Literal["simulation"] | None = None) -> Figure:
+        """Return a figure of the measured channels with the predictions of all models, each with its 95 % band.
+
+        It has a panel for each channel of each record. Each model has its own colour and dash, which are
+        distinguishable with any kind of colour vision. Angles are in degrees.
+
+        Parameters
+        ----------
+        *channels : str
+            Names of the channels to draw, such as ``"psi"``; without names all are drawn.
+        horizon : float or ``"simulation"``, optional
+            Horizon of the predictions [s], one of those of the comparison, or the simulation from the inputs alone.
+            None: the first horizon.
+
+        Raises
+        ------
+        SeatrialError
+            If the comparison has no channel with one of the names, or no such horizon.
+        """
+        from seatrial.api.plots import comparison_figure
+
+        return comparison_figure(self.result, channels, horizon)
+
+    def save(self, folder: PathLike) -> Path:
+        """Write result.json and report.html to a folder, as ``seatrial ident compare --out``, and return its path.
+
+        Parameters
+        ----------
+        folder : path
+            Folder, which is created if it does not exist. Existing files of the same names are replaced.
+        """
+        from seatrial.ident.workflows.compare import write_comparison
+
+        return write_comparison(self.result, Path(folder))
 
     def _content(self) -> Content:
-        """Return the best model, and the RMS prediction errors: a row for each channel, a column for each model."""
-        rows = [
-            (channel, *(number(m.rms.get(channel), 3) for m in self.found.models), unit or "1")
-            for channel, unit in self.found.units.items()
-        ]
-        answer = f"Smallest prediction error {self.found.horizon:g} s ahead: {self.best}."
-        return Content(answer, (), ("RMS error", *self.names, "unit"), rows)
+        """Return the answer, and the RMS errors over the first horizon: a row for each channel, a column per model."""
+        labels, horizon = [m.label for m in self.result.models], self.result.horizons[0]
+        rows = []
+        for row in self.result.channels:
+            if row.seconds == horizon:
+                rms = {e.model: e.rms for e in row.errors}
+                rows.append((row.channel, *(number(rms.get(label), 3) for label in labels), row.unit or "1"))
+        names = tuple(m.name for m in self.result.models)
+        return Content(self.answer, (), (f"RMS error {horizon:g} s ahead", *names, "unit"), rows)
 
     def __repr__(self) -> str:
         """Return the text of `summary`, which the interpreter shows."""
         return self.summary()
 
 
+@overload
 def compare(
     models: Models,
     logs: Logs,
-    horizon: float | None = None,
+    /,
+    *,
+    horizon: float | Sequence[float] | None = None,
     rate: float | None = None,
+    thruster: PathLike | None = None,
+    backend: Literal["loky", "dask", "ray"] = "loky",
+    scheduler: str = "",
+    jobs: int | None = None,
+) -> Comparison: ...
+
+
+@overload
+def compare(
+    models: AnyModel,
+    *others: Any,
+    logs: Logs | None = None,
+    horizon: float | Sequence[float] | None = None,
+    rate: float | None = None,
+    thruster: PathLike | None = None,
+    backend: Literal["loky", "dask", "ray"] = "loky",
+    scheduler: str = "",
+    jobs: int | None = None,
+) -> Comparison: ...
+
+
+def compare(
+    models: Any,
+    *others: Any,
+    logs: Logs | None = None,
+    horizon: float | Sequence[float] | None = None,
+    rate: float | None = None,
+    thruster: PathLike | None = None,
+    backend: Literal["loky", "dask", "ray"] = "loky",
+    scheduler: str = "",
+    jobs: int | None = None,
 ) -> Comparison:
-    """Compare fitted models on the same logs: their prediction errors, and their log score one step ahead.
+    """Compare fitted models on the same logs: their errors by channel and horizon, and their log score.
+
+    The call is ``compare([m1, m2], logs)`` with a list or dictionary of models, or ``compare(m1, m2, logs)`` with one
+    model after the other: the last argument without a name is then the logs.
 
     Parameters
     ----------
-    models : sequence, or dict by name, of path, `Saved`, `FittedVehicle` or `FittedDiagnosis`
-        Two models or more; the first one is the reference. A path that occurs twice in a sequence counts once.
-    logs : path, `Log` or sequence of them
+    models : sequence, or dict by name, of path, `Saved`, `FittedVehicle` or `FittedDiagnosis`; or the first of them
+        Two models or more; the first one is the reference. A path that occurs twice counts once.
+    *others : models and logs
+        Further models if ``models`` is a single one, and then the logs if ``logs`` is not given by its name.
+    logs : path, `Log` or sequence of them, optional
         Logs on which the models are compared; of a `Log`, its window is used. Use logs that no model was fitted to; the
         summary names the others.
-    horizon : float, optional
-        Horizon of the predictions [s]. None: that of the first model.
+    horizon : float or sequence of float, optional
+        Horizons of the predictions [s], beside one step ahead and simulation. None: that of the first model.
     rate : float, optional
         Rate of the rows [Hz] to which faster sensors are averaged. None: the usual rate of the first model.
+    thruster : path, optional
+        File of the static curve from command to thrust with which the models were fitted.
+    backend : ``loky``, ``dask`` or ``ray``
+        Processes of this computer, or a Dask or Ray cluster. Each predicts one log by one model at a time.
+    scheduler : str
+        Address of the scheduler of a Dask cluster, or of the head of a Ray cluster; empty: one is started on this
+        computer.
+    jobs : int, optional
+        Number of processes on this computer; -1: one for each core. None: this process; of a cluster that is started
+        here, one for each core.
 
     Returns
     -------
@@ -111,23 +213,69 @@ def compare(
     Raises
     ------
     SeatrialError
-        If there are fewer than two different models, if a model does not go with the logs, if the logs have faults that
-        make a fit meaningless, or if none is longer than ``horizon``.
+        If there are fewer than two different models or no logs, if a model does not go with the logs, if the logs have
+        faults that make a fit meaningless, or if none is longer than ``horizon``.
 
     Examples
     --------
-    >>> st.compare({"nominal": fit, "with mismatch": found}, "run4.mcap")
+    >>> compared = st.compare({"nominal": fit, "with mismatch": found}, "run4.mcap", horizon=[2.0, 10.0])
+    >>> compared.plot("psi", "r", horizon="simulation").save("overlay.html")
+    >>> st.compare("vehicle", "diagnosis", "run4.mcap").best
     """
+    from seatrial.ident.parallel import Workers
     from seatrial.ident.workflows.compare import CompareRequest, compare_models
 
-    named = models if isinstance(models, Mapping) else {_name_of(m, k): m for k, m in enumerate(models)}
+    chosen, data = _models_and_logs(models, others, logs)
+    named = chosen if isinstance(chosen, Mapping) else {_name_of(m, k): m for k, m in enumerate(chosen)}
+    horizons = () if horizon is None else (horizon,) if isinstance(horizon, int | float) else tuple(horizon)
     with errors_of_users(), ExitStack() as stack:
-        if len(named) == 1 < len(models):
+        if len(named) == 1 < len(chosen):
             raise SeatrialError(f"{next(iter(named))} is given twice; give another model to compare it with")
+        if len(named) < 2:
+            raise SeatrialError(
+                "a comparison needs two models or more; give them as a list, or one after the other, and then the logs"
+            )
         paths = [stack.enter_context(model_path(m)) for m in named.values()]
-        request = CompareRequest(paths, as_paths(logs), horizon, rate, window=window_of(logs))
-        found = compare_models(request, Messages(False))
-    return Comparison(tuple(named), found)
+        files = as_paths(data)
+        request = CompareRequest(
+            paths,
+            files,
+            horizons,
+            rate,
+            None if thruster is None else str(thruster),
+            window=window_of(data),
+            names=tuple(named),
+            workers=Workers(jobs, backend, scheduler),
+        )
+        result = compare_models(request, python_call("compare", files, models=str(list(named))), Messages(False))
+    return Comparison(result)
+
+
+def _models_and_logs(models: Any, others: Sequence[Any], logs: Logs | None) -> tuple[Models, Logs]:
+    """Return the models and the logs of the arguments of `compare`.
+
+    `models` is a sequence or dictionary of models, or the first model. A path, also as text, is a model. `others` are
+    the further arguments without a name.
+
+    Raises
+    ------
+    SeatrialError
+        If there are no logs, or if a list of models is followed by more than the logs.
+    """
+    several = isinstance(models, Mapping | Sequence) and not isinstance(models, str | bytes)
+    rest = list(others)
+    if logs is None:
+        if not rest:
+            raise SeatrialError("there are no logs; give them after the models, as in compare([m1, m2], logs)")
+        logs = rest.pop()
+    if not several:
+        return [models, *rest], logs
+    if rest:
+        raise SeatrialError(
+            "a list of models is followed by the logs alone; give the models one after the other, or in the list, and "
+            "options by their names, such as horizon=10"
+        )
+    return models, logs
 
 
 def _name_of(model: AnyModel, index: int) -> str:

@@ -15,7 +15,7 @@ from seatrial.api.findings import DiagnosisFindings
 from seatrial.api.fits import FittedResult, MotionMethods, Series, known_options, model_path
 from seatrial.api.logs import PathLike
 from seatrial.api.messages import errors_of_users
-from seatrial.api.plots import prediction_figure
+from seatrial.api.plots import comparison_figure, prediction_figure
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import import_library
@@ -137,6 +137,8 @@ class Saved(MotionMethods, Shown):
     def plot(self, *channels: str) -> Figure:
         """Return a figure of measured and predicted channels over the horizon, as that of a fit of this process.
 
+        For the result of a comparison it has the predictions of all models, as `Comparison.plot`.
+
         Parameters
         ----------
         *channels : str
@@ -145,8 +147,10 @@ class Saved(MotionMethods, Shown):
         Raises
         ------
         SeatrialError
-            If no result of a fit was loaded, or if it has no channel with one of the names.
+            If no result of a fit or of a comparison was loaded, or if it has no channel with one of the names.
         """
+        if self.result is not None and self.result.__struct_config__.tag == "comparison":
+            return comparison_figure(self.result, channels, None)
         if not hasattr(self.result, "traces"):
             raise SeatrialError(f"{self.path}: no {RESULT} of a fit was loaded; load the folder that contains it")
         return prediction_figure(self.result, channels)

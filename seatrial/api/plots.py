@@ -3,17 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from seatrial.api.figures import Figure
 from seatrial.daq.errors import SeatrialError
-from seatrial.ident.report import Panel, band, degrees_for, dots, line_trace, stacked
+from seatrial.ident.report import (
+    Panel,
+    band,
+    degrees_for,
+    dots,
+    kind_title,
+    line_trace,
+    overlay_panels,
+    stacked,
+    with_legend,
+)
 
 if TYPE_CHECKING:
     from seatrial.api.fits import Series
-    from seatrial.ident.results import FitResult
+    from seatrial.ident.results import ComparisonResult, FitResult, PredictionKind
 
 POINTS = 3000  # largest number of points of a line
 TURN_DEG = 360.0
@@ -55,6 +66,45 @@ def prediction_figure(result: FitResult, channels: Sequence[str]) -> Figure:
     return _stacked(
         f"Measured (grey) and predicted {result.horizon_seconds:g} s ahead (blue, with its 95 % band)", panels
     )
+
+
+def comparison_figure(
+    result: ComparisonResult, channels: Sequence[str], horizon: float | Literal["simulation"] | None
+) -> Figure:
+    """Return a figure of measured channels with the predictions of several models, each with its 95 % band.
+
+    Parameters
+    ----------
+    result
+        Result of a comparison.
+    channels
+        Names of the channels to draw; empty: all.
+    horizon
+        Horizon [s], ``simulation``, or None for the first horizon.
+
+    Raises
+    ------
+    SeatrialError
+        If the comparison has no channel with one of the names, or no such horizon.
+    """
+    check_names(channels, [x.channel for x in result.traces])
+    seconds = result.horizons[0] if horizon is None else horizon
+    if seconds != "simulation" and seconds not in result.horizons:
+        known = ", ".join(f"{h:g}" for h in result.horizons)
+        raise SeatrialError(f"there is no horizon {seconds}; choose {known} or 'simulation', or compare with horizon=")
+    kind: tuple[PredictionKind, float | None] = (
+        ("simulation", None) if seconds == "simulation" else ("horizon", float(seconds))
+    )
+    names = {m.label: f"({m.label}) {m.name}" for m in result.models}
+    panels: list[Panel] = []
+    for x in result.traces:
+        if not channels or x.channel in channels:
+            found = overlay_panels(result, [x], kind, POINTS, names, first=not panels)
+            panels += [replace(panel, title=f"{panel.title}, {x.record}") for panel in found]
+    title = f"Measured (grey) and predicted: {kind_title(*kind)}, with 95 % bands"
+    figure = _stacked(title, panels)
+    shown, height = with_legend(figure.to_dict(), figure.layout["height"], 1 + len(result.models))
+    return Figure(title, shown["data"], shown["layout"] | {"height": height})
 
 
 def residual_figure(residuals: Mapping[str, Mapping[str, Series]], channels: Sequence[str]) -> Figure:

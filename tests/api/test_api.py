@@ -21,6 +21,7 @@ import pytest
 import seatrial as st
 from seatrial import command_line
 from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.ident.results import read_result
 from seatrial.mocks.plant.bench import draw_bench
 from tests.missions import bench_log, boat_log, boat_with
 
@@ -79,7 +80,7 @@ def test_every_public_name_is_documented(name: str) -> None:
             assert f"{section}\n---" in text, section
         for parameter in inspect.signature(thing).parameters:
             described = [line.partition(" : ")[0].split(", ") for line in text.splitlines() if not line.startswith(" ")]
-            assert any(parameter in names or f"**{parameter}" in names for names in described), parameter
+            assert any({parameter, f"*{parameter}", f"**{parameter}"} & set(names) for names in described), parameter
     else:
         assert len(text) > 30
     methods = [m for n, m in inspect.getmembers(thing, inspect.isfunction) if not n.startswith("_")]
@@ -422,7 +423,8 @@ def test_diagnosis_names_the_effect(logs: list[Path], found: st.FittedDiagnosis,
     assert again.answer == found.answer
     assert st.navigate(again, logs[2]).states  # a loaded model can be used like the fitted one
     both = st.compare([again, found], logs[2])
-    assert both.found.models[0].rms == pytest.approx(both.found.models[1].rms, rel=1e-6)
+    for row in both.result.channels:
+        assert row.errors[0].rms == pytest.approx(row.errors[1].rms, rel=1e-6)
     assert again.params["eps_LR"] == pytest.approx(found.params["eps_LR"], rel=1e-6)
 
 
@@ -434,29 +436,38 @@ def test_comparison_prefers_the_model_with_the_effect(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     compared = st.compare({"nominal": fit, "mismatch": found}, logs[2])
-    nominal, better = compared.found.models
+    nominal, better = compared.result.models
     assert better.n_free == nominal.n_free + 1
-    assert better.rms["r"] < 0.6 * nominal.rms["r"]
+    (turn,) = (row for row in compared.result.channels if (row.kind, row.channel) == ("horizon", "r"))
+    assert turn.errors[1].rms < 0.6 * turn.errors[0].rms
     assert better.score is not None
-    assert better.score.verdict == "better"
-    assert (nominal.change, nominal.score) == (None, None)
-    assert list(compared.to_pandas().columns) == ["nominal", "mismatch"]
+    assert (better.score.verdict, better.score.held_out) == ("better", True)
+    assert (nominal.changes, nominal.score) == ((), None)
+    assert compared.best == "mismatch"
+    assert set(compared.to_pandas()["model"]) == {"nominal", "mismatch"}
     assert better.no_criteria == "not all models were fitted to exactly these logs"
     # On the log of the fit the summary says that the errors are too small.
-    own = st.compare([fit, found], logs[0])
+    own = st.compare(fit, found, logs[0])
     assert "(a) was fitted to run1" in own.summary()
-    assert "AIC, BIC and likelihood ratio are not given: a model was fitted with REML" in own.summary()
-    assert own.found.models[0].rms["r"] == pytest.approx(fit.predict(on="estimation")["run1"]["r"].rms, rel=0.05)
+    assert "No AIC, BIC and likelihood ratio: a model was fitted with REML" in " ".join(own.summary().split())
+    (turn,) = (row for row in own.result.channels if (row.kind, row.channel) == ("horizon", "r"))
+    assert turn.errors[0].rms == pytest.approx(fit.predict(on="estimation")["run1"]["r"].rms, rel=0.05)
+    assert own.result.models[1].score is not None
+    assert not own.result.models[1].score.held_out
     paths = [x.save(tmp_path / name) for x, name in ((fit, "a"), (found, "b"))]  # The command finds model.toml there.
-    run("ident", "compare", *paths, "--on", logs[2])
-    printed = capsys.readouterr().out.splitlines()
-    assert printed[2:] == compared.summary().splitlines()[2:]
+    run("ident", "compare", *paths, "--on", logs[2], "--out", tmp_path / "out")
+    printed = capsys.readouterr().out
+    assert "RMS error and fit: 10 s ahead" in printed
+    by_command = read_result(tmp_path / "out/result.json")
+    assert [[e.rms for e in row.errors] for row in by_command.channels] == [
+        pytest.approx([e.rms for e in row.errors], rel=1e-6) for row in compared.result.channels
+    ]
 
 
 def test_nested_fits_to_the_same_log_have_information_criteria(logs: list[Path], found: st.FittedDiagnosis) -> None:
     plain = st.fit(logs[0], score_tests=False, reml=False, mean_order=1, **THRUST)
     with_effect = st.fit(logs[0], score_tests=False, reml=False, mean_order=1, effects=["mismatch"], **THRUST)
-    (_, row) = st.compare([plain, with_effect], logs[0]).found.models
+    (_, row) = st.compare([plain, with_effect], logs[0]).result.models
     assert row.criteria is not None
     gain = with_effect.log_likelihood - plain.log_likelihood
     assert row.criteria.gain == pytest.approx(gain, abs=0.5)
@@ -465,7 +476,7 @@ def test_nested_fits_to_the_same_log_have_information_criteria(logs: list[Path],
     assert row.criteria.bic < row.criteria.aic + 10.0
     assert row.criteria.p is not None
     assert row.criteria.p < 1e-6
-    (_, back) = st.compare([with_effect, plain], logs[0]).found.models
+    (_, back) = st.compare([with_effect, plain], logs[0]).result.models
     assert back.criteria is not None
     assert back.criteria.aic == pytest.approx(-row.criteria.aic)
     assert back.criteria.p is None  # The larger model is not nested in the smaller one.

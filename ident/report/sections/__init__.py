@@ -6,6 +6,7 @@ from seatrial.ident.report.blocks import Canvas, Section
 from seatrial.ident.report.sections import (
     answer,
     campaigns,
+    comparison,
     dynamics,
     navigation,
     noise,
@@ -18,6 +19,7 @@ from seatrial.ident.report.sections import (
 )
 from seatrial.ident.results import (
     CampaignsResult,
+    ComparisonResult,
     DiagnosisResult,
     FitResult,
     InformationResult,
@@ -33,9 +35,11 @@ from seatrial.ident.results import (
 def opening(result: Result) -> Section:
     """Return the section of the report page that follows its headline: the main numbers of the result.
 
-    It is empty for a result that is neither a fit nor a diagnosis. For a fit that did not converge, it has at most the
-    caveat of a diagnosis.
+    For a comparison it is the table of its models. It is empty for any other result that is neither a fit nor a
+    diagnosis. For a fit that did not converge, it has at most the caveat of a diagnosis.
     """
+    if isinstance(result, ComparisonResult):
+        return Section("answer", "", comparison.opening_blocks(result))
     return answer.section(result)
 
 
@@ -69,6 +73,10 @@ def body(canvas: Canvas, result: Result) -> list[Section]:
     elif isinstance(result, CampaignsResult):
         found = [campaigns.changes_section(result), campaigns.errors_section(result)]
         found += [campaigns.estimates_section(canvas, result), campaigns.logs_section(result)]
+    elif isinstance(result, ComparisonResult):
+        found = [comparison.best_section(result), comparison.errors_section(result)]
+        found += [comparison.likelihood_section(result), comparison.overlay_section(canvas, result)]
+        found.append(runs.run_section(canvas, result.logs, ()))
     else:
         raise TypeError(
             f"write_report has no page for a {type(result).__name__}: use write_design_page for a design, and "

@@ -12,9 +12,11 @@ from seatrial.ident.estimation.likelihood import Likelihood
 from seatrial.ident.estimation.maximum_likelihood import SearchSettings, fit
 from seatrial.ident.estimation.output_error import simulate
 from seatrial.ident.estimation.parameter_covariance import (
+    ParameterCovariance,
     ParameterUncertainty,
     parameter_uncertainty,
     prediction_variance,
+    uncertainty_of,
 )
 from seatrial.ident.model.parameter import Parameter
 from seatrial.ident.model.structure import Output, Sensor, State, plain_model
@@ -120,3 +122,18 @@ def test_bands_of_a_model_from_little_data_cover_only_with_parameter_uncertainty
             inside[doubtful].append(np.abs(record.y[rows] - free.y[rows]) < 1.96 * free.sd[rows])
     assert np.mean(inside[False]) < 0.85
     assert 0.9 < np.mean(inside[True]) < 0.985
+
+
+def test_saved_covariance_gives_the_uncertainty_of_the_fit() -> None:
+    found = fit(turning().with_free(FREE), [turning_record(3, 400)])
+    saved = ParameterCovariance(tuple(found.names), found.covariance)
+    by_fit, by_file = parameter_uncertainty(found, 0), uncertainty_of(saved, found.model)
+    assert by_file is not None
+    shared = [by_file.columns.index(c) for c in by_fit.columns if c in by_file.columns]
+    assert len(shared) >= 3
+    at = [by_fit.columns.index(by_file.columns[k]) for k in shared]
+    here, there = (u.root @ u.root.T for u in (by_file, by_fit))
+    np.testing.assert_allclose(here[np.ix_(shared, shared)], there[np.ix_(at, at)], rtol=1e-6)
+    noise = {found.model.parameters[c].name for c in by_file.columns} & set(found.model.noise_parameters)
+    assert not noise
+    assert uncertainty_of(ParameterCovariance(), found.model) is None

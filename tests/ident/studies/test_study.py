@@ -16,6 +16,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+import pyarrow.parquet
 import pytest
 
 from seatrial import command_line
@@ -39,6 +40,7 @@ from seatrial.ident.studies.monte_carlo import (
     variance_change_by_bounds,
 )
 from seatrial.ident.workflows import study
+from seatrial.ident.workflows.study_table import write_replicates
 from tests.ident import page_examples
 from tests.ident.reports import Kept
 
@@ -450,7 +452,45 @@ def test_study_command_writes_result_and_page(tmp_path: Path, capsys: pytest.Cap
     assert (result["kind"], result["seed"]) == ("study", 1)
     (part,) = result["studies"]
     assert [p["name"] for p in part["parameters"]] == ["m_u", "d_u", "d_uu", "s_u", "e_x"]
-    assert len((tmp_path / "surge.jsonl").read_text().splitlines()) == 6
+    lines = [json.loads(line) for line in (tmp_path / "surge.jsonl").read_text().splitlines()]
+    assert len(lines) == 6
+    table = pyarrow.parquet.read_table(tmp_path / "replicates.parquet")
+    assert json.loads(table.schema.metadata[b"seatrial.settings"])["seed"] == 1
+    rows = [r for r in table.to_pylist() if r["replicate"] == 3]
+    assert [r["parameter"] for r in rows] == ["m_u", "d_u", "d_uu", "s_u", "e_x"]
+    (mass,), (replicate,) = [r for r in rows if r["parameter"] == "m_u"], [x for x in lines if x["k"] == 3]
+    assert mass["deviation"] == replicate["d"]["m_u"]
+    assert mass["truth"] == next(p["truth"] for p in part["parameters"] if p["name"] == "m_u")
+    assert mass["logarithmic"]
+    assert np.log(mass["value"] / mass["truth"]) == pytest.approx(mass["deviation"])
+    assert table.num_rows == 6 * 5
+
+
+def test_table_of_all_studies_has_failed_replicates_and_drawn_truths(tmp_path: Path) -> None:
+    surge, plane = make_case("surge"), make_case("horizontal")
+    names = [*plane.model.free, "x0_u"]
+    fitted = {"k": 0, "simulation": 0.1, "converged": True, "iterations": 3, "cpu": 1.0, "code": "c",
+              "d": dict.fromkeys(names, 0.0), **{n: dict.fromkeys(names) for n in ("se", "bound", "far")},
+              "flags": {"d_u": "at its bound"}}  # fmt: skip
+    failed = {"k": 1, "simulation": 0.1, "code": "c", "error": "LinAlgError: singular"}
+    path = tmp_path / "replicates.parquet"
+    write_replicates(path, [(surge, [failed]), (plane, [fitted])], 4, "output-error", "1.0")
+    rows = pyarrow.parquet.read_table(path).to_pylist()
+    assert [(rows[0][n]) for n in ("study", "replicate", "parameter", "error")] == ["surge", 1, None, failed["error"]]
+    by_name = {r["parameter"]: r for r in rows[1:]}
+    assert by_name["V_x"]["truth"] is None  # drawn for each replicate
+    assert by_name["x0_u"]["value"] is None
+    assert by_name["d_u"]["flag"] == "at its bound"
+    assert by_name["m_u"]["value"] == pytest.approx(plane.model.values["m_u"])
+
+
+def test_study_without_pyarrow_says_what_it_leaves_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(study, "find_spec", lambda name: None)
+    reporter = Kept()
+    request = study.StudyRequest(["surge"], 3, 1, tmp_path, seconds=60.0, workers=Workers(1))
+    study.run_studies(request, "test", reporter)
+    assert not (tmp_path / "replicates.parquet").exists()
+    assert "replicates.parquet is not written" in reporter.lines[-1]
 
 
 @pytest.mark.parametrize(
@@ -492,7 +532,7 @@ def test_number_of_processes_is_positive_or_minus_one(
 def test_snippet_of_the_how_to_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The snippet runs in this process instead of on a cluster, and with fewer replicates."""
     text = (Path(__file__).parents[3] / "docs/how-to/study.md").read_text(encoding="utf-8")
-    own, block = re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    own, table, block = re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
     file = (Path(__file__).parents[3] / "docs/examples/own_study.py").read_text(encoding="utf-8")
     assert own.split() == re.sub("  # .*", "", file.partition('"""\n')[2]).split()
     assert make_case("docs/examples/own_study.py:calm").name == "calm"
@@ -504,6 +544,10 @@ def test_snippet_of_the_how_to_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     exec(compile(code, "study.md", "exec"), found)
     assert len(found["rows"]) == 4
     assert (tmp_path / "mine.jsonl").exists()
+    request = study.StudyRequest(["surge"], 3, 1, tmp_path / "study", seconds=60.0, workers=Workers(1))
+    study.run_studies(request, "test", QUIET)
+    exec(compile(table, "study.md", "exec"), found)
+    assert len(found["fitted"]) > 5
 
 
 def test_make_study_and_its_page_cover_every_model() -> None:

@@ -18,6 +18,7 @@ from seatrial.ident.numerics.signal_processing import wrap
 from seatrial.ident.validation.prediction_errors import (
     WARM_UP,
     PredictionErrors,
+    correlated_blocks,
     horizon_errors,
     largest_errors,
     one_step_errors,
@@ -267,3 +268,47 @@ def test_interval_with_the_largest_errors_is_found() -> None:
     assert late is not None
     assert (late.begin, late.end) == (80.0, pytest.approx(94.9))
     assert largest_errors({"one": {"x": PredictionErrors(t, np.zeros(t.size))}}, 10.0) is None
+
+
+def test_models_with_other_rows_predict_the_same_samples_of_equal_intervals() -> None:
+    record, model = turning_record(3, 400), turning()
+    run = Likelihood(model).filter(record, values_of(model))
+    late = record.rows(slice(1, None))
+    late_run = Likelihood(model).filter(late, values_of(model))
+    step = float(np.median(np.diff(record.t)))
+    both = [
+        horizon_errors(model, r, values_of(model), x, 2.0, 2.0 * step)
+        for r, x in ((record, run.x_filt), (late, late_run.x_filt))
+    ]
+    usual = [
+        horizon_errors(model, r, values_of(model), x, 2.0) for r, x in ((record, run.x_filt), (late, late_run.x_filt))
+    ]
+    for name in both[0]:
+        common = np.intersect1d(both[0][name].t, both[1][name].t).size
+        assert common >= both[1][name].t.size - 1
+    assert np.intersect1d(usual[0]["gyro"].t, usual[1]["gyro"].t).size < 0.7 * usual[1]["gyro"].t.size
+
+
+def test_blocks_of_a_simulation_are_as_long_as_its_errors_are_correlated() -> None:
+    rng, dt, t = np.random.default_rng(3), 0.1, 0.1 * np.arange(40_000)
+
+    def first_order(tau: float) -> np.ndarray:
+        """Return noise with the correlation time ``tau`` [s]."""
+        e, a = rng.normal(size=t.size), np.exp(-dt / tau)
+        for k in range(1, t.size):
+            e[k] = a * e[k - 1] + np.sqrt(1 - a * a) * e[k]
+        return e
+
+    models = [
+        {"run": {name: PredictionErrors(t, make()) for name, make in makers.items()}}
+        for makers in (
+            {"slow": lambda: first_order(20.0), "white": lambda: rng.normal(size=t.size), "x": lambda: 0 * t},
+            {"slow": lambda: first_order(20.0), "white": lambda: rng.normal(size=t.size)},
+        )
+    ]
+    found = correlated_blocks(*models)
+    # the squares of first-order errors are correlated for half the time; a length is twice the correlation time
+    assert found["slow"] == pytest.approx(4 * 20.0, rel=0.35)
+    assert found["white"] < 1.0
+    assert "x" not in found
+    assert correlated_blocks(models[0], models[0]) == {"slow": 0.0, "white": 0.0, "x": 0.0}

@@ -1,68 +1,363 @@
-"""Tests of the comparison of models: log score on common samples, information criteria only where they hold."""
+"""Tests of the comparison of models: common samples, verdicts, log score, and criteria only where they hold."""
 
 from __future__ import annotations
 
 import json
+import re
+import shutil
+import warnings
 from dataclasses import replace
-from typing import Any, cast
+from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
+import pyarrow.parquet
 import pytest
 
+import seatrial as st
+from seatrial import command_line
+from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from seatrial.ident.data.loading import LoadedLog
-from seatrial.ident.data.record import LogSegment
+from seatrial.ident.data.record import Channel, LogSegment
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.model_file import SavedModel
 from seatrial.ident.model.parameter import Parameter
 from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.models.surge import surge_model
+from seatrial.ident.parallel import Workers
+from seatrial.ident.report.terminal import compared_tables
+from seatrial.ident.results import ComparisonResult, LogScore
+from seatrial.ident.results.result_file import read_result
+from seatrial.ident.validation.prediction_errors import PredictionErrors
 from seatrial.ident.workflows.compare import (
-    ComparedModel,
-    InformationCriteria,
-    LogScore,
-    ModelComparison,
-    _is_nested,
-    _log_score,
-    _n_estimates,
-    _why_not_comparable,
-    comparison_table,
+    CompareRequest,
+    compare_models,
+    comparison_answer,
+    labels,
+    records_of_same_time,
 )
+from seatrial.ident.workflows.compared_predictions import ONE_STEP, PredictedRecord
+from seatrial.ident.workflows.comparison_errors import at_common_samples, channel_rows
+from seatrial.ident.workflows.comparison_likelihood import (
+    _is_nested,
+    _n_estimates,
+    log_score,
+    why_not_comparable,
+)
+from tests.ident.reports import Kept
+from tests.missions import boat_log, boat_with
 
-SCORE = LogScore(10.0, 5.0, 15.0, 8)
+SCORE = LogScore(gain=10.0, low=5.0, high=15.0, blocks=8, verdict="better", held_out=True)
+WORSE = "d_rr", 1.4  # a parameter of the model, and the factor that makes it a worse model
 
 
-def evaluation(t: np.ndarray, ll: np.ndarray, outputs: tuple[str, ...] = ("r",), every: int = 1) -> Any:
-    """Return a stand-in for the evaluation of a model on a record, with a sample in each `every`-th row."""
-    y = np.full((t.size, len(outputs)), np.nan)
-    y[::every] = 0.0
-    record = type("Record", (), {"t": t, "y": y, "outputs": outputs})()
-    return cast(Any, type("Evaluation", (), {"record": record, "ll": ll, "model": type("M", (), {"block": 5.0})()})())
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    folder, boat = tmp_path_factory.mktemp("compare"), boat_with(None, 5)
+    return [boat_log(folder / f"run{k}.mcap", boat, s, 100 + k, k) for k, s in ((1, 60.0), (2, 120.0), (3, 60.0))]
 
 
-def test_log_score_counts_only_the_time_that_both_records_cover() -> None:
+@pytest.fixture(scope="module")
+def models(logs: list[Path]) -> list[Path]:
+    """Return the files of a fitted model and of the same model with a wrong damping."""
+    folder = logs[0].parent
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SeatrialWarning)
+        fitted = st.fit(logs[0], model="horizontal:shaft", fixed={"c1": 40.0, "c2": 1.1}, score_tests=False)
+    good, bad = (folder / name / "model.toml" for name in ("good", "bad"))
+    fitted.save(good.parent)
+    shutil.copytree(good.parent, bad.parent)
+    name, factor = WORSE
+    pattern = rf'(name = "{name}"\nvalue = )([-+.e\d]+)'
+    text = good.read_text(encoding="utf-8")
+    changed, n = re.subn(pattern, lambda m: f"{m.group(1)}{factor * float(m.group(2))}", text)
+    assert n == 1
+    bad.write_text(changed, encoding="utf-8")
+    return [good, bad]
+
+
+@pytest.fixture(scope="module")
+def compared(models: list[Path], logs: list[Path]) -> ComparisonResult:
+    """Compare both models on two logs, over two horizons."""
+    return compare_models(CompareRequest(models, logs[1:], (2.0, 5.0), names=("good", "bad")), "", Kept())
+
+
+def run(*words: object, status: int = 0) -> None:
+    with pytest.raises(SystemExit) as left:
+        command_line.main([str(w) for w in words])
+    assert (left.value.code or 0) == status
+
+
+def errors(t: np.ndarray, e: np.ndarray) -> PredictionErrors:
+    return PredictionErrors(t, e, np.cos(t))
+
+
+def test_every_kind_channel_and_model_has_an_error_and_a_verdict(compared: ComparisonResult) -> None:
+    assert compared.kinds == (("one_step", None), ("horizon", 2.0), ("horizon", 5.0), ("simulation", None))
+    rows = {(row.kind, row.seconds, row.channel): row for row in compared.channels}
+    assert len(rows) == 4 * 8
+    for row in compared.channels:
+        good, bad = row.errors
+        assert (good.model, bad.model, good.against_reference) == ("a", "b", None)
+        assert row.spread is not None
+        assert good.fit == pytest.approx(1.0 - good.rms / row.spread)
+        assert bad.against_reference is not None
+        assert bad.against_reference.ratio == pytest.approx(bad.rms / good.rms)
+    turn = rows["horizon", 2.0, "r"]
+    ratio = turn.errors[1].against_reference
+    assert ratio is not None
+    assert ratio.low is not None
+    assert 1.0 < ratio.low < ratio.ratio
+    assert (ratio.verdict, turn.best, turn.not_worse) == ("worse", "a", ("a",))
+    assert turn.errors[1].against_best == ratio
+    assert compared.models[1].score is not None
+    assert (compared.models[1].score.verdict, compared.models[1].score.held_out) == ("worse", True)
+    assert compared.best == "a"
+    assert compared.answer.startswith("Best 2 s ahead: (a) good. The error of (b) over all channels is ")
+    assert sum(compared.counts("b").values()) == 32
+    assert compared.counts("b")["worse"] > 3
+    assert compared.counts("b")["indistinguishable"] > 0
+    assert compared.counts("a") == {"better": 0, "worse": 0, "indistinguishable": 0}
+
+
+def test_predictions_over_time_agree_with_the_errors(compared: ComparisonResult) -> None:
+    assert {trace.record for trace in compared.traces} == {"run2", "run3"}
+    for model, kind, seconds in (("a", "horizon", 5.0), ("b", "simulation", None)):
+        squares = []
+        for trace in (x for x in compared.traces if x.channel == "vx"):
+            (found,) = (p for p in trace.predictions if (p.model, p.kind, p.seconds) == (model, kind, seconds))
+            e = trace.measured[np.searchsorted(trace.t, found.t)] - found.predicted
+            squares.append(e[found.t > 15.0] if kind == "simulation" else e)
+            assert (found.sd > 0.0).all()
+        (row,) = (c for c in compared.channels if (c.kind, c.seconds, c.channel) == (kind, seconds, "vx"))
+        rms = next(e.rms for e in row.errors if e.model == model)
+        assert np.sqrt(np.mean(np.concatenate(squares) ** 2)) == pytest.approx(rms, rel=1e-6)
+
+
+def test_two_processes_give_the_numbers_of_one(
+    compared: ComparisonResult, models: list[Path], logs: list[Path]
+) -> None:
+    request = CompareRequest(models, logs[1:], (2.0, 5.0), names=("good", "bad"), workers=Workers(2, "loky"))
+    two = compare_models(request, "", Kept())
+    assert two.channels == compared.channels
+    assert two.models == compared.models
+    np.testing.assert_array_equal(two.traces[3].predictions[1].sd, compared.traces[3].predictions[1].sd)
+
+
+def test_dask_cluster_gives_the_numbers_of_one_process(
+    compared: ComparisonResult, models: list[Path], logs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from distributed import LocalCluster
+
+    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0") as cluster:
+        where = ("--backend", "dask", "--scheduler", cluster.scheduler_address)
+        on = ("--on", logs[1], "--on", logs[2], "--horizon", 2, "--horizon", 5)
+        run("ident", "compare", *models, *on, *where, "--out", tmp_path / "out")
+    shown = capsys.readouterr()
+    assert "Dask cluster of 2 workers" in shown.err
+    assert "4 of 4: " in shown.err
+    again = read_result(tmp_path / "out/result.json")
+    assert isinstance(again, ComparisonResult)
+    for here, there in zip(compared.channels, again.channels, strict=True):
+        assert [e.rms for e in there.errors] == pytest.approx([e.rms for e in here.errors], rel=1e-6)
+
+
+def test_command_writes_result_and_report(
+    models: list[Path],
+    logs: list[Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    words = ("ident", "compare", *models, "--on", logs[2], "--horizon", "3", "--out", tmp_path / "out")
+    run(*words)
+    shown = capsys.readouterr().out
+    assert max(map(len, shown.splitlines()[:-1])) <= 80
+    assert "RMS error and fit: 3 s ahead" in shown
+    assert f"report: {tmp_path / 'out/report.html'}" in shown
+    result = read_result(tmp_path / "out/result.json")
+    assert isinstance(result, ComparisonResult)
+    assert result.horizons == (3.0,)
+    assert [log.role for log in result.logs] == ["compared"]
+    table = pyarrow.parquet.read_table(tmp_path / "out/result.parquet").to_pandas()
+    drawn = table[(table["table"] == "traces.predictions") & (table["name"] == "psi")]
+    assert set(drawn["record"]) == {"run3"}
+    assert drawn["predicted"].notna().all()
+    page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
+    for title in ("Which model is better", "Prediction errors", "Log score and criteria", "Measured and predicted"):
+        assert title in page
+    run(*words, status=1)
+    assert "exists already; --force replaces it" in capsys.readouterr().err
+    run(*words, "--force", "--json")
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["kind"] == "comparison"
+    assert len(printed["channels"]) == 3 * 8
+    assert "predicted" not in printed["traces"][0]["predictions"][0]
+
+
+def test_without_a_folder_nothing_is_written(
+    models: list[Path], logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run("ident", "compare", *models, "--on", logs[2])
+    assert not list(tmp_path.iterdir())
+
+
+def test_python_interface_takes_a_list_or_one_model_after_the_other(
+    models: list[Path], logs: list[Path], tmp_path: Path
+) -> None:
+    listed = st.compare({"good": models[0], "bad": models[1]}, logs[2], horizon=2.0)
+    one_by_one = st.compare(models[0], models[1], logs[2], horizon=[2.0])
+    named = st.compare(*models, logs=[logs[2]], horizon=2.0)
+    assert one_by_one.result.channels == listed.result.channels == named.result.channels
+    assert (listed.names, one_by_one.names) == (("good", "bad"), tuple(map(str, models)))
+    assert listed.best == "good"
+    frame = listed.to_pandas()
+    assert len(frame) == 3 * 8 * 2
+    worst = frame[(frame["model"] == "bad") & (frame["seconds"] == 2.0)].set_index("channel")
+    assert worst.loc["r", "ratio"] > 1.0
+    assert "(b)" in repr(listed)
+    again = read_result(listed.save(tmp_path / "saved") / "result.json")
+    assert isinstance(again, ComparisonResult)
+    assert again.answer == listed.answer
+    figures = [x.plot("r") for x in (st.load(tmp_path / "saved"), listed)]
+    assert [(x["name"], x["mode"]) for x in figures[0].data] == [(x["name"], x["mode"]) for x in figures[1].data]
+    assert figures[0].layout == figures[1].layout
+    for call, message in (
+        (lambda: st.compare(models[0], logs[2]), "a comparison needs two models or more"),
+        (lambda: st.compare(models), "there are no logs"),
+        (lambda: st.compare(models, logs[2], 10.0), "a list of models is followed by the logs alone"),
+        (lambda: listed.plot(horizon=7.0), "there is no horizon 7.0; choose 2 or 'simulation'"),
+        (lambda: listed.plot("yaw"), "there is no channel 'yaw'"),
+        (lambda: st.compare(models, logs[2], horizon=1000.0), "horizon 1000: .* give fewer seconds"),
+        (lambda: st.compare(models, logs[2], scheduler="tcp://x:1"), "have no scheduler"),
+    ):
+        with pytest.raises(SeatrialError, match=message):
+            call()
+
+
+def test_the_page_runs_as_written(
+    models: list[Path],
+    logs: list[Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for model, name in zip(models, ("vehicle", "diagnosis"), strict=True):
+        shutil.copytree(model.parent, tmp_path / name)
+    shutil.copy(logs[2], tmp_path / "run3.mcap")
+    monkeypatch.chdir(tmp_path)
+    text = (Path(__file__).parents[3] / "docs/how-to/compare.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    exec(compile(block, "compare.md", "exec"), {})
+    assert "RMS error and fit: 2 s ahead" in capsys.readouterr().out
+    assert "Measured (grey) and predicted: Simulation" in (tmp_path / "overlay.html").read_text(encoding="utf-8")
+    assert (tmp_path / "comparison/report.html").exists()
+
+
+def test_figure_has_each_model_in_its_own_colour_and_dash(compared: ComparisonResult) -> None:
+    figure = st.Comparison(compared).plot("psi", "vx", horizon="simulation")
+    lines = [x for x in figure.data if x["mode"] == "lines" and "fill" not in x and x["name"] != "measured"]
+    looks = {(x["name"], x["line"]["color"], x["line"]["dash"]) for x in lines}
+    assert looks == {("(a) good", "#0072B2", "solid"), ("(b) bad", "#E69F00", "dash")}
+    assert len(lines) == 2 * 2 * 2  # channels, records and models
+    bands = [x for x in figure.data if x.get("fill") == "toself"]
+    assert len(bands) == len(lines)
+    shown = [x["name"] for x in figure.data if x.get("showlegend")]
+    assert sorted(shown) == ["(a) good", "(b) bad", "measured"]
+    titles = [x["text"] for x in figure.layout["annotations"]]
+    assert titles[0].startswith("Heading ψ [deg] · fit (a) ")
+    assert titles[0].endswith("run2")
+    assert len(titles) == 4
+
+
+def test_more_models_than_fit_into_a_row_get_several_tables(compared: ComparisonResult) -> None:
+    many = tuple(
+        msgspec.structs.replace(row, errors=tuple(msgspec.structs.replace(row.errors[0], model=n) for n in labels(8)))
+        for row in compared.channels
+    )
+    names = tuple(msgspec.structs.replace(compared.models[0], label=n) for n in labels(8))
+    tables = compared_tables(msgspec.structs.replace(compared, channels=many, models=names))
+    assert [len(t.columns) for t in tables[:2]] == [2 + 6 + 1, 2 + 2 + 1]
+    assert labels(28)[25:] == ["z", "a1", "b1"]
+
+
+def test_errors_are_compared_at_the_samples_that_all_models_predict() -> None:
+    t = np.arange(10.0)
+    first = {"run": {"r": errors(t, 1.0 + t), "x": errors(t, t)}, "other": {"r": errors(t, t)}}
+    second = {"run": {"r": errors(t[4:], 2.0 + t[4:])}, "other": {}}
+    a, b = at_common_samples([first, second])
+    np.testing.assert_array_equal(a["run"]["r"].t, t[4:])
+    np.testing.assert_array_equal(a["run"]["r"].e, 1.0 + t[4:])
+    np.testing.assert_array_equal(a["run"]["r"].about, np.cos(t[4:]))
+    np.testing.assert_array_equal(b["run"]["r"].e, 2.0 + t[4:])
+    assert a["run"]["x"].t.size == 10  # only the first model predicts x at all
+    assert "r" not in a["other"]
+
+
+def test_rows_name_the_best_model_and_those_not_distinguishable_from_it() -> None:
+    rng, t = np.random.default_rng(1), np.arange(0.0, 200.0, 0.1)
+    noise = [rng.normal(size=t.size) for _ in range(3)]
+    own = [{"run": {"r": errors(t, scale * e)}} for scale, e in zip((1.0, 0.5, 0.501), noise, strict=True)]
+    own.append({"run": {"r": errors(t, np.full(t.size, np.inf))}})
+    (row,) = channel_rows(ONE_STEP, own, labels(4), {"r": "rad/s"}, {"r": 10.0})
+    assert row.best in ("b", "c")
+    assert row.not_worse == ("b", "c")
+    assert [e.against_reference and e.against_reference.verdict for e in row.errors] == [
+        None, "better", "better", "worse",
+    ]  # fmt: skip
+    assert row.errors[3].rms is None
+    assert row.errors[3].fit is None
+    assert (row.n, row.block) == (2000, 10.0)
+
+
+def test_records_of_models_with_other_inputs_cover_the_same_time() -> None:
+    t = np.arange(0.0, 60.0, 0.1)
+    channels = {
+        "x": Channel(t, np.sin(t), "m"),
+        "u": Channel(t[50:-20], np.cos(t[50:-20]), "m/s"),
+        "X": Channel(t, np.ones(t.size), "N"),
+    }
+    position, speed = surge_model(measured="position"), surge_model(measured="both")
+    segments = [LogSegment("run", channels)]
+    both = records_of_same_time([(position, segments), (speed, segments)], 10.0)
+    (a,), (b,) = both
+    assert a.meta["t0"] == b.meta["t0"] == pytest.approx(5.0)
+    assert a.t[-1] == b.t[-1] == pytest.approx(t[-21] - 5.0)
+    np.testing.assert_array_equal(a.t, b.t)
+
+
+def predicted(t: np.ndarray, ll: np.ndarray, samples: dict[str, int] | None = None) -> dict[str, PredictedRecord]:
+    """Return the predictions of a model on one record, of which only the log-likelihood is used."""
+    return {"run": PredictedRecord(t, samples or {"r": t.size}, ll, {}, {})}
+
+
+def test_log_score_sums_blocks_of_models_with_other_rows() -> None:
     t = 0.1 * np.arange(1000)
-    before = evaluation(t[:900], np.zeros(900))
-    after = evaluation(t[100:], np.ones(900) * 0.5 + 1e6 * (t[100:] > 89.95))
-    found = _log_score([before], [after])
+    found = log_score(predicted(t, 0 * t), predicted(t[::2], np.full(500, 0.8), {"r": 1000}), 10.0, True)
     assert found is not None
-    assert found.gain == pytest.approx(0.5 * 800)
-    assert found.blocks == 7
-    assert found.low < found.gain < found.high or found.verdict == "better"
+    assert found.gain == pytest.approx(400.0)
+    assert found.blocks == 9
+    assert found.verdict == "better"
+    back = log_score(predicted(t, 0 * t + 1.0), predicted(t, np.cos(t)), 10.0, False)
+    assert back is not None
+    assert (back.verdict, back.held_out) == ("worse", False)
 
 
-@pytest.mark.parametrize(("outputs", "every"), [(("r", "psi"), 1), (("r",), 2)])
-def test_models_with_other_samples_have_no_log_score(outputs: tuple[str, ...], every: int) -> None:
+def test_models_with_other_samples_have_no_log_score() -> None:
     t = 0.1 * np.arange(1000)
-    assert _log_score([evaluation(t, 0 * t)], [evaluation(t, 0 * t, outputs, every)]) is None
+    assert log_score(predicted(t, 0 * t), predicted(t, 0 * t, {"r": 999}), 10.0, True) is None
+    assert log_score(predicted(t, 0 * t), predicted(t, 0 * t, {"r": 1000, "psi": 5}), 10.0, True) is None
 
 
 def test_short_logs_have_a_gain_without_an_interval() -> None:
     t = 0.1 * np.arange(300)
-    found = _log_score([evaluation(t, 0 * t)], [evaluation(t, 0 * t + 1.0)])
+    found = log_score(predicted(t, 0 * t), predicted(t, 0 * t + 1.0), 10.0, True)
     assert found is not None
     assert (found.gain, found.blocks) == (pytest.approx(300.0), 2)
-    assert np.isnan(found.low)
-    assert found.verdict == "unchanged"
+    assert (found.low, found.high, found.verdict) == (None, None, "indistinguishable")
 
 
 def log(sha256: str | None) -> LoadedLog:
@@ -90,25 +385,27 @@ def test_reason_for_no_information_criteria(
 ) -> None:
     model = horizontal_model("shaft")
     saved = SavedModel(model, {}, {}, provenance={"logs": ["run1.mcap sha256:abababababababab"]})
-    first = ComparedModel("a", saved, {}, ("run1",))
-    changed = replace(saved, model=replace(model, second_order=change.get("second", False)))
-    changed = replace(changed, **{n: v for n, v in change.items() if n != "second"})
-    found = _why_not_comparable(first, replace(first, saved=changed), [log(sha256)], score)
+    other = replace(saved, model=replace(model, second_order=change.get("second", False)))
+    other = replace(other, **{n: v for n, v in change.items() if n != "second"})
+    found = why_not_comparable((saved, other), (("run1",), ("run1",)), [log(sha256)], score)
     assert reason in found
     assert bool(found) is bool(reason)
 
 
-def test_comparison_as_a_table_for_json() -> None:
-    saved = SavedModel(horizontal_model("shaft"), {}, {})
-    first = ComparedModel("a", saved, {"psi": 0.1, "x": float("nan")}, ("run1",))
-    criteria = InformationCriteria(3.0, 1, -4.0, -1.0, 0.02)
-    second = replace(first, name="b", fitted_to_logs=(), score=SCORE, criteria=criteria)
-    table = comparison_table(ModelComparison(10.0, {"psi": "rad", "x": "m"}, (first, second)))
-    a, b = json.loads(msgspec.json.encode(table))["models"]
-    assert (a["model"], a["rms"], a["fitted_to_logs"], a["score"]) == ("a", {"psi": 0.1, "x": None}, ["run1"], None)
-    assert b["score"] == {"gain": 10.0, "low": 5.0, "high": 15.0, "blocks": 8, "verdict": "better"}
-    assert b["criteria"]["p"] == 0.02
-    assert b["n_free"] == first.n_free
+def test_answer_without_a_significant_difference(compared: ComparisonResult) -> None:
+    first, second = compared.models
+    change = second.changes[1]
+    same = msgspec.structs.replace(
+        change.against_reference, ratio=0.98, low=None, high=None, verdict="indistinguishable"
+    )
+    again = msgspec.structs.replace(second, changes=(msgspec.structs.replace(change, against_reference=same),))
+    assert comparison_answer(msgspec.structs.replace(compared, models=(first, again))) == (
+        "No model is significantly better than (a) good 2 s ahead. The error of (b) over all channels is 2 % smaller "
+        "than that of (a); the logs are too short for an interval."
+    )
+    assert comparison_answer(msgspec.structs.replace(compared, models=(first,))).startswith(
+        "The logs have no prediction"
+    )
 
 
 def test_nested_models() -> None:

@@ -1,0 +1,379 @@
+"""Sections of a comparison of models in a report page: models, verdicts, errors, likelihoods, and overlaid predictions.
+
+The colour and the dash of a line belong to the model, so that the lines differ for any colour vision and in print.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from seatrial.ident.numerics import Array
+from seatrial.ident.report import drawing, formatting
+from seatrial.ident.report.blocks import Canvas, Cell, Grid, Heading, Prose, Section, Table, tabbed
+from seatrial.ident.report.record_tabs import of_record, record_tabs, roles_of
+from seatrial.ident.report.sections.predictions import error_words
+from seatrial.ident.results import (
+    ComparedChannel,
+    ComparedError,
+    ComparedModel,
+    ComparedRatio,
+    ComparedTrace,
+    ComparisonResult,
+    ComparisonVerdict,
+    PredictionKind,
+)
+
+TIME = "time since the start of the record [s]"
+MARKS: dict[ComparisonVerdict, tuple[str, str]] = {
+    "better": ("▼ ", "good"),
+    "worse": ("▲ ", "bad"),
+    "indistinguishable": ("", ""),
+}
+WORDS: dict[ComparisonVerdict, str] = {
+    "better": "better",
+    "worse": "worse",
+    "indistinguishable": "not distinguishable",
+}
+BAND = 0.13  # opacity of the 95 % band of one of several models
+
+
+def kind_title(kind: PredictionKind, seconds: float | None) -> str:
+    """Return the title of a kind of prediction: ``One step ahead``, ``10 s ahead`` or ``Simulation``."""
+    if kind == "horizon":
+        return f"{seconds:g} s ahead"
+    return "One step ahead" if kind == "one_step" else "Simulation"
+
+
+def opening_blocks(result: ComparisonResult) -> list[Any]:
+    """Return the table of the models: label, name, structure, number of parameters, error of all channels.
+
+    The error is that over the first horizon, as a ratio to the first model.
+    """
+    title = f"error {result.horizons[0]:g} s ahead"
+    columns = (
+        ("", ""),
+        ("model", ""),
+        ("parameters", "num"),
+        (title, "num"),
+        ("95 %", "num"),
+        ("verdict", ""),
+        ("better", "num"),
+        ("worse", "num"),
+        ("not distinguishable", "num"),
+    )
+    rows = []
+    for m in result.models:
+        change = next((c.against_reference for c in m.changes if c.seconds == result.horizons[0]), None)
+        verdict = "reference" if m is result.models[0] else "–" if change is None else WORDS[change.verdict]
+        rows.append(
+            [
+                Cell(f"({m.label})", "strong"),
+                Cell(f"{m.name}, {m.model}", "wide"),
+                Cell(str(m.n_free), "num"),
+                Cell("1" if m is result.models[0] else ratio_words(change), "num"),
+                Cell(interval_words(change), "num"),
+                Cell(verdict, "" if change is None else MARKS[change.verdict][1]),
+                *(Cell("–" if m is result.models[0] else str(n), "num") for n in result.counts(m.label).values()),
+            ]
+        )
+    note = (
+        "The error is the geometric mean over all channels of RMS error / RMS error of (a). Each model keeps its "
+        "estimates; only what belongs to a log, such as the current, is estimated anew. The last three columns count "
+        "the verdicts against (a) over all channels and kinds of prediction."
+    )
+    return [Table(columns, rows), Prose(note, "quiet")]
+
+
+def ratio_words(ratio: ComparedRatio | None) -> str:
+    """Return an error ratio as text of three digits; a dash for None, and ``diverged`` beyond a factor of a million."""
+    if ratio is None:
+        return "–"
+    return formatting.plain(ratio.ratio) if 1e-6 < ratio.ratio < 1e6 else "diverged"
+
+
+def interval_words(ratio: ComparedRatio | None) -> str:
+    """Return the 95 % interval of an error ratio as text; a dash without one, and for a prediction that diverged."""
+    if ratio is None or ratio.low is None or ratio.high is None or not 1e-6 < ratio.ratio < 1e6:
+        return "–"
+    return f"{formatting.plain(ratio.low)} to {formatting.plain(ratio.high)}"
+
+
+def best_section(result: ComparisonResult) -> Section:
+    """Return the section with the table of the best model for each channel and kind of prediction.
+
+    A cell has the label of the best model, and of those that are not distinguishable from it. The section is empty if
+    there are no channels.
+    """
+    kinds = result.kinds
+    rows: list[list[Cell | str]] = []
+    for name in dict.fromkeys(row.channel for row in result.channels):
+        by_kind = {(row.kind, row.seconds): row for row in result.channels if row.channel == name}
+        rows.append([formatting.named(name), *(_best_cell(by_kind.get(kind)) for kind in kinds)])
+    columns = (("channel", ""), *((kind_title(*kind), "") for kind in kinds))
+    lead = (
+        "The best model of each channel, and those that are not distinguishable from it, as the 95 % interval of the "
+        "ratio of both errors includes 1. A model that is better than all others is bold."
+    )
+    return Section("best", "Which model is better", [Table(columns, rows)] if rows else [], lead)
+
+
+def _best_cell(row: ComparedChannel | None) -> Cell:
+    """Return the table cell with the labels of the best models of a channel; a dash if there are none."""
+    if row is None or row.best is None:
+        return Cell("–")
+    others = [label for label in row.not_worse if label != row.best]
+    words = f"({row.best})" + "".join(f" or ({label})" for label in others)
+    return Cell(words, "" if others or len(row.errors) == 1 else "strong")
+
+
+def errors_section(result: ComparisonResult) -> Section:
+    """Return the section of the prediction errors: one tab for each kind of prediction, with a table of all models.
+
+    The section is empty if there are no channels.
+    """
+    reference = result.models[0].label
+    columns = (
+        ("model", ""),
+        ("error", "num"),
+        ("unit", ""),
+        ("fit", "num"),
+        (f"ratio to ({reference})", "num"),
+        ("95 %", "num"),
+        ("verdict", ""),
+        ("ratio to the best", "num"),
+        ("95 %", "num"),
+    )
+    tabs = []
+    for kind in result.kinds:
+        lines: list[list[Cell | str]] = []
+        for row in result.channels:
+            if (row.kind, row.seconds) == kind:
+                lines.append([Cell(f"{formatting.titled(row.channel)}, {row.n} samples", "group")])
+                lines += [_error_cells(row, e) for e in row.errors]
+        tabs.append((kind_title(*kind), [Table(columns, lines)] if lines else []))
+    lead = (
+        "Root mean square of the difference of measured and predicted values, at the samples that all models predict. "
+        "The fit is 1 − error / standard deviation of the measured values. ▼ and ▲: the error is smaller or larger "
+        f"than that of ({reference}), and the 95 % interval of the ratio excludes 1. The intervals are by a jackknife "
+        "over blocks of time; a simulation of a short log has too few of them for a verdict."
+    )
+    return Section("errors", "Prediction errors", tabbed(tabs), lead)
+
+
+def _error_cells(row: ComparedChannel, e: ComparedError) -> list[Cell | str]:
+    """Return the table cells of one model and channel: error, fit, ratio to the first model and to the best one."""
+    factor, unit = formatting.degrees_for(row.unit)
+    ratio = e.against_reference
+    mark, style = ("", "") if ratio is None else MARKS[ratio.verdict]
+    return [
+        Cell(f"({e.model})", "strong" if e.model == row.best else ""),
+        Cell(error_words(None if e.rms is None else factor * e.rms), "num"),
+        Cell(unit, "nowrap"),
+        Cell(formatting.percent(e.fit), "num"),
+        Cell(mark + ratio_words(ratio), f"num {style}".strip()),
+        Cell(interval_words(ratio), "num"),
+        Cell("–" if ratio is None else WORDS[ratio.verdict], style),
+        Cell("best" if e.model == row.best else ratio_words(e.against_best), "num"),
+        Cell(interval_words(e.against_best), "num"),
+    ]
+
+
+def likelihood_section(result: ComparisonResult) -> Section:
+    """Return the section of log score, AIC, BIC and likelihood ratio of each model against the first one.
+
+    A reason stands below the table if there are none.
+    """
+    columns = (
+        ("model", ""),
+        ("log score", "num"),
+        ("95 %", "num"),
+        ("verdict", ""),
+        ("ΔAIC", "num"),
+        ("ΔBIC", "num"),
+        ("likelihood ratio", "num"),
+        ("p", "num"),
+    )
+    rows = [_likelihood_cells(m) for m in result.models[1:]]
+    reasons = [
+        f"({m.label}): no AIC, BIC and likelihood ratio: {m.no_criteria}." for m in result.models[1:] if m.no_criteria
+    ]
+    held = [m.score.held_out for m in result.models if m.score is not None]
+    lead = (
+        f"Against ({result.models[0].label}). The log score is the difference in log-likelihood of the samples, each "
+        "predicted one step ahead; above zero the model is better."
+    )
+    if held and all(held):
+        lead += " No model was fitted to these logs, so that it is cross-validated and needs no correction."
+    return Section("likelihood", "Log score and criteria", [Table(columns, rows), *map(Prose, reasons)], lead)
+
+
+def _likelihood_cells(m: ComparedModel) -> list[Cell | str]:
+    """Return the table cells of the likelihood of one model against the first one; dashes for what does not exist."""
+    score, c = m.score, m.criteria
+    shown = [Cell(f"({m.label})", "strong")]
+    if score is None:
+        shown += [Cell("–", "num"), Cell("–", "num"), Cell("other samples")]
+    else:
+        low, high = (None if v is None else signed(v) for v in (score.low, score.high))
+        interval = "–" if low is None or high is None else f"{low} to {high}"
+        shown += [Cell(signed(score.gain), "num"), Cell(interval, "num")]
+        shown.append(Cell(WORDS[score.verdict], MARKS[score.verdict][1]))
+    if c is None:
+        return [*shown, *(Cell("–", "num") for _ in range(4))]
+    ratio = "–" if c.p is None else formatting.plain(2.0 * c.gain)
+    return [
+        *shown,
+        Cell(signed(c.aic), "num"),
+        Cell(signed(c.bic), "num"),
+        Cell(ratio, "num"),
+        Cell(formatting.probability(c.p), "num"),
+    ]
+
+
+def signed(value: float) -> str:
+    """Return a number as text with its sign and one decimal: ``+12.3``; the minus sign is typographic."""
+    return f"{value:+.1f}".replace("-", "−")
+
+
+def overlay_section(canvas: Canvas, result: ComparisonResult) -> Section:
+    """Return the section of the channels, measured and predicted by all models, one tab for each record.
+
+    A tab has a figure for each horizon and for the simulation. The section is empty without traces. The figures are
+    added to ``canvas``.
+    """
+    kinds = [kind for kind in result.kinds if kind[0] != "one_step"]
+    tabs = []
+    for tab in record_tabs(result.traces, roles_of(result.logs)):
+        blocks: list[Any] = []
+        for kind in kinds:
+            short = {m.label: f"({m.label})" for m in result.models}
+            panels = overlay_panels(result, of_record(result.traces, tab), kind, canvas.budget.points, short)
+            if panels:
+                figure, height = with_legend(*drawing.stacked(panels, TIME), 1)
+                label = f"Measured and predicted: {kind_title(*kind)}, {tab.title}"
+                blocks += [Heading(kind_title(*kind)), Grid([canvas.plot(figure, height, label)], 320)]
+        tabs.append((tab.title, blocks))
+    names = ", ".join(f"({m.label}) {m.name}" for m in result.models)
+    lead = (
+        f"{names}. Measured samples are grey. The bands are the 95 % intervals of the predictions by each model. A "
+        "click on a name of the legend hides its lines."
+    )
+    return Section("overlay", "Measured and predicted", tabbed(tabs), lead)
+
+
+def with_legend(figure: drawing.Figure, height: int, lines: int) -> tuple[drawing.Figure, int]:
+    """Return a figure of stacked panels with a legend above them, and its height [px].
+
+    Parameters
+    ----------
+    figure, height
+        The figure, and its height [px] without the legend.
+    lines
+        Number of lines of text for which the legend has room.
+    """
+    room = 12 + 20 * lines
+    legend = {"orientation": "h", "x": 0, "xanchor": "left", "y": 1, "yref": "container", "yanchor": "top"}
+    margin = figure["layout"]["margin"]
+    layout = figure["layout"] | {"showlegend": True, "legend": legend, "margin": margin | {"t": margin["t"] + room}}
+    return {**figure, "layout": layout}, height + room
+
+
+def overlay_panels(
+    result: ComparisonResult,
+    rows: Sequence[ComparedTrace],
+    kind: tuple[PredictionKind, float | None],
+    limit: int,
+    names: Mapping[str, str],
+    first: bool = True,
+) -> list[drawing.Panel]:
+    """Return a panel for each channel with its samples and the prediction of each model with its 95 % band.
+
+    Parameters
+    ----------
+    result : ComparisonResult
+        The comparison, with the models and the fit of each channel.
+    rows : sequence of ComparedTrace
+        Channels to draw.
+    kind : tuple
+        Kind of prediction, with its horizon [s].
+    limit : int
+        Largest number of points of a line.
+    names : mapping
+        Name of each model in the legend, by its label.
+    first : bool
+        Whether the legend shows the models of these panels; false for further panels of a figure.
+
+    Returns
+    -------
+    list of Panel
+        Channels that no model predicts are left out. The traces of one model are one group of the legend, which has
+        each model once.
+    """
+    panels: list[drawing.Panel] = []
+    named: set[str] = set() if first else {"measured", *names}
+    letters = list(names)
+    for row in rows:
+        own = [p for p in row.predictions if (p.kind, p.seconds) == kind]
+        if not own:
+            continue
+        factor, unit = formatting.degrees_for(row.unit)
+        turn = 360.0 if row.angle else None
+        measured = drawing.dots(row.t, _turned(factor * row.measured, turn), "measured", limit, turn=turn)
+        traces = [_in_legend(measured, "measured", named)]
+        for p in own:
+            k = letters.index(p.model)
+            color, dash = drawing.LINES[k % len(drawing.LINES)], drawing.DASHES[k % len(drawing.DASHES)]
+            y = _turned(factor * p.predicted, turn)
+            half = drawing.Z95 * factor * p.sd
+            shade = drawing.band(p.t, y, half, limit, color=color, opacity=BAND, turn=turn)
+            traces.append(shade | {"legendgroup": p.model, "showlegend": False})
+            line = drawing.line_trace(p.t, y, names[p.model], limit, color=color, dash=dash, turn=turn)
+            traces.append(_in_legend(line, p.model, named))
+        found = next((c for c in result.channels if (c.kind, c.seconds) == kind and c.channel == row.channel), None)
+        title = formatting.titled(row.channel) + formatting.bracket(unit) + _fit_words(found)
+        axis: dict[str, Any] = {}
+        if turn:
+            axis = {"range": [-turn / 2, turn / 2], "tick0": 0, "dtick": turn / 4}
+        elif (frame := _frame(factor * row.measured, [factor * p.predicted for p in own])) is not None:
+            axis = {"range": frame}
+        panels.append(drawing.Panel(title, traces, axis))
+    return panels
+
+
+def _in_legend(trace: drawing.Trace, group: str, named: set[str]) -> drawing.Trace:
+    """Return a trace as a member of a group of the legend, which shows the first trace of each group.
+
+    ``named`` has the groups that the legend shows already; ``group`` is added to it.
+    """
+    shown = group not in named
+    named.add(group)
+    return trace | {"legendgroup": group, "showlegend": shown}
+
+
+def _turned(angle: Array, turn: float | None) -> Array:
+    """Return an angle wrapped to half a turn about zero; other signals (``turn`` is None) are returned unchanged."""
+    return angle if turn is None else np.mod(angle + turn / 2, turn) - turn / 2
+
+
+def _fit_words(row: ComparedChannel | None) -> str:
+    """Return the fit of each model for the title of a panel: `` · fit (a) 67 %, (b) 95 %``; empty without a fit."""
+    fits = [] if row is None else [f"({e.model}) {formatting.percent(e.fit)}" for e in row.errors if e.fit is not None]
+    return f" · fit {', '.join(fits)}" if fits else ""
+
+
+def _frame(measured: Array, predicted: Sequence[Array]) -> list[float] | None:
+    """Return limits of the vertical axis within which the samples can be read; None if none are needed.
+
+    They are needed if a prediction is farther from the samples than their range, as that of a model that diverges.
+    """
+    finite = measured[np.isfinite(measured)]
+    every = np.concatenate([finite, *(p[np.isfinite(p)] for p in predicted)])
+    if not finite.size or not np.ptp(finite) > 0.0:
+        return None
+    low, high, reach = float(finite.min()), float(finite.max()), float(np.ptp(finite))
+    if every.min() >= low - reach and every.max() <= high + reach:
+        return None
+    return [max(low - reach, float(every.min())), min(high + reach, float(every.max()))]

@@ -1,0 +1,233 @@
+"""Types of the result of `seatrial ident compare`: prediction errors of several models on the same logs, and verdicts.
+
+The models have the labels ``a``, ``b``, ... in their order. The first one is the reference.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, get_args
+
+from msgspec import Meta
+
+from seatrial.ident.numerics import Array
+from seatrial.ident.results.parts import Part, Result, same_length
+
+PredictionKind = Literal["one_step", "horizon", "simulation"]
+ComparisonVerdict = Literal["better", "worse", "indistinguishable"]
+LABEL = "label of the model: `a`, `b`, ..."
+
+
+class ComparedRatio(Part, frozen=True, kw_only=True):
+    """RMS prediction error of a model divided by that of another model at the same samples.
+
+    The 95 % interval is by a jackknife over blocks of time. The verdict is `better` or `worse` if the interval excludes
+    1 and the difference is more than half a per cent; otherwise, and without an interval, `indistinguishable`.
+    """
+
+    ratio: Annotated[float, Meta(description="error / error of the other model; below 1 the model is better")]
+    low: Annotated[float | None, Meta(description="95 % interval of `ratio`; null: the logs are too short")] = None
+    high: Annotated[float | None, Meta(description="upper end of the interval")] = None
+    verdict: Annotated[ComparisonVerdict, Meta(description="verdict, by the interval")]
+
+
+class ComparedError(Part, frozen=True, kw_only=True):
+    """Prediction error of one model for one channel and one kind of prediction."""
+
+    model: Annotated[str, Meta(description=LABEL)]
+    rms: Annotated[float | None, Meta(description="RMS error in the unit of the channel; null: a prediction diverged")]
+    fit: Annotated[
+        float | None, Meta(description="1 - `rms` / `spread`, 1 for a perfect prediction; null: unknown")
+    ] = None
+    against_reference: Annotated[
+        ComparedRatio | None,
+        Meta(description="against the first model; null: it is the first, or none can be computed"),
+    ] = None
+    against_best: Annotated[
+        ComparedRatio | None, Meta(description="against the best model; null: it is the best, or there is no ratio")
+    ] = None
+
+
+class ComparedChannel(Part, frozen=True, kw_only=True):
+    """Prediction errors of all models for one channel and one kind of prediction, at the same samples.
+
+    The kinds are: one step ahead (from one row to the next), over a horizon, and simulation from the inputs alone after
+    15 s of filtering.
+    """
+
+    kind: Annotated[PredictionKind, Meta(description="kind of prediction")]
+    seconds: Annotated[float | None, Meta(description="horizon [s]; null: one step ahead, or simulation")] = None
+    channel: Annotated[str, Meta(description="name of the channel")]
+    unit: Annotated[str, Meta(description="unit of the channel")]
+    n: Annotated[int, Meta(description="number of samples that all models predict")]
+    spread: Annotated[
+        float | None,
+        Meta(description="standard deviation of these samples about their mean in each record (circular for angles)"),
+    ] = None
+    block: Annotated[float, Meta(description="length of the blocks of time for the intervals [s]")]
+    errors: Annotated[
+        tuple[ComparedError, ...], Meta(description="one for each model that predicts the channel, in their order")
+    ]
+    best: Annotated[str | None, Meta(description="label of the model with the smallest error; null: all diverged")] = (
+        None
+    )
+
+    @property
+    def not_worse(self) -> tuple[str, ...]:
+        """Labels of the best model and of those that are not distinguishable from it, in the order of the models.
+
+        A model whose ratio to the best one cannot be computed is not among them. The result is empty if all diverged.
+        """
+        return tuple(
+            e.model
+            for e in self.errors
+            if e.model == self.best or (e.against_best is not None and e.against_best.verdict == "indistinguishable")
+        )
+
+
+class ComparedKind(Part, frozen=True, kw_only=True):
+    """Prediction errors of a model over all channels, against those of the first model, for one kind of prediction.
+
+    The ratio is the geometric mean over all channels that both models predict.
+    """
+
+    kind: Annotated[PredictionKind, Meta(description="kind of prediction")]
+    seconds: Annotated[float | None, Meta(description="horizon [s]; null: one step ahead, or simulation")] = None
+    block: Annotated[float, Meta(description="length of the blocks of time for the intervals [s]")]
+    against_reference: Annotated[ComparedRatio, Meta(description="all channels together")]
+
+
+class LogScore(Part, frozen=True, kw_only=True):
+    """Log score: log-likelihood of the samples one step ahead, of a model less that of the first model.
+
+    It is the logarithmic score of the predictions (Gneiting and Raftery 2007). On logs that neither model was fitted to
+    it needs no correction for the number of parameters: it is the cross-validated score. The interval is by Student's t
+    over blocks of time.
+    """
+
+    gain: Annotated[float, Meta(description="log-likelihood of the model less that of the first; above 0 it is better")]
+    low: Annotated[float | None, Meta(description="95 % interval of `gain`; null: fewer than four blocks")] = None
+    high: Annotated[float | None, Meta(description="upper end of the interval")] = None
+    blocks: Annotated[int, Meta(description="number of blocks of time")]
+    verdict: Annotated[ComparisonVerdict, Meta(description="`indistinguishable` if the interval contains 0")]
+    held_out: Annotated[bool, Meta(description="neither model was fitted to any of the logs")]
+
+
+class InformationCriteria(Part, frozen=True, kw_only=True):
+    """Information criteria of two maximum likelihood fits to the same logs, of a model against the first one."""
+
+    gain: Annotated[float, Meta(description="log-likelihood of the model less that of the first")]
+    parameters: Annotated[int, Meta(description="number of estimated parameters less that of the first model")]
+    aic: Annotated[float, Meta(description="change of Akaike's information criterion; negative: better")]
+    bic: Annotated[float, Meta(description="change of the Bayesian information criterion; negative: better")]
+    p: Annotated[
+        float | None,
+        Meta(
+            description="p value of the likelihood-ratio test that the additional parameters are not needed; null: the "
+            "first model is not this one with free parameters fixed or missing"
+        ),
+    ] = None
+
+
+class ComparedModel(Part, frozen=True, kw_only=True):
+    """One model of a comparison. The first one, with the label `a`, is the reference."""
+
+    label: Annotated[str, Meta(description=LABEL)]
+    name: Annotated[str, Meta(description="path of its model.toml, or name in Python")]
+    model: Annotated[str, Meta(description="names of the model and of its effects")]
+    n_free: Annotated[int, Meta(description="number of estimated parameters with one value for all logs")]
+    fitted_to: Annotated[
+        tuple[str, ...],
+        Meta(description="compared logs that it was fitted to: its errors there are too small"),
+    ] = ()
+    changes: Annotated[
+        tuple[ComparedKind, ...], Meta(description="one for each kind of prediction; empty for the first model")
+    ] = ()
+    score: Annotated[
+        LogScore | None, Meta(description="null: the first model, or the models do not predict the same samples")
+    ] = None
+    criteria: Annotated[
+        InformationCriteria | None, Meta(description="null: the first model, or as `no_criteria` says")
+    ] = None
+    no_criteria: Annotated[str, Meta(description="reason why there are no information criteria; may be empty")] = ""
+
+
+class ComparedPrediction(Part, frozen=True, kw_only=True):
+    """Prediction of a channel of one record by one model, over a horizon or in simulation."""
+
+    model: Annotated[str, Meta(description=LABEL)]
+    kind: Annotated[PredictionKind, Meta(description="kind of prediction: `horizon` or `simulation`")]
+    seconds: Annotated[float | None, Meta(description="horizon [s]; null: simulation")] = None
+    t: Annotated[Array, Meta(description="times [s] since the start of the record")]
+    predicted: Annotated[Array, Meta(description="predicted values; NaN from the time on at which it diverged")]
+    sd: Annotated[Array, Meta(description="standard deviation of the prediction errors by the model")]
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if the arrays differ in length."""
+        same_length(self, "t", "predicted", "sd")
+
+
+class ComparedTrace(Part, frozen=True, kw_only=True):
+    """Measured channel of a record over time, with its predictions by all models."""
+
+    record: Annotated[str, Meta(description="name of the record")]
+    channel: Annotated[str, Meta(description="name of the measured channel")]
+    unit: Annotated[str, Meta(description="unit of the values, SI and radians; empty: none")]
+    angle: Annotated[bool, Meta(description="whether the channel is an angle, which is known except for whole turns")]
+    t: Annotated[Array, Meta(description="times [s] since the start of the record")]
+    measured: Annotated[Array, Meta(description="measured values")]
+    predictions: Annotated[
+        tuple[ComparedPrediction, ...],
+        Meta(
+            description="one for each model, horizon and simulation; none one step ahead, which would hide the samples"
+        ),
+    ]
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if the arrays differ in length."""
+        same_length(self, "t", "measured")
+
+
+class ComparisonResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="comparison"):
+    """Result of `seatrial ident compare`: predictions of several fitted models on the same logs."""
+
+    horizons: Annotated[tuple[float, ...], Meta(description="prediction horizons [s]; the first one is in `answer`")]
+    models: Annotated[tuple[ComparedModel, ...], Meta(description="the models; the first one is the reference")]
+    channels: Annotated[
+        tuple[ComparedChannel, ...], Meta(description="errors by kind of prediction and channel, of all models")
+    ]
+    traces: Annotated[tuple[ComparedTrace, ...], Meta(description="one for each record and channel")]
+
+    @property
+    def kinds(self) -> tuple[tuple[PredictionKind, float | None], ...]:
+        """Kinds of prediction with their horizon [s] (None: no horizon), in the order of ``channels``."""
+        return tuple(dict.fromkeys((row.kind, row.seconds) for row in self.channels))
+
+    @property
+    def best(self) -> str:
+        """Label of the best model over the first horizon: the smallest error of all channels of those that are better.
+
+        Only models that are significantly better than the first one are considered. Without any it is the first.
+        """
+        better = [
+            (change.against_reference.ratio, m.label)
+            for m in self.models
+            for change in m.changes
+            if change.seconds == self.horizons[0] and change.against_reference.verdict == "better"
+        ]
+        return min(better)[1] if better else self.models[0].label
+
+    def counts(self, label: str) -> dict[ComparisonVerdict, int]:
+        """Return the number of channels and kinds of prediction by the verdict on a model against the first one.
+
+        Parameters
+        ----------
+        label
+            Label of the model. All numbers are zero for the first model and for an unknown label.
+        """
+        found = [
+            e.against_reference.verdict
+            for row in self.channels
+            for e in row.errors
+            if e.model == label and e.against_reference is not None
+        ]
+        return {verdict: found.count(verdict) for verdict in get_args(ComparisonVerdict)}

@@ -1,0 +1,158 @@
+"""Predictions of one record by one model of a comparison: the task that `seatrial ident compare` runs in parallel."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.data import Record
+from seatrial.ident.estimation import Likelihood, ParameterUncertainty, RecordEvaluation, evaluate_records
+from seatrial.ident.model import Model
+from seatrial.ident.numerics import Array
+from seatrial.ident.results import PredictionKind
+from seatrial.ident.validation import (
+    PredictionErrors,
+    horizon_errors,
+    horizon_forecasts,
+    horizon_prediction,
+    one_step_errors,
+    simulation_run,
+)
+
+
+class Kind(NamedTuple):
+    """Kind of prediction, with its horizon [s]; None: one step ahead, or simulation."""
+
+    kind: PredictionKind
+    seconds: float | None = None
+
+
+ONE_STEP, SIMULATION = Kind("one_step"), Kind("simulation")
+
+
+class Curve(NamedTuple):
+    """Predicted channel over time.
+
+    Attributes
+    ----------
+    t, y, sd : Array (n,)
+        Times of the samples [s], predicted values (NaN from the divergence on), and their standard deviations.
+    """
+
+    t: Array
+    y: Array
+    sd: Array
+
+
+@dataclass(frozen=True)
+class PredictionTask:
+    """Prediction of one record by one model.
+
+    Attributes
+    ----------
+    index
+        Index of the model in the comparison.
+    model
+        Model with its estimates, with a first-order filter.
+    record
+        The record.
+    horizons
+        Prediction horizons [s].
+    interval
+        Length of the intervals [s] of which each has one prediction of a channel over a horizon.
+    uncertainty
+        Uncertainty of the parameters, which widens the band of the simulation; None: not known.
+    """
+
+    index: int
+    model: Model
+    record: Record
+    horizons: tuple[float, ...]
+    interval: float
+    uncertainty: ParameterUncertainty | None = None
+
+
+@dataclass(frozen=True)
+class PredictedRecord:
+    """Predictions of one record by one model.
+
+    Attributes
+    ----------
+    t : Array (n_rows,)
+        Times of the rows [s].
+    samples
+        Number of samples of each channel that has any.
+    ll : Array (n_rows,)
+        Contribution of each row to the log-likelihood.
+    errors
+        Prediction errors by kind of prediction and channel.
+    curves
+        Predictions by horizon or simulation, and by channel.
+    """
+
+    t: Array
+    samples: Mapping[str, int]
+    ll: Array
+    errors: Mapping[Kind, Mapping[str, PredictionErrors]]
+    curves: Mapping[Kind, Mapping[str, Curve]]
+
+
+def predict_record(task: PredictionTask) -> PredictedRecord:
+    """Predict a record by a model one step ahead, over each horizon and in simulation.
+
+    Only the parameters that belong to a log, such as the current, are estimated from the record.
+
+    Parameters
+    ----------
+    task : PredictionTask
+        Model, record and horizons.
+
+    Returns
+    -------
+    PredictedRecord
+        Errors, log-likelihood and predictions.
+
+    Raises
+    ------
+    SeatrialError
+        If the model cannot predict the record, with the reason.
+    """
+    views, failed = evaluate_records(task.model, [task.record])
+    if failed:
+        raise SeatrialError(failed[0].reason)
+    (view,) = views
+    model, record, likelihood = view.model, view.record, Likelihood(view.model)
+    errors: dict[Kind, Mapping[str, PredictionErrors]] = {ONE_STEP: one_step_errors(model, record, view.run)}
+    curves: dict[Kind, Mapping[str, Curve]] = {}
+    for seconds in task.horizons:
+        kind = Kind("horizon", seconds)
+        errors[kind] = horizon_errors(model, record, view.values, view.run.x_filt, seconds, task.interval)
+        curves[kind] = _horizon_curves(view, errors[kind], seconds, likelihood)
+    simulated = simulation_run(model, record, view.values, likelihood, task.uncertainty)
+    errors[SIMULATION] = simulated.errors
+    curves[SIMULATION] = {}
+    for j, o in enumerate(model.outputs):
+        seen = np.isfinite(record.y[:, j])
+        if seen.any():
+            t, y = record.t[seen], simulated.y[seen, j].copy()
+            y[t >= simulated.diverged.get(o.name, np.inf)] = np.nan
+            curves[SIMULATION] = {**curves[SIMULATION], o.name: Curve(t, y, simulated.sd[seen, j])}
+    counts = np.isfinite(record.y).sum(axis=0).tolist()
+    samples = {name: n for name, n in zip(record.outputs, counts, strict=True) if n}
+    return PredictedRecord(record.t, samples, view.ll, errors, curves)
+
+
+def _horizon_curves(
+    view: RecordEvaluation, errors: Mapping[str, PredictionErrors], seconds: float, likelihood: Likelihood
+) -> dict[str, Curve]:
+    """Return the predictions over a horizon of ``seconds`` [s] by channel, from their errors.
+
+    Their standard deviations are those that the model predicts for the errors, with process and measurement noise.
+    """
+    forecasts = horizon_forecasts(view.model, view.record, view.values, view.run, seconds, likelihood)
+    found = {n: horizon_prediction(view.record, n, e, forecasts.get(n)) for n, e in errors.items()}
+    return {n: Curve(p.t, p.y, p.sd) for n, p in found.items()}

@@ -1,0 +1,115 @@
+"""Comparison of the prediction errors of several models: errors at common samples, ratios and the best model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import reduce
+
+import numpy as np
+
+from seatrial.ident.results import ComparedChannel, ComparedError, ComparedRatio, ComparisonVerdict, finite
+from seatrial.ident.validation import ErrorRatio, PredictionErrors, pooled_errors, prediction_change_by_record
+from seatrial.ident.workflows.compared_predictions import Kind
+
+VERDICTS: Mapping[str, ComparisonVerdict] = {"fell": "better", "rose": "worse", "unchanged": "indistinguishable"}
+ErrorsByRecord = Mapping[str, Mapping[str, PredictionErrors]]
+
+
+def at_common_samples(models: Sequence[ErrorsByRecord]) -> list[dict[str, dict[str, PredictionErrors]]]:
+    """Return the errors of each model, by record and channel, at the samples that all models predict.
+
+    A channel that a model predicts in no record does not count for this model. A channel that a model predicts only in
+    some records is left out of the others for all models.
+
+    Parameters
+    ----------
+    models : sequence of mapping
+        Errors of each model by record and channel. All have the same records, whose times count from one instant.
+    """
+    predicts = [{name for by in model.values() for name in by} for model in models]
+    found: list[dict[str, dict[str, PredictionErrors]]] = [{record: {} for record in model} for model in models]
+    for name in dict.fromkeys(n for model in models for by in model.values() for n in by):
+        owners = [k for k, names in enumerate(predicts) if name in names]
+        for record in models[0]:
+            if all(name in models[k][record] for k in owners):
+                own = [models[k][record][name] for k in owners]
+                t = reduce(np.intersect1d, [e.t for e in own])
+                for k, e in zip(owners, own, strict=True):
+                    at = np.searchsorted(e.t, t)
+                    if t.size:
+                        found[k][record][name] = PredictionErrors(t, e.e[at], e.about[at])
+    return found
+
+
+def channel_rows(
+    kind: Kind,
+    models: Sequence[ErrorsByRecord],
+    labels: Sequence[str],
+    units: Mapping[str, str],
+    blocks: Mapping[str, float],
+) -> list[ComparedChannel]:
+    """Return the rows of the result for one kind of prediction: for each channel the errors of all models.
+
+    Parameters
+    ----------
+    kind : Kind
+        Kind of prediction.
+    models : sequence of mapping
+        Errors of each model by record and channel, at common samples.
+    labels : sequence of str
+        Label of each model.
+    units : mapping
+        Unit of each channel.
+    blocks : mapping
+        Length of the blocks of time for the intervals [s], by channel.
+    """
+    pooled = [pooled_errors(list(model.values())) for model in models]
+
+    def against(reference: int, k: int, name: str) -> ComparedRatio | None:
+        """Return the ratio of the error of model ``k`` in a channel to that of the model ``reference``."""
+        if reference == k:
+            return None
+        both = [{r: {name: by[name]} for r, by in models[i].items() if name in by} for i in (reference, k)]
+        change = prediction_change_by_record(both[0], both[1], kind.seconds or 0.0, blocks[name])
+        return ratio_row(change.channels.get(name))
+
+    rows = []
+    for name in dict.fromkeys(n for errors in pooled for n in errors):
+        owners = [k for k, errors in enumerate(pooled) if name in errors]
+        rms = {k: finite(pooled[k][name].rms) for k in owners}
+        spread = finite(pooled[owners[0]][name].spread)
+        valid = {k: v for k, v in rms.items() if v is not None}
+        best = min(valid, key=valid.__getitem__) if valid else None
+        errors = tuple(
+            ComparedError(
+                model=labels[k],
+                rms=error,
+                fit=None if error is None or not spread else 1.0 - error / spread,
+                against_reference=against(0, k, name) if 0 in rms else None,
+                against_best=None if best is None else against(best, k, name),
+            )
+            for k, error in rms.items()
+        )
+        rows.append(
+            ComparedChannel(
+                kind=kind.kind,
+                seconds=kind.seconds,
+                channel=name,
+                unit=units[name],
+                n=pooled[owners[0]][name].t.size,
+                spread=spread,
+                block=blocks[name],
+                errors=errors,
+                best=None if best is None else labels[best],
+            )
+        )
+    return rows
+
+
+def ratio_row(found: ErrorRatio | None) -> ComparedRatio | None:
+    """Return an error ratio as a row of the result; None without a ratio (no common errors other than zero)."""
+    if found is None or not np.isfinite(found.ratio):
+        return None
+    return ComparedRatio(
+        ratio=found.ratio, low=finite(found.low), high=finite(found.high), verdict=VERDICTS[found.verdict]
+    )
