@@ -363,12 +363,13 @@ def test_notebooks_show_every_result(
     only_model = st.load(tmp_path / "fit/model.toml")
     assert only_model.to_pandas().loc["m_u", "value"] == pytest.approx(fit.params["m_u"], rel=1e-6)
     compared = st.compare({"a<b": fit, "with": found}, logs[2])
+    ahead = compared.to_pandas().query("kind == 'horizon' and channel == 'r' and model == 'with'")
     drifted = st.navigate(fit, logs[2], gnss_outages=[(30.0, 50.0)])
     shown: list[tuple[Any, tuple[str, str]]] = [
         (saved, ("m_u", f"{fit.params['m_u']:.4g}")),
         (again, ("eps_LR", f"{found.params['eps_LR']:.4g}")),
         (only_model, ("m_u", f"{fit.params['m_u']:.4g}")),
-        (compared, ("a&lt;b", f"{compared.found.models[1].rms['r']:.3g}")),
+        (compared, ("a&lt;b", f"{ahead['rms'].iloc[0]:.3g}")),
         (drifted, ("95 % radius", f"{drifted.result.outages[0].at_end.radius:.3g}")),
         (st.navigate(fit, logs[2]), ("state at the end", "run3")),
         (fit.linearise(0.5), ("time constant [s]", "stable")),
