@@ -128,7 +128,7 @@ def _added_masses(content: Content, mass: float | None, inertia: float | None) -
     scale = thrust_scale_of(content.saved.model)
     if scale.relative:
         raise SeatrialError(
-            "the thrust of the model was not given, so its masses and damping are no kg and N: fit the boat with "
+            "the thrust of the model was not given, so its masses and damping are not in kg and N: fit the boat with "
             "`ident vehicle --thruster FILE` or `--fix c1=VALUE`"
         )
     if scale.relative_yaw:
