@@ -248,7 +248,7 @@ def test_dialogs_and_parts_of_the_navigation_have_names(site: Path) -> None:
         text = page.read_text(encoding="utf-8")
         (dialog,) = re.findall(r'<[^>]*role="dialog"[^>]*>', text)
         assert 'aria-label="Search"' in dialog, page.name
-        assert len(re.findall(r'<nav [^>]*aria-label="[^"]+"', text)) == text.count("<nav "), page.name
+        assert len(re.findall(r'<nav [^>]*(aria-label="[^"]+"|role="none")', text)) == text.count("<nav "), page.name
         parts = re.findall(r'<nav [^>]*data-md-level="\d+"[^>]*>', text)
         names = [name for part in parts for name in re.findall(r'aria-label="([^"]+)"', part)]
         assert len(set(names)) == len(names), page.name

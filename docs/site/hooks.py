@@ -80,6 +80,8 @@ PART = re.compile(
 )
 SEARCH = '<div class="md-search" data-md-component="search" role="dialog">'
 CONTENTS = 'aria-label="Table of contents"'
+# Lists below a heading in the contents of a page: no landmarks, since headings with the same words may repeat.
+CHAPTER = re.compile(r'(<nav class="md-nav") aria-label="[^"]*">')
 
 
 def on_post_page(text: str, **_: Any) -> str:
@@ -98,6 +100,7 @@ def on_post_page(text: str, **_: Any) -> str:
     text = PART.sub(named, text)
     if "aria-labelledby" in text:
         raise ValueError("the theme has another navigation: change PART in docs/site/hooks.py")
+    text = CHAPTER.sub(r'\1 role="none">', text)
     # The contents of a page are in the navigation for narrow windows and at its side for wide ones.
     return text.replace(CONTENTS, 'aria-label="Contents of this page"', 1) if text.count(CONTENTS) > 1 else text
 
