@@ -88,6 +88,7 @@ LONG = (
     "tests/ident/workflows/test_thruster_options.py",
     "tests/ident/cli/test_commands.py",
     "tests/test_notebooks.py",
+    "tests/test_blocks.py",
     "tests/ident/workflows/test_fleet.py",
     "tests/ident/workflows/test_changes.py",
     "tests/ident/models/test_rotations.py",

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import csv
 import re
-import shlex
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,12 +12,11 @@ import numpy as np
 import pytest
 
 import seatrial as st
-from seatrial import command_line
-from seatrial.daq.errors import SeatrialWarning
 from seatrial.ident.estimation.model_file import load_model
 from tests import foreign_runs
 from tests.daq.importers.test_mavlink import tlog
 from tests.own_boats import HULL
+from tests.page_runner import run_commands, run_python
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]  # two dozen fits
 
@@ -65,14 +62,9 @@ def follow(title: str, space: dict[str, Any]) -> int:
         if name:
             Path(name[1]).write_text(text, encoding="utf-8")
         elif language == "sh":
-            for line in text.replace("\\\n", " ").splitlines():
-                with pytest.raises(SystemExit) as left:
-                    command_line.main(shlex.split(line)[1:])
-                assert not left.value.code, line
+            run_commands(text)
         elif language == "python":
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", SeatrialWarning)
-                exec(compile(text, "coming-from.md", "exec"), space)
+            run_python(text, PAGE.name, space)
         else:
             continue
         done += 1

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import importlib.util
 import re
-import shlex
 import shutil
 import subprocess
 import sys
@@ -32,6 +31,7 @@ from seatrial.ident.model.structure import Model
 from seatrial.ident.models.catalogue import make_model
 from seatrial.ident.models.horizontal import horizontal_model
 from tests.own_boats import BOATS, HULL, import_map, write_run
+from tests.page_runner import run_command, run_commands
 from tests.test_docs import shell_commands
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -286,27 +286,22 @@ MAP = 'format = "seatrial-import-csv 1"\n[time]\ncolumn = "t"\n' + "".join(
 
 
 @pytest.mark.slow
-def test_a_user_model_works_with_all_commands(tmp_path: Path) -> None:
-    (tmp_path / "map.toml").write_text(MAP)
+def test_a_user_model_works_with_all_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The commands of the page fit and diagnose the first model of the page."""
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(ROOT / "docs/examples/own_model.py", tmp_path)
+    Path("map.toml").write_text(MAP)
     for seed, run in enumerate(("run1", "run2")):
-        sail(tmp_path / f"{run}.csv", seed)
-
-    def call(*words: str) -> None:
-        with pytest.raises(SystemExit) as left:
-            command_line.main(words)
-        assert left.value.code == 0, words
-
-    files = [str(tmp_path / f"run{k}.csv") for k in (1, 2)]
-    call("import", str(tmp_path / "map.toml"), *files, "--out-dir", str(tmp_path))
-    logs = (str(tmp_path / "run1.mcap"), "--validate", str(tmp_path / "run2.mcap"))
-    own = f"{ROOT / 'docs/examples/own_model.py'}:rudder_boat"
-    call("ident", "vehicle", *logs, "--model", own, "--fix", "c_t=60", "--out", str(tmp_path / "vehicle"))
-    saved = load_model(tmp_path / "vehicle/model.toml")
+        sail(Path(f"{run}.csv"), seed)
+    run_command("seatrial import map.toml run1.csv run2.csv --out-dir .")
+    run_commands(blocks("own-model", "sh")[0])
+    saved = load_model(Path("vehicle/model.toml"))
     assert [i.name for i in saved.model.inputs] == ["n_main", "rudder"]
     for title, truth in (("m_u", 37.0), ("m_r", 9.69), ("l_r", 0.3)):
         error = saved.errors[title]
         assert 0.0 < error < 0.1 * truth
         assert abs(saved.model.parameter(title).value - truth) < 4.0 * error
+    assert Path("diagnosis/report.html").is_file()
 
 
 @pytest.mark.slow
@@ -321,9 +316,7 @@ def test_a_user_model_of_the_how_to_finds_the_truth(own: str, tmp_path: Path, mo
         write_run(boat, Path(f"run{seed}.csv"), seed)
     (fit,) = [line for line in shell_commands(how_to("own-model")) if f"--model {own} " in line]
     for line in ("seatrial import map.toml run1.csv run2.csv --out-dir .", fit):
-        with pytest.raises(SystemExit) as left:
-            command_line.main(shlex.split(line)[1:])
-        assert left.value.code == 0, line
+        run_command(line)
     saved = load_model(Path("vehicle/model.toml"))
     for name, truth in (HULL | boat.truth).items():
         error = saved.errors[name]

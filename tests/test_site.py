@@ -20,7 +20,7 @@ from xml.etree import ElementTree
 import pytest
 from latex2mathml.converter import convert
 
-from tests.ident.pages import CHROMIUM, browser
+from tests.ident.pages import CHROMIUM, PAGES, browser
 
 ROOT = Path(__file__).resolve().parents[1]
 # Elements that a browser fetches by itself when it opens a page.
@@ -132,8 +132,10 @@ class Browser:
         return dict(json.loads(message))
 
     def value(self, expression: str) -> Any:
-        """Return the value of an expression in the page."""
-        return self.call("Runtime.evaluate", expression=expression, returnByValue=True)["result"].get("value")
+        """Return the value of an expression in the page. The value of a promise is awaited."""
+        found = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        assert "exceptionDetails" not in found, found
+        return found["result"].get("value")
 
     def wait(self, expression: str, seconds: float = 30.0) -> Any:
         """Return the value of an expression in the page, as soon as it is true."""
@@ -177,6 +179,82 @@ def test_the_search_works_from_the_disk_without_a_network(site: Path, tmp_path: 
     assert any("search_index.js" in address for address in chrome.requested)
     outside = [address for address in chrome.requested if not address.startswith(("file:", "data:", "blob:", "about:"))]
     assert not outside
+
+
+# Pages of tables, of equations and of code; the light scheme in a wide window, and the dark one in a narrow window.
+CHECKED = ("index.html", "theory/estimation.html", "how-to/python.html")
+VIEWS = (("light", 1400), ("dark", 390))
+AXE = ROOT / "tests/axe-core/axe.min.js"
+# The theme has added its buttons, and no colour changes any more.
+SETTLED = """(async () => {
+    for (let k = 0; k < 2; k++) await new Promise(requestAnimationFrame)
+    await Promise.all(document.getAnimations().filter(a => a instanceof CSSTransition).map(a => a.finished))
+})()"""
+VIOLATIONS = """axe.run(document, {resultTypes: ["violations"]}).then(found => found.violations.map(
+    rule => [rule.id, ...rule.nodes.map(node => `${node.target}: ${node.failureSummary}`)]))"""
+
+
+def violations(chrome: Browser, page: Path, scheme: str, width: int) -> list[list[str]]:
+    """Open a page as for the first time, and return the rules of axe-core that it breaks, with the elements."""
+    chrome.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+    chrome.call("Emulation.setDeviceMetricsOverride", width=width, height=900, deviceScaleFactor=1, mobile=False)
+    for address in (page.as_uri(), "about:blank", page.as_uri()):
+        chrome.call("Page.navigate", url=address)
+        chrome.wait(f"document.readyState == 'complete' && location.href == {json.dumps(address)}")
+        if address != "about:blank":
+            chrome.value("localStorage.clear()")  # the theme keeps the scheme of the first visit
+    if chrome.value("'mdColorScheme' in document.body.dataset"):
+        chrome.wait(f"document.body.dataset.mdColorScheme == '{'slate' if scheme == 'dark' else 'default'}'")
+        chrome.wait(
+            "[...document.querySelectorAll('pre > code')].every(code => code.parentElement.querySelector('nav'))"
+        )
+    chrome.value(SETTLED)
+    chrome.value(AXE.read_text(encoding="utf-8") + "; 0")
+    return list(chrome.value(VIOLATIONS))
+
+
+@browser
+@pytest.mark.slow
+def test_the_site_and_a_report_have_no_violation_of_axe(site: Path, tmp_path: Path) -> None:
+    PAGES["thruster"](tmp_path / "report.html")
+    chrome = Browser(tmp_path)
+    try:
+        for page in (*(site / name for name in CHECKED), tmp_path / "report.html"):
+            for scheme, width in VIEWS:
+                assert violations(chrome, page, scheme, width) == [], f"{page.name}, {scheme}, {width} px"
+    finally:
+        chrome.close()
+
+
+@browser
+@pytest.mark.slow
+def test_axe_finds_what_the_site_mends(site: Path, tmp_path: Path) -> None:
+    """Without the style sheet and the script of the site, a page breaks each of these rules."""
+    text = (site / "how-to/python.html").read_text(encoding="utf-8")
+    text = re.sub(r'<(link|script)[^>]*site/(site.css|wide.js)">', "", text).replace(
+        "../assets", f"{site.as_uri()}/assets"
+    )
+    (tmp_path / "page.html").write_text(text, encoding="utf-8")
+    chrome = Browser(tmp_path)
+    try:
+        found = {rule for rule, *_ in violations(chrome, tmp_path / "page.html", "dark", 390)}
+    finally:
+        chrome.close()
+    assert {"color-contrast", "landmark-unique", "link-in-text-block", "scrollable-region-focusable"} <= found
+
+
+def test_dialogs_and_parts_of_the_navigation_have_names(site: Path) -> None:
+    for page in site.rglob("*.html"):
+        if page.name == "thesis-figures.html":
+            continue
+        text = page.read_text(encoding="utf-8")
+        (dialog,) = re.findall(r'<[^>]*role="dialog"[^>]*>', text)
+        assert 'aria-label="Search"' in dialog, page.name
+        assert len(re.findall(r'<nav [^>]*(aria-label="[^"]+"|role="none")', text)) == text.count("<nav "), page.name
+        parts = re.findall(r'<nav [^>]*data-md-level="\d+"[^>]*>', text)
+        names = [name for part in parts for name in re.findall(r'aria-label="([^"]+)"', part)]
+        assert len(set(names)) == len(names), page.name
+        assert {"Tutorials", "How to", "Decisions"} <= set(names), page.name
 
 
 def test_the_index_of_the_search_contains_every_page(site: Path) -> None:

@@ -207,7 +207,7 @@ def paths() -> list[str]:
 
 def layer_tables(rules: list[dict[str, Any]]) -> list[str]:
     """Return one table for each part, with its folders and files from the lowest layer up and their docstrings."""
-    lines = []
+    lines = ["", "## Folders and files"]
     for rule in rules:
         if rule["type"] != "layers":
             continue

@@ -1,7 +1,7 @@
 """Hooks of MkDocs.
 
 Pages that are missing in the navigation are added to the section of their folder. Equations are converted to MathML.
-The search lists decisions after other pages.
+The search lists decisions after other pages. Dialogs and parts of the navigation get names for screen readers.
 """
 
 from __future__ import annotations
@@ -54,11 +54,15 @@ def on_page_markdown(text: str, page: Page, **_: Any) -> str:
     return text
 
 
+EMPTY_HEADER = re.compile(r"<th( [^>]*)?></th>")
 EQUATION = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
 
 
 def on_page_content(text: str, **_: Any) -> str:
-    """Replace each TeX equation by MathML, which browsers show without scripts and without a network."""
+    """Replace each TeX equation by MathML, which browsers show without scripts and without a network.
+
+    An empty corner of a table becomes a cell, because screen readers announce headers.
+    """
 
     def mathml(found: re.Match[str]) -> str:
         # The converter supports the environment align*, GitHub supports aligned inside $$. Both look the same.
@@ -67,7 +71,45 @@ def on_page_content(text: str, **_: Any) -> str:
             return f'<div class="equation">{convert(tex, display="block")}</div>'
         return str(convert(tex, display="inline"))
 
-    return EQUATION.sub(mathml, text)
+    return EMPTY_HEADER.sub(r"<td\1></td>", EQUATION.sub(mathml, text))
+
+
+# A part of the navigation takes its name from a label. The label is empty if the part has a page of its own.
+PART = re.compile(
+    r'<nav class="md-nav" data-md-level="\d+" (aria-labelledby="[^"]*")[^>]*>\s*'
+    r'<label class="md-nav__title"[^>]*>(?P<title>.*?)</label>',
+    re.DOTALL,
+)
+SEARCH = '<div class="md-search" data-md-component="search" role="dialog">'
+CONTENTS = 'aria-label="Table of contents"'
+# Lists below a heading in the contents of a page: no landmarks, since headings with the same words may repeat.
+CHAPTER = re.compile(r'(<nav class="md-nav") aria-label="[^"]*">')
+
+
+def on_post_page(text: str, **_: Any) -> str:
+    """Name the search, and give each part of the navigation a name that no other part has.
+
+    ValueError is raised if the theme writes these elements in another way.
+    """
+    if SEARCH not in text:
+        raise ValueError("the theme has another search dialog: change SEARCH in docs/site/hooks.py")
+    text = text.replace(SEARCH, SEARCH[:-1] + ' aria-label="Search">')
+
+    def named(found: re.Match[str]) -> str:
+        title = html.escape(html.unescape(" ".join(re.sub(r"<[^>]*>", " ", found["title"]).split())))
+        return found[0].replace(found[1], f'aria-label="{title}"', 1)
+
+    text = PART.sub(named, text)
+    if "aria-labelledby" in text:
+        raise ValueError("the theme has another navigation: change PART in docs/site/hooks.py")
+    text = CHAPTER.sub(r'\1 role="none">', text)
+    # The contents of a page are in the navigation for narrow windows and at its side for wide ones.
+    return text.replace(CONTENTS, 'aria-label="Contents of this page"', 1) if text.count(CONTENTS) > 1 else text
+
+
+def on_post_template(text: str, template_name: str, **_: Any) -> str:
+    """Name the same parts of the page for addresses that do not exist."""
+    return on_post_page(text) if template_name == "404.html" else text
 
 
 def _paths(nav: Any) -> list[str]:
