@@ -41,8 +41,11 @@ def run_command(line: str) -> None:
     """Run a command line of seatrial, as far as a pipe. Patterns of files are replaced by the files."""
     program, *words = shlex.split(line.partition(" | ")[0])
     assert program == "seatrial", line
-    with pytest.raises(SystemExit) as left:
-        command_line.main([w for word in words for w in ((sorted(glob(word)) or [word]) if "*" in word else [word])])
+    found = [w for word in words for w in ((sorted(glob(word)) or [word]) if "*" in word else [word])]
+    with warnings.catch_warnings():
+        warnings.simplefilter("default", SeatrialWarning)
+        with pytest.raises(SystemExit) as left:
+            command_line.main(found)
     assert not left.value.code, line
 
 

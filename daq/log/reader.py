@@ -724,8 +724,8 @@ class Log:
             If a message is too short, or is not in little-endian CDR.
         """
         wrong = self._error(
-            f"a message on {topic} is not a valid {type_name} in little-endian CDR; use `seatrial import` for logs of "
-            "other programs"
+            f"a message on {topic} cannot be decoded as {type_name} (little-endian CDR): it is damaged or of another "
+            "program; use another copy of the file, or `seatrial import` for logs of other programs"
         )
         lacking = self._missing_fields(topic, type_name)
         lengths = messages.lengths

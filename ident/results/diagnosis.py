@@ -412,9 +412,10 @@ def diagnosis_caveat(diagnosis: Diagnosis) -> str | None:
     ]
     if diagnosis.remaining and diagnosis.untried_scores:
         many = counted(sum(search_round.chosen is not None for search_round in diagnosis.rounds), "effect")
+        gone = f" ({len(diagnosis.removed)} of them removed again)" if diagnosis.removed else ""
         sentences.append(
-            f"The search ended at {many}, the limit of --max-effects; give a larger one to try the other candidates: "
-            f"{_remaining_names(diagnosis)}."
+            f"The search ended when it had added {many}{gone}, the limit of --max-effects; give a larger one to try "
+            f"the other candidates: {_remaining_names(diagnosis)}."
         )
     return " ".join(sentences) or None
 

@@ -92,11 +92,11 @@ def break_messages(data: bytes) -> bytes:
 @pytest.mark.parametrize(
     ("change", "line"),
     [
-        (break_messages, "is not a valid seatrial_msgs/msg/Scalar in little-endian CDR"),
-        (lambda data: data[:20], "is not a valid seatrial_msgs/msg/Scalar"),
-        (lambda data: data[:8], "is not a valid seatrial_msgs/msg/Scalar"),
-        (lambda data: data[:12] + b"\xff\xff\xff\xff" + data[16:], "is not a valid seatrial_msgs/msg/Scalar"),
-        (lambda data: data[:12] + b"\0\0\0\0" + data[16:], "is not a valid seatrial_msgs/msg/Scalar"),
+        (break_messages, r"cannot be decoded as seatrial_msgs/msg/Scalar \(little-endian CDR\): it is damaged"),
+        (lambda data: data[:20], "cannot be decoded as seatrial_msgs/msg/Scalar"),
+        (lambda data: data[:8], "cannot be decoded as seatrial_msgs/msg/Scalar"),
+        (lambda data: data[:12] + b"\xff\xff\xff\xff" + data[16:], "cannot be decoded as seatrial_msgs/msg/Scalar"),
+        (lambda data: data[:12] + b"\0\0\0\0" + data[16:], "cannot be decoded as seatrial_msgs/msg/Scalar"),
     ],
 )
 def test_invalid_messages_are_refused(tmp_path: Path, change: Callable[[bytes], bytes], line: str) -> None:

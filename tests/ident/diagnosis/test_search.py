@@ -252,7 +252,8 @@ def test_search_that_reached_its_limit_names_the_untried_candidates(monkeypatch:
     after = blank(fit=blank(flags=()))
     found = Diagnosis(after, after, (Round((), (), (chosen,), chosen),), (score,), (), untried_scores=(score,))
     caveat = (
-        "The search ended at 1 effect, the limit of --max-effects; give a larger one to try the other candidates: wind."
+        "The search ended when it had added 1 effect, the limit of --max-effects; give a larger one to try "
+        "the other candidates: wind."
     )
     assert diagnosis_caveat(found) == caveat  # The caveat is also shown on the screen.
     assert caveat not in _notes(found)

@@ -191,6 +191,11 @@ def decay(path: Path, seed: int) -> dict[str, float]:
     return truth
 
 
+def block_with(text: str, language: str) -> str:
+    """Return the first block of code of the page on own models that contains a text."""
+    return next(block for block in blocks("own-model", language) if text in block)
+
+
 def test_decay_test_of_the_how_to_is_fitted_by_its_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -201,7 +206,7 @@ def test_decay_test_of_the_how_to_is_fitted_by_its_command(
     truth = decay(Path("decay.csv"), 1)
     with pytest.raises(SystemExit):
         command_line.main(["import", "map.toml", "decay.csv", "-o", "decay.mcap"])
-    words = blocks("own-model", "sh")[1].split()
+    words = block_with("rolling.py", "sh").split()
     assert words[:3] == ["seatrial", "ident", "vehicle"]
     CliRunner().invoke(ident, [*words[2:], "--rate", "20"], catch_exceptions=False)
     saved = load_model(Path("rolling/model.toml"))
@@ -209,13 +214,13 @@ def test_decay_test_of_the_how_to_is_fitted_by_its_command(
         error = saved.errors[name]
         assert abs(saved.model.parameter(name).value - true) < 4 * error < 0.4 * true, name
     capsys.readouterr()
-    block = blocks("own-model", "python")[1]
+    block = block_with("p.dd * abs", "python")
     Path("rolling.py").write_text(block.replace("p.dd * abs", "p.dq * abs"), encoding="utf-8")
     with pytest.raises(SystemExit):
         command_line.main([*words[1:], "--force"])
     Path("rolling.py").write_text(block.replace("abs(x.p)", "max(x.p, -x.p)"), encoding="utf-8")
     with pytest.raises(SystemExit):
         command_line.main([*words[1:], "--force"])
-    assert [line for line in capsys.readouterr().err.splitlines() if line.startswith("seatrial:")] == blocks(
-        "own-model", "text"
-    )[0].splitlines()
+    assert [line for line in capsys.readouterr().err.splitlines() if line.startswith("seatrial:")] == block_with(
+        "rolling.py", "text"
+    ).splitlines()
