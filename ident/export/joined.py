@@ -430,7 +430,11 @@ def with_thrust_input(boat: Content) -> Content:
     changed = _with_thrust(model, thrusts)
     stages = tuple((name, speeds if name == "shaft" else f) for name, f in changed.stages)
     if WORK_INPUT in {i.name for i in inputs}:
-        raise SeatrialError("--thrust-input: an effect needs the work of the shafts; use a model without it")
+        names = " and ".join(e.name for e in model.effects if WORK_INPUT in {i.name for i in e.inputs})
+        raise SeatrialError(
+            f"--thrust-input: the effect {names} depends on the energy that the shafts have used, which the thrusts do "
+            f"not give; leave out --thrust-input, or fit the boat without {names}"
+        )
     changed = replace(changed, inputs=inputs, stages=stages)
     found = with_model(boat, changed, boat.saved.errors)
     if {"c1", "c2"} & {p.name for p in found.exported_parameters}:

@@ -111,7 +111,10 @@ def _check_options(request: ExportRequest) -> None:
         if is_unused:
             raise SeatrialError(f"{option} has no effect on an export to {request.target}; leave it out")
     if request.thrust_curve == "boat" and not request.thrusters:
-        raise SeatrialError("--thrust-curve chooses between the curves of boat and bench; give --thruster, or leave it")
+        raise SeatrialError(
+            "--thrust-curve chooses between the thrust curves of the boat and of a bench test, and no bench test was "
+            "given; add --thruster with its model.toml, or leave out --thrust-curve"
+        )
     if request.name is not None and (valid := prefix(request.name)) != request.name:
         warn(f"the name {request.name!r} is not valid in the file and becomes {valid}")
 

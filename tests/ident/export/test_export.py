@@ -340,7 +340,7 @@ def test_python_file_that_cannot_be_imported_is_reported(name: str, valid: str, 
         (("vrx", "--with-disturbance-states"), "--with-disturbance-states has no effect on an export to vrx;"),
         (
             ("c", "--thrust-curve", "boat"),
-            "--thrust-curve chooses between the curves of boat and bench; give --thruster",
+            "and no bench test was given; add --thruster with its model.toml",
         ),
         (("c", "-o", "nodir/x.h"), "nodir/x.h: there is no folder nodir; create it, or name another output"),
     ],

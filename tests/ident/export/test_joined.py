@@ -291,7 +291,9 @@ def test_thrust_input_refuses_models_without_shaft_speeds() -> None:
     refuse(horizontal_model("force"), "the inputs of horizontal:force are f_left, f_right")
     refuse(boat() + catalogue()["dead-band"], "the effect dead-band acts on the shaft speed")
     refuse(boat() + catalogue()["delay"], "because its effect delay needs its past")
-    refuse(boat() + catalogue()["battery-sag"], "an effect needs the work of the shafts")
+    refuse(
+        boat() + catalogue()["battery-sag"], "the effect battery-sag depends on the energy that the shafts have used"
+    )
     with pytest.warns(SeatrialWarning, match="slope by the thrust is infinite at rest"):
         with_thrust_input(collect_content(saved((boat() + catalogue()["advance-ratio"]).with_values({}))))
 
