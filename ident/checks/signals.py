@@ -454,8 +454,8 @@ def check_smoothing(c: Channels) -> Iterator[Finding]:
     if smooth:
         text = "a filter has smoothed the signal: it lacks the noise of a sensor, and its errors last for seconds"
         advice = (
-            "log the raw sensor, or give the noise to the fit (--fix e_psi=0.03, ...); otherwise the fit assumes at "
-            "least the noise of usual sensors"
+            "log the raw sensor, or give its noise to the fit (such as --fix e_psi=0.03 for 0.03 rad); otherwise the "
+            "fit assumes at least the noise of usual sensors"
         )
         yield Finding("warning", "channel-smoothed", "noise", ", ".join(smooth), text, advice)
 
