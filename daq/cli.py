@@ -53,6 +53,8 @@ class LogPath(click.Path):
         from seatrial.daq.log import first_segments  # imported here, because it imports numpy and --help needs none
 
         found = first_segments(path)
+        if not found and (path / "metadata.yaml").exists():
+            self.fail(f"{path} is a bag of ROS 2; import it first: seatrial import --guess {path}", param, ctx)
         if not found:
             self.fail(f"{path} is a folder without a log (*.mcap) in it; give the path of a log", param, ctx)
         if len(found) > 1:

@@ -7,7 +7,7 @@ the inputs are commands. `with_thrust_input` replaces shaft speeds by thrusts, w
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,6 +21,7 @@ from seatrial.ident.model import (
     COMMAND,
     SHAFT_SPEED,
     THRUSTER_FORCE,
+    Effect,
     EffectKind,
     Input,
     Model,
@@ -136,7 +137,9 @@ def join(boat: Content, thrusters: Mapping[str, SavedModel], *, own_curve: bool 
             f"model {model.name} is not that of a boat: give that of a boat, and with --thruster that of a bench"
         )
     drives = _drives(model, thrusters)
-    _check_past(model, {d.input for d in drives})
+    replaced = {d.input for d in drives}
+    model = _without_late_sensors(model, replaced)
+    _check_past(model, replaced)
     with_curve = [d for d in drives if d.has_thrust and not own_curve]
     for d in drives:
         if d.gives_thrust and not d.has_thrust:
@@ -162,7 +165,10 @@ def join(boat: Content, thrusters: Mapping[str, SavedModel], *, own_curve: bool 
     extra = len(joined.states) - len(model.states) - sum(len(b.states) for b in benches)  # the state of the work
     return replace(
         with_model(boat, joined, errors),
-        effects=(*boat.effects, *(f"{e.name} ({d.name or d.input})" for d in drives for e in d.model.effects)),
+        effects=(
+            *_kept_effects(boat, model),
+            *(f"{e.name} ({d.name or d.input})" for d in drives for e in d.model.effects),
+        ),
         state_noise=(*boat.state_noise, *(q for b in benches for q in b.state_noise), *([0.0] * extra)),
         remarks=(*boat.remarks, *_remarks(drives, own_curve)),
     )
@@ -207,7 +213,37 @@ def _drives(model: Model, thrusters: Mapping[str, SavedModel]) -> list[Drive]:
 def _without_bench(model: Model) -> Model:
     """Return a bench model without disturbances, and without the effects of load cell and tank."""
     smaller, _ = without_nuisance(model)
-    gone = [e for e in smaller.effects if e.kind is EffectKind.CATALOGUE and e.place in BENCH_ONLY]
+    return _without(smaller, [e for e in smaller.effects if e.kind is EffectKind.CATALOGUE and e.place in BENCH_ONLY])
+
+
+def _without_late_sensors(model: Model, replaced: set[str]) -> Model:
+    """Return a boat model without sensor effects that need other times of inputs, or the shaft speeds of ``replaced``.
+
+    These are latencies of a sensor and the age of shaft telemetry. They do not act on the motion of the boat. A warning
+    names them.
+    """
+    gone = [
+        e
+        for e in model.effects
+        if e.place == "sensor" and (any(i.tap_of in replaced for i in e.inputs) or set(e.hooks) & set(SHAFT_STAGES))
+    ]
+    if gone:
+        names = ", ".join(e.name for e in gone)
+        warn(
+            f"{names}: left out, because the export has no past shaft speeds; the motion is the same, and the outputs "
+            "are those of sensors without this delay"
+        )
+    return _without(model, gone)
+
+
+def _kept_effects(boat: Content, model: Model) -> tuple[str, ...]:
+    """Return the names of the effects of a content that are not left out of ``model``."""
+    gone = {e.name for e in boat.model.effects} - {e.name for e in model.effects}
+    return tuple(name for name in boat.effects if name not in gone)
+
+
+def _without(smaller: Model, gone: Sequence[Effect]) -> Model:
+    """Return a model without some of its effects, and without the states, parameters and inputs that only they have."""
     states, parameters = ({x.name for e in gone for x in getattr(e, part)} for part in ("states", "parameters"))
     kept = [e for e in smaller.effects if e not in gone]
     inputs = {i.name for e in gone for i in e.inputs} - {i.name for e in kept for i in e.inputs}
@@ -404,6 +440,7 @@ def with_thrust_input(boat: Content) -> Content:
             "--thrust-input needs a model with the shaft speeds n_left, n_right as inputs, such as horizontal:shaft; "
             f"the inputs of {model.source or model.name} are {inputs_now}"
         )
+    model = _without_late_sensors(model, set(shafts))
     _check_past(model, set(shafts))
     between = [e.name for e in model.effects if set(e.hooks) & set(SHAFT_STAGES)]
     if between:
@@ -450,6 +487,7 @@ def with_thrust_input(boat: Content) -> Content:
     return replace(
         found,
         saved=replace(boat.saved, validity=validity),
+        effects=_kept_effects(boat, model),
         thrust_curve=(c1, c2),
         remarks=(
             *boat.remarks,

@@ -12,6 +12,7 @@ from seatrial.ident.results.parts import Change, ErrorComparison, Part, Result
 from seatrial.ident.results.tables import format_number
 
 Campaign = Literal["before", "after"]
+FEW_LOGS = 4  # with up to so many logs of both campaigns, intervals by Student's t are wide
 MOST_NAMES = 4  # changed parameters that the answer has with their sizes
 JOINT_LEVEL = 0.05  # significance level of the joint test
 
@@ -201,6 +202,8 @@ def campaigns_answer(result: CampaignsResult) -> str:
         sentences = [f"{begin}: {', '.join(found[:MOST_NAMES])}{more}."]
     else:
         sentences = [f"None of {counted(len(tested), 'parameter')} has changed {rate}."]
+        if (n := len(result.campaigns)) <= FEW_LOGS:
+            sentences.append(f"With {n} logs in all, only large changes are seen; take three or more of each campaign.")
         if result.joint is not None and result.joint.p is not None and result.joint.p < JOINT_LEVEL:
             sentences.append(
                 f"All parameters together differ (p = {result.joint.p:.2g}), but the logs do not determine which."

@@ -23,7 +23,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from seatrial.daq.errors import SeatrialError
+from seatrial.daq.errors import SeatrialError, counted
 from seatrial.daq.log import open_log
 from seatrial.ident.estimation import LEAST_OWN, ReportedEstimates, between_log_variance
 from seatrial.ident.models import is_own_model
@@ -255,7 +255,7 @@ def hashed_logs(paths: Sequence[Path], reporter: Reporter) -> list[FleetLog]:
 
     A log that cannot be read has its path as hash. Its fit fails with the reason.
     """
-    reporter.progress(f"reading the hashes of {len(paths)} logs")
+    reporter.progress(f"reading the hashes of {counted(len(paths), 'log')}")
     found = dict[str, FleetLog]()
     for path in dict.fromkeys(paths):
         try:

@@ -298,8 +298,8 @@ def thrust_from(model: Model, loaded: Sequence[LoadedLog]) -> str:
     """
     if "n_state" in model.provides:
         return (
-            "thrust from the commands: no log has timely shaft speeds, so the shafts are states with a dead zone, a "
-            "delay and a time constant (--model horizontal:shaft takes the signals as shaft speeds)"
+            "thrust from the commands: the shafts are states with a dead zone, a delay and a time constant, as usual "
+            "for logs without timely shaft speeds (--model horizontal:shaft takes the signals as shaft speeds)"
         )
     if any(e.name == TELEMETRY_AGE for e in model.effects):
         return (
@@ -442,7 +442,13 @@ def saved_frame_warnings(model: Model, logs: Sequence[LoadedLog], reference: Fra
     return frame_warnings(model, [log.run.name for log in logs if log.unplaced], saved_origin_unknown=reference is None)
 
 
-HOLDS = {"zero": "held commands", "linear": "measured values", "sampled": "commands that are sampled late"}
+AVERAGED = {"zero": "average", "average": "zero"}  # kinds of an input that a model averages, and does not
+HOLDS = {
+    "zero": "held commands",
+    "average": "averaged commands",
+    "linear": "measured values",
+    "sampled": "commands that are sampled late",
+}
 
 
 def hold_lines(saved: SavedModel, logs: Sequence[LoadedLog]) -> list[str]:
@@ -463,7 +469,8 @@ def hold_lines(saved: SavedModel, logs: Sequence[LoadedLog]) -> list[str]:
     lines: list[str] = []
     for log in logs:
         kinds: dict[str, str] = {n: log.holds.get(n) or usual.get(n, "") for n in saved.holds if n in log.run.channels}
-        other = [n for n, kind in kinds.items() if kind and kind != saved.holds[n]]
+        # The fit averages held commands if the model says so: both words then mean commands.
+        other = [n for n, kind in kinds.items() if kind and saved.holds[n] not in (kind, AVERAGED.get(kind))]
         if other:
             here, there = (HOLDS.get(h, h) for h in (kinds[other[0]], saved.holds[other[0]]))
             lines.append(

@@ -395,6 +395,8 @@ def navigation_answer(found: Sequence[Outage], done: Sequence[Navigation]) -> st
         # An outage without an end is compared with its last withheld fix, which may be long before its end.
         words += f"; compared with the {'last withheld fix' if worst.open else 'first fix after it'}, it was "
         words += f"{format_number(worst.error)} m off"
+        if len(judged) == 1:
+            words += f", {'inside' if worst.inside else 'outside'} the predicted 95 % region of position and fix"
     if len(judged) > 1:
         inside = sum(bool(o.inside) for o in judged)
         words += f". At {inside} of {len(judged)} outages the fix is inside the predicted 95 % region"

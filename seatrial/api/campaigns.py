@@ -44,7 +44,9 @@ class CampaignComparison:
     def to_pandas(self) -> Any:
         """Return the differences as a ``pandas.DataFrame`` with a row for each parameter, in SI units and radians.
 
-        The columns are before, after, difference, se, low, high, relative, scatter, p, q, changed and unit.
+        The columns are before, after, difference, se, low, high, relative, scatter, p, q, changed and unit. The
+        difference, its standard error and its interval (low, high) are in this unit; relative is the difference as a
+        part of before.
 
         Raises
         ------

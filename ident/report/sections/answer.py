@@ -201,7 +201,8 @@ def attribution_words(effect: EffectRow) -> str:
         reasons = [*effect.reasons, *([f"not excluded: {', '.join(alternatives)}"] if alternatives else [])]
         return "ambiguous; " + "; ".join(reasons) + odds
     return {
-        "identified": "identified: the effect explains all that was missing, and no competing model comes close",
+        "identified": "identified: the effect keeps its size beside the candidates that remain, and no competing model "
+        "comes close",
         "nonparametric": "nonparametric: no known effect explains the residual; the curve is estimated from the data",
     }[effect.attribution] + odds
 

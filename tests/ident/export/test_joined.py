@@ -282,6 +282,16 @@ def test_thrust_input_in_c(tmp_path: Path) -> None:
     assert row[-4] == pytest.approx(2 * 20.0 / boat().values["m_u"] * 0.1, rel=0.02)
 
 
+def test_late_sensors_are_left_out_because_the_thrusts_have_no_past() -> None:
+    """A fit may add the latency of the GNSS by itself. It does not act on the motion."""
+    plain = with_thrust_input(collect_content(saved(boat())))
+    late = boat() + catalogue()["gnss-latency"]
+    with pytest.warns(SeatrialWarning, match="gnss-latency: left out, .* the motion is the same"):
+        found = with_thrust_input(collect_content(saved(late)))
+    for part in ("inputs", "states", "parameters", "values", "effects"):
+        assert getattr(found, part) == getattr(plain, part)
+
+
 def test_thrust_input_refuses_models_without_shaft_speeds() -> None:
     def refuse(model: Model, words: str) -> None:
         with pytest.raises(SeatrialError, match=words):

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
+import pytest
 
 from seatrial.ident.data.loading import LoadedLog
 from seatrial.ident.data.record import Channel, LogSegment
-from seatrial.ident.workflows.model_inputs import unused_signals
+from seatrial.ident.models import horizontal_model
+from seatrial.ident.workflows.model_inputs import hold_lines, unused_signals
 from tests.ident.sliders import slider
 
 C = Channel(np.arange(3.0), np.zeros(3))
@@ -25,3 +29,22 @@ def test_sensor_that_only_a_validation_log_has_is_not_used_unless_its_noise_is_k
     assert (found.signal, found.logs, found.code) == ("place", ("c",), "validation-only")
     assert unused_signals(slider(), *logs) == []
     assert unused_signals(free, [log("a", "w", "speed", "place")], logs[1]) == []
+
+
+@pytest.mark.parametrize(
+    ("fitted", "in_log", "differs"),
+    [
+        ("average", "zero", False),  # a model of commands averages them
+        ("zero", "zero", False),
+        ("linear", "zero", True),
+        ("average", "linear", True),
+    ],
+)
+def test_log_with_another_kind_of_input_is_named(fitted: str, in_log: str, differs: bool) -> None:
+    model = horizontal_model("command")
+    saved: Any = SimpleNamespace(model=model, holds={"n_cmd_left": fitted})
+    run = SimpleNamespace(channels={"n_cmd_left": None})
+    log: Any = SimpleNamespace(holds={"n_cmd_left": in_log}, run=run, about={"path": "run.mcap"})
+    lines = hold_lines(saved, [log])
+    assert bool(lines) is differs
+    assert all(line.startswith("run.mcap: n_cmd_left: ") for line in lines)
