@@ -361,6 +361,8 @@ def header(content: Content, target: str) -> list[str]:
         "",
         "Rates dx/dt = f(x, u; p), outputs y = h(x, u; p); SI units and radians.",
     ]
+    if {"u", "r"} <= {s.name for s in content.model.states}:
+        lines.append(AXES)
     lines += ["States x, inputs u, outputs y:"]
     lines += [
         f"  x[{i}] {n} {_unit_text(s.unit)} {s.meaning}".rstrip()
@@ -488,6 +490,7 @@ def comment(content: Content, i: int) -> str:
     return " ".join(" ".join(part for part in (_unit_text(p.unit), origin, p.meaning) if part).split())
 
 
+AXES = "Axes: x north, y east; u forward, v to starboard; psi and r clockwise seen from above (not those of REP-103)."
 SHORTEST_GROUP = 3  # smallest number of delayed copies of a signal that have a common line in the header
 ATOM, UNARY, PRODUCT, SUM = 100, 30, 20, 10  # precedence of an expression: a higher number binds more tightly
 MAX_INLINE = 50  # characters; a longer expression becomes a variable of its own

@@ -340,7 +340,8 @@ def test_python_file_that_cannot_be_imported_is_reported(name: str, valid: str, 
         (("vrx", "--with-disturbance-states"), "--with-disturbance-states has no effect on an export to vrx;"),
         (
             ("c", "--thrust-curve", "boat"),
-            "and no bench test was given; add --thruster with its model.toml",
+            "--thrust-curve chooses between the thrust curves of the boat and of a bench test, and no bench test was "
+            "given; add --thruster",
         ),
         (("c", "-o", "nodir/x.h"), "nodir/x.h: there is no folder nodir; create it, or name another output"),
     ],
