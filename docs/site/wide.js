@@ -1,4 +1,4 @@
-// Wide code and wide tables for users of keyboards and screen readers, where the theme lacks something.
+// Wide code, tables and equations for users of keyboards and screen readers, where the theme lacks something.
 const mend = (part, box) => {
   // The arrow keys scroll what has the focus. The theme gives the focus to code only, and only where a pointer can hover.
   if (box.scrollWidth > box.clientWidth && !box.hasAttribute("tabindex")) box.tabIndex = 0
@@ -12,4 +12,7 @@ for (const code of document.querySelectorAll("pre > code")) {
 }
 for (const table of document.querySelectorAll(".md-typeset table")) {
   new ResizeObserver(() => mend(table, table.closest(".md-typeset__scrollwrap") ?? table)).observe(table)
+}
+for (const equation of document.querySelectorAll(".md-typeset .equation")) {
+  new ResizeObserver(() => mend(equation, equation)).observe(equation)
 }
