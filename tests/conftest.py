@@ -74,6 +74,7 @@ PORTS = (
     "tests/daq/transport/test_network_port.py",
     "tests/daq/transport/test_transport.py",
     "tests/mocks/test_cli.py",
+    "tests/test_live_blocks.py",
     "tests/mocks/ports/test_ports.py",
     "tests/mocks/devices/test_slcan.py",
 )

@@ -17,11 +17,11 @@ from tests.daq.importers.test_mavlink import tlog
 from tests.missions import bench_log, boat_log, boat_with
 from tests.page_runner import command_lines, edited, run_commands, run_python
 from tests.test_docs import PAGES, ROOT, blocks, name
-from tests.test_tutorials import environment, mock, run
+from tests.test_tutorials import environment
 
 __all__ = ["environment"]
 
-HERE = "tests/test_blocks.py"
+HERE, LIVE = "tests/test_blocks.py", "tests/test_live_blocks.py"
 TUTORIALS, USE = "tests/test_tutorials.py", "tests/ident/workflows/test_use_a_model.py"
 ALL = None
 # Page, language, numbers of the blocks on the page, and the test that runs them or compares them with a file that it
@@ -37,13 +37,13 @@ RUN = [
      "tests/test_how_to.py::test_the_sensor_of_the_how_to_passes_its_tests"),
     ("docs/how-to/add-an-effect.md", "python", ALL,
      "tests/test_how_to.py::test_the_effect_of_the_how_to_passes_its_own_test"),
-    ("docs/how-to/add-an-effect.md", "sh", ALL, f"{HERE}::test_the_mocks_with_an_effect_start"),
+    ("docs/how-to/add-an-effect.md", "sh", ALL, f"{LIVE}::test_the_mocks_with_an_effect_start"),
     ("docs/how-to/changes.md", "python", ALL,
      "tests/ident/workflows/test_changes.py::test_the_page_runs_as_written"),
     ("docs/how-to/compare.md", "python", ALL,
      "tests/ident/workflows/test_compare.py::test_the_page_runs_as_written"),
     ("docs/how-to/check.md", "sh", [2, 3], f"{HERE}::test_the_logs_of_the_check_page_pass"),
-    ("docs/how-to/check.md", "sh", [0], f"{HERE}::test_the_rig_of_the_check_page_passes"),
+    ("docs/how-to/check.md", "sh", [0], f"{LIVE}::test_the_rig_of_the_check_page_passes"),
     ("docs/how-to/coming-from.md", "sh", [0], "tests/test_coming_from.py::test_the_section_on_matlab_runs"),
     ("docs/how-to/coming-from.md", "sh", [1], "tests/test_coming_from.py::test_the_section_on_ctsm_runs"),
     ("docs/how-to/coming-from.md", "sh", [2], "tests/test_coming_from.py::test_the_section_on_ros_runs"),
@@ -365,21 +365,3 @@ def test_the_logs_of_an_autopilot_are_imported(empty: Path) -> None:
     for line in command_lines(block("docs/how-to/mavlink.md", number=4)):
         run_commands(line)
         (empty / "flight.mcap").unlink()
-
-
-def test_the_rig_of_the_check_page_passes(empty: Path, environment: dict[str, str]) -> None:
-    """The devices are a mock."""
-    shutil.copy(ROOT / "mocks/rigs/boat.toml", empty / "rig.toml")
-    run("seatrial mission generate --kind mixed --seconds 60 --seed 1 -o mission.toml", empty, environment)
-    with mock("seatrial mock boat rig.toml", empty, environment):
-        for line in command_lines(block("docs/how-to/check.md")):
-            run(line, empty, environment)
-
-
-def test_the_mocks_with_an_effect_start(empty: Path, environment: dict[str, str]) -> None:
-    (copy, first), (second,) = (command_lines(text) for text in blocks(ROOT / "docs/how-to/add-an-effect.md", "sh"))
-    run(copy, empty, environment)
-    for line in (first, second):
-        with mock(line, empty, environment):
-            pass
-        assert json.loads((empty / "truth.json").read_text(encoding="utf-8"))["effect"] == "wind"
