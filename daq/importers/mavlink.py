@@ -123,9 +123,9 @@ def is_tlog(head: bytes) -> bool:
 
 
 def _mavlink_device(rig: Rig | None) -> Device | None:
-    """Return the MAVLink device (autopilot) of a rig. Return None if `rig` is None.
+    """Return the MAVLink device (autopilot) of a rig. Without a rig (`rig` is None), the result is None.
 
-    Raise SeatrialError unless the rig has exactly one such device.
+    Raise SeatrialError if the rig has no such device or several.
     """
     if rig is None:
         return None

@@ -305,10 +305,9 @@ def _initial_states(larger: Model, effect: Effect, values: Array) -> Array:
 def _constant_coefficients(rowwise: VectorisedModel, x: Array, u: Array, values: Array, m: int) -> Array | None:
     """Return the matrix (m, m) of the last m states of a model if their equations are linear and do not change in time.
 
-    Return None otherwise. The changes of their rates by steps of one
-    in each of these states are compared at the first, middle and last rows of states x (n_rows, n_states) and inputs u,
-    from the last states as they are and from these plus one. Other rows are not compared. ``rowwise`` is the model, and
-    ``values`` are its parameter values.
+    The result is None otherwise. The test compares the changes of their rates by steps of one in each of these states,
+    at the first, middle and last rows of states x (n_rows, n_states) and inputs u, from the last states as they are and
+    from these plus one. Other rows are not compared. ``rowwise`` is the model, and ``values`` are its parameter values.
     """
     rows = [0, len(x) // 2, len(x) - 1]
     n = x.shape[1]

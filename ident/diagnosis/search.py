@@ -956,11 +956,11 @@ class _Search:
         strongest = [s for s in remaining if not s.nonparametric and s.name in self.candidates]
         beside = strongest[: self.policy.n_beside]
         model, fitted = current.fit.model, current
-        joint = self._joint_steps(beside)
-        added = [(e := self.candidates[s.name], next(_with_initial_values(e, s)), s) for s in joint]
-        for _, start, _ in added:
-            model = model + start
         try:
+            joint = self._joint_steps(beside)
+            added = [(e := self.candidates[s.name], next(_with_initial_values(e, s)), s) for s in joint]
+            for _, start, _ in added:
+                model = model + start
             if beside:
                 begin = self._shifted_estimates(current, added)
                 with quick_compilation(self.n):

@@ -78,7 +78,7 @@ class ArenaPool:
     """Pool of arenas (reused memory for the arrays of kernels), with one arena for each thread at work."""
 
     def __init__(self) -> None:
-        """Create an empty pool; `borrow` adds arenas as they are needed."""
+        """Create a pool without arenas. `borrow` adds an arena whenever all others are lent."""
         self._free: list[Arena] = []
         self._lock = threading.Lock()
 

@@ -125,7 +125,7 @@ class SearchSettings:
     refine: bool = True
 
     def __post_init__(self) -> None:
-        """Raise ValueError if ``initial_state`` is neither ``free`` nor ``given``."""
+        """Check the settings. Raise ValueError if ``initial_state`` is another word than ``free`` or ``given``."""
         if self.initial_state not in ("free", "given"):
             raise ValueError(f"initial_state is {self.initial_state!r}; use free or given")
 

@@ -107,7 +107,7 @@ class Budget:
 
 
 def drawable(y: Array | None) -> Array | None:
-    """Return the curve y unchanged, or None if there is nothing to draw: y is None or has no finite value."""
+    """Return the curve y unchanged if it can be drawn. Return None if y is None or if none of its values is finite."""
     return y if y is not None and np.isfinite(y).any() else None
 
 

@@ -271,5 +271,5 @@ def duration(seconds: float | None) -> str:
 
 
 def scaled(factor: float, *values: float | None) -> list[float | None]:
-    """Return each value times ``factor``, for example in the unit that a report shows; None stays None."""
+    """Multiply each value by ``factor``, for example to convert it to the unit of a report. A value None is kept."""
     return [None if value is None else factor * value for value in values]

@@ -186,7 +186,10 @@ def _with_values(model: Model, reported: Values) -> Model:
 
 
 def _errors_row(part: Mapping[str, LogErrors], after: bool, kind: Any, horizon: float) -> CampaignErrors | None:
-    """Return the errors of one model on the logs of one campaign; None if it predicts none of them."""
+    """Return the prediction errors of one model on the logs of one campaign.
+
+    The result is None if the model predicts no channel of these logs.
+    """
     now = {log: x.errors[kind] for log, x in part.items() if x.errors.get(kind)}
     base = {log: x.errors["before"] for log, x in part.items() if log in now and x.errors.get("before")}
     units = {name: unit for x in part.values() for name, unit in x.units.items()}

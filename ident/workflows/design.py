@@ -612,7 +612,10 @@ def _hypothesis(known: SavedModel | Model, name: str, other: str) -> EffectHypot
 
 
 def refit_without(refits: Sequence[RefittedEffect], name: str, other: str) -> RefittedEffect | None:
-    """Return the last refit of an effect in which the effect ``other`` was not in the model; None if there is none."""
+    """Return the last refit of an effect, among those whose model lacks the effect ``other``.
+
+    The result is None if ``refits`` contains no such refit.
+    """
     return next((r for r in reversed(refits) if r.name == name and other not in r.beside), None)
 
 

@@ -238,7 +238,7 @@ def _responses(linear: LinearModel, drives: Drives) -> list[FrequencyResponse]:
 
 
 def _known(value: float) -> float | None:
-    """Return a value, or None if it is NaN."""
+    """Return a number unchanged. The result is None if the number is NaN."""
     return None if np.isnan(value) else value
 
 

@@ -442,7 +442,6 @@ def saved_frame_warnings(model: Model, logs: Sequence[LoadedLog], reference: Fra
     return frame_warnings(model, [log.run.name for log in logs if log.unplaced], saved_origin_unknown=reference is None)
 
 
-AVERAGED = {"zero": "average", "average": "zero"}  # kinds of an input that a model averages, and does not
 HOLDS = {
     "zero": "held commands",
     "average": "averaged commands",
@@ -465,12 +464,15 @@ def hold_lines(saved: SavedModel, logs: Sequence[LoadedLog]) -> list[str]:
     logs : sequence of LoadedLog
         Logs that the model is applied to.
     """
-    usual: dict[str, str] = {i.name: i.hold or "" for i in saved.model.inputs}
+    inputs = {i.name: i for i in saved.model.inputs}
     lines: list[str] = []
     for log in logs:
-        kinds: dict[str, str] = {n: log.holds.get(n) or usual.get(n, "") for n in saved.holds if n in log.run.channels}
-        # The fit averages held commands if the model says so: both words then mean commands.
-        other = [n for n, kind in kinds.items() if kind and saved.holds[n] not in (kind, AVERAGED.get(kind))]
+        kinds: dict[str, str] = {
+            n: inputs[n].held(log.holds.get(n, "")).hold or ""
+            for n in saved.holds
+            if n in inputs and n in log.run.channels
+        }
+        other = [n for n, kind in kinds.items() if kind and kind != saved.holds[n]]
         if other:
             here, there = (HOLDS.get(h, h) for h in (kinds[other[0]], saved.holds[other[0]]))
             lines.append(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, Unpack
 from seatrial.api.fits import FitOptions, Logs, vehicle_request, window_of
 from seatrial.api.logs import PathLike, as_paths
 from seatrial.api.messages import Messages, errors_of_users, text_of
+from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import import_library
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, repr=False)
-class CampaignComparison:
+class CampaignComparison(Shown):
     """Comparison of two campaigns of logs by one model. `compare_campaigns` returns it.
 
     Attributes
@@ -65,6 +66,16 @@ class CampaignComparison:
     def summary(self) -> str:
         """Return the answer and the tables as text, as the command does."""
         return text_of(self.result)
+
+    def _content(self) -> Content:
+        """Return the answer, the notes, and a row for each parameter with its change and q value."""
+        from seatrial.ident.report.sections.campaigns import change_of
+
+        rows = [
+            (p.name, number(p.before.mean), number(p.after.mean), change_of(p), number(p.q, 2), p.unit)
+            for p in self.result.parameters
+        ]
+        return Content(self.answer, self.result.notes, ("", "before", "after", "change (95 %)", "q", "unit"), rows)
 
     def __repr__(self) -> str:
         """Return a short text for the interpreter: number of logs, and `answer`."""

@@ -11,7 +11,9 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-needs_pyulog = pytest.mark.skipif(importlib.util.find_spec("pyulog") is None, reason="pyulog is not installed")
+needs_pyulog = pytest.mark.skipif(
+    importlib.util.find_spec("pyulog") is None, reason="reads PX4 logs, which needs the extra ulog"
+)
 
 
 class Topic(NamedTuple):

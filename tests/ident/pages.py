@@ -155,7 +155,7 @@ PAGES: dict[str, Callable[[Path], None]] = {kind: _of(make) for kind, make in KI
 PAGES |= {"check": check, "design": design, "study": study, "figures": figures}
 
 CHROMIUM = next((name for name in ("chromium", "chromium-browser", "google-chrome") if shutil.which(name)), None)
-browser = pytest.mark.skipif(CHROMIUM is None, reason="no chromium on PATH")
+browser = pytest.mark.skipif(CHROMIUM is None, reason="runs scripts of a page, which needs chromium on the PATH")
 
 
 def chromium(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:

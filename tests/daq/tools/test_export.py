@@ -106,7 +106,7 @@ def test_parquet_without_its_library_gives_a_one_line_error(
         export_log(opened, "parquet", tmp_path / "out")
 
 
-@pytest.mark.skipif(importlib.util.find_spec("pyarrow") is None, reason="pyarrow is not installed")
+@pytest.mark.skipif(importlib.util.find_spec("pyarrow") is None, reason="writes Parquet, which needs the extra parquet")
 def test_parquet_reads_back(log: Path, tmp_path: Path) -> None:
     import pyarrow.parquet
 

@@ -26,7 +26,7 @@ from seatrial.ident.models.horizontal import horizontal_model
 from tests.ident.engine.test_kernel import operations, points
 from tests.ident.toys import turning
 
-needs_llvm = pytest.mark.skipif(not jit.AVAILABLE, reason="llvmlite is not installed")
+needs_llvm = pytest.mark.skipif(not jit.AVAILABLE, reason="compares compiled code, which needs llvmlite")
 MODELS: dict[str, Callable[[], Model]] = {
     **{
         name: lambda name=name: make_model(name)

@@ -20,7 +20,7 @@ from seatrial.ident.model.structure import Model, Output, Sensor, State, plain_m
 from tests.ident.toys import turning, turning_record, values_of
 
 ca.GlobalOptions.setNumpyMode(-1)
-needs_llvm = pytest.mark.skipif(not jit.AVAILABLE, reason="llvmlite is not installed")
+needs_llvm = pytest.mark.skipif(not jit.AVAILABLE, reason="compares compiled code, which needs llvmlite")
 WIDTH = 4
 
 

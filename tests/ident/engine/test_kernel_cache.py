@@ -29,7 +29,7 @@ from seatrial.ident.models.thruster import thruster_model
 from seatrial.ident.models.yaw import yaw_model
 from tests.ident.toys import turning, turning_record, values_of
 
-needs_llvm = pytest.mark.skipif(not jit.AVAILABLE, reason="llvmlite is not installed")
+needs_llvm = pytest.mark.skipif(not jit.AVAILABLE, reason="compares compiled code, which needs llvmlite")
 ROOT = Path(__file__).resolve().parents[3]
 WORK = """
 import sys

@@ -16,7 +16,7 @@ TOUCHED = {"some": [1, 3, 6], "rates": [0, 1, 2, 3, 4], "outputs": [5, 7], "all"
 @pytest.mark.parametrize("columns", TOUCHED)
 def test_rows_equal_the_formula(columns: str, compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     if compiled and not jit.AVAILABLE:
-        pytest.skip("llvmlite is not installed")
+        pytest.skip("compares compiled code, which needs llvmlite")
     monkeypatch.setattr(jit, "AVAILABLE", compiled)
     rng, touched, w = np.random.default_rng(3), np.array(TOUCHED[columns], np.int64), padded(11)
     B, ahead = 0.3 * rng.normal(size=(N, S + M, 2 * S + Q)), rng.uniform(size=N)

@@ -129,6 +129,9 @@ def test_scatter_of_the_mass_is_no_change(logs: dict[str, list[Path]], folder: P
     assert frame.loc["m_u", "scatter"] == mass.scatter
     assert not frame["changed"].any()
     assert repr(found).startswith("<CampaignComparison: 6 logs>\nNone of")
+    shown = found._repr_html_()
+    assert "<b>None of" in shown
+    assert f"<td>m_u</td><td>{found.to_pandas().loc['m_u', 'before']:.4g}</td>" in shown
     before = {p.name: p.before for p in fouled.parameters}
     assert mass.before.mean == pytest.approx(before["m_u"].mean, rel=0.02)  # its weights include the scatter
     assert found.table.num_rows > 0

@@ -32,19 +32,22 @@ def test_sensor_that_only_a_validation_log_has_is_not_used_unless_its_noise_is_k
 
 
 @pytest.mark.parametrize(
-    ("fitted", "in_log", "differs"),
+    ("model", "name", "fitted", "in_log", "differs"),
     [
-        ("average", "zero", False),  # a model of commands averages them
-        ("zero", "zero", False),
-        ("linear", "zero", True),
-        ("average", "linear", True),
+        ("command", "n_cmd_left", "average", "zero", False),  # this model averages held commands
+        ("command", "n_cmd_left", "average", "linear", True),
+        ("shaft", "n_left", "linear", "zero", True),
+        ("shaft", "n_left", "zero", "zero", False),
+        ("shaft", "n_left", "zero", "average", True),
+        ("shaft", "n_left", "linear", "", False),  # a recorded log has the usual kind of the model
     ],
 )
-def test_log_with_another_kind_of_input_is_named(fitted: str, in_log: str, differs: bool) -> None:
-    model = horizontal_model("command")
-    saved: Any = SimpleNamespace(model=model, holds={"n_cmd_left": fitted})
-    run = SimpleNamespace(channels={"n_cmd_left": None})
-    log: Any = SimpleNamespace(holds={"n_cmd_left": in_log}, run=run, about={"path": "run.mcap"})
+def test_log_with_another_kind_of_input_is_named(
+    model: str, name: str, fitted: str, in_log: str, differs: bool
+) -> None:
+    saved: Any = SimpleNamespace(model=horizontal_model(model), holds={name: fitted})
+    run = SimpleNamespace(channels={name: None})
+    log: Any = SimpleNamespace(holds={name: in_log}, run=run, about={"path": "run.mcap"})
     lines = hold_lines(saved, [log])
     assert bool(lines) is differs
-    assert all(line.startswith("run.mcap: n_cmd_left: ") for line in lines)
+    assert all(line.startswith(f"run.mcap: {name}: ") for line in lines)
