@@ -38,6 +38,7 @@ from seatrial.ident.cli.options import (
     print_result_json,
     rate_option,
     reml_option,
+    resumed_out_option,
     robust_option,
     run_workflow,
     trust_option,
@@ -372,13 +373,7 @@ def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, as_js
 @horizon_option
 @rate_option
 @workers_options
-@output_option(
-    FOLDER,
-    "Folder for the results; a run that was interrupted continues there.",
-    default=Path("fleet"),
-    show_default=True,
-)
-@click.option("--force", is_flag=True, help="Start again: replace the results in --out.")
+@resumed_out_option("fleet")
 @json_option()
 def fleet(logs: tuple[Path, ...], out: Path, workers: Any, force: bool, as_json: bool, **how: Any) -> None:
     """Fit one model of the boat to each of LOGS separately, and compare the estimates of the logs.
@@ -435,13 +430,7 @@ def fleet(logs: tuple[Path, ...], out: Path, workers: Any, force: bool, as_json:
 @rate_option
 @workers_options
 @trust_option
-@output_option(
-    FOLDER,
-    "Folder for the results; a run that was interrupted continues there.",
-    default=Path("changes"),
-    show_default=True,
-)
-@click.option("--force", is_flag=True, help="Start again: replace the results in --out.")
+@resumed_out_option("changes")
 @json_option()
 def changes(
     before: tuple[Path, ...],

@@ -349,6 +349,22 @@ def out_option(default: str) -> Callable[..., Any]:
     return lambda f: option(force_option(f))
 
 
+def resumed_out_option(default: str) -> Callable[..., Any]:
+    """Return a decorator that adds ``--out`` (folder in which a run continues) and ``--force`` to a command.
+
+    The command receives both, as ``out`` and ``force``.
+
+    Parameters
+    ----------
+    default : str
+        Name of the folder if ``--out`` is not given.
+    """
+    words = "Folder for the results; a run that was interrupted continues there."
+    option = output_option(FOLDER, words, default=Path(default), show_default=True)
+    force = click.option("--force", is_flag=True, help="Start again: replace the results in --out.")
+    return lambda f: option(force(f))
+
+
 def _trust_files(context: click.Context, _parameter: click.Parameter, trusted: bool) -> None:
     """Allow the Python files of users until the command ends, if ``--trust-code`` is given (click callback).
 

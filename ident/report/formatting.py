@@ -249,6 +249,12 @@ def probability(p: float | None) -> str:
     return f"{p:.3f}" if p < 0.1 else f"{p:.2f}"
 
 
+def p_equals(p: float) -> str:
+    """Return a p value as text after the letter p: ``= 0.03`` or ``< 10⁻⁴``."""
+    words = probability(p)
+    return words if words.startswith("<") else f"= {words}"
+
+
 def percent(share: float | None, digits: int = 0) -> str:
     """Return a share (1: all) as text in per cent with ``digits`` decimals: 0.34 -> ``34 %``; a dash for None."""
     if share is None:

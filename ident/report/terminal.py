@@ -285,7 +285,7 @@ def models_table(result: ComparisonResult) -> Table:
         table.add_column(Text(title), justify="right", no_wrap=True)
     table.add_column("", overflow="fold")
     for m in result.models:
-        ratio = next((c.against_reference for c in m.changes if c.seconds == result.horizons[0]), None)
+        ratio = m.ahead(result.horizons[0])
         first = m is result.models[0]
         words = "1" if first else ratio_words(ratio)
         error = Text(words) if ratio is None else Text(MARKS[ratio.verdict][0] + words, STYLES[ratio.verdict])
@@ -370,8 +370,7 @@ def _likelihood_sentences(m: ComparedModel) -> list[str]:
     c = m.criteria
     found.append(f"ΔAIC {signed(c.aic)}, ΔBIC {signed(c.bic)}.")
     if c.p is not None:
-        p = formatting.probability(c.p)
-        of, p = counted(c.parameters, "parameter"), p if p.startswith("<") else f"= {p}"
+        of, p = counted(c.parameters, "parameter"), formatting.p_equals(c.p)
         found.append(f"Likelihood ratio {formatting.plain(2.0 * c.gain)} for {of}, p {p}.")
     return found
 

@@ -150,6 +150,13 @@ class ComparedModel(Part, frozen=True, kw_only=True):
     ] = None
     no_criteria: Annotated[str, Meta(description="reason why there are no information criteria; may be empty")] = ""
 
+    def ahead(self, seconds: float) -> ComparedRatio | None:
+        """Return the error over a horizon of ``seconds`` [s] against the first model; None for the first model itself.
+
+        The result is also None if the logs have no prediction over this horizon.
+        """
+        return next((c.against_reference for c in self.changes if c.seconds == seconds), None)
+
 
 class ComparedPrediction(Part, frozen=True, kw_only=True):
     """Prediction of a channel of one record by one model, over a horizon or in simulation."""
@@ -208,12 +215,8 @@ class ComparisonResult(Result, frozen=True, kw_only=True, tag_field="kind", tag=
 
         Only models that are significantly better than the first one are considered. Without any it is the first.
         """
-        better = [
-            (change.against_reference.ratio, m.label)
-            for m in self.models
-            for change in m.changes
-            if change.seconds == self.horizons[0] and change.against_reference.verdict == "better"
-        ]
+        ahead = [(m.label, m.ahead(self.horizons[0])) for m in self.models]
+        better = [(r.ratio, label) for label, r in ahead if r is not None and r.verdict == "better"]
         return min(better)[1] if better else self.models[0].label
 
     def counts(self, label: str) -> dict[ComparisonVerdict, int]:

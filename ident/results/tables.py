@@ -179,40 +179,49 @@ def error_tables(
         interval and no verdict.
     """
     units = {o.name: o.unit for o in after.model.outputs}
-
-    def table(
-        new: Mapping[str, PredictionErrors],
-        old: Mapping[str, PredictionErrors],
-        change: validation.PredictionChange | None = None,
-    ) -> dict[str, ErrorComparison]:
-        """Return the RMS errors by channel for one kind of prediction, such as one step ahead.
-
-        ``new`` has the errors of the model, ``old`` those of the other model (empty without one). ``change`` has the
-        interval and verdict of their ratio; if it is None, or lacks the channel, these are None.
-        """
-        spans = {} if change is None else change.channels
-        return {
-            name: ErrorComparison(
-                before=finite(old[name].rms) if name in old else None,
-                after=finite(e.rms),
-                unit=units[name],
-                low=finite(spans[name].low) if name in spans else None,
-                high=finite(spans[name].high) if name in spans else None,
-                verdict=spans[name].verdict if name in spans else None,
-                spread=finite(e.spread),
-            )
-            for name, e in new.items()
-        }
-
     found = {}
     for role, data in after.sets.items():
         new, old = data.errors, None if before is None else before.sets[role].errors
         found[role] = ErrorTable(
-            one_step=table(new.one_step, old.one_step if old else {}),
-            horizon=table(new.horizon, old.horizon if old else {}, None if changes is None else changes[role]),
-            simulation=table(new.simulation, old.simulation if old else {}),
+            one_step=error_rows(new.one_step, old.one_step if old else {}, units),
+            horizon=error_rows(
+                new.horizon, old.horizon if old else {}, units, None if changes is None else changes[role]
+            ),
+            simulation=error_rows(new.simulation, old.simulation if old else {}, units),
         )
     return Errors(**found)
+
+
+def error_rows(
+    new: Mapping[str, PredictionErrors],
+    old: Mapping[str, PredictionErrors],
+    units: Mapping[str, str],
+    change: validation.PredictionChange | None = None,
+) -> dict[str, ErrorComparison]:
+    """Return the RMS errors by channel for one kind of prediction, such as one step ahead.
+
+    Parameters
+    ----------
+    new, old : mapping
+        Errors of the model, and of the other model, by channel. ``old`` is empty without another model.
+    units : mapping
+        Unit of each channel.
+    change : PredictionChange, optional
+        Interval and verdict of the ratio of both. If it is None, or lacks the channel, these are None.
+    """
+    spans = {} if change is None else change.channels
+    return {
+        name: ErrorComparison(
+            before=finite(old[name].rms) if name in old else None,
+            after=finite(e.rms),
+            unit=units[name],
+            low=finite(spans[name].low) if name in spans else None,
+            high=finite(spans[name].high) if name in spans else None,
+            verdict=spans[name].verdict if name in spans else None,
+            spread=finite(e.spread),
+        )
+        for name, e in new.items()
+    }
 
 
 def prediction_fit(evaluation: PredictionEvaluation) -> PredictionFit | None:

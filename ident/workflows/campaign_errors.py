@@ -22,8 +22,8 @@ from seatrial.ident.estimation import (
 from seatrial.ident.model import Model
 from seatrial.ident.parallel import Workers, run_many
 from seatrial.ident.reporter import Reporter
-from seatrial.ident.results import CampaignErrors, ErrorComparison, finite
-from seatrial.ident.validation import PredictionErrors, horizon_errors, prediction_change_by_record
+from seatrial.ident.results import CampaignErrors, error_rows, finite
+from seatrial.ident.validation import PredictionErrors, horizon_errors, pooled_errors, prediction_change_by_record
 from seatrial.ident.workflows.campaign_fits import Comparison, FittedLogs, Values, campaign_of, positive_definite
 from seatrial.ident.workflows.fleet import FleetLog, portable
 from seatrial.ident.workflows.vehicle_model import VehicleRequest, vehicle_problem
@@ -78,10 +78,11 @@ def prediction_errors(
     is left out with a warning.
     """
     by_name = {log.name: log for log in logs}
+    before = _campaign_values(fitted.part(~fitted.after), comparison.scatter)
     tasks = [
         PredictedLog(by_name[name], values)
         for k, name in enumerate(fitted.logs)
-        if (values := _values_without(fitted, comparison, k))
+        if (values := _values_without(fitted, comparison, k, before))
     ]
     found: dict[str, LogErrors] = {}
     work = partial(_errors_of_log, portable(vehicle))
@@ -100,22 +101,21 @@ def prediction_errors(
     return tuple(rows), horizon
 
 
-def _values_without(fitted: FittedLogs, comparison: Comparison, k: int) -> dict[str, Values]:
+def _values_without(fitted: FittedLogs, comparison: Comparison, k: int, before: Values) -> dict[str, Values]:
     """Return the values of the models that predict the log with the index k, none of which uses this log.
 
-    A log before gets the values before. A log after gets those before, those before with the changed parameters of
-    after, and those after.
+    A log before gets the values of the other logs before. A log after gets those before (``before``), those before with
+    the changed parameters of after, and those after.
     """
-    others = np.arange(len(fitted.logs)) != k
-    before, after = (fitted.part(others & (fitted.after == x)) for x in (False, True))
-    found: dict[str, Values] = {}
-    if before.logs:
-        found["before"] = _campaign_values(before, comparison.scatter)
-    if fitted.after[k] and after.logs:
+    others = fitted.part((np.arange(len(fitted.logs)) != k) & (fitted.after == fitted.after[k]))
+    if not fitted.after[k]:
+        return {"before": _campaign_values(others, comparison.scatter)} if others.logs else {}
+    found = {"before": before}
+    if others.logs:
         changed = {p.name for p in comparison.parameters if p.changed}
         if changed:
-            found["changed"] = _campaign_values(after, comparison.scatter, found["before"], changed)
-        found["after"] = _campaign_values(after, comparison.scatter)
+            found["changed"] = _campaign_values(others, comparison.scatter, before, changed)
+        found["after"] = _campaign_values(others, comparison.scatter)
     return found
 
 
@@ -193,30 +193,13 @@ def _errors_row(part: Mapping[str, LogErrors], after: bool, kind: Any, horizon: 
     now = {log: x.errors[kind] for log, x in part.items() if x.errors.get(kind)}
     base = {log: x.errors["before"] for log, x in part.items() if log in now and x.errors.get("before")}
     units = {name: unit for x in part.values() for name, unit in x.units.items()}
-    names = dict.fromkeys(n for of in now.values() for n in of)
-    if not names:
+    new, old = (pooled_errors(list(errors.values())) for errors in (now, base))
+    if not new:
         return None
-    rms = {n: _rms(now, n) for n in names}
     if kind == "before":
-        channels = {n: ErrorComparison(after=rms[n], unit=units[n]) for n in names}
-        return CampaignErrors(logs=campaign_of(after), values=kind, channels=channels)
+        return CampaignErrors(logs=campaign_of(after), values=kind, channels=error_rows(new, {}, units))
     change = prediction_change_by_record(base, now, horizon)
-    channels = {
-        n: ErrorComparison(before=_rms(base, n), after=rms[n], unit=units[n])
-        if (c := change.channels.get(n)) is None
-        else ErrorComparison(
-            before=finite(c.before), after=finite(c.after), unit=units[n], low=finite(c.low), high=finite(c.high),
-            verdict=c.verdict,
-        )
-        for n in names
-    }  # fmt: skip
     return CampaignErrors(
-        logs=campaign_of(after), values=kind, channels=channels, ratio=finite(change.ratio), low=finite(change.low),
-        high=finite(change.high), verdict=change.verdict,
+        logs=campaign_of(after), values=kind, channels=error_rows(new, old, units, change), ratio=finite(change.ratio),
+        low=finite(change.low), high=finite(change.high), verdict=change.verdict,
     )  # fmt: skip
-
-
-def _rms(errors: Mapping[str, Mapping[str, PredictionErrors]], channel: str) -> float | None:
-    """Return the RMS prediction error of a channel over all logs; None without errors, or if a prediction diverged."""
-    pooled = np.concatenate([np.zeros(0), *(of[channel].e for of in errors.values() if channel in of)])
-    return finite(float(np.sqrt(np.mean(pooled**2)))) if pooled.size else None

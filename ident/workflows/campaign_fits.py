@@ -34,7 +34,7 @@ from seatrial.ident.results import (
     ParameterDifference,
     finite,
 )
-from seatrial.ident.workflows.fleet import common_errors
+from seatrial.ident.workflows.fleet import common_errors, own_variances
 
 FALSE_DISCOVERY_RATE = 0.05
 MOST_PRIOR = 0.5  # largest share of a parameter's information that may come from its prior
@@ -95,10 +95,8 @@ class FittedLogs:
 
     def common(self, names: Sequence[str]) -> Array:
         """Return the part of the error of each estimate by each prior (n_logs, n_names, n_priors)."""
-        parts = [[json.loads(rows[n]["prior_parts"]) for n in names] for rows in self.rows]
-        priors = sorted({prior for of_log in parts for of_name in of_log for prior in of_name})
-        found = np.array([[[p.get(prior, 0.0) for prior in priors] for p in of_log] for of_log in parts])
-        return found.reshape(len(self.rows), len(names), len(priors))
+        found = common_errors([rows[n] for rows in self.rows for n in names])
+        return found.reshape(len(self.rows), len(names), found.shape[1])
 
     def own_covariances(self, names: Sequence[str]) -> Array:
         """Return the covariances without the errors from priors, positive definite (n_logs, n_names, n_names)."""
@@ -220,10 +218,8 @@ def _difference(fitted: FittedLogs, name: str) -> CampaignDifference:
     """Return the difference of one parameter, from the logs that have a standard error of it."""
     part = fitted.part(fitted.known(name))
     rows = [r[name] for r in part.rows]
-    values, errors = (np.array([r[key] for r in rows], dtype=float) for key in ("value", "se"))
-    common = common_errors(rows)
-    own = np.maximum(errors**2 - (common**2).sum(axis=1), LEAST_OWN * errors**2)
-    return campaign_difference(values, own, common, part.after)
+    values, common = np.array([r["value"] for r in rows], dtype=float), common_errors(rows)
+    return campaign_difference(values, own_variances(rows, common), common, part.after)
 
 
 def _adjusted_p_values(fitted: FittedLogs, differences: Mapping[str, CampaignDifference]) -> dict[str, float]:
@@ -253,8 +249,8 @@ def _parameter(
     known = fitted.known(name)
     part = fitted.part(known)
     rows = [r[name] for r in part.rows]
-    own = np.array([r["se"] for r in rows]) ** 2 - (common_errors(rows) ** 2).sum(axis=1)
-    estimates = zip(part.logs, part.after.tolist(), rows, np.sqrt(np.maximum(own, 0.0)).tolist(), strict=True)
+    own = own_variances(rows, common_errors(rows))
+    estimates = zip(part.logs, part.after.tolist(), rows, np.sqrt(own).tolist(), strict=True)
     difference, mean = found.difference, found.before
     far = abs(mean.value) > FAR_FROM_ZERO * mean.error
     return ParameterDifference(

@@ -119,9 +119,8 @@ def find_changes(request: ChangesRequest, command: str, reporter: Reporter) -> C
     fitted = fitted_logs(rows, later)
     if not fitted.after.any() or fitted.after.all():
         which = "before" if fitted.after.all() else "after"
-        reasons = {r["log"]: r["error"] or r["message"] for r in rows if (r["sha256"] in later) == (which == "after")}
-        log, reason = next(iter(reasons.items()))
-        raise SeatrialError(f"no fit to a log {which} has converged; {log}: {reason}")
+        first = _failed([r for r in rows if (r["sha256"] in later) == (which == "after")])[0]
+        raise SeatrialError(f"no fit to a log {which} has converged; {first.log}: {first.reason}")
     comparison = compare_fits(fitted, request.false_discovery_rate)
     errors, horizon = prediction_errors(fitted, comparison, logs, request.vehicle, request.workers, reporter)
     made = provenance([], command)

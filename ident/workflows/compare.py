@@ -407,7 +407,7 @@ def comparison_answer(result: ComparisonResult) -> str:
     """
     seconds = result.horizons[0]
     first, *others = result.models
-    shown = [(m, c.against_reference) for m in others for c in m.changes if c.seconds == seconds]
+    shown = [(m, ratio) for m in others if (ratio := m.ahead(seconds)) is not None]
     if not shown:
         return f"The logs have no prediction {seconds:g} s ahead that can be compared."
     best = next((row for row in shown if row[0].label == result.best), None)

@@ -134,13 +134,14 @@ def predict_record(task: PredictionTask) -> PredictedRecord:
         curves[kind] = _horizon_curves(view, errors[kind], seconds, likelihood)
     simulated = simulation_run(model, record, view.values, likelihood, task.uncertainty)
     errors[SIMULATION] = simulated.errors
-    curves[SIMULATION] = {}
+    own: dict[str, Curve] = {}
     for j, o in enumerate(model.outputs):
         seen = np.isfinite(record.y[:, j])
         if seen.any():
             t, y = record.t[seen], simulated.y[seen, j].copy()
             y[t >= simulated.diverged.get(o.name, np.inf)] = np.nan
-            curves[SIMULATION] = {**curves[SIMULATION], o.name: Curve(t, y, simulated.sd[seen, j])}
+            own[o.name] = Curve(t, y, simulated.sd[seen, j])
+    curves[SIMULATION] = own
     counts = np.isfinite(record.y).sum(axis=0).tolist()
     samples = {name: n for name, n in zip(record.outputs, counts, strict=True) if n}
     return PredictedRecord(record.t, samples, view.ll, errors, curves)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import reduce
+from functools import cache, reduce
 
 import numpy as np
 
@@ -65,6 +65,7 @@ def channel_rows(
     """
     pooled = [pooled_errors(list(model.values())) for model in models]
 
+    @cache  # the first model may also be the best one
     def against(reference: int, k: int, name: str) -> ComparedRatio | None:
         """Return the ratio of the error of model ``k`` in a channel to that of the model ``reference``."""
         if reference == k:

@@ -12,7 +12,7 @@ from seatrial.ident.estimation import Fit, FittedModel, ParameterCovariance
 from seatrial.ident.export import LinearModel, linearise, side_inputs, steady_motion
 from seatrial.ident.model import COMMAND, SHAFT_SPEED, Model, ModelKind, is_of_thruster
 from seatrial.ident.numerics import Array
-from seatrial.ident.results import Dynamics, FrequencyResponse, OperatingPoint, SteadyCurve, StepResponse
+from seatrial.ident.results import Dynamics, FrequencyResponse, OperatingPoint, SteadyCurve, StepResponse, finite
 from seatrial.ident.workflows.output import validity
 
 POINTS = 41  # of a steady curve
@@ -230,16 +230,11 @@ def _responses(linear: LinearModel, drives: Drives) -> list[FrequencyResponse]:
             FrequencyResponse(
                 speed=linear.speed, motion=motion, quantity=quantity, unit=f"{unit}/{command}" if command else unit,
                 stable=linear.stable, frequency=bode.frequency, gain=bode.gain, gain_sd=bode.gain_sd, phase=bode.phase,
-                phase_sd=bode.phase_sd, bandwidth=_known(bode.bandwidth) if settles and slow_gain_is_known else None,
-                lag_90=_known(bode.lag_90) if settles else None,
+                phase_sd=bode.phase_sd, bandwidth=finite(bode.bandwidth) if settles and slow_gain_is_known else None,
+                lag_90=finite(bode.lag_90) if settles else None,
             )
         )  # fmt: skip
     return found
-
-
-def _known(value: float) -> float | None:
-    """Return a number unchanged. The result is None if the number is NaN."""
-    return None if np.isnan(value) else value
 
 
 def _motions(
@@ -249,8 +244,9 @@ def _motions(
 
     A motion of which the model has no quantity is left out, and turn without two sides.
     """
-    ahead = {n: 1.0 for n in drives.driving if n in linear.inputs}
-    turning = {n: -1.0 if n.endswith("_right") else 1.0 for n in ahead} if drives.two_sided else {}
+    weights = linear.motions
+    ahead = weights.get("straight") or {n: 1.0 for n in drives.driving if n in linear.inputs}
+    turning = weights.get("turn", {})
     straight = tuple(q for q in ("u",) if q in linear.states and ahead)
     turn = tuple(q for q in ("r", "v") if q in linear.states and turning)
     return [x for x in (("straight", straight, ahead), ("turn", turn, turning)) if x[1]]

@@ -471,7 +471,7 @@ def _between_logs(name: str, rows: Sequence[Mapping[str, Any]], level: float) ->
     """
     values, errors = (np.array([r[key] for r in rows], dtype=float) for key in ("value", "se"))
     common = common_errors(rows)
-    own = np.maximum(errors**2 - (common**2).sum(axis=1), LEAST_OWN * errors**2)
+    own = own_variances(rows, common)
     covariance = np.diag(own) + common @ common.T
     scatter, mean, error = between_log_variance(values, covariance if common.size else own)
     p = float(chi2_sf(_cochran_q(values, covariance), len(rows) - 1))
@@ -500,6 +500,16 @@ def common_errors(rows: Sequence[Mapping[str, Any]]) -> Array:
     parts = [json.loads(r["prior_parts"]) for r in rows]
     priors = sorted({n for p in parts for n in p})
     return np.array([[p.get(prior, 0.0) for prior in priors] for p in parts]).reshape(len(rows), len(priors))
+
+
+def own_variances(rows: Sequence[Mapping[str, Any]], common: Array) -> Array:
+    """Return the variance (k,) of each estimate without its errors from priors ``common`` (k, n_priors).
+
+    It is positive. ``rows`` are those of one parameter, each with a standard error.
+    """
+    variances = np.array([r["se"] for r in rows], dtype=float) ** 2
+    own: Array = np.maximum(variances - (common**2).sum(axis=1), LEAST_OWN * variances)
+    return own
 
 
 def _cochran_q(values: Array, covariance: Array) -> float:

@@ -6,7 +6,7 @@ curve: a table of steady force against command.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -215,7 +215,7 @@ def fit_thruster(request: ThrusterRequest, command: str, reporter: Reporter) -> 
     name = name or thruster_name(loaded[0])
     for x in loaded:
         check_signs(x, name)
-    loaded, drifts = _without_zero_drift(loaded, lambda x: command_of(name), request.settle)
+    loaded, drifts = _without_zero_drift(loaded, command_of(name), request.settle)
     without_force = [str(x.about["path"]) for x in loaded if "force" not in x.run.channels]
     has_force = not without_force
     notes = list(drifts)
@@ -379,21 +379,19 @@ def _shaft_response(fitted: Fit, loaded: Sequence[LoadedLog], name: str) -> Shaf
     )
 
 
-def _without_zero_drift(
-    loaded: Sequence[LoadedLog], command_name: Callable[[LoadedLog], str], settle: float
-) -> tuple[list[LoadedLog], list[str]]:
+def _without_zero_drift(loaded: Sequence[LoadedLog], command: str, settle: float) -> tuple[list[LoadedLog], list[str]]:
     """Subtract the drift of the load cell's zero from the force of each bench log.
 
     The zero is the mean force at rests, times of zero command. The drift is linear between the rests; the mean of the
-    zeros stays in the force. Return the new logs, and a line of text for each drift. ``command_name``: function of a
-    log that returns the name of its command signal. ``settle``: time [s] at the beginning of a rest that is left out. A
-    log without force or command, or without a significant drift, is unchanged.
+    zeros stays in the force. Return the new logs, and a line of text for each drift. ``command``: name of the command
+    signal. ``settle``: time [s] at the beginning of a rest that is left out. A log without force or command, or without
+    a significant drift, is unchanged.
     """
     found, lines = [], []
     for x in loaded:
         channels = x.run.channels
-        command, force = channels.get(command_name(x)), channels.get("force")
-        drift = zero_drift(command, force, settle) if command is not None and force is not None else None
+        given, force = channels.get(command), channels.get("force")
+        drift = zero_drift(given, force, settle) if given is not None and force is not None else None
         if drift is not None and force is not None:
             x = replace(x, run=replace(x.run, channels={**channels, "force": drift.without_drift(force)}))
             lines.append(drift.text if len(loaded) == 1 else f"{x.about['path']}: {drift.text}")
@@ -479,7 +477,7 @@ def static_curve(loaded: Sequence[LoadedLog], request: ThrusterRequest, command:
             f"{where}: no signal 'force' of a load cell, which a static curve needs; the log has "
             f"{', '.join(sorted(channels))}; record the load cell, or import it by the name force"
         )
-    (log,), drifts = _without_zero_drift([log], lambda x: names[0], request.settle)
+    (log,), drifts = _without_zero_drift([log], names[0], request.settle)
     channels = log.run.channels
     reporter.progress(f"steady force against {' and '.join(names)}")
     try:

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
-from seatrial.api.fits import FitOptions, Logs, vehicle_request, window_of
+from seatrial.api.fits import FitOptions, Logs, vehicle_request
+from seatrial.api.fleet import common_window
 from seatrial.api.logs import PathLike, as_paths
 from seatrial.api.messages import Messages, errors_of_users, text_of
 from seatrial.api.shown import Content, Shown, number
@@ -129,19 +130,13 @@ def compare_campaigns(
     >>> found.changed
     ['d_uu']
     """
-    from seatrial.ident.data import TimeWindow
     from seatrial.ident.parallel import Workers
     from seatrial.ident.workflows.changes import ChangesRequest, find_changes
 
-    if "profiles" in options:
-        raise SeatrialError("profiles: the table of many logs has no profile likelihoods; compute them by st.fit")
     if not 0.0 < false_discovery_rate <= 0.5:
         raise SeatrialError(f"false_discovery_rate={false_discovery_rate:g}: give a number above 0, at most 0.5")
     earlier, later = as_paths(before), as_paths(after)
-    windows = {window_of(before), window_of(after)}
-    window = windows.pop()
-    if windows or not isinstance(window, TimeWindow):
-        raise SeatrialError("the logs have different windows: open all of them with the same start and end")
+    window = common_window(options, before, after)
     with errors_of_users():
         vehicle, progress = vehicle_request((), (), str(model), window, {"score_tests": False, **options})
         folder = None if out is None else Path(out)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, TypeVar, Unpack, cast
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, Unpack, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from seatrial.api import plots, tables
 from seatrial.api.figures import Figure
 from seatrial.api.findings import DiagnosisFindings
-from seatrial.api.logs import Log, PathLike, as_paths
+from seatrial.api.logs import Log, PathLike, as_list, as_paths
 from seatrial.api.messages import Messages, errors_of_users
 from seatrial.api.shown import Content, Shown
 from seatrial.daq.errors import SeatrialError, closest_name
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 
 Logs = PathLike | Log | Sequence[PathLike | Log]
 Role = Literal["estimation", "validation"]
-T = TypeVar("T")
 
 
 LISTS = ("effects", "profiles", "homogeneity")  # options with a list of names, for which one name may be given
@@ -731,7 +730,7 @@ def window_of(logs: Logs) -> Any:
     """
     from seatrial.ident.data import WHOLE, TimeWindow
 
-    several = [logs] if isinstance(logs, str | Path | Log) else list(logs)
+    several = as_list(logs)
     windows = tuple(TimeWindow(x.start, x.end) if isinstance(x, Log) else WHOLE for x in several)
     if not windows:
         return WHOLE
@@ -746,7 +745,7 @@ def _paths_or_none(logs: Logs) -> list[Path]:
     SeatrialError
         If a log does not exist, or if a `Log` has a window.
     """
-    several = [logs] if isinstance(logs, str | Path | Log) else list(logs)
+    several = as_list(logs)
     if cut := [x.path.name for x in several if isinstance(x, Log) and (x.start > 0.0 or np.isfinite(x.end))]:
         raise SeatrialError(f"validation logs are always used as a whole: open {', '.join(cut)} without start and end")
     return as_paths(several) if several else []

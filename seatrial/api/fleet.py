@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Unpack
@@ -14,6 +15,7 @@ from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import import_library
 
 if TYPE_CHECKING:
+    from seatrial.ident.data import TimeWindow
     from seatrial.ident.results import FleetResult
 
 
@@ -147,18 +149,32 @@ def fit_many(
     >>> fleet.values()["m_u"].plot()
     >>> st.fit_many(logs, backend="dask", scheduler="tcp://192.168.1.5:8786", out="fleet").answer
     """
-    from seatrial.ident.data import TimeWindow
     from seatrial.ident.parallel import Workers
     from seatrial.ident.workflows.fleet import FleetRequest, fit_fleet
 
-    if "profiles" in options:
-        raise SeatrialError("profiles: the table of many logs has no profile likelihoods; compute them by st.fit")
-    window = window_of(logs)
-    if not isinstance(window, TimeWindow):
-        raise SeatrialError("the logs have different windows: open all of them with the same start and end")
+    window = common_window(options, logs)
     with errors_of_users():
         vehicle, progress = vehicle_request((), (), model, window, options)
         paths, folder = as_paths(logs, existing=False), None if out is None else Path(out)
         request = FleetRequest(paths, vehicle, folder, Workers(jobs, backend, scheduler), force)
         done = fit_fleet(request, f"seatrial.fit_many({len(paths)} logs, model={model!r})", Messages(progress))
     return FittedFleet(done.result, done.table)
+
+
+def common_window(options: Mapping[str, Any], *logs: Logs) -> TimeWindow:
+    """Return the one window of all logs of a run over many logs, whose ``options`` may not ask for profiles.
+
+    Raises
+    ------
+    SeatrialError
+        If the options include ``profiles``, or if the logs have different windows.
+    """
+    from seatrial.ident.data import TimeWindow
+
+    if "profiles" in options:
+        raise SeatrialError("profiles: the table of many logs has no profile likelihoods; compute them by st.fit")
+    windows = {window_of(x) for x in logs}
+    window = windows.pop()
+    if windows or not isinstance(window, TimeWindow):
+        raise SeatrialError("the logs have different windows: open all of them with the same start and end")
+    return window

@@ -303,6 +303,11 @@ def check(logs: PathLike | Sequence[PathLike]) -> Findings:
     return Findings(worst_first(log_findings(check_log, as_paths(logs))))
 
 
+def as_list(logs: PathLike | Log | Sequence[PathLike | Log]) -> list[PathLike | Log]:
+    """Return one log or several logs as a list, in their order."""
+    return [logs] if isinstance(logs, str | Path | Log) else list(logs)
+
+
 def as_paths(logs: PathLike | Log | Sequence[PathLike | Log], existing: bool = True) -> list[Path]:
     """Return the paths of one log or of several logs, given as paths or as `Log`. The window of a `Log` is not used.
 
@@ -314,8 +319,7 @@ def as_paths(logs: PathLike | Log | Sequence[PathLike | Log], existing: bool = T
     SeatrialError
         If a log does not exist, or if none is given.
     """
-    several = [logs] if isinstance(logs, str | Path | Log) else list(logs)
-    paths = [x.path if isinstance(x, Log) else Path(x) for x in several]
+    paths = [x.path if isinstance(x, Log) else Path(x) for x in as_list(logs)]
     if not paths:
         raise SeatrialError("no log was given; give at least one path")
     for path in paths:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError, warn
 from seatrial.daq.log import import_library
 from seatrial.ident.export import Inputs, LinearModel, pole_text
+from seatrial.ident.model import THRUSTER_FORCE, is_of_thruster
 
 if TYPE_CHECKING:
     from seatrial.ident.estimation import ParameterCovariance
@@ -157,7 +158,7 @@ class Linearisation(Shown, LinearModel):
                 if states and state not in states:
                     continue
                 factor, unit = degrees_for(self.units[state])
-                k = len([trace for trace in phase.traces if "line" in trace and trace.get("name")])
+                k = sum(1 for trace in phase.traces if trace.get("name"))
                 style = {"color": LINES[k % len(LINES)], "dash": DASHES[k % len(DASHES)]}
                 words = f"{state} [{unit or '1'}], {name}"
                 gain.traces += gain_traces(bode.frequency, factor * bode.gain, bode.gain_sd, words, POINTS, **style)
@@ -167,11 +168,8 @@ class Linearisation(Shown, LinearModel):
             asked = ", ".join(states) or "no state"
             raise SeatrialError(f"{asked}: does not respond to these inputs; the states are {', '.join(self.states)}")
         figure, height = stacked([gain, phase], FREQUENCY, panel_height=220)
-        layout = figure["layout"]
-        axis = layout["xaxis"] | frequency_axis()
-        legend = {"orientation": "h", "y": -0.12, "yanchor": "top", "x": 0.0}
-        layout = layout | {"xaxis": axis, "height": height + 40, "showlegend": True, "legend": legend}
-        layout["margin"] = layout["margin"] | {"b": 80}
+        layout = _legend_below(figure["layout"], height)
+        layout |= {"xaxis": layout["xaxis"] | frequency_axis()}
         return Figure(f"Bode plot at {self.speed:g} m/s", figure["data"], layout)
 
     def _chosen(self, inputs: Inputs | None) -> dict[str, Inputs]:
@@ -280,12 +278,9 @@ class Steady(Shown):
                 panel.traces.append({**area, "showlegend": False})
             line = line_trace(c.command, factor * c.value, name, POINTS, color=color, dash=DASHES[k % len(DASHES)])
             panel.traces.append({**line, "showlegend": c.motion == "turn"})
-        unit = "N" if self.curves[0].inputs[0].startswith("f_") else "part of full"
+        unit = "N" if is_of_thruster(self.curves[0].inputs[0], THRUSTER_FORCE) else "part of full"
         figure, height = stacked(list(panels.values()), f"command [{unit}]", panel_height=220)
-        legend = {"orientation": "h", "y": -0.12, "yanchor": "top", "x": 0.0}
-        layout = figure["layout"] | {"height": height + 40, "showlegend": True, "legend": legend}
-        layout["margin"] = layout["margin"] | {"b": 80}
-        return Figure("Steady motion in still water", figure["data"], layout)
+        return Figure("Steady motion in still water", figure["data"], _legend_below(figure["layout"], height))
 
     def _content(self) -> Content:
         """Return the answer, and a table of about ten commands of each curve."""
@@ -299,6 +294,13 @@ class Steady(Shown):
     def __repr__(self) -> str:
         """Return a short text for the interpreter: number of curves, and `answer`."""
         return f"<Steady: {len(self.curves)} curves>\n{self.answer}"
+
+
+def _legend_below(layout: dict[str, Any], height: int) -> dict[str, Any]:
+    """Return the layout of stacked panels of a total ``height`` [px], with a legend below them."""
+    legend = {"orientation": "h", "y": -0.12, "yanchor": "top", "x": 0.0}
+    margin = layout["margin"] | {"b": 80}
+    return layout | {"height": height + 40, "showlegend": True, "legend": legend, "margin": margin}
 
 
 def linearise(model: PathLike | Saved | FittedResult, speed: float) -> Linearisation:
@@ -339,7 +341,7 @@ def linearise(model: PathLike | Saved | FittedResult, speed: float) -> Linearisa
             f"{speed:g} m/s is outside the speeds of the fitted data, {low:.3g} to {high:.3g} m/s; choose one of these"
         )
         warn(text)
-    return Linearisation(**{f.name: getattr(found, f.name) for f in fields(LinearModel)})
+    return Linearisation(**vars(found))
 
 
 def steady(model: PathLike | Saved | FittedResult, means: Sequence[float] = (0.0, 0.5), points: int = 41) -> Steady:

@@ -74,14 +74,14 @@ def changes_section(result: CampaignsResult) -> Section:
     )
     lines = []
     if result.joint is not None and result.joint.p is not None:
-        lines.append(
-            f"All {len(result.joint.parameters)} parameters together: p {_equals(result.joint.p)} for no change at all."
-        )
+        n, words = len(result.joint.parameters), formatting.p_equals(result.joint.p)
+        lines.append(f"All {n} parameters together: p {words} for no change at all.")
     if (f := result.common_factor) is not None and f.explains:
         factor, low, high = (formatting.plain(v) for v in (f.factor, f.low, f.high))
         lines.append(
             f"One factor of {', '.join(f.parameters)} explains the changes of all of them: {factor} "
-            f"(95 %: {low} to {high}; p {_equals(f.p)} for one factor). A change of the thrust does the same."
+            f"(95 %: {low} to {high}; p {formatting.p_equals(f.p)} for one factor). A change of the thrust does "
+            "the same."
         )
     blocks += [Prose(line) for line in lines]
     if result.effects:
@@ -96,12 +96,6 @@ def changes_section(result: CampaignsResult) -> Section:
         left = [[Cell(", ".join(names), "code"), Cell(reason)] for reason, names in reasons.items()]
         blocks += [Heading("Not compared"), Table((("parameter", ""), ("reason", "")), left)]
     return Section("changes", "Changes", blocks, lead if rows else "")
-
-
-def _equals(p: float) -> str:
-    """Return the text of a p value after the letter p: ``= 0.03`` or ``< 10⁻⁴``."""
-    words = formatting.probability(p)
-    return words if words.startswith("<") else f"= {words}"
 
 
 def _cells(p: ParameterDifference) -> list[Cell | str]:

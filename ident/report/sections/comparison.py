@@ -66,7 +66,7 @@ def opening_blocks(result: ComparisonResult) -> list[Any]:
     )
     rows = []
     for m in result.models:
-        change = next((c.against_reference for c in m.changes if c.seconds == result.horizons[0]), None)
+        change = m.ahead(result.horizons[0])
         verdict = "reference" if m is result.models[0] else "–" if change is None else WORDS[change.verdict]
         rows.append(
             [
