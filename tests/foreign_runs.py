@@ -5,7 +5,6 @@ The writers use scipy (MATLAB), rosbags (ROS 2) and the layout of ArduPilot's Da
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -15,6 +14,7 @@ from rosbags.rosbag2 import Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
+from tests.dataflash import dataflash_head, dataflash_message
 from tests.own_boats import OwnBoat, simulated_run
 
 T0 = 1_750_000_000.0  # s since 1970, start of the runs
@@ -119,34 +119,15 @@ def write_stand(path: Path) -> None:
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-# A DataFlash log consists of messages with the header a3 95 and a number. FMT (128) describes the others.
-FMT = struct.Struct("<BB4s16s64s")
-FORMATS = {
-    "ATT": (1, "Qccccccff", "<Q6h2f", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw,ErrRP,ErrYaw"),
-    "RCOU": (2, "QHHH", "<Q3H", "TimeUS,C1,C2,C3"),
-    "GPS": (
-        3, "QBBIHBcLLefffffB", "<QBBIHBhiii5fB",
-        "TimeUS,I,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ,Yaw,YawE,U",
-    ),
-    "PARM": (6, "QNf", "<Q16sf", "TimeUS,Name,Value"),
-    "ARM": (7, "QB", "<QB", "TimeUS,ArmState"),
-    "IMU": (10, "QBffffff", "<QB6f", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
-    "GPA": (11, "QBI", "<QBI", "TimeUS,I,SMS"),
-    "MSG": (12, "QZ", "<Q64s", "TimeUS,Message"),
-}  # fmt: skip
 SERVOS = {1: 73.0, 3: 74.0}  # output: function (throttle left, throttle right)
 
 
 def write_dataflash(path: Path, r: Run) -> None:
     """Write a BIN of ArduPilot Rover with two thrusters. The compass has a deviation."""
-    out = bytearray()
-    for name, (number, form, code, columns) in FORMATS.items():
-        size = 3 + struct.calcsize(code)
-        out += b"\xa3\x95\x80" + FMT.pack(number, size, name.encode(), form.encode(), columns.encode())
+    out = bytearray(dataflash_head())
 
     def add(name: str, *values: float | bytes) -> None:
-        number, _, code, _ = FORMATS[name]
-        out.extend(b"\xa3\x95" + bytes([number]) + struct.pack(code, *values))
+        out.extend(dataflash_message(name, *values))
 
     add("MSG", 1_000_000, b"ArduRover V4.6.0 (1a2b3c4d)")
     add("ARM", 1_000_000, 1)

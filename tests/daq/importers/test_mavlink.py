@@ -28,6 +28,7 @@ from seatrial.daq.log.reader import open_log
 from seatrial.daq.samples import Ahrs, Autopilot, Battery, Esc, Frame, Gnss, Servo
 from seatrial.ident.data.loading import PropulsionInput, channels, load_run
 from tests.daq.mavlink_ends import LEVEL, Ends, mav_rig, rig_text
+from tests.dataflash import FMT, FORMATS, dataflash_head, dataflash_message
 
 T0 = 1_790_000_000.0
 
@@ -151,36 +152,9 @@ def test_a_file_that_is_not_a_tlog_gives_a_one_line_error(tmp_path: Path) -> Non
     assert not (tmp_path / "x.mcap").exists()
 
 
-# A DataFlash log consists of messages with the header a3 95 and a number. FMT (128) describes the others.
-FMT = struct.Struct("<BB4s16s64s")
-FORMATS = {
-    "ATT": (1, "Qccccccff", "<Q6h2f", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw,ErrRP,ErrYaw"),
-    "RCOU": (2, "QHHH", "<Q3H", "TimeUS,C1,C2,C3"),
-    "GPS": (
-        3, "QBBIHBcLLefffffB", "<QBBIHBhiii5fB",
-        "TimeUS,I,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ,Yaw,YawE,U",
-    ),
-    "BAT": (4, "QBfffffcHB", "<QBfffffhHB", "TimeUS,Inst,Volt,VoltR,Curr,CurrTot,EnrgTot,Temp,Res,RemPct"),
-    "MODE": (5, "QMBB", "<QBBB", "TimeUS,Mode,ModeNum,Rsn"),
-    "PARM": (6, "QNf", "<Q16sf", "TimeUS,Name,Value"), "ARM": (7, "QB", "<QB", "TimeUS,ArmState"),
-    "EV": (8, "QB", "<QB", "TimeUS,Id"), "ERR": (9, "QBB", "<QBB", "TimeUS,Subsys,ECode"),
-    "IMU": (10, "QBffffff", "<QB6f", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
-    "ESC": (13, "QBffff", "<QB4f", "TimeUS,Instance,RPM,Volt,Curr,Temp"),
-    "GPA": (11, "QBI", "<QBI", "TimeUS,I,SMS"), "MSG": (12, "QZ", "<Q64s", "TimeUS,Message"),
-}  # fmt: skip
-
-
 def dataflash(path: Path, firmware: str = "ArduRover V4.7.0 (1a2b3c4d)", rpm: float | None = None) -> None:
     """Write two seconds of a boat that turns, at 10 Hz. `rpm` is the speed of the third output; None for no speeds."""
-    out = b""
-    for name, (number, form, code, columns) in FORMATS.items():
-        size = 3 + struct.calcsize(code)
-        out += b"\xa3\x95\x80" + FMT.pack(number, size, name.encode(), form.encode(), columns.encode())
-
-    def add(name: str, *values: float | bytes) -> bytes:
-        number, _, code, _ = FORMATS[name]
-        return b"\xa3\x95" + bytes([number]) + struct.pack(code, *values)
-
+    out, add = dataflash_head(), dataflash_message
     for k in range(20):
         us = 30_000_000 + 100_000 * k
         place = (423580000, -710856831, 150)
