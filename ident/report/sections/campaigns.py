@@ -42,11 +42,16 @@ def change_of(p: ParameterDifference) -> str:
 
 
 def _signed(value: float, percent: bool, error: float) -> str:
-    """Return a number with its sign: whole per cent, one decimal if the ``error`` is below 1 %, or three digits."""
+    """Return a number with its sign: whole per cent, one decimal if the ``error`` is below 1 %, or three digits.
+
+    Per cent that are zero when rounded have no sign.
+    """
     if not percent:
         text = formatting.plain(value)
         return text if value <= 0.0 else f"+{text}"
-    return f"{round(value, 1 if error < 1.0 else 0) + 0.0:+.{1 if error < 1.0 else 0}f}".replace("-", "−")
+    digits = 1 if error < 1.0 else 0
+    rounded = round(value, digits)
+    return f"{rounded:+.{digits}f}".replace("-", "−") if rounded else f"{0.0:.{digits}f}"
 
 
 def effect_words(effect: EffectDifference) -> tuple[str, str, str, str]:

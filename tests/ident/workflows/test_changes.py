@@ -17,6 +17,7 @@ import seatrial as st
 from seatrial import command_line
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.estimation.standard_errors import AT_BOUND
+from seatrial.ident.report.sections.campaigns import _signed
 from seatrial.ident.results import CampaignsResult
 from seatrial.ident.results.result_file import read_result
 from seatrial.ident.workflows.campaign_errors import _campaign_values
@@ -308,3 +309,10 @@ def test_changed_value_follows_the_unchanged_ones() -> None:
     assert found["b"] == 4.0
     assert found["a"] == pytest.approx(3.0, abs=0.01)
     assert _campaign_values(part, {}) == pytest.approx({"a": 2.0, "b": 5.0})
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "text"), [(0.02, 0.3, "0.0"), (-0.02, 0.3, "0.0"), (-3.6, 2.0, "−4"), (1.26, 0.3, "+1.3")]
+)
+def test_change_that_is_zero_when_rounded_has_no_sign(change: float, error: float, text: str) -> None:
+    assert _signed(change, True, error) == text
