@@ -173,7 +173,8 @@ class PredictedTrack:
     x, y : Array (n,)
         Position [m] north and east of the start. The nominal boat starts with a heading of north.
     radius : Array (n,)
-        Radius [m] of the circle about the nominal position that holds 95 % of the sampled boats.
+        Radius [m] of the circle about the nominal position that holds 95 % of the sampled boats. It is infinite at
+        times at which the motion of more than 5 % of them has grown without limit.
     others : Array (k, n, 2)
         Positions (north, east) [m] of k boats sampled from the prior, with process noise.
     inside
@@ -189,6 +190,16 @@ class PredictedTrack:
     others: Array
     inside: float | None
     corner: Array | None
+
+    @property
+    def is_bounded(self) -> bool:
+        """Whether the nominal track and the radius are finite at all times."""
+        return bool(np.isfinite([self.x, self.y, self.radius]).all())
+
+    @property
+    def share_unbounded(self) -> float:
+        """Share of the sampled boats whose simulated motion grows without limit."""
+        return float(np.mean(~np.isfinite(self.others).all(axis=(1, 2))))
 
 
 def predicted_track(made: Design, points: int = 61) -> PredictedTrack | None:
@@ -216,20 +227,23 @@ def predicted_track(made: Design, points: int = 61) -> PredictedTrack | None:
     t, u = problem.t_whole, problem.whole_inputs(made.command[:, :, None])[:, :, 0]
     nominal = simulate(problem.model, planned_record(problem.model, t, u)).x[:, columns]
     rngs = [np.random.default_rng([problem.seed, 20, k]) for k in range(N_BAND)]
-    others = simulate_stochastic(
-        problem.model,
-        SampledInputs.linear(t, u),
-        made.evaluator.boats(N_BAND, 3),
-        rngs,
-        x0=np.zeros((N_BAND, len(names))),
-        substep=problem.grid / 2,
-    )[0][:, :, columns]
+    with np.errstate(over="ignore", invalid="ignore"):  # of boats whose motion grows without limit
+        others = simulate_stochastic(
+            problem.model,
+            SampledInputs.linear(t, u),
+            made.evaluator.boats(N_BAND, 3),
+            rngs,
+            x0=np.zeros((N_BAND, len(names))),
+            substep=problem.grid / 2,
+        )[0][:, :, columns]
     inside, corner = None, made.evaluator.area_corner(made.command)
     if corner is not None and problem.limits.area is not None:
         kept = (others >= corner) & (others <= corner + np.array(problem.limits.area))
         inside = float(np.mean(kept.all(axis=(1, 2))))
     at = np.unique(np.linspace(0, t.size - 1, points).round().astype(int))
-    radius = np.quantile(np.hypot(*(others - nominal).transpose(2, 0, 1)), 0.95, axis=0)
+    away = np.hypot(*(others - nominal).transpose(2, 0, 1))
+    # "higher": no interpolation between a finite and an infinite distance.
+    radius = np.quantile(np.where(np.isfinite(away), away, np.inf), 0.95, axis=0, method="higher")
     return PredictedTrack(t[at], nominal[at, 0], nominal[at, 1], radius[at], others[:, at], inside, corner)
 
 

@@ -127,6 +127,7 @@ WarningCode = Literal[
     "effect-untested",
     "rates-assumed",
     "beyond-validity",
+    "track-not-predicted",
     "compared-on-fitted-log",
 ]
 

@@ -203,7 +203,7 @@ def make_design(
     reporter.progress("baseline signals, Monte Carlo, track")
     found = baseline_signals(task, seed=request.seed)
     samples = monte_carlo(task, {"design": made.command} | {k: r.command for k, r in found.items()}, seed=request.seed)
-    track = predicted_track(made)
+    track, unbounded = _bounded_track(made)
     best = max(found, key=lambda k: found[k].value)
     fine = found[best].command[np.minimum(_rows_of_finer_grid(task), len(task.t) - 1)]
     parameters = _parameter_table(made, predicted_errors(task, fine))
@@ -221,7 +221,7 @@ def make_design(
                      for k, c in enumerate(task.actuation.channels)),
         track=None if track is None else _track_table(track, task.limits), apart=apart,
         rates={s.name: task.rate(s.name) for s in task.model.sensors},
-        warnings=tuple(_design_warnings(made)),
+        warnings=(*_design_warnings(made), *unbounded),
     )  # fmt: skip
     title = (
         " against ".join(request.between) or f"{request.criterion}-optimal for {', '.join(_criterion_parameters(task))}"
@@ -251,6 +251,23 @@ def _paths_beside_mission(out: Path, force: bool) -> dict[str, Path]:
     for path in (out, *beside.values()):
         require_new(path, force, "--out")
     return beside
+
+
+def _bounded_track(made: Design) -> tuple[PredictedTrack | None, list[ResultWarning]]:
+    """Return the predicted track of a design, or None with a warning if too many sampled boats have no finite track.
+
+    The track is None without a warning if the model has no position.
+    """
+    track = predicted_track(made)
+    if track is None or track.is_bounded:
+        return track, []
+    text = (
+        f"No track is predicted: with parameters within the standard errors of the model, "
+        f"{100 * track.share_unbounded:.0f} % of the simulated boats move faster without limit. The model is too "
+        "uncertain for this mission. Run it only where the water is free on all sides, or reduce --n-max, or fit the "
+        "model to more data."
+    )
+    return None, [ResultWarning(code="track-not-predicted", text=text)]
 
 
 def _design_warnings(made: Design) -> list[ResultWarning]:
@@ -665,7 +682,7 @@ def _size_row(hypothesis: EffectHypothesis) -> HypothesisSize:
 def _track_table(track: PredictedTrack, limits: DesignLimits) -> DesignTrack:
     """Return the predicted track of the boat, with the area and the current of the limits, as a table of the result.
 
-    The tracks of the first 24 sampled boats are kept; the radius and the share inside are those of all.
+    The first 24 finite tracks of sampled boats are kept; the radius and the share inside are those of all.
     """
     corner = None if track.corner is None else (float(track.corner[0]), float(track.corner[1]))
     return DesignTrack(
@@ -673,7 +690,7 @@ def _track_table(track: PredictedTrack, limits: DesignLimits) -> DesignTrack:
         x=track.x,
         y=track.y,
         radius=track.radius,
-        others=tuple(track.others[:N_SHOWN]),
+        others=tuple(track.others[np.isfinite(track.others).all(axis=(1, 2))][:N_SHOWN]),
         inside=track.inside,
         corner=corner,
         area=limits.area,

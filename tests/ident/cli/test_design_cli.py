@@ -322,3 +322,41 @@ def test_help_has_an_example_and_the_group_lists_it(capsys: pytest.CaptureFixtur
     assert status == 0
     assert "Example: seatrial mission design" in output
     assert "design" in run(capsys, "--help")[1]
+
+
+RUNAWAY = '''"""Surge whose damping falls with the speed: it is stable at full thrust, but not if the damping is a little less."""
+
+from seatrial.ident.model import Input, Output, Parameter, Sensor, State
+from tests.ident.toys import plain_model
+
+
+def runaway():
+    return plain_model(
+        "runaway",
+        f=lambda x, u, p: {"x": x.u, "y": 0.0, "u": p.k * u.n_cmd - p.d * x.u + x.u * x.u},
+        h=lambda x, u, p: {"y": x.u},
+        states=(State("x", "m"), State("y", "m"), State("u", "m/s")),
+        inputs=(Input("n_cmd"),),
+        sensors=(Sensor("log", (Output("y", "m/s", "e"),)),),
+        parameters=(
+            Parameter("k", 0.95, "m/s2"),
+            Parameter("d", %s, "1/s"),
+            Parameter("e", 0.05, "m/s", free=False),
+        ),
+    )
+'''
+
+
+@pytest.mark.parametrize(("damping", "unbounded"), [(2.0, True), (4.0, False)])
+def test_no_track_is_predicted_if_many_simulated_boats_have_no_finite_one(
+    damping: float, unbounded: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source, out = tmp_path / "models.py", tmp_path / "mission.toml"
+    source.write_text(RUNAWAY % damping)
+    words = ("design", f"{source}:runaway", "--trust-code", "--n-max", "1", "--rate", "log=10")
+    status, output, err = run(capsys, *words, *QUICK, "--thrusters", "main", "--out", str(out))
+    assert status == 0, err
+    codes = [w["code"] for w in json.loads(out.with_suffix(".json").read_text())["warnings"]]
+    assert ("track-not-predicted" in codes) == unbounded
+    assert ("No track is predicted" in output) == unbounded
+    assert (load_mission(out).prediction is None) == unbounded
