@@ -5,10 +5,17 @@ effect is missing, and the tests do not say which. Each of the passing candidate
 that follows from the score equations without a refit. These shifts show how much the estimates depend on the choice of
 the model, and their mean square is added to the covariance: the variance between models of Draper 1995, "Assessment and
 propagation of model uncertainty". If no candidate passes, nothing is added.
+
+A difference of the thrust of both sides makes the scale of the forces uncertain as well. The motion determines the
+difference: with a half difference e, the left thrust is (1 + e) and the right thrust (1 - e) times the given curve, or
+both are this times an unknown factor. If one side alone differs from its curve, because its propeller is fouled or
+damaged, the factor is 1 - e or 1 + e. So a relative standard deviation of e is added to all masses and force
+coefficients.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -16,9 +23,12 @@ import numpy as np
 
 from seatrial.ident.diagnosis.common_errors import prior_information
 from seatrial.ident.diagnosis.score_test import Score, ScoreEquations
-from seatrial.ident.estimation import Fit
-from seatrial.ident.model import Effect
+from seatrial.ident.estimation import Fit, thrust_scale_of
+from seatrial.ident.model import Effect, Model
+from seatrial.ident.models import force_power
 from seatrial.ident.numerics import Array
+
+THRUST = ("c1", "k_thrust")  # parameters that scale all thrust
 
 
 @dataclass(frozen=True)
@@ -33,24 +43,32 @@ class ModelUncertainty:
         Names of the m candidates that pass, without ``waves``, which has no score equations.
     shifts : Array (m, n)
         Change of each estimate if the candidate were added to the model, in the units of the parameters.
+    thrust_difference : float
+        Half the relative difference of the thrust of both sides. It is zero if the scale of the forces does not follow
+        from the given thrust.
+    scale_shift : Array (n,)
+        Change of each estimate if only one side deviates from the given thrust, by the whole difference.
     """
 
     parameters: tuple[str, ...]
     candidates: tuple[str, ...]
     shifts: Array
+    thrust_difference: float
+    scale_shift: Array
 
     @property
     def covariance(self) -> Array:
-        """Mean over the candidates of the outer product of the shifts with themselves, Array (n, n).
+        """Part of the covariance (n, n) of the estimates that is due to the incomplete model.
 
-        It is the part of the covariance of the estimates that is due to the incomplete model.
+        It is the mean over the candidates of the outer product of the shifts with themselves, plus the outer product of
+        ``scale_shift`` with itself.
         """
-        product: Array = self.shifts.T @ self.shifts / len(self.candidates)
-        return product
+        product: Array = self.shifts.T @ self.shifts / max(len(self.candidates), 1)
+        return product + np.outer(self.scale_shift, self.scale_shift)
 
 
 def model_uncertainty(
-    equations: ScoreEquations, passing: Sequence[Score], effects: Mapping[str, Effect]
+    equations: ScoreEquations, passing: Sequence[Score], effects: Mapping[str, Effect], fit: Fit
 ) -> ModelUncertainty | None:
     """Compute how each candidate that still passes a score test would shift the estimates, without a refit.
 
@@ -62,14 +80,17 @@ def model_uncertainty(
         Scores that pass the tests on it.
     effects
         Parametric candidates by name, whose priors limit the shifts. Others have no prior.
+    fit
+        Fit of the model.
 
     Returns
     -------
     ModelUncertainty or None
-        None if no candidate passes, or if only ``waves`` passes, which has no score equations.
+        None if there is nothing to add: no candidate passes except ``waves``, which has no score equations, and the
+        scale of the forces is not uncertain.
     """
     gain = equations.coefficients_on_fitted
-    names, shifts = [], []
+    names, shifts, steps = [], [], {}
     scans = {s.name: s.scan for s in passing}
     for placed in equations.indices:
         name = placed.columns.name
@@ -77,9 +98,56 @@ def model_uncertainty(
             continue
         at = np.asarray(placed.at)
         weight = prior_information(effects[name], placed.names) if name in effects else [0.0] * at.size
+        step = equations.one_step(at, np.array(weight))
         names.append(name)
-        shifts.append(-gain[:, at] @ equations.one_step(at, np.array(weight)))
-    return ModelUncertainty(equations.parameters, tuple(names), np.array(shifts)) if names else None
+        shifts.append(-gain[:, at] @ step)
+        steps[name] = dict(zip(placed.names, step.tolist(), strict=True))
+    given = has_given_thrust(fit)
+    difference = _thrust_difference(passing, effects, steps, fit.model) if given else 0.0
+    if not names and not difference:
+        return None
+    parameters = equations.parameters
+    shifted = np.array(shifts).reshape(len(names), len(parameters))
+    return ModelUncertainty(parameters, tuple(names), shifted, difference, difference * _force_part(parameters, fit))
+
+
+def _thrust_difference(
+    passing: Sequence[Score], effects: Mapping[str, Effect], steps: Mapping[str, Mapping[str, float]], model: Model
+) -> float:
+    """Return half the relative difference of the thrust of both sides, by the model or by the candidates that pass.
+
+    A candidate counts with its one-step estimate (``steps``, by candidate and parameter), times its score statistic
+    over the largest one: if another candidate explains more, the difference may be due to it. It is 0 if neither the
+    model nor a candidate that passes has such a difference.
+    """
+    found = [model.values[e.thrust_difference] for e in model.effects if e.thrust_difference]
+    largest = max((s.lm for s in passing), default=0.0)
+    for score in passing:
+        name = effects[score.name].thrust_difference if score.name in effects else ""
+        if name and name in steps.get(score.name, {}):
+            found.append(steps[score.name][name] * score.lm / largest)
+    return math.hypot(*found)
+
+
+def has_given_thrust(fit: Fit) -> bool:
+    """Return whether the scale of the forces follows from a given thrust.
+
+    It does not if the thrust is built in, if the data determine it because a mass is given, or in a model without
+    thrust or mass.
+    """
+    scale = thrust_scale_of(fit.model)
+    return scale.thrust is not None and not scale.relative and all(p.name not in THRUST for p in fit.parameters)
+
+
+def _force_part(names: Sequence[str], fit: Fit) -> Array:
+    """Return the change (n,) of the estimates with these full names, if all thrust grows by its own size.
+
+    Masses, inertias, damping and forces grow with the thrust. The other estimates do not change.
+    """
+    growth = {
+        p.full_name: force_power(p.unit) * value for p, value in zip(fit.parameters, fit.values.tolist(), strict=True)
+    }
+    return np.array([growth.get(name, 0.0) for name in names])
 
 
 def with_model_uncertainty(fit: Fit, uncertainty: ModelUncertainty | None) -> Fit:

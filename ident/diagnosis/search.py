@@ -77,6 +77,7 @@ from seatrial.ident.estimation import (
     ROUGH_SEARCH,
     VAGUE,
     FailedRun,
+    Fit,
     FittedModel,
     SearchSettings,
     ValidationData,
@@ -250,7 +251,7 @@ def diagnose(
     judgements = assess_alternatives(kept, evidence, search.policy)
     judgements = tuple(sorted(judgements, key=lambda j: order.index(j.effect)))
     shapes, undrawn = _reported_curves(base, kept, judgements, records)
-    widened = replace(current, fit=with_model_uncertainty(current.fit, search.uncertainty(passed)))
+    widened = replace(current, fit=with_model_uncertainty(current.fit, search.uncertainty(passed, current.fit)))
     return Diagnosis(
         before=widened if current is before else before,
         after=widened,
@@ -282,7 +283,7 @@ class ModelAssessment:
         Fit with the common errors (timing and mounting of sensors, hull form). None if they were not added, for example
         because the data do not need them or the model has them already.
     uncertainty
-        Shifts of the estimates by the candidates that still pass, None if none other than ``waves`` passes.
+        Shifts of the estimates by the candidates that still pass; None if there is nothing to add.
     """
 
     common_errors: CommonErrorsFit | None
@@ -338,7 +339,7 @@ def assess_model(
     extended = search.add_common_errors(start.before, passing)
     if extended is not None:
         passing = search.scored(extended)[1]
-    return ModelAssessment(search.common_errors, search.uncertainty(passing))
+    return ModelAssessment(search.common_errors, search.uncertainty(passing, (extended or start.before).fit))
 
 
 @dataclass(frozen=True)
@@ -743,15 +744,15 @@ class _Search:
                 "parameters (--fix NAME=VALUE), or to longer logs"
             ) from problem
 
-    def uncertainty(self, passing: Sequence[Score]) -> ModelUncertainty | None:
+    def uncertainty(self, passing: Sequence[Score], fit: Fit) -> ModelUncertainty | None:
         """Compute how the candidates that pass would shift the estimates of the model that was scored last.
 
-        ``passing`` are the scores that pass on that model. The result is None if no candidate other than ``waves``
-        passes, or before the first call of `scored`.
+        ``passing`` are the scores that pass on that model, and ``fit`` is its fit. The result is None if there is
+        nothing to add (`model_uncertainty`), or before the first call of `scored`.
         """
         if self.equations is None:
             return None
-        return model_uncertainty(self.equations, passing, self.candidates)
+        return model_uncertainty(self.equations, passing, self.candidates, fit)
 
     def forward(self, before: FittedModel, max_effects: int) -> tuple[FittedModel, list[Score]]:
         """Add effects one after the other; return the last model and the scores that pass on it.

@@ -402,6 +402,9 @@ class Effect:
     in_words : Callable or None
         Function that returns a clause for reports, given (estimate, standard error) by parameter. None: the parameters
         need no explanation.
+    thrust_difference : str
+        Name of the parameter that is half the relative difference of the thrust of both sides. The data determine the
+        difference, but not which side differs from its given curve. Empty: the effect has no such parameter.
     """
 
     name: str
@@ -426,6 +429,7 @@ class Effect:
     nonparametric_of: ForceCurve | None = None
     fixed_point: bool = False
     in_words: Callable[[Mapping[str, tuple[float, float]]], str] | None = None
+    thrust_difference: str = ""
 
     def is_table_of(self, curve: ForceCurve | None) -> bool:
         """Return whether this effect is the nonparametric curve of the force and variables of ``curve``.

@@ -700,14 +700,15 @@ def common_errors_notes(found: CommonErrorsFit | None, beside: str) -> list[str]
 
 
 LEAST_GROWTH = 1.05  # smallest factor of a standard error that a note lists
+LEAST_DIFFERENCE = 0.03  # smallest deviation of the thrust of each side that a note tells
 
 
 def model_uncertainty_notes(found: ModelUncertainty | None, fit: Fit) -> list[str]:
-    """Return a note on standard errors that include the uncertainty of the model.
+    """Return the notes on standard errors that include the uncertainty of the model.
 
-    Missing effects (candidates) that still pass the score tests would shift the estimates. The note ends with up to
-    three parameters whose standard errors this increases most, by 5 % or more, with the factors. If there is none, it
-    states so.
+    Missing effects (candidates) that still pass the score tests would shift the estimates. A note lists up to three
+    parameters whose standard errors this increases most, by 5 % or more, with the factors. If there is none, it states
+    so. A second note tells that the scale of the forces is uncertain because the thrust of both sides differs.
 
     Parameters
     ----------
@@ -718,23 +719,39 @@ def model_uncertainty_notes(found: ModelUncertainty | None, fit: Fit) -> list[st
     """
     if found is None:
         return []
+    notes = []
+    if found.candidates and (grown := _error_growth(found, fit)):
+        most = sorted((name for name, factor in grown.items() if factor >= LEAST_GROWTH), key=lambda n: -grown[n])
+        factors = ", ".join(f"{name} {grown[name]:.2g}" for name in most[:3])
+        notes.append(
+            f"By the score tests {counted(len(found.candidates), 'effect')} may be missing, each of which would shift "
+            "the estimates: `seatrial ident diagnose` searches for missing effects. The standard errors include this "
+            "uncertainty of the model"
+            + (
+                f"; it increases them most by these factors: {factors}."
+                if factors
+                else ", which adds less than 5 % to them."
+            )
+        )
+    if found.thrust_difference >= LEAST_DIFFERENCE:
+        share = f"{100 * found.thrust_difference:.0f} %"
+        notes.append(
+            f"The thrust of the left and of the right thruster may deviate by {share} in opposite directions from the "
+            "given curve. The data do not show which side deviates. If it is one side alone, all masses, damping and "
+            f"forces are {share} too large or too small: the standard errors include this. Measure the thrust of both "
+            "thrusters as they are now (seatrial bench run)."
+        )
+    return notes
+
+
+def _error_growth(found: ModelUncertainty, fit: Fit) -> dict[str, float]:
+    """Return the factor by which the uncertainty of the model increases each standard error, by full name.
+
+    Parameters whose standard error it does not increase are left out.
+    """
     variance = dict(zip(found.parameters, np.diag(found.covariance), strict=True))
-    grown = {
+    return {
         name: float(error / np.sqrt(error**2 - variance[name]))
         for name, error in zip(fit.names, fit.errors, strict=True)
-        if name in variance and error**2 > variance[name]
+        if name in variance and error**2 > variance[name] > 0.0
     }
-    if not grown:
-        return []
-    most = sorted((name for name, factor in grown.items() if factor >= LEAST_GROWTH), key=lambda n: -grown[n])
-    factors = ", ".join(f"{name} {grown[name]:.2g}" for name in most[:3])
-    return [
-        f"By the score tests {counted(len(found.candidates), 'effect')} may be missing, each of which would shift the "
-        "estimates: `seatrial ident diagnose` searches for missing effects. The standard errors include this "
-        "uncertainty of the model"
-        + (
-            f"; it increases them most by these factors: {factors}."
-            if factors
-            else ", which adds less than 5 % to them."
-        )
-    ]

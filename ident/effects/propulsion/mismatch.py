@@ -55,4 +55,5 @@ EFFECT = Effect(
     requires=("f", "hull"),
     alternatives=("yaw-bias", "sway-yaw"),
     in_words=compare_sides,
+    thrust_difference="eps_LR",
 )

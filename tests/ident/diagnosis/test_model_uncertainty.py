@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -17,8 +18,10 @@ from seatrial.ident.diagnosis.score_test import (
     SensitivityColumns,
 )
 from seatrial.ident.diagnosis.search import _Search
+from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import Fit
-from seatrial.ident.model import Effect, Parameter
+from seatrial.ident.model import Effect, Parameter, ParameterOrigin
+from seatrial.ident.models import horizontal_model
 from seatrial.ident.reporter import QUIET
 
 N = 3000
@@ -41,13 +44,25 @@ def regression(seed: int = 3) -> tuple[np.ndarray, np.ndarray, ScoreEquations]:
     return columns, y, equations
 
 
+def fitted(origin: str = "given", difference: float = 0.0, free: tuple[str, ...] = ("m_u", "m_r")) -> Fit:
+    """Return a fit of m_u = 40 kg and m_r = 9 kg m2, with the effect `mismatch` if ``difference`` is not zero."""
+    model = horizontal_model("shaft")
+    model = model.replace_parameters(replace(model.parameter("c1"), origin=ParameterOrigin(origin)))
+    if difference:
+        model = (model + catalogue()["mismatch"]).with_values({"eps_LR": difference})
+    values = {"m_u": 40.0, "m_r": 9.0, "c1": 30.0}
+    blank: dict[str, Any] = dict.fromkeys(Fit.__dataclass_fields__)
+    estimated = {"parameters": tuple(model.parameter(n) for n in free), "values": np.array([values[n] for n in free])}
+    return Fit(**blank | {"model": model} | estimated)
+
+
 def passed(name: str) -> Score:
     return Score(name, 100.0, 1, 50.0, {}, {})
 
 
 def test_shift_is_the_change_of_the_estimates_by_a_refit_with_the_candidate() -> None:
     columns, y, equations = regression()
-    found = model_uncertainty(equations, [passed("two"), passed("one")], {})
+    found = model_uncertainty(equations, [passed("two"), passed("one")], {}, fitted())
     assert found is not None
     assert found.candidates == ("one", "two")
     without = np.linalg.lstsq(columns[:, :2], y, rcond=None)[0]
@@ -87,17 +102,48 @@ def test_joint_steps_of_candidates_are_those_of_one_regression() -> None:
 def test_prior_of_a_candidate_limits_the_shift() -> None:
     _, _, equations = regression()
     prior = Effect("one", "one", {}, (Parameter("a", 0.0, prior=(0.0, 1e-3)),))
-    free = model_uncertainty(equations, [passed("one")], {})
-    held = model_uncertainty(equations, [passed("one")], {"one": prior})
+    free = model_uncertainty(equations, [passed("one")], {}, fitted())
+    held = model_uncertainty(equations, [passed("one")], {"one": prior}, fitted())
     assert free is not None
     assert held is not None
     assert np.all(np.abs(held.shifts) < 0.02 * np.abs(free.shifts))
 
 
 def test_no_variance_is_added_if_no_candidate_passes() -> None:
-    assert model_uncertainty(regression()[2], [], {}) is None
+    assert model_uncertainty(regression()[2], [], {}, fitted()) is None
     fit = cast(Fit, object())
     assert with_model_uncertainty(fit, None) is fit
+
+
+@pytest.mark.parametrize("difference", [0.2, -0.2])
+def test_difference_of_the_sides_makes_the_scale_of_given_thrust_uncertain(difference: float) -> None:
+    """If one side alone deviates from its curve, all masses and forces change by half the relative difference."""
+    equations = regression()[2]
+    found = model_uncertainty(equations, [], {}, fitted(difference=difference))
+    assert found is not None
+    assert found.candidates == ()
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), [8.0, 1.8])
+    assert found.covariance[0, 1] == pytest.approx(8.0 * 1.8)
+
+
+@pytest.mark.parametrize("fit", [fitted("built-in", 0.2), fitted("given", 0.2, ("m_u", "m_r", "c1"))])
+def test_no_scale_is_uncertain_for_ratios_to_the_thrust_or_with_a_given_mass(fit: Fit) -> None:
+    assert model_uncertainty(regression()[2], [], {}, fit) is None
+
+
+def test_difference_of_a_candidate_counts_by_its_share_of_the_largest_score() -> None:
+    equations = regression()[2]
+    effects = {
+        "one": replace(catalogue()["mismatch"], name="one", thrust_difference="a", parameters=(Parameter("a", 0.0),))
+    }
+    step = equations.one_step(np.array([2]), np.zeros(1))[0]
+    first = model_uncertainty(equations, [passed("one")], effects, fitted())
+    second = model_uncertainty(equations, [passed("one"), replace(passed("two"), lm=400.0)], effects, fitted())
+    assert first is not None
+    assert second is not None
+    assert first.thrust_difference == pytest.approx(abs(step))
+    assert second.thrust_difference == pytest.approx(abs(step) / 4)
+    np.testing.assert_allclose(np.abs(first.scale_shift), np.abs(step) * np.array([40.0, 9.0]))
 
 
 def test_mean_square_of_the_shifts_is_added_to_the_covariance() -> None:
@@ -114,7 +160,9 @@ def test_mean_square_of_the_shifts_is_added_to_the_covariance() -> None:
         }
     )
     shifts = np.array([[3.0, 0.0, 1.0], [1.0, 2.0, 1.0]])
-    wider = with_model_uncertainty(fit, ModelUncertainty(("m_u", "d_r", "m_r"), ("a", "b"), shifts[:, [0, 2, 1]]))
+    wider = with_model_uncertainty(
+        fit, ModelUncertainty(("m_u", "d_r", "m_r"), ("a", "b"), shifts[:, [0, 2, 1]], 0.0, np.zeros(3))
+    )
     added = np.array([[5.0, 1.0], [1.0, 2.0]])  # means of 9 and 1, of 0 and 2, of 0 and 4
     np.testing.assert_allclose(wider.covariance[:2, :2], covariance[:2, :2] + added)
     np.testing.assert_allclose(wider.considered[:2, :2], added)
