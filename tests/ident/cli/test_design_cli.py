@@ -324,7 +324,7 @@ def test_help_has_an_example_and_the_group_lists_it(capsys: pytest.CaptureFixtur
     assert "design" in run(capsys, "--help")[1]
 
 
-RUNAWAY = '''"""Surge whose damping falls with the speed: stable at full thrust, but not if the damping is a little less."""
+RUNAWAY = '''"""Surge whose damping falls with the speed: stable at full thrust, if the damping is not a little less."""
 
 from seatrial.ident.model import Input, Output, Parameter, Sensor, State
 from tests.ident.toys import plain_model
