@@ -24,11 +24,9 @@ import numpy as np
 from seatrial.ident.diagnosis.common_errors import prior_information
 from seatrial.ident.diagnosis.score_test import Score, ScoreEquations
 from seatrial.ident.estimation import Fit, thrust_scale_of
-from seatrial.ident.model import Effect, Model
+from seatrial.ident.model import Effect, Model, ParameterOrigin
 from seatrial.ident.models import force_power
 from seatrial.ident.numerics import Array
-
-THRUST = ("c1", "k_thrust")  # parameters that scale all thrust
 
 
 @dataclass(frozen=True)
@@ -130,13 +128,17 @@ def _thrust_difference(
 
 
 def has_given_thrust(fit: Fit) -> bool:
-    """Return whether the scale of the forces follows from a given thrust.
+    """Return whether the scale of the forces follows from a given thrust, exact or with a standard deviation.
 
-    It does not if the thrust is built in, if the data determine it because a mass is given, or in a model without
-    thrust or mass.
+    It does not if the thrust is built in, if a given mass determines it, or in a model without thrust or mass.
     """
     scale = thrust_scale_of(fit.model)
-    return scale.thrust is not None and not scale.relative and all(p.name not in THRUST for p in fit.parameters)
+    masses = [p for p in fit.model.parameters if p.name in ("m_u", "m_v")]
+    return (
+        scale.thrust not in (None, ParameterOrigin.BUILT_IN, ParameterOrigin.ESTIMATED)
+        and bool(masses)
+        and all(p.provenance is ParameterOrigin.ESTIMATED for p in masses)
+    )
 
 
 def _force_part(names: Sequence[str], fit: Fit) -> Array:
