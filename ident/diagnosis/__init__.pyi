@@ -4,11 +4,11 @@ from .certainty import NAME_RECORDS as NAME_RECORDS
 from .common_errors import COMMON_SEARCH as COMMON_SEARCH
 from .findings import CommonErrorsFit as CommonErrorsFit
 from .findings import Diagnosis as Diagnosis
+from .findings import ModelUncertainty as ModelUncertainty
 from .findings import Refit as Refit
 from .findings import RemovedEffect as RemovedEffect
 from .findings import Round as Round
 from .findings import ValidationMismatch as ValidationMismatch
-from .model_uncertainty import ModelUncertainty as ModelUncertainty
 from .model_uncertainty import with_model_uncertainty as with_model_uncertainty
 from .policy import SearchPolicy as SearchPolicy
 from .power import detectable_sizes as detectable_sizes

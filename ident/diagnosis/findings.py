@@ -9,11 +9,14 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal
 
+import numpy as np
+
 from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
 from seatrial.ident.diagnosis.score_test import Score
 from seatrial.ident.effects import NonparametricForce
 from seatrial.ident.estimation import FailedRun, FittedModel, ParameterShift
 from seatrial.ident.model import Effect
+from seatrial.ident.numerics import Array
 from seatrial.ident.validation import PredictionChange
 
 Attribution = Literal["identified", "ambiguous", "nonparametric"]
@@ -388,6 +391,45 @@ class ShortData:
 
 
 @dataclass(frozen=True)
+class ModelUncertainty:
+    """Shifts of the estimates that each candidate which still passes the score tests would cause.
+
+    Attributes
+    ----------
+    parameters
+        Full names of the n fitted parameters.
+    candidates
+        Names of the m candidates that pass, without common errors, and without ``waves``, which has no score equations.
+    shifts : Array (m, n)
+        Change of each estimate if the candidate were added to the model, in the units of the parameters.
+    common_errors : Array (n, n)
+        Mean square error of the estimates because the model lacks common errors. It is zero if no candidate passes.
+    thrust_difference : float
+        Half the relative difference of the thrust of both sides. It is zero if the scale of the forces does not follow
+        from the given thrust.
+    scale_shift : Array (n,)
+        Change of each estimate if only one side deviates from the given thrust, by the whole difference.
+    """
+
+    parameters: tuple[str, ...]
+    candidates: tuple[str, ...]
+    shifts: Array
+    common_errors: Array
+    thrust_difference: float
+    scale_shift: Array
+
+    @property
+    def covariance(self) -> Array:
+        """Part of the covariance (n, n) of the estimates that is due to the incomplete model.
+
+        It is the mean over the candidates of the outer product of the shifts with themselves, plus ``common_errors``,
+        plus the outer product of ``scale_shift`` with itself.
+        """
+        product: Array = self.shifts.T @ self.shifts / max(len(self.candidates), 1)
+        return product + self.common_errors + np.outer(self.scale_shift, self.scale_shift)
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """Findings of a diagnosis: models, rounds of the search, and judgement of the selected effects.
 
@@ -431,6 +473,8 @@ class Diagnosis:
     common_errors
         Fit with the small errors that every craft has (timing and mounting of sensors, hull form). None if they were
         not added.
+    uncertainty
+        Shifts of the estimates of ``after`` by effects that it lacks. None if there are none.
     """
 
     before: FittedModel
@@ -450,6 +494,7 @@ class Diagnosis:
     untried_scores: tuple[Score, ...] = ()
     policy: SearchPolicy = DEFAULT_POLICY
     common_errors: CommonErrorsFit | None = None
+    uncertainty: ModelUncertainty | None = None
 
     @property
     def effects(self) -> tuple[Refit, ...]:

@@ -6,6 +6,11 @@ that follows from the score equations without a refit. These shifts show how muc
 the model, and their mean square is added to the covariance: the variance between models of Draper 1995, "Assessment and
 propagation of model uncertainty". If no candidate passes, nothing is added.
 
+Common errors are small errors that every craft has (timing and mounting of sensors, form of the hull). Those that the
+model lacks are taken as present, whether they pass a test or not: some data show little of them although they change
+the estimates much. With the priors of the catalogue, the score equations give their mean and covariance, and thus the
+bias and the covariance of the estimates without them.
+
 A difference of the thrust of both sides makes the scale of the forces uncertain as well. The motion determines the
 difference: with a half difference e, the left thrust is (1 + e) and the right thrust (1 - e) times the given curve, or
 both are this times an unknown factor. If one side alone differs from its curve, because its propeller is fouled or
@@ -17,52 +22,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from seatrial.ident.diagnosis.common_errors import prior_information
+from seatrial.ident.diagnosis.common_errors import COMMON_ERRORS, prior_information
+from seatrial.ident.diagnosis.findings import ModelUncertainty
 from seatrial.ident.diagnosis.score_test import Score, ScoreEquations
 from seatrial.ident.estimation import Fit, thrust_scale_of
 from seatrial.ident.model import Effect, Model, ParameterOrigin
 from seatrial.ident.models import force_power
 from seatrial.ident.numerics import Array
-
-
-@dataclass(frozen=True)
-class ModelUncertainty:
-    """Shifts of the estimates that each candidate which still passes the score tests would cause.
-
-    Attributes
-    ----------
-    parameters
-        Full names of the n fitted parameters.
-    candidates
-        Names of the m candidates that pass, without ``waves``, which has no score equations.
-    shifts : Array (m, n)
-        Change of each estimate if the candidate were added to the model, in the units of the parameters.
-    thrust_difference : float
-        Half the relative difference of the thrust of both sides. It is zero if the scale of the forces does not follow
-        from the given thrust.
-    scale_shift : Array (n,)
-        Change of each estimate if only one side deviates from the given thrust, by the whole difference.
-    """
-
-    parameters: tuple[str, ...]
-    candidates: tuple[str, ...]
-    shifts: Array
-    thrust_difference: float
-    scale_shift: Array
-
-    @property
-    def covariance(self) -> Array:
-        """Part of the covariance (n, n) of the estimates that is due to the incomplete model.
-
-        It is the mean over the candidates of the outer product of the shifts with themselves, plus the outer product of
-        ``scale_shift`` with itself.
-        """
-        product: Array = self.shifts.T @ self.shifts / max(len(self.candidates), 1)
-        return product + np.outer(self.scale_shift, self.scale_shift)
 
 
 def model_uncertainty(
@@ -89,7 +59,8 @@ def model_uncertainty(
     """
     gain = equations.coefficients_on_fitted
     names, shifts, steps = [], [], {}
-    scans = {s.name: s.scan for s in passing}
+    common = {n: e for n, e in effects.items() if n in COMMON_ERRORS}
+    scans = {s.name: s.scan for s in passing if s.name not in common}
     for placed in equations.indices:
         name = placed.columns.name
         if name not in scans or placed.columns.scan != scans[name]:
@@ -102,11 +73,34 @@ def model_uncertainty(
         steps[name] = dict(zip(placed.names, step.tolist(), strict=True))
     given = has_given_thrust(fit)
     difference = _thrust_difference(passing, effects, steps, fit.model) if given else 0.0
-    if not names and not difference:
+    tested = {i.columns.name for i in equations.indices}
+    incomplete = any(s.name in tested for s in passing)
+    if not incomplete and not difference:
         return None
     parameters = equations.parameters
     shifted = np.array(shifts).reshape(len(names), len(parameters))
-    return ModelUncertainty(parameters, tuple(names), shifted, difference, difference * _force_part(parameters, fit))
+    of_common = _error_without(equations, common if incomplete else {})
+    of_scale = difference * _force_part(parameters, fit)
+    return ModelUncertainty(parameters, tuple(names), shifted, of_common, difference, of_scale)
+
+
+def _error_without(equations: ScoreEquations, common: Mapping[str, Effect]) -> Array:
+    """Return the mean square error (n, n) of the estimates because the model lacks these common errors.
+
+    With the priors, the parameters of all of them together have the mean m and the covariance P. The estimates are
+    then wrong by ``G m`` on average, with the covariance ``G P G'``: G are the regression coefficients of the columns
+    of the common errors on those of the fitted parameters.
+    """
+    placed = [i for i in equations.indices if i.columns.name in common]
+    if not placed:
+        return np.zeros((len(equations.parameters), len(equations.parameters)))
+    at = np.concatenate([np.asarray(i.at) for i in placed])
+    weight = np.concatenate([prior_information(common[i.columns.name], i.names) for i in placed])
+    gain = equations.coefficients_on_fitted[:, at]
+    mean = gain @ equations.one_step(at, weight)
+    covariance = np.linalg.pinv(equations.projected[0][np.ix_(at, at)] + np.diag(weight), hermitian=True)
+    error: Array = gain @ covariance @ gain.T + np.outer(mean, mean)
+    return error
 
 
 def _thrust_difference(

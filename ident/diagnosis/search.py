@@ -50,6 +50,7 @@ from seatrial.ident.diagnosis.findings import (
     Diagnosis,
     EffectAttribution,
     EffectImportance,
+    ModelUncertainty,
     Outcome,
     Refit,
     RemovedEffect,
@@ -58,7 +59,7 @@ from seatrial.ident.diagnosis.findings import (
     UntestedCandidate,
 )
 from seatrial.ident.diagnosis.importance import by_importance, effect_importance, fit_without
-from seatrial.ident.diagnosis.model_uncertainty import ModelUncertainty, model_uncertainty, with_model_uncertainty
+from seatrial.ident.diagnosis.model_uncertainty import model_uncertainty, with_model_uncertainty
 from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
 from seatrial.ident.diagnosis.score_test import (
     Score,
@@ -251,7 +252,8 @@ def diagnose(
     judgements = assess_alternatives(kept, evidence, search.policy)
     judgements = tuple(sorted(judgements, key=lambda j: order.index(j.effect)))
     shapes, undrawn = _reported_curves(base, kept, judgements, records)
-    widened = replace(current, fit=with_model_uncertainty(current.fit, search.uncertainty(passed, current.fit)))
+    uncertainty = search.uncertainty(passed, current.fit)
+    widened = replace(current, fit=with_model_uncertainty(current.fit, uncertainty))
     return Diagnosis(
         before=widened if current is before else before,
         after=widened,
@@ -264,6 +266,7 @@ def diagnose(
         failed_runs=(*start.failed, *before.failed, *(f for f in current.failed if f not in before.failed)),
         mismatches=validation_mismatches(current, search.policy),
         short_data=_short_data(search.scores, before, search.policy),
+        uncertainty=uncertainty,
         curve_failure=undrawn,
         untestable=start.untestable,
         scores=tuple(search.scores),

@@ -63,6 +63,7 @@ from seatrial.ident.results.tables import (
     prediction_fit,
     profile_curve,
     residual_rows,
+    thrust_difference_warnings,
     traces,
     tracks,
 )
@@ -134,6 +135,7 @@ def vehicle_result(
     prediction = prediction_fit(evaluation)
     fit_answer = vehicle_answer(prediction, errors, evaluation.horizon, residuals, cross, searchable=searchable)
     answer = not_converged(fitted.fit) or " ".join([fit_answer, *(homogeneity_sentence(a) for a in homogeneity)])
+    uncertainty = None if posed.assessment is None else posed.assessment.uncertainty
     return VehicleResult(
         **msgspec.structs.asdict(made),
         answer=faults_first(made) + answer,
@@ -143,11 +145,12 @@ def vehicle_result(
             *late_sensor_warnings(made, fitted.fit.model),
             *frames_assumed(fitted),
             *estimation_warnings(fitted.fit, fitted.records, posed.length),
+            *thrust_difference_warnings(uncertainty),
             *failed_run_warnings(fitted.failed),
         ),
         notes=(
             *common_errors_notes(common, "the model"),
-            *model_uncertainty_notes(None if posed.assessment is None else posed.assessment.uncertainty, fitted.fit),
+            *model_uncertainty_notes(uncertainty, fitted.fit),
             *_notes(posed.notes, evaluation, calibration),
         ),
         common_errors=common_errors_row(common, fitted, evaluation.headline_set),

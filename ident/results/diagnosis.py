@@ -51,6 +51,7 @@ from seatrial.ident.results.tables import (
     fit_summary,
     prediction_change,
     residual_rows,
+    thrust_difference_warnings,
     traces,
     tracks,
 )
@@ -113,6 +114,7 @@ def diagnosis_result(
             *late_sensor_warnings(made, diagnosis.after.fit.model),
             *frames_assumed(diagnosis.after),
             *warnings,
+            *thrust_difference_warnings(diagnosis.uncertainty),
             *failed_run_warnings(diagnosis.failed_runs),
             *_untested_warnings(diagnosis),
         ),

@@ -128,6 +128,7 @@ WarningCode = Literal[
     "rates-assumed",
     "beyond-validity",
     "track-not-predicted",
+    "thrust-sides-differ",
     "compared-on-fitted-log",
 ]
 

@@ -42,6 +42,7 @@ from seatrial.ident.results.parts import (
     ProfileCurve,
     Provenance,
     ResidualTests,
+    ResultWarning,
     Role,
     Trace,
     Track,
@@ -700,48 +701,58 @@ def common_errors_notes(found: CommonErrorsFit | None, beside: str) -> list[str]
 
 
 LEAST_GROWTH = 1.05  # smallest factor of a standard error that a note lists
-LEAST_DIFFERENCE = 0.03  # smallest deviation of the thrust of each side that a note tells
+LEAST_DIFFERENCE = 0.05  # smallest relative deviation of the thrust of each side for a warning
 
 
 def model_uncertainty_notes(found: ModelUncertainty | None, fit: Fit) -> list[str]:
-    """Return the notes on standard errors that include the uncertainty of the model.
+    """Return a note on standard errors that include the uncertainty of the model.
 
-    Missing effects (candidates) that still pass the score tests would shift the estimates. A note lists up to three
-    parameters whose standard errors this increases most, by 5 % or more, with the factors. If there is none, it states
-    so. A second note tells that the scale of the forces is uncertain because the thrust of both sides differs.
+    Missing effects (candidates) that still pass the score tests would shift the estimates. The note ends with up to
+    three parameters whose standard errors this increases most, by 5 % or more, with the factors. If there is none, it
+    states so.
 
     Parameters
     ----------
     found : ModelUncertainty or None
-        Shifts of the estimates by these candidates. If it is None or increases no standard error, the list is empty.
+        Shifts of the estimates by these candidates. If it is None, has no candidate or increases no standard error, the
+        list is empty.
     fit : Fit
         Fit whose standard errors include the shifts.
     """
-    if found is None:
+    if found is None or not found.candidates or not (grown := _error_growth(found, fit)):
         return []
-    notes = []
-    if found.candidates and (grown := _error_growth(found, fit)):
-        most = sorted((name for name, factor in grown.items() if factor >= LEAST_GROWTH), key=lambda n: -grown[n])
-        factors = ", ".join(f"{name} {grown[name]:.2g}" for name in most[:3])
-        notes.append(
-            f"By the score tests {counted(len(found.candidates), 'effect')} may be missing, each of which would shift "
-            "the estimates: `seatrial ident diagnose` searches for missing effects. The standard errors include this "
-            "uncertainty of the model"
-            + (
-                f"; it increases them most by these factors: {factors}."
-                if factors
-                else ", which adds less than 5 % to them."
-            )
+    most = sorted((name for name, factor in grown.items() if factor >= LEAST_GROWTH), key=lambda n: -grown[n])
+    factors = ", ".join(f"{name} {grown[name]:.2g}" for name in most[:3])
+    return [
+        f"By the score tests {counted(len(found.candidates), 'effect')} may be missing, each of which would shift the "
+        "estimates: `seatrial ident diagnose` searches for missing effects. The standard errors include this "
+        "uncertainty of the model"
+        + (
+            f"; it increases them most by these factors: {factors}."
+            if factors
+            else ", which adds less than 5 % to them."
         )
-    if found.thrust_difference >= LEAST_DIFFERENCE:
-        share = f"{100 * found.thrust_difference:.0f} %"
-        notes.append(
-            f"The thrust of the left and of the right thruster may deviate by {share} in opposite directions from the "
-            "given curve. The data do not show which side deviates. If it is one side alone, all masses, damping and "
-            f"forces are {share} too large or too small: the standard errors include this. Measure the thrust of both "
-            "thrusters as they are now (seatrial bench run)."
-        )
-    return notes
+    ]
+
+
+def thrust_difference_warnings(found: ModelUncertainty | None) -> list[ResultWarning]:
+    """Return a warning if the thrust of both sides may differ by so much that masses and forces are uncertain.
+
+    Parameters
+    ----------
+    found : ModelUncertainty or None
+        Uncertainty of the model. The list is empty for None, and if each side deviates by less than 5 %.
+    """
+    if found is None or found.thrust_difference < LEAST_DIFFERENCE:
+        return []
+    share = f"{100 * found.thrust_difference:.0f} %"
+    text = (
+        f"The left and the right thruster may deviate by {share} in opposite directions from the given thrust. The "
+        f"data do not show whether one of them is right. So all masses, damping and forces may be {share} too large "
+        "or too small, and their standard errors include this. Measure the thrust of both thrusters as they are now "
+        "(seatrial bench)."
+    )
+    return [ResultWarning(code="thrust-sides-differ", text=text)]
 
 
 def _error_growth(found: ModelUncertainty, fit: Fit) -> dict[str, float]:

@@ -74,8 +74,8 @@ seatrial states a probability with each name: the share of names with this attri
 - Wind, a small difference of the thrusters, waves and a dependence of thrust on speed are in every one of these boats.
   Where they are large enough they are found beside the effect in question, and they are no false alarm.
 - A fouled propeller gives less thrust than the curve that was given. `ident vehicle` then puts the loss into the
-  masses, which come out too large. The diagnosis names the difference of the thrusters, but cannot know the loss of
-  both.
+  masses, which come out too large. The data show the difference of the sides, but not which side has lost thrust:
+  the standard errors include that.
 - Each thruster of these boats is turned by a degree or two, so that `thrust-angle` competes with `mismatch`. A
   difference of a few per cent is then ambiguous.
 - An error of a sensor (a gyro scale, an antenna at another place) is estimated with the common errors. It is listed

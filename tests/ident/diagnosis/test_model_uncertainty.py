@@ -8,7 +8,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from seatrial.ident.diagnosis.model_uncertainty import ModelUncertainty, model_uncertainty, with_model_uncertainty
+from seatrial.ident.diagnosis.findings import ModelUncertainty
+from seatrial.ident.diagnosis.model_uncertainty import model_uncertainty, with_model_uncertainty
 from seatrial.ident.diagnosis.score_test import (
     ColumnIndex,
     NormalEquations,
@@ -114,6 +115,27 @@ def test_no_variance_is_added_if_no_candidate_passes() -> None:
     assert with_model_uncertainty(fit, None) is fit
 
 
+def test_common_errors_add_their_posterior_to_that_of_a_model_without_them() -> None:
+    """The peer is the Bayesian regression of all columns together, with the prior of the common error `lift`."""
+    columns, y, equations = regression()
+    lift = replace(equations.indices[1], columns=replace(equations.indices[1].columns, name="lift"))
+    equations = replace(equations, indices=(equations.indices[0], lift))
+    sds = (0.01, 0.02)
+    priors = tuple(Parameter(n, 0.0, prior=(0.0, sd)) for n, sd in zip(("b", "c"), sds, strict=True))
+    effect = Effect("lift", "lift", {}, parameters=priors)
+    at = [0, 1, 3, 4]
+    X = columns[:, at]
+    joint = np.linalg.inv(X.T @ X + np.diag([0.0, 0.0, *(sd**-2 for sd in sds)]))
+    alone = np.linalg.inv(X[:, :2].T @ X[:, :2])
+    bias = (joint @ X.T @ y)[:2] - alone @ X[:, :2].T @ y
+    found = model_uncertainty(equations, [passed("one")], {"lift": effect}, fitted())
+    assert found is not None
+    assert found.candidates == ("one",)
+    np.testing.assert_allclose(found.common_errors, joint[:2, :2] - alone + np.outer(bias, bias), rtol=1e-6)
+    # If nothing passes, the model is complete: simulated data show it.
+    assert model_uncertainty(equations, [], {"lift": effect}, fitted()) is None
+
+
 @pytest.mark.parametrize("difference", [0.2, -0.2])
 def test_difference_of_the_sides_makes_the_scale_of_given_thrust_uncertain(difference: float) -> None:
     """If one side alone deviates from its curve, all masses and forces change by half the relative difference."""
@@ -161,9 +183,9 @@ def test_mean_square_of_the_shifts_is_added_to_the_covariance() -> None:
         }
     )
     shifts = np.array([[3.0, 0.0, 1.0], [1.0, 2.0, 1.0]])
-    wider = with_model_uncertainty(
-        fit, ModelUncertainty(("m_u", "d_r", "m_r"), ("a", "b"), shifts[:, [0, 2, 1]], 0.0, np.zeros(3))
-    )
+    names = ("m_u", "d_r", "m_r")
+    found = ModelUncertainty(names, ("a", "b"), shifts[:, [0, 2, 1]], np.zeros((3, 3)), 0.0, np.zeros(3))
+    wider = with_model_uncertainty(fit, found)
     added = np.array([[5.0, 1.0], [1.0, 2.0]])  # means of 9 and 1, of 0 and 2, of 0 and 4
     np.testing.assert_allclose(wider.covariance[:2, :2], covariance[:2, :2] + added)
     np.testing.assert_allclose(wider.considered[:2, :2], added)
