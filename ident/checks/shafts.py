@@ -300,7 +300,9 @@ def response(commands: Channel, shaft: Channel) -> Response | NoResponse:
     linear = fitted(slice(None), 0.0)
     k = DELAYS.index(linear.delay)
     best, band = linear, 0.0
-    for b in DEAD_BANDS.tolist():
+    sizes = np.unique(np.abs(command_part[command_part != 0.0]))
+    n_zeroed = np.searchsorted(sizes, DEAD_BANDS)  # A band that sets no further command to zero changes nothing.
+    for b in DEAD_BANDS[np.diff(n_zeroed, prepend=0) > 0].tolist():
         if (with_band := fitted(slice(max(k - 3, 0), k + 4), b)).misfit < best.misfit:
             best, band = with_band, b
     lagged = first_order_lag(
