@@ -33,3 +33,4 @@ from .api.runs import ThrustCurve as ThrustCurve
 from .api.runs import design as design
 from .api.runs import navigate as navigate
 from .api.runs import thruster as thruster
+from .ident.export import StateFeedback as StateFeedback

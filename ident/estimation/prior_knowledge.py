@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from seatrial.daq.errors import SeatrialError
+from seatrial.daq.errors import SeatrialError, closest_name
 from seatrial.daq.rig import Rig
 from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation.model_file import SavedModel, load_model
@@ -23,6 +23,7 @@ from seatrial.ident.models import (
 )
 
 GNSS = {"x", "y", "vx", "vy"}
+ARMS = ("y_left", "y_right", "y_arm")  # positions of the thrusters to starboard
 
 
 def apply_rig_geometry(
@@ -193,14 +194,27 @@ def fix_parameters(model: Model, thruster: Path | None, given: Mapping[str, floa
                     )
     for name, value in given.items():
         if name not in model.values:
-            raise SeatrialError(
-                f"--fix {name}: model {model.name} has no such parameter; it has {', '.join(model.values)}"
-            )
+            raise _no_parameter(model, "--fix", name)
         try:
             known[name] = model.parameter(name).known(value, 0.0, ParameterOrigin.GIVEN)
         except ValueError as problem:
             raise SeatrialError(f"--fix {name}={value:g}: {problem}") from problem
     return model.replace_parameters(*known.values()), notes
+
+
+def _no_parameter(model: Model, option: str, name: str) -> SeatrialError:
+    """Return the error about a name of ``--fix``, ``--prior`` or ``--initial`` that is no parameter of the model.
+
+    It has all names, and the nearest one if there is one. For the position of a thruster it says that the model does
+    not use positions. In a rig file, a position has no effect on such a model.
+    """
+    text = f"{option} {name}: model {model.name} has no such parameter; it has {', '.join(model.values)}"
+    if name in ARMS and not set(ARMS) & set(model.values):
+        steering = ", because its steering gain K contains them" * ("K" in model.values)
+        text += f"; the model does not use the positions of the thrusters{steering}: leave out {option} {name}"
+    elif near := closest_name(name, model.values):
+        text += f"; did you mean {near!r}?"
+    return SeatrialError(text)
 
 
 def _bench_parameter(bench: SavedModel, name: str, path: Path) -> Parameter:
@@ -236,9 +250,7 @@ def set_priors(model: Model, prior: Mapping[str, tuple[float, float]]) -> Model:
     given = []
     for name, (mean, sd) in prior.items():
         if name not in model.values:
-            raise SeatrialError(
-                f"--prior {name}: model {model.name} has no such parameter; it has {', '.join(model.values)}"
-            )
+            raise _no_parameter(model, "--prior", name)
         try:
             given.append(model.parameter(name).known(mean, sd, ParameterOrigin.PRIOR))
         except ValueError as problem:
@@ -254,8 +266,7 @@ def set_initial_values(model: Model, initial: Mapping[str, float]) -> Model:
     """
     unknown = set(initial) - set(model.values)
     if unknown:
-        names = ", ".join(model.values)
-        raise SeatrialError(f"--initial {sorted(unknown)[0]}: model {model.name} has no such parameter; it has {names}")
+        raise _no_parameter(model, "--initial", sorted(unknown)[0])
     for name, value in initial.items():
         try:
             model = model.with_values({name: value})

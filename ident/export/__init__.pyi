@@ -1,4 +1,6 @@
 from .codegen import prefix as prefix
+from .conditions import chosen_conditions as chosen_conditions
+from .conditions import conditions_text as conditions_text
 from .formats import export as export
 from .formats import file_name as file_name
 from .linearisation import Bode as Bode
@@ -7,4 +9,5 @@ from .linearisation import LinearModel as LinearModel
 from .linearisation import linearise as linearise
 from .linearisation import pole_text as pole_text
 from .linearisation import side_inputs as side_inputs
+from .state_feedback import StateFeedback as StateFeedback
 from .steady_motion import steady_motion as steady_motion

@@ -42,6 +42,7 @@ def write(content: Content) -> str:
     """
     guard = f"{content.name.upper()}_MODEL_H"
     head = [*header(content, "C99"), "", f"{content.name}_advance has one value for each physical input."]
+    head.append(f"{content.name}_inputs gives u from one value for each physical input, without a past.")
     head = [line.replace("*/", "* /").replace("/*", "/ *") for line in head]
     return "\n".join(
         [
@@ -122,6 +123,8 @@ def _history_lines(content: Content) -> list[str]:
         array("int", "shaft", [k in past.shafts for k in range(n)], "1: the input work depends on a physical input"),
         f"#define {name}_MAX_STEP {past.max_step!r} /* longest step of the integration [s]; longer ones are divided */",
         f"#define {name}_WORK_UNIT {WORK_UNIT!r} /* s */",
+        f"#define {name}_TIME {content.late[0]!r} /* default of the input t: the end of the fitted data [s] */",
+        f"#define {name}_WORK {content.late[1]!r} /* default of the input work: the end of the fitted data */",
         f"#define {name}_LONGEST_DELAY_US {math.ceil(max(past.longest, default=0.0) * 1e6 - 1e-3)} /* microseconds */",
     ]
 

@@ -5,6 +5,15 @@ the prefix of the model. `seatrial.ident.export.c` writes the constants before t
 """
 
 SIMULATION = """
+/* Inputs u of NAME_f, NAME_h and NAME_step for physical inputs that are and were constant.
+   A delayed input has the present value. Time and work are NAME_TIME and NAME_WORK. */
+static inline void NAME_inputs(const double inputs[], double u[])
+{
+    int i;
+    for (i = 0; i < NAME_NU; i++)
+        u[i] = NAME_source[i] == -1 ? NAME_TIME : NAME_source[i] == -2 ? NAME_WORK : inputs[NAME_source[i]];
+}
+
 /* Simulation with one value for each physical input. It keeps the past of the inputs in a ring buffer.
    The shortest step sets the size of the buffer. Define another value before you include this file. */
 #ifndef NAME_SHORTEST_DT_US
@@ -34,7 +43,8 @@ typedef struct {
 } NAME_simulation;
 
 /* Start at time zero with the states x, and with physical inputs that were constant before.
-   A null pointer for x or inputs means zeros, and for p NAME_parameters. */
+   A null pointer for x or inputs means zeros, and for p NAME_parameters.
+   For another start, set sim->t and sim->work after it, for example to NAME_TIME and NAME_WORK. */
 static inline void NAME_init(NAME_simulation *sim, const double x[], const double inputs[], const double p[])
 {
     int i, k;

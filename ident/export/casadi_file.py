@@ -51,6 +51,15 @@ def make_step(dt, hold=None):
     return ca.Function("NAME_advance", [z, u, _p], [z_next], ["z", "u", "p"], ["z_next"]), names
 
 
+def inputs_from(inputs, t=TIME, work=WORK):
+    """Return the inputs u of f, h and step for physical inputs that are and were constant, numbers or symbols.
+
+    A delayed input has the present value. The defaults of t and work are those of the end of the fitted data.
+    """
+    values = [*(inputs[k] for k in range(len(PHYSICAL_INPUTS))), work, t]
+    return ca.vertcat(*(values[source] for source in SOURCES))
+
+
 def make_outputs(dt, hold=None):
     """Return the function outputs(z, u, p) -> y: the outputs at the start of a step of make_step(dt, hold)."""
     z, u, _, values, parts = _with_history(dt, hold)
@@ -58,9 +67,12 @@ def make_outputs(dt, hold=None):
     return ca.Function("NAME_outputs", [z, u, _p], [y], ["z", "u", "p"], ["y"])
 
 
-def initial_state(dt, x=None, inputs=None, hold=None):
-    """Return the initial z of make_step(dt, hold), for physical inputs that were constant before; zero by default."""
-    computed = [0.0 for source in (-1, -2) if source in SOURCES]
+def initial_state(dt, x=None, inputs=None, hold=None, t=0.0, work=0.0):
+    """Return the initial z of make_step(dt, hold), for physical inputs that were constant before; zero by default.
+
+    t and work are zero at the start of a log. TIME and WORK are those of the end of the fitted data.
+    """
+    computed = [value for source, value in ((-1, t), (-2, work)) if source in SOURCES]
     before = [0.0] * len(PHYSICAL_INPUTS) if inputs is None else inputs
     past = [value for value, n in zip(before, _plan(dt, hold)[1]) for _ in range(n - 1)]
     return [*([0.0] * len(STATES) if x is None else x), *computed, *past]
@@ -107,6 +119,7 @@ def write(content: Content) -> str:
         f"Run this file to save them: python FILE [FOLDER] writes {content.name}_f.casadi, {content.name}_h.casadi and",
         f"{content.name}_step.casadi. casadi.Function.load reads them without this file, also in C++ and Matlab.",
         "make_step(dt) returns a step with one value for each physical input, whose states include the past inputs.",
+        "inputs_from(inputs) returns u for f, h and step from one value for each physical input, without a past.",
     ]
     return "\n".join(
         [

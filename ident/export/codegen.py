@@ -25,6 +25,7 @@ from scipy.linalg import solve_continuous_lyapunov
 from seatrial.ident.data import TIME_INPUT, WORK_INPUT, WORK_UNIT
 from seatrial.ident.engine import VectorisedModel
 from seatrial.ident.estimation import SavedModel, thrust_scale_of
+from seatrial.ident.export.conditions import late_values
 from seatrial.ident.export.history import TIME, WORK, History, history_of
 from seatrial.ident.model import Input, Model, Parameter, ParameterRole, Signals, State
 from seatrial.ident.numerics import Array
@@ -126,6 +127,16 @@ class Content:
     def programs(self) -> tuple[Program, Program]:
         """Two programs: the first computes the rates of the states, the second the outputs. Computed once."""
         return programs(self.model, [*self.symbols, [f"out_{n}" for n in self.outputs]])
+
+    @property
+    def late(self) -> tuple[float, float]:
+        """Default time [s] and work of the functions without a past: those of the end of the data, after all changes.
+
+        Both are zero for a model that does not have them as inputs.
+        """
+        values, needed = late_values(self.model, self.saved.validity), {i.name for i in self.model.inputs}
+        time, work = (values[n] if n in needed else 0.0 for n in (TIME_INPUT, WORK_INPUT))
+        return time, work
 
     @property
     def angles(self) -> tuple[str, ...]:
@@ -411,13 +422,20 @@ def _physical_input_lines(content: Content) -> list[str]:
     They state the interpolation of each physical input, whether time and work are computed, and how a negative delay is
     handled. The list is empty if there are neither physical inputs nor computed ones.
     """
-    lines = ["", "Physical inputs, from which the inputs u are computed:"]
+    lines = ["", "Physical inputs: only these have to be given. The inputs u are computed from them:"]
     for name, signal, hold in zip(content.physical_inputs, content.history.inputs, content.holds, strict=True):
         between = "linear between its samples" if hold == "linear" else "each value is held until the next one"
         lines.append(f"  {name} {_unit_text(signal.unit)}, {between}")
     computed = [n for n, s in (("the time", TIME), ("the work", WORK)) if s in content.history.sources]
     if computed:
         lines.append(f"  {' and '.join(computed)} since the start {'are' if len(computed) > 1 else 'is'} computed, too")
+        time, work = content.late
+        known = [f"{time:.6g} s"] * (TIME in content.history.sources)
+        known += [f"a work of {work:.6g}"] * (WORK in content.history.sources)
+        lines.append(
+            f"  (from zero in a simulation; without a past the default is the end of the data, {known[0]}"
+            f"{' and ' + known[1] if len(known) > 1 else ''})"
+        )
     if min(content.history.delays, default=0.0) < 0.0:
         lines.append("  a later value (a negative delay) is not known, and is taken as equal to the present value")
     return lines if len(lines) > 2 else []

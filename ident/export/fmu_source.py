@@ -101,6 +101,7 @@ static void restart(State *state)
 {
     int i;
     NAME_init(&state->sim, state->start, state->before, state->p);
+    state->sim.t = state->start_time; /* the input t is the time of the experiment */
     for (i = 0; i < NAME_NIN; i++) state->sim.linear[i] = 0;
 }
 

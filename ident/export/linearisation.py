@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from seatrial.daq.errors import SeatrialError, closest_name
 from seatrial.ident.estimation import PARAMETER_STEP, ParameterCovariance, principal_directions
 from seatrial.ident.export.codegen import without_nuisance
+from seatrial.ident.export.conditions import chosen_conditions, conditions_text
 from seatrial.ident.export.rates import Rates
+from seatrial.ident.export.state_feedback import StateFeedback, lqr
 from seatrial.ident.model import COMMAND, SHAFT_SPEED, THRUSTER_FORCE, Model, is_of_thruster
 from seatrial.ident.numerics import Array
 
@@ -22,6 +24,7 @@ CORRECTIONS = 6  # steps of the search for the operating point of moved estimate
 CONSTANTS, LONGEST_S, TIMES = 4.0, 60.0, 200  # length of a response in time constants and in s, and its points
 DECADE, FREQUENCIES = 10.0, 300  # reach of a frequency response beyond the poles, as a factor, and its points
 HALF_POWER = np.sqrt(0.5)  # -3 dB
+EQUAL_STEPS = 1e-13  # of the longest time, by which two steps of time may differ and still count as equal
 STATIC = 1e-6  # poles below this part of the largest one are integrators, which have no corner frequency
 
 Complex = NDArray[np.complex128]
@@ -104,6 +107,9 @@ class LinearModel:
     moved : tuple of LinearModel
         Linear models with moved estimates: by 0.05 standard errors along each principal direction of their covariance.
         Standard errors are computed from them. Empty if the covariance is unknown.
+    conditions : dict of str to float
+        Conditions on which the model depends, and which the linear model takes as constant: time ``t`` [s] since the
+        start of a run, ``work`` of the thrusters, place ``x`` and ``y`` [m], heading ``psi`` [rad]. Often empty.
     """
 
     speed: float
@@ -116,6 +122,7 @@ class LinearModel:
     delays: Mapping[str, float]
     units: Mapping[str, str]
     moved: tuple[LinearModel, ...] = ()
+    conditions: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def poles(self) -> Complex:
@@ -132,8 +139,8 @@ class LinearModel:
         return np.where(real == 0.0, np.inf, -1.0 / np.where(real == 0.0, 1.0, real))
 
     @property
-    def time_constant_errors(self) -> Array:
-        """Standard errors (n,) [s] of the time constants, in their order, from the errors of the estimates.
+    def pole_errors(self) -> Array:
+        """Standard errors (n,) [1/s] of the real parts of the poles, in their order, from the errors of the estimates.
 
         NaN if those are unknown, and if poles coincide, so that they have no derivative.
         """
@@ -142,7 +149,28 @@ class LinearModel:
             return np.full(len(poles), np.nan)
         left = np.linalg.inv(right)
         moves = [np.einsum("ij,jk,ki->i", left, m.A - self.A, right).real for m in self.moved]
-        return self.error_of(np.zeros(len(poles)), moves) * np.square(self.time_constants)
+        return self.error_of(np.zeros(len(poles)), moves)
+
+    @property
+    def time_constant_errors(self) -> Array:
+        """Standard errors (n,) [s] of the time constants, in their order, from the errors of the estimates.
+
+        NaN if those are unknown, and if poles coincide, so that they have no derivative.
+        """
+        return self.pole_errors * np.square(self.time_constants)
+
+    @property
+    def course_pole(self) -> int | None:
+        """Index in `poles` of the least stable pole of sway and yaw; None if there is none.
+
+        A pole belongs to sway and yaw if these states have more than half of its participation factors. These are the
+        products of its left and right eigenvectors by state (Perez-Arriaga, Verghese and Schweppe 1982).
+        """
+        poles, right = self._modes
+        of = [k for k, name in enumerate(self.states) if name in ("v", "r")]
+        share = np.abs(np.linalg.pinv(right) * right.T)
+        found = np.flatnonzero(share[:, of].sum(axis=1) > 0.5 * share.sum(axis=1))
+        return int(found[np.argmax(poles.real[found])]) if found.size else None
 
     @property
     def stable(self) -> bool:
@@ -183,16 +211,14 @@ class LinearModel:
         KeyError
             If the model has no such input.
         """
-        from scipy.linalg import expm  # imported here, as it takes 0.3 s
-
-        at, n = np.asarray(self.times if t is None else t, dtype=float), len(self.states)
-        found = np.zeros((at.size, n))
+        at = np.asarray(self.times if t is None else t, dtype=float)
+        columns: dict[float, Array] = {}  # inputs with the same dead time have one column of B
         for name, weight in self._weights(inputs).items():
-            # The exponential of the system with the constant input as a further state; A may be singular.
-            whole = np.zeros((n + 1, n + 1))
-            whole[:n, :n], whole[:n, n] = self.A, self.B[:, self.inputs.index(name)]
-            since = np.maximum(at - self.delays.get(name, 0.0), 0.0)
-            found += weight * expm(since[:, None, None] * whole)[:, :n, n]
+            delay = self.delays.get(name, 0.0)
+            columns[delay] = columns.get(delay, 0.0) + weight * self.B[:, self.inputs.index(name)]
+        found = np.zeros((at.size, len(self.states)))
+        for delay, b in columns.items():
+            found += _response_to_a_step(self.A, b, np.maximum(at - delay, 0.0))
         return {state: found[:, k] for k, state in enumerate(self.states)}
 
     def frequency_response(self, inputs: Inputs, frequency: Array | None = None) -> dict[str, Complex]:
@@ -276,6 +302,28 @@ class LinearModel:
         found: Array = np.sqrt(np.sum([((m - value) / PARAMETER_STEP) ** 2 for m in moved], axis=0))
         return found
 
+    def lqr(self, Q: Mapping[str, float], R: Mapping[str, float] | None = None) -> StateFeedback:
+        """Return the linear quadratic regulator (LQR) of the model, with the weights of its states by name.
+
+        The feedback minimises the integral of ``sum of Q e^2 + sum of R (u - u0)^2`` over time, with the errors ``e``
+        of the states. The dead time of the inputs is not part of the design: choose poles that are slow beside it.
+
+        Parameters
+        ----------
+        Q : dict of str to float
+            Weights of the states by name, at least 0. A state without a weight, such as that of a shaft, has 0. The
+            heading ``psi`` is a further state (the integral of ``r``) if it has a weight above 0.
+        R : dict of str to float, optional
+            Weights of the inputs by name, above 0. An input without a weight has 1.
+
+        Raises
+        ------
+        SeatrialError
+            If there is no state or input of a name, if a weight is not allowed, or if no feedback with these weights
+            makes the motion stable.
+        """
+        return lqr(self, Q, R or {})
+
     def responding(self, inputs: Inputs) -> tuple[str, ...]:
         """Return the names of the states that respond to the inputs, in the order of `states`."""
         found, size = self.frequency_response(inputs), self._sizes(inputs)
@@ -332,9 +380,36 @@ class LinearModel:
         how = "stable" if self.stable else "not stable: a pole has no negative real part"
         lines = [f"<Linearisation at {self.speed:g} m/s, {how}>", f"states {', '.join(self.states)}"]
         lines.append(f"inputs {', '.join(self.inputs)}")
+        if self.conditions:
+            lines.append(f"taken as constant: {conditions_text(self.conditions)}")
         for pole, constant in zip(self.poles, self.time_constants, strict=True):
             lines.append(f"pole {pole_text(pole)} 1/s, time constant {constant:.4g} s")
         return "\n".join(lines)
+
+
+def _response_to_a_step(A: Array, b: Array, since: Array) -> Array:
+    """Return the states (n_times, n) of ``dx/dt = A x + b`` at the times ``since`` [s] (n_times,), from zero.
+
+    The state is propagated from each time to the next one with the matrix exponential of their distance. Times at equal
+    distances need one exponential. A may be singular.
+    """
+    from scipy.linalg import expm  # imported here, as it takes 0.3 s
+
+    n = len(A)
+    whole = np.zeros((n + 1, n + 1))  # the constant input is a further state
+    whole[:n, :n], whole[:n, n] = A, b
+    times, place = np.unique(since, return_inverse=True)
+    unit = EQUAL_STEPS * max(float(times[-1]), 1e-9) if times.size else 1.0
+    known: dict[int, Array] = {0: np.eye(n + 1)}
+    states, z = np.zeros((times.size, n)), np.append(np.zeros(n), 1.0)
+    for k, step in enumerate(np.diff(times, prepend=0.0)):
+        size = round(step / unit)
+        if size not in known:
+            known[size] = expm(step * whole)
+        z = known[size] @ z
+        states[k] = z[:n]
+    found: Array = states[place.reshape(-1)]
+    return found
 
 
 def side_inputs(names: Sequence[str]) -> list[str]:
@@ -353,12 +428,18 @@ def pole_text(pole: complex) -> str:
     return f"{pole.real:.4g}" + (f" {pole.imag:+.4g}j" if pole.imag else "")
 
 
-def linearise(model: Model, speed: float, known: ParameterCovariance | None = None) -> LinearModel:
+def linearise(
+    model: Model,
+    speed: float,
+    known: ParameterCovariance | None = None,
+    conditions: Mapping[str, float] | None = None,
+) -> LinearModel:
     """Linearise a fitted model about straight motion at a forward speed in still water.
 
     The operating point is found first: the inputs, the sway speed and the shafts for which speed and yaw rate (zero)
     stay. If one thruster is weaker, the inputs differ. Disturbance forces and sensor errors are left out. Delayed
-    copies of an input count as the input itself.
+    copies of an input count as the input itself. Time, work of the thrusters, place and heading are no inputs: they are
+    constant.
 
     Parameters
     ----------
@@ -368,15 +449,20 @@ def linearise(model: Model, speed: float, known: ParameterCovariance | None = No
         Forward speed through the water [m/s], not zero: at rest the quadratic terms have no slope.
     known : ParameterCovariance, optional
         Covariance of the estimates, for the standard errors of the responses. None: they are NaN.
+    conditions : mapping, optional
+        Values of ``t``, ``work``, ``x``, ``y`` and ``psi`` by name; a missing one has the default of
+        `chosen_conditions`.
 
     Raises
     ------
     SeatrialError
-        If the model has no forward speed, if ``speed`` is zero or not finite, or if no operating point is found with
-        shaft speeds and commands (inputs ``n_...``) from -1 to 1. Forces have no limit.
+        If the model has no forward speed, if ``speed`` is zero or not finite, if there is no condition of a name, or if
+        no operating point is found with shaft speeds and commands (inputs ``n_...``) from -1 to 1. Forces have no
+        limit.
     """
     reduced, _ = without_nuisance(model)
-    rates = Rates(reduced)
+    constant = chosen_conditions(reduced, at=conditions)
+    rates = Rates(reduced, conditions=constant)
     if "u" not in rates.names:
         raise SeatrialError(
             f"model {model.name} has no forward speed u among its states, so it has no such operating point; "
@@ -398,7 +484,7 @@ def linearise(model: Model, speed: float, known: ParameterCovariance | None = No
         A, B = (f(x[None], u[None], values)[0] for f in (rates.by_states, rates.by_inputs))
         named = dict(zip(reduced.values, values, strict=True))
         delays = {i: float(named["tau_n"]) for i in rates.inputs if "tau_n" in named and i in rates.delayed}
-        return LinearModel(speed, rates.names, rates.inputs, A, B, x, u, delays, units, moved)
+        return LinearModel(speed, rates.names, rates.inputs, A, B, x, u, delays, units, moved, constant)
 
     found = []
     for values in principal_directions(reduced, rates.values, _of_parameters(known, rates.parameters)):

@@ -62,7 +62,8 @@ def write(content: Content) -> str:
         | {n for n in FUNCTION_CALL.findall(body) if n in _math_functions()}
         | {n for n in ("inf", "nan") if re.search(rf"\b{n}\b", limits + body)}
     )
-    head = [*header(content, "Python"), "", "Simulation has one value for each physical input and keeps their past."]
+    about = "Simulation has one value for each physical input and keeps their past; inputs_from gives u without a past."
+    head = [*header(content, "Python"), "", about]
     parts = [*("# " + line if line else "#" for line in head), ""]
     parts += ["from difflib import get_close_matches", f"from math import {', '.join(imported)}", ""]
     return "\n".join([*parts, *constants(content), limits, "", body])
@@ -134,6 +135,7 @@ def constants(content: Content) -> list[str]:
         f"    {_tuple_text([i.prefilter for i in past.inputs])},",
         f"    {_tuple_text([i.angle for i in past.inputs])},",
         ")",
+        f"TIME, WORK = {content.late!r}  # defaults of the inputs t [s] and work of inputs_from: the end of the data",
         *([f"THRUST_CURVE = {content.thrust_curve!r}  # c1, c2 [N]"] if content.thrust_curve else []),
         f"_SHAFTS, WORK_UNIT = {_tuple_text(past.shafts)}, {WORK_UNIT!r}  # work is the integral of |n|^3 / WORK_UNIT",
     ]

@@ -108,6 +108,9 @@ class Simulation:
     hold : "zero" or "linear", optional
         Physical inputs between their samples: constant from the start of a step, or on a straight line to the value
         that is reached at its end. By default the hold of the fit, HOLDS.
+    t, work : float
+        Time [s] and work at the start; zero by default, as at the start of a log. TIME is that of the end of the data,
+        after a change such as that of a payload.
 
     Attributes
     ----------
@@ -123,16 +126,16 @@ class Simulation:
         methods check their values in the same way.
     """
 
-    def __init__(self, dt, x=None, p=P, inputs=None, hold=None):
+    def __init__(self, dt, x=None, p=P, inputs=None, hold=None, t=0.0, work=0.0):
         _check_parameters(p)
         self.dt, self.p = dt, p
         self._linear, self._counts, self._parts = _plan(dt, hold)
-        self.reset(x, inputs)
+        self.reset(x, inputs, t, work)
 
-    def reset(self, x=None, inputs=None):
-        """Start again, with these states and with these physical inputs before the start; zero by default."""
+    def reset(self, x=None, inputs=None, t=0.0, work=0.0):
+        """Start again, with these states, physical inputs before the start, time and work; zero by default."""
         before = _inputs(inputs)
-        self.x, self.t, self.work = _numbers(x, STATES, "states"), 0.0, 0.0
+        self.x, self.t, self.work = _numbers(x, STATES, "states"), _number("t", t), _number("work", work)
         self._latest, self._past = before, [[value] * (n - 1) for value, n in zip(before, self._counts)]
 
     def step(self, inputs):
@@ -160,6 +163,15 @@ class Simulation:
         values = _with_past(inputs, self._past, self._linear)
         work = self.work + self.dt * _power(values, self._linear)
         return [*values, [self.work, work], [self.t, self.t + self.dt]]
+
+
+def inputs_from(inputs, t=TIME, work=WORK):
+    """Return the inputs u of f, h and step for physical inputs that are and were constant, in their order.
+
+    A delayed input has the present value. The defaults of t and work are those of the end of the fitted data.
+    """
+    values = [*_inputs(inputs), _number("work", work), _number("t", t)]
+    return [values[source] for source in SOURCES]
 
 
 def _numbers(values, names, what):

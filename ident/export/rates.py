@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from seatrial.ident.engine import VectorisedModel
+from seatrial.ident.export.conditions import COMPUTED, POSE
 from seatrial.ident.model import Model
 from seatrial.ident.numerics import Array
 
-POSE = ("x", "y", "psi")  # integrals of the velocities, on which the dynamics in still water do not depend
 CURRENT = ("V_x", "V_y")
 DIFFERENCE_STEP = 1e-5  # step of the central differences, in the unit of each state and input
 
@@ -18,14 +18,15 @@ DIFFERENCE_STEP = 1e-5  # step of the central differences, in the unit of each s
 class Rates:
     """Rates of the dynamic states of a model for many rows of states and inputs, in still water.
 
-    Position, heading, the current and the states that are held are zero. Delayed copies of an input have its value.
+    The current and the states that are held are zero. Delayed copies of an input have its value. Time, work, position
+    and heading have constant values (`seatrial.ident.export.conditions`).
 
     Attributes
     ----------
     names : tuple of str
         Names of the n dynamic states.
     inputs : tuple of str
-        Names of the m inputs, without their delayed copies.
+        Names of the m inputs, without their delayed copies, the time and the work.
     delayed : frozenset of str
         Inputs that have delayed copies.
     parameters : tuple of str
@@ -34,15 +35,23 @@ class Rates:
         Values of all parameters in the order of the model, with a current of zero.
     """
 
-    def __init__(self, model: Model, held: tuple[str, ...] = ()) -> None:
-        """Set up the rates of a model without nuisance states. The states ``held`` are zero and have no rate."""
+    def __init__(self, model: Model, held: tuple[str, ...] = (), conditions: Mapping[str, float] | None = None) -> None:
+        """Set up the rates of a model without nuisance states. The states ``held`` are zero and have no rate.
+
+        ``conditions`` are the values of time, work, position and heading by name; a missing one is zero.
+        """
         self.names = tuple(s.name for s in model.states if s.name not in (*POSE, *held))
-        self.inputs = tuple(i.name for i in model.inputs if not i.tap)
+        self.inputs = tuple(i.name for i in model.inputs if not i.tap and i.name not in COMPUTED)
         self.delayed = frozenset(i.tap_of for i in model.inputs if i.tap)
         self.parameters = tuple(n for n in model.values if n not in CURRENT)
         self._at = [k for k, s in enumerate(model.states) if s.name in self.names]
-        self._own = [self.inputs.index(i.tap_of if i.tap else i.name) for i in model.inputs]
-        self._size, self._all = len(model.states), list(model.values)
+        fixed = conditions or {}
+        self._rest = np.array([fixed.get(s.name, 0.0) if s.name in POSE else 0.0 for s in model.states])
+        self._own = [j for j, i in enumerate(model.inputs) if i.name not in COMPUTED]
+        own = (model.inputs[j] for j in self._own)
+        self._source = [self.inputs.index(i.tap_of if i.tap else i.name) for i in own]
+        self._constant = np.array([fixed.get(i.name, 0.0) if i.name in COMPUTED else 0.0 for i in model.inputs])
+        self._all = list(model.values)
         self.values = np.array([0.0 if n in CURRENT else v for n, v in model.values.items()])
         self._rowwise = VectorisedModel(model)
 
@@ -51,9 +60,9 @@ class Rates:
 
         ``values`` (n_parameters,) replace the parameter values of the model.
         """
-        whole = np.zeros((len(x), self._size))
-        whole[:, self._at] = x
-        found: Array = self._rowwise(whole, u[:, self._own], self.values if values is None else values)
+        whole, inputs = np.tile(self._rest, (len(x), 1)), np.tile(self._constant, (len(x), 1))
+        whole[:, self._at], inputs[:, self._own] = x, u[:, self._source]
+        found: Array = self._rowwise(whole, inputs, self.values if values is None else values)
         return found[:, self._at]
 
     def by_states(self, x: Array, u: Array, values: Array | None = None) -> Array:

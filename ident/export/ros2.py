@@ -25,7 +25,6 @@ def write(content: Content) -> str:
         rows.append(f"effects: {_quoted_list(content.effects)}")
     for kind, names, part in (
         ("state", content.states, content.model.states),
-        ("input", content.inputs, content.model.inputs),
         ("output", content.outputs, content.model.outputs),
     ):
         if names:
@@ -33,16 +32,26 @@ def write(content: Content) -> str:
     past = content.history
     if past.inputs:
         rows += [
+            "# A node gives only the physical inputs.",
             f"physical_inputs: {_quoted_list(content.physical_inputs)}",
             f"physical_input_units: {_quoted_list(i.unit for i in past.inputs)}",
             f"physical_input_holds: {_quoted_list(content.holds)}",
         ]
     if past.sources:
+        rows += [
+            "# The inputs of the equations follow from them: input k is input_sources[k] of input_delays[k] seconds",
+            "# ago. Without a past, it is the present value.",
+            f"inputs: {_quoted_list(content.inputs)}",
+            f"input_units: {_quoted_list(i.unit for i in content.model.inputs)}",
+        ]
         sources = [{TIME: TIME_INPUT, WORK: WORK_INPUT}.get(k) or content.physical_inputs[k] for k in past.sources]
         rows += [
             f"input_sources: {_quoted_list(sources)}",
             f"input_delays: [{', '.join(map(_number_text, past.delays))}]  # of each input behind its source, s",
         ]
+    for source, name, value in zip((TIME, WORK), (TIME_INPUT, WORK_INPUT), content.late, strict=True):
+        if source in past.sources:
+            rows.append(f"default_{name}: {_number_text(value)}  # of the input {name}: the end of the fitted data")
     rows.append(f"max_step: {_number_text(past.max_step)}  # of the integration, s")
     if content.angles:
         rows.append(f"angles: {_quoted_list(content.angles)}")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from seatrial.ident.export.codegen import without_nuisance
+from seatrial.ident.export.conditions import chosen_conditions
 from seatrial.ident.export.rates import Rates
 from seatrial.ident.model import Model
 from seatrial.ident.numerics import Array
@@ -48,6 +50,7 @@ def steady_motion(
     names: tuple[str, ...] = (),
     covariance: Array | None = None,
     held: tuple[str, ...] = (),
+    conditions: Mapping[str, float] | None = None,
 ) -> SteadyMotion:
     """Return the motions of a model that are steady in still water at constant inputs.
 
@@ -59,13 +62,15 @@ def steady_motion(
     model : Model
         Model with its estimates as values.
     u : Array (n_rows, m)
-        Inputs of each motion: those of the model without delayed copies, in the order of the model.
+        Inputs of each motion: those of the model without delayed copies, time and work, in the order of the model.
     names : tuple of str
         Names of the estimates that ``covariance`` belongs to. Estimates of one record (``V_x@0``) are left out.
     covariance : Array (n_names, n_names), optional
         Covariance of the estimates; rows of NaN count as zero. None: the errors are NaN.
     held : tuple of str
         States that are held at zero, for example ``("v", "r")`` for straight motion. They are not in the result.
+    conditions : mapping, optional
+        Constant values of time, work, place and heading by name; a missing one has the default of `chosen_conditions`.
 
     Notes
     -----
@@ -73,7 +78,7 @@ def steady_motion(
     which ends as Newton's method. The errors are those of the implicit function theorem: ``dx/dp = -J^-1 df/dp``.
     """
     reduced, _ = without_nuisance(model)
-    rates, u = Rates(reduced, held), np.atleast_2d(u)
+    rates, u = Rates(reduced, held, chosen_conditions(reduced, at=conditions)), np.atleast_2d(u)
     n = len(rates.names)
     x = np.zeros((len(u), n))
     step = FIRST_STEP_S

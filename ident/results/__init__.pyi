@@ -1,4 +1,5 @@
 from .answers import check_warnings as check_warnings
+from .answers import course_sentence as course_sentence
 from .answers import curve_notes as curve_notes
 from .answers import curve_warnings as curve_warnings
 from .answers import design_warnings as design_warnings
@@ -77,6 +78,7 @@ from .parts import Candidate as Candidate
 from .parts import CommonErrorsRow as CommonErrorsRow
 from .parts import Correlation as Correlation
 from .parts import CorrelationTest as CorrelationTest
+from .parts import CourseStability as CourseStability
 from .parts import CrossCorrelationRow as CrossCorrelationRow
 from .parts import CurvesFile as CurvesFile
 from .parts import DetectableEffect as DetectableEffect

@@ -28,6 +28,7 @@ from seatrial.ident.estimation import (
 from seatrial.ident.model import Model
 from seatrial.ident.results.parts import (
     Calibrations,
+    CourseStability,
     CrossCorrelationRow,
     Errors,
     PredictionChangeRow,
@@ -761,6 +762,27 @@ def curve_notes(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) -> 
             f"neighbours: {shown}. Repeat these levels if this matters."
         )
     return notes
+
+
+def course_sentence(course: CourseStability | None) -> str:
+    """Return the sentence on a boat that is directionally unstable, with the time constant and its 95 % interval.
+
+    If the interval of the pole contains zero, the sentence says that the boat is not distinguishable from a stable one.
+    The text is empty for a stable estimate and for None.
+    """
+    if course is None or not course.unstable:
+        return ""
+    begin = f"At {course.speed:.3g} m/s the boat is directionally unstable"
+    grows = f"without a controller a small yaw rate grows by a factor of e in {1.0 / course.pole:.3g} s"
+    if course.low is None or course.high is None:
+        return f"{begin}: {grows} (the 95 % interval is unknown)."
+    fastest = f"{1.0 / course.high:.3g}"
+    if course.distinguishable:
+        return f"{begin}: {grows} (95 % interval: {fastest} to {1.0 / course.low:.3g} s)."
+    return (
+        f"{begin} by the estimate, but not distinguishable from a stable boat: {grows} (95 % interval: from a growth "
+        f"in {fastest} s to a decay in {-1.0 / min(course.low, -1e-9):.3g} s)."
+    )
 
 
 def homogeneity_sentence(a: HomogeneityTest) -> str:

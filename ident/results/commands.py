@@ -20,6 +20,7 @@ from seatrial.ident.numerics import Array
 from seatrial.ident.results.answers import (
     calibration_notes,
     check_warnings,
+    course_sentence,
     estimation_warnings,
     failed_run_warnings,
     faults_first,
@@ -134,7 +135,9 @@ def vehicle_result(
     searchable = bool(residuals_of(evaluation.model))
     prediction = prediction_fit(evaluation)
     fit_answer = vehicle_answer(prediction, errors, evaluation.horizon, residuals, cross, searchable=searchable)
-    answer = not_converged(fitted.fit) or " ".join([fit_answer, *(homogeneity_sentence(a) for a in homogeneity)])
+    course = course_sentence(posed.dynamics.course if posed.dynamics else None)
+    sentences = [fit_answer, course, *(homogeneity_sentence(a) for a in homogeneity)]
+    answer = not_converged(fitted.fit) or " ".join(filter(None, sentences))
     uncertainty = None if posed.assessment is None else posed.assessment.uncertainty
     return VehicleResult(
         **msgspec.structs.asdict(made),

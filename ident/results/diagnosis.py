@@ -31,6 +31,7 @@ from seatrial.ident.results.answers import (
     calibration_notes,
     change_sentence,
     check_warnings,
+    course_sentence,
     failed_run_warnings,
     faults_first,
     frames_assumed,
@@ -103,9 +104,11 @@ def diagnosis_result(
     failed = not_converged(diagnosis.before.fit) or not_converged(diagnosis.after.fit)
     calibration = calibration_tables(after)
     recommended = recommended_experiment(diagnosis)
+    answer = "" if failed else diagnosis_answer(diagnosis, prediction, after.horizon)
+    course = course_sentence(dynamics.course if dynamics else None)
     return DiagnosisResult(
         **msgspec.structs.asdict(made),
-        answer=faults_first(made) + (failed or diagnosis_answer(diagnosis, prediction, after.horizon)),
+        answer=faults_first(made) + (failed or " ".join(filter(None, [answer, course]))),
         caveat=None if failed else diagnosis_caveat(diagnosis),
         prediction=prediction,
         converged_before=diagnosis.before.fit.converged,

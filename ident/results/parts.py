@@ -794,6 +794,25 @@ class FrequencyResponse(Part, frozen=True, kw_only=True):
         same_length(self, "frequency", "gain", "gain_sd", "phase", "phase_sd")
 
 
+class CourseStability(Part, frozen=True, kw_only=True):
+    """Least stable pole of sway and yaw, at the speeds of the data: whether the boat holds a straight course."""
+
+    speed: Annotated[float, Meta(description="speed of the linear model [m/s]")]
+    pole: Annotated[float, Meta(description="real part of the pole [1/s]; above zero: directionally unstable")]
+    low: Annotated[float | None, Meta(description="lower end of the 95 % interval of `pole` [1/s]; null: unknown")]
+    high: Annotated[float | None, Meta(description="upper end of the 95 % interval of `pole` [1/s]; null: unknown")]
+
+    @property
+    def unstable(self) -> bool:
+        """Whether the estimate is unstable."""
+        return self.pole > 0.0
+
+    @property
+    def distinguishable(self) -> bool:
+        """Whether the interval is known and on one side of zero."""
+        return self.low is not None and self.high is not None and (self.low > 0.0 or self.high < 0.0)
+
+
 class Dynamics(Part, frozen=True, kw_only=True):
     """Steady motion, poles, step responses and frequency responses of a fitted model in still water."""
 
@@ -804,6 +823,13 @@ class Dynamics(Part, frozen=True, kw_only=True):
     delays: Annotated[dict[str, float], Meta(description="dead time of each input that has one [s]")] = msgspec.field(
         default_factory=dict
     )
+    conditions: Annotated[
+        dict[str, float],
+        Meta(description="conditions taken as constant: time `t` [s], `work`, place `x`, `y` [m], heading `psi` [rad]"),
+    ] = msgspec.field(default_factory=dict)
+    course: Annotated[
+        CourseStability | None, Meta(description="stability of a straight course; null: no pole of sway and yaw")
+    ] = None
 
 
 class VehicleResult(FitResult, frozen=True, kw_only=True, tag_field="kind", tag="vehicle"):

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from seatrial.daq.config import Mission, Prediction, Segment, dump_mission, parse_mission, save_mission
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.files import require_new
+from seatrial.ident.data import TIME_INPUT, WORK_INPUT
 from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import (
     RefittedEffect,
@@ -337,8 +338,8 @@ def beyond_validity(made: Design) -> list[str]:
     units |= {s.name: f" {s.unit}".rstrip() for s in task.model.states}
     found = []
     for name, (low, high) in task.validity.items():
-        if name not in reached:
-            continue
+        if name not in reached or name in (TIME_INPUT, WORK_INPUT):
+            continue  # a mission may be longer than the fitted logs
         least, most = reached[name]
         room = VALIDITY_MARGIN * (high - low)
         if least < low - room or most > high + room:

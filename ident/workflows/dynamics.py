@@ -8,17 +8,27 @@ from typing import Literal
 import numpy as np
 
 from seatrial.daq.errors import SeatrialError
+from seatrial.ident.data import TIME_INPUT, WORK_INPUT
 from seatrial.ident.estimation import Fit, FittedModel, ParameterCovariance
-from seatrial.ident.export import LinearModel, linearise, side_inputs, steady_motion
+from seatrial.ident.export import LinearModel, chosen_conditions, linearise, side_inputs, steady_motion
 from seatrial.ident.model import COMMAND, SHAFT_SPEED, Model, ModelKind, is_of_thruster
 from seatrial.ident.numerics import Array
-from seatrial.ident.results import Dynamics, FrequencyResponse, OperatingPoint, SteadyCurve, StepResponse, finite
+from seatrial.ident.results import (
+    CourseStability,
+    Dynamics,
+    FrequencyResponse,
+    OperatingPoint,
+    SteadyCurve,
+    StepResponse,
+    finite,
+)
 from seatrial.ident.workflows.output import validity
 
 POINTS = 41  # of a steady curve
 MEANS = (0.0, 0.5)  # means of both sides in turns, as parts of the largest command
 SPEEDS = (0.25, 0.5, 0.75, 1.0)  # speeds of the linear models, as parts of the largest steady speed
 COMMAND_STEP = 0.1  # size of the steps of the command, as a part of the largest command
+Z95 = 1.96  # half the width of a 95 % interval in standard errors
 UNKNOWN_GAIN = float(np.log(np.sqrt(2.0)))  # standard error of the logarithm of a gain that is unknown: 3 dB
 UNITS = {"u": "m/s", "v": "m/s", "r": "rad/s"}
 
@@ -43,20 +53,64 @@ def dynamics_of(fitted: FittedModel) -> Dynamics | None:
     if model.kind is not ModelKind.VEHICLE or not fit.converged or not {s.name for s in model.states} & {"u", "r"}:
         return None
     ranges, known = validity(fitted), covariance_of(fit)
-    curves = steady_curves(model, ranges, known)
+    conditions = chosen_conditions(model, ranges)
+    curves = steady_curves(model, ranges, known, conditions=conditions)
     reached = [np.nanmax(c.value) for c in curves if c.motion == "straight"]
-    linear = _linear_models(model, float(reached[0])) if reached else []
+    linear = _linear_models(model, float(reached[0]), conditions) if reached else []
     if not curves and not linear:
         return None
     drives, steps, responses = Drives(model, ranges), list[StepResponse](), list[FrequencyResponse]()
+    course = None
     if linear:
         middle = linear[(len(linear) - 1) // 2]
-        steps, responses = _steps(middle, drives), _responses(linearise(model, middle.speed, known), drives)
-    delays = dict(linear[0].delays) if linear else {}
+        steps = _steps(middle, drives)
+        responses = _responses(linearise(model, middle.speed, known, conditions), drives)
+        course = _course_stability(model, linear, ranges.get("u"), known, conditions)
     return Dynamics(
         steady=tuple(curves), points=tuple(_point(x) for x in linear), steps=tuple(steps), responses=tuple(responses),
-        delays=delays,
+        delays=dict(linear[0].delays) if linear else {}, conditions=dict(linear[0].conditions) if linear else {},
+        course=course,
     )  # fmt: skip
+
+
+def _course_stability(
+    model: Model,
+    linear: Sequence[LinearModel],
+    speeds: tuple[float, float] | None,
+    known: ParameterCovariance,
+    conditions: Mapping[str, float],
+) -> CourseStability | None:
+    """Return the least stable pole of sway and yaw of a model at the speeds of its data, with its 95 % interval.
+
+    Parameters
+    ----------
+    model : Model
+        The model, with its estimates as values.
+    linear : sequence of LinearModel
+        Linear models at several speeds. Those outside ``speeds`` are left out, unless all are.
+    speeds : tuple of float or None
+        Smallest and largest forward speed in the data [m/s]; None: unknown, so that all linear models count.
+    known : ParameterCovariance
+        Covariance of the estimates.
+    conditions : mapping
+        Conditions that the linear models take as constant.
+
+    Returns
+    -------
+    CourseStability or None
+        None if no linear model has a pole of sway and yaw.
+    """
+    low, high = speeds or (-np.inf, np.inf)
+    inside = [x for x in linear if low <= x.speed <= high] or linear
+    found = [(x.poles[k].real, x.speed) for x in inside if (k := x.course_pole) is not None]
+    if not found:
+        return None
+    at = linearise(model, max(found)[1], known, conditions)
+    k = at.course_pole
+    if k is None:
+        return None
+    real, half = float(at.poles[k].real), Z95 * float(at.pole_errors[k])
+    return CourseStability(speed=at.speed, pole=real, low=finite(real - half), high=finite(real + half))
 
 
 def covariance_of(fit: Fit) -> ParameterCovariance:
@@ -71,6 +125,7 @@ def steady_curves(
     known: ParameterCovariance,
     means: Sequence[float] = MEANS,
     points: int = POINTS,
+    conditions: Mapping[str, float] | None = None,
 ) -> list[SteadyCurve]:
     """Return the steady speed on a straight course, and the steady turn rate, of a vehicle model over its commands.
 
@@ -86,6 +141,8 @@ def steady_curves(
         Means of both sides in turns, as parts of the largest command.
     points : int
         Number of commands of each curve, which are evenly spaced. The curve of the speed has zero in addition.
+    conditions : mapping, optional
+        Constant values of time, work, place and heading by name. None: those of the end of the data (``ranges``).
 
     Returns
     -------
@@ -99,10 +156,11 @@ def steady_curves(
         return []
     curves: list[SteadyCurve] = []
     try:
+        held = chosen_conditions(model, ranges) if conditions is None else conditions
         if "u" in states:
-            curves.append(_straight(model, known, drives, points))
+            curves.append(_straight(model, known, drives, points, held))
         if "r" in states and drives.two_sided:
-            curves += [_turn(model, known, drives, mean * drives.high, points) for mean in means]
+            curves += [_turn(model, known, drives, mean * drives.high, points, held) for mean in means]
     except (ArithmeticError, np.linalg.LinAlgError, TypeError, ValueError):
         return []
     return [c for c in curves if np.isfinite(c.value).sum() > 2]
@@ -114,8 +172,8 @@ class Drives:
     Attributes
     ----------
     names : list of str
-        Names of all inputs of the model without delayed copies. Empty if none of them drives the boat, or if the range
-        of one that drives it is unknown.
+        Names of all inputs of the model without delayed copies, time and work. Empty if none of them drives the boat,
+        or if the range of one that drives it is unknown.
     low, high : float
         Common range of the driving inputs in the data; of shaft speeds and commands only the part from -1 to 1.
     two_sided : bool
@@ -126,7 +184,7 @@ class Drives:
 
     def __init__(self, model: Model, ranges: Mapping[str, tuple[float, float]]) -> None:
         """Find the driving inputs: those of both sides, or the only input. Others stay in the middle of their range."""
-        names = [i.name for i in model.inputs if not i.tap]
+        names = [i.name for i in model.inputs if not i.tap and i.name not in (TIME_INPUT, WORK_INPUT)]
         sides = side_inputs(names)
         self.two_sided = bool(sides)
         chosen = sides or (names if len(names) == 1 else [])
@@ -149,36 +207,41 @@ class Drives:
         return np.stack(columns, axis=1)
 
 
-def _straight(model: Model, known: ParameterCovariance, drives: Drives, points: int) -> SteadyCurve:
+def _straight(
+    model: Model, known: ParameterCovariance, drives: Drives, points: int, conditions: Mapping[str, float]
+) -> SteadyCurve:
     """Return the steady forward speed over the command of both sides, with sway and yaw rate held at zero."""
     zero = [0.0] if drives.low < 0.0 < drives.high else []
     command = np.union1d(np.linspace(drives.low, drives.high, points), zero)
     held = tuple(s.name for s in model.states if s.name in ("v", "r"))
-    found = steady_motion(model, drives.inputs(command, command), known.names, known.covariance, held)
+    u = drives.inputs(command, command)
+    found = steady_motion(model, u, known.names, known.covariance, held, conditions)
     value, sd = found.of("u")
     return SteadyCurve(
         motion="straight", quantity="u", unit="m/s", inputs=drives.driving, command=command, value=value, sd=sd
     )
 
 
-def _turn(model: Model, known: ParameterCovariance, drives: Drives, mean: float, points: int) -> SteadyCurve:
+def _turn(
+    model: Model, known: ParameterCovariance, drives: Drives, mean: float, points: int, conditions: Mapping[str, float]
+) -> SteadyCurve:
     """Return the steady yaw rate over half the difference of both sides, whose mean is ``mean``."""
     reach = min(drives.high - mean, mean - drives.low)
     command = np.linspace(-reach, reach, points)
     u = drives.inputs(mean + command, mean - command)
-    value, sd = steady_motion(model, u, known.names, known.covariance).of("r")
+    value, sd = steady_motion(model, u, known.names, known.covariance, conditions=conditions).of("r")
     return SteadyCurve(
         motion="turn", quantity="r", unit="rad/s", inputs=drives.driving, mean=mean, command=command, value=value, sd=sd
     )
 
 
-def _linear_models(model: Model, fastest: float) -> list[LinearModel]:
+def _linear_models(model: Model, fastest: float, conditions: Mapping[str, float]) -> list[LinearModel]:
     """Return the linear models at parts of the speed ``fastest`` [m/s]. A speed without one is left out."""
     found = []
     for part in SPEEDS:
         speed = float(f"{part * fastest:.2g}") if part < 1.0 else float(np.floor(fastest * 100.0) / 100.0)
         try:
-            found.append(linearise(model, speed))
+            found.append(linearise(model, speed, conditions=conditions))
         except (SeatrialError, ArithmeticError, np.linalg.LinAlgError, TypeError, ValueError):
             continue
     return found

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from seatrial.ident.data import TIME_INPUT, WORK_INPUT
 from seatrial.ident.estimation import Fit, FittedData, FittedModel, RefittedEffect, save_model
 from seatrial.ident.report import write_report
 from seatrial.ident.results import FitResult, write_result
@@ -65,8 +66,9 @@ def write_all(
 def validity(fitted: FittedModel) -> dict[str, tuple[float, float]]:
     """Return the range of each velocity state (``u``, ``v``, ``r``) and input in the estimation data, for model.toml.
 
-    The inputs are those that reports show (`shown_inputs`), for example without time and delayed taps. The range of a
-    state is from the 1 % to the 99 % quantile of its filtered values, that of an input from its minimum to its maximum.
+    The inputs are those that reports show (`shown_inputs`), for example without delayed taps, and the time ``t`` and
+    the ``work`` of the thrusters if the model needs them. The range of a state is from the 1 % to the 99 % quantile of
+    its filtered values, that of an input from its minimum to its maximum.
 
     Parameters
     ----------
@@ -85,7 +87,8 @@ def validity(fitted: FittedModel) -> dict[str, tuple[float, float]]:
         if state.name in ("u", "v", "r"):
             z = np.concatenate([v.run.x_filt[:, i] for v in views])
             found[state.name] = (float(np.percentile(z, 1)), float(np.percentile(z, 99)))
-    for j, name, _ in shown_inputs(fitted.model):
+    computed = [(j, i.name) for j, i in enumerate(fitted.model.inputs) if i.name in (TIME_INPUT, WORK_INPUT)]
+    for j, name in [*((j, name) for j, name, _ in shown_inputs(fitted.model)), *computed]:
         z = np.concatenate([v.record.u[:, j] for v in views])
         # A yaw rate can be both input and state; the range of the state is kept.
         found.setdefault(name, (float(z.min()), float(z.max())))

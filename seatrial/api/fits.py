@@ -459,13 +459,15 @@ class FittedResult(FitReport):
 class MotionMethods:
     """Steady motion and linear models of a boat, as methods of its fitted or loaded model."""
 
-    def linearise(self, speed: float) -> Linearisation:
+    def linearise(self, speed: float, at: Mapping[str, float] | None = None) -> Linearisation:
         """Linearise the model about straight motion at a forward speed [m/s], as `st.linearise`.
 
         Parameters
         ----------
         speed : float
             Forward speed through the water [m/s], not zero.
+        at : dict of str to float, optional
+            Values of the conditions by name that an effect may depend on: ``t``, ``work``, ``x``, ``y``, ``psi``.
 
         Raises
         ------
@@ -474,9 +476,11 @@ class MotionMethods:
         """
         from seatrial.api.motion import linearise
 
-        return linearise(cast(Any, self), speed)
+        return linearise(cast(Any, self), speed, at)
 
-    def steady(self, means: Sequence[float] = (0.0, 0.5), points: int = 41) -> Steady:
+    def steady(
+        self, means: Sequence[float] = (0.0, 0.5), points: int = 41, at: Mapping[str, float] | None = None
+    ) -> Steady:
         """Compute the steady speed and the steady turn rate over the command in still water, as `st.steady`.
 
         Parameters
@@ -485,6 +489,8 @@ class MotionMethods:
             Means of the left and the right command in turns, as parts of the largest command, 0 to 1.
         points : int
             Number of commands of each curve, at least 3.
+        at : dict of str to float, optional
+            Values of the conditions by name that an effect may depend on, as for `linearise`.
 
         Raises
         ------
@@ -493,7 +499,7 @@ class MotionMethods:
         """
         from seatrial.api.motion import steady
 
-        return steady(cast(Any, self), means, points)
+        return steady(cast(Any, self), means, points, at)
 
 
 class FittedVehicle(MotionMethods, FittedResult):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from seatrial.api.messages import errors_of_users
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError, warn
 from seatrial.daq.log import import_library
-from seatrial.ident.export import Inputs, LinearModel, pole_text
+from seatrial.ident.export import Inputs, LinearModel, conditions_text, pole_text
 from seatrial.ident.model import THRUSTER_FORCE, is_of_thruster
 
 if TYPE_CHECKING:
@@ -53,6 +53,9 @@ class Linearisation(Shown, LinearModel):
         Dead time [s] of each input that the model delays. The matrices do not contain it; all responses do.
     units : dict of str to str
         Unit of each state and input by name; empty for a number without unit.
+    conditions : dict of str to float
+        Conditions that the model takes as constant: time ``t`` [s] since the start of a run, ``work`` of the thrusters,
+        place ``x`` and ``y`` [m], heading ``psi`` [rad]. Empty if the model depends on none of them.
     """
 
     def to_pandas(self) -> Any:
@@ -188,6 +191,8 @@ class Linearisation(Shown, LinearModel):
             for pole, constant, se in zip(self.poles, self.time_constants, self.time_constant_errors, strict=True)
         ]
         answer = f"Linear model at {self.speed:g} m/s ({at}), {how}."
+        if self.conditions:
+            answer += f" Taken as constant: {conditions_text(self.conditions)}."
         return Content(answer, (), ("pole [1/s]", "time constant [s]", "s.e. [s]"), rows)
 
 
@@ -200,9 +205,12 @@ class Steady(Shown):
     curves : tuple of SteadyCurve
         The curve of the speed on a straight course, then one of the turn rate for each mean command
         (`seatrial.ident.results.SteadyCurve`): ``command``, ``value`` and its standard error ``sd``.
+    conditions : dict of str to float
+        Conditions that the motions take as constant, as those of a `Linearisation`.
     """
 
     curves: tuple[SteadyCurve, ...]
+    conditions: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def straight(self) -> SteadyCurve | None:
@@ -219,7 +227,7 @@ class Steady(Shown):
 
     @property
     def answer(self) -> str:
-        """Largest steady speed and turn rate within the commands of the data, in one or two sentences."""
+        """Largest steady speed and turn rate within the commands of the data, and the conditions, in sentences."""
         words = {"u": ("speed", 1.0, "m/s"), "r": ("turn rate", np.degrees(1.0), "deg/s")}
         found = []
         for quantity, (name, factor, unit) in words.items():
@@ -238,6 +246,8 @@ class Steady(Shown):
                 found.append(
                     f"The largest steady {name} is {number(value, 3)}{error} {unit}, at a command of {command}."
                 )
+        if self.conditions:
+            found.append(f"Taken as constant: {conditions_text(self.conditions)}.")
         return " ".join(found)
 
     def to_pandas(self) -> Any:
@@ -303,8 +313,13 @@ def _legend_below(layout: dict[str, Any], height: int) -> dict[str, Any]:
     return layout | {"height": height + 40, "showlegend": True, "legend": legend, "margin": margin}
 
 
-def linearise(model: PathLike | Saved | FittedResult, speed: float) -> Linearisation:
+def linearise(
+    model: PathLike | Saved | FittedResult, speed: float, at: Mapping[str, float] | None = None
+) -> Linearisation:
     """Linearise a fitted model about straight motion at a constant forward speed, without current.
+
+    Effects may depend on the time since the start of a run (a payload that shifts), the work of the thrusters, the
+    place or the heading. They are no inputs: the linear model takes them as constant, and shows their values.
 
     Parameters
     ----------
@@ -312,6 +327,10 @@ def linearise(model: PathLike | Saved | FittedResult, speed: float) -> Linearisa
         The model.
     speed : float
         Forward speed through the water [m/s], not zero.
+    at : dict of str to float, optional
+        Values of the conditions by name: ``t`` [s], ``work``, ``x``, ``y`` [m], ``psi`` [rad]. The default of time and
+        work is the end of the fitted data, which is after a change such as that of a payload. A model.toml without
+        their range is taken 10 s after its change, or else at zero. The default of place and heading is zero.
 
     Returns
     -------
@@ -322,19 +341,21 @@ def linearise(model: PathLike | Saved | FittedResult, speed: float) -> Linearisa
     Raises
     ------
     SeatrialError
-        If the model has no forward speed, or if the boat does not reach this speed.
+        If the model has no forward speed, if the boat does not reach this speed, or if there is no condition of a name.
 
     Examples
     --------
     >>> at_half_a_metre = st.linearise("vehicle", 0.5)
     >>> at_half_a_metre.time_constants
     >>> at_half_a_metre.plot_bode("turn")
+    >>> feedback = at_half_a_metre.lqr({"u": 4.0, "r": 1.0, "psi": 4.0})
     """
+    from seatrial.ident.export import chosen_conditions
     from seatrial.ident.export import linearise as about_speed
 
     with errors_of_users():
         structure, ranges, known = _estimates(model)
-        found = about_speed(structure, speed, known)
+        found = about_speed(structure, speed, known, chosen_conditions(structure, ranges, at))
     low, high = ranges.get("u", (-np.inf, np.inf))
     if not low <= speed <= high:
         text = (
@@ -344,7 +365,12 @@ def linearise(model: PathLike | Saved | FittedResult, speed: float) -> Linearisa
     return Linearisation(**vars(found))
 
 
-def steady(model: PathLike | Saved | FittedResult, means: Sequence[float] = (0.0, 0.5), points: int = 41) -> Steady:
+def steady(
+    model: PathLike | Saved | FittedResult,
+    means: Sequence[float] = (0.0, 0.5),
+    points: int = 41,
+    at: Mapping[str, float] | None = None,
+) -> Steady:
     """Compute the steady speed and the steady turn rate of a fitted model over constant commands, in still water.
 
     The commands are those of the fitted data. Disturbance forces and the current are left out. Speed and turn rate at a
@@ -359,6 +385,8 @@ def steady(model: PathLike | Saved | FittedResult, means: Sequence[float] = (0.0
         spot.
     points : int
         Number of commands of each curve, at least 3.
+    at : dict of str to float, optional
+        Values of the conditions by name that an effect may depend on, as for `linearise`.
 
     Returns
     -------
@@ -368,7 +396,8 @@ def steady(model: PathLike | Saved | FittedResult, means: Sequence[float] = (0.0
     Raises
     ------
     SeatrialError
-        If the model is not one of a boat with a speed or a turn rate, or if the range of its commands is unknown.
+        If the model is not one of a boat with a speed or a turn rate, if the range of its commands is unknown, or if
+        there is no condition of a name.
 
     Examples
     --------
@@ -376,6 +405,7 @@ def steady(model: PathLike | Saved | FittedResult, means: Sequence[float] = (0.0
     >>> curves.straight.value[-1]
     >>> curves.plot().save("steady.html")
     """
+    from seatrial.ident.export import chosen_conditions
     from seatrial.ident.workflows.dynamics import steady_curves
 
     if points < 3:
@@ -384,13 +414,14 @@ def steady(model: PathLike | Saved | FittedResult, means: Sequence[float] = (0.0
         raise SeatrialError(f"means {bad[0]:g}: give parts of the largest command, from 0 to 1")
     with errors_of_users():
         structure, ranges, known = _estimates(model)
-        curves = steady_curves(structure, ranges, known, means, points)
+        conditions = chosen_conditions(structure, ranges, at)
+        curves = steady_curves(structure, ranges, known, means, points, conditions)
     if not curves:
         raise SeatrialError(
             f"model {structure.name} has no steady motion: it needs a speed u or turn rate r, and commands whose range "
             "in the fitted data is known; use a model of a boat, such as horizontal"
         )
-    return Steady(tuple(curves))
+    return Steady(tuple(curves), conditions)
 
 
 def _estimates(

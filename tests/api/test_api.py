@@ -292,6 +292,23 @@ def test_linear_model_has_table_and_figures_with_errors(fit: st.FittedVehicle, t
     step.save(tmp_path / "step.html")
 
 
+def test_conditions_of_effects_are_stated_and_can_be_chosen(fit: st.FittedVehicle, tmp_path: Path) -> None:
+    """A payload has shifted by default, and is where it was before at an earlier time."""
+    model = fit.save(tmp_path / "fit") / "model.toml"
+    shift = ("t_shift", 60.0), ("x_shift", 0.2), ("y_shift", 0.1), ("x_before", 0.0), ("y_before", 0.0)
+    rows = "".join(f'[[parameter]]\nname = "{n}"\nvalue = {v}\nfree = false\n' for n, v in shift)
+    text = re.sub(r"^effects = \[", 'effects = ["payload-shift", ', model.read_text(), flags=re.MULTILINE)
+    model.write_text(text.replace("[validity]", "[validity]\nt = [0.0, 90.0]", 1) + rows)
+    late, early = st.linearise(model, 0.5), st.load(model).linearise(0.5, at={"t": 10.0})
+    assert (late.inputs, late.conditions, early.conditions) == (("n_left", "n_right"), {"t": 90.0}, {"t": 10.0})
+    assert np.abs(late.A - early.A).max() > 1e-3
+    assert "Taken as constant: t = 90 s." in late._content().answer
+    steady = st.steady(model, points=5)
+    assert steady.conditions == {"t": 90.0}
+    assert steady.answer.endswith("Taken as constant: t = 90 s.")
+    assert "constant" not in st.steady(fit, points=5).answer
+
+
 def test_steady_motion_is_that_of_a_long_simulation(fit: st.FittedVehicle, tmp_path: Path) -> None:
     steady, saved = fit.steady(means=(0.5,), points=21), st.load(fit.save(tmp_path / "fit"))
     assert steady.straight is not None

@@ -7,11 +7,20 @@ from typing import Any
 
 import numpy as np
 
+from seatrial.ident.export import conditions_text
 from seatrial.ident.model import THRUSTER_FORCE, is_of_thruster
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Canvas, Cell, Grid, Heading, Plot, Prose, Section, Table
 from seatrial.ident.report.bode import FREQUENCY, frequency_axis, gain_traces, phase_traces
-from seatrial.ident.results import Dynamics, FrequencyResponse, OperatingPoint, SteadyCurve, StepResponse
+from seatrial.ident.results import (
+    CourseStability,
+    Dynamics,
+    FrequencyResponse,
+    OperatingPoint,
+    SteadyCurve,
+    StepResponse,
+    course_sentence,
+)
 
 POINTS = 600  # largest number of points of a curve
 DOUBLING = np.log(2.0)  # time in which an unstable motion doubles, in time constants
@@ -33,12 +42,14 @@ def section(canvas: Canvas, dynamics: Dynamics | None) -> Section:
     turns = [c for c in dynamics.steady if c.motion == "turn"]
     curves += [_turn_plot(canvas, turns)] if turns else []
     blocks: list[Any] = [Grid(curves, 320)] if curves else []
-    blocks += _pole_blocks(dynamics.points) + _step_blocks(canvas, dynamics)
+    blocks += _pole_blocks(dynamics.points, dynamics.course) + _step_blocks(canvas, dynamics)
     blocks += _bode_blocks(canvas, dynamics)
     lead = (
         "Computed from the model for still water, without disturbances and within the commands of the data. Bands are "
         "95 % intervals from the standard errors of the parameters."
     )
+    if dynamics.conditions:
+        lead += f" Taken as constant: {conditions_text(dynamics.conditions)}."
     return Section("dynamics", "Steady motion and dynamics", blocks, lead)
 
 
@@ -86,10 +97,11 @@ def _turn_plot(canvas: Canvas, curves: Sequence[SteadyCurve]) -> Plot:
     return canvas.plot(figure, 320, "Steady turn rate against difference of the commands", "Steady turn rate")
 
 
-def _pole_blocks(points: Sequence[OperatingPoint]) -> list[Any]:
+def _pole_blocks(points: Sequence[OperatingPoint], course: CourseStability | None) -> list[Any]:
     """Return heading and table of the poles at each speed; an empty list without linear models.
 
-    If the model is unstable at a speed, a sentence on the lowest such speed follows.
+    If the model is unstable at a speed, a sentence on the lowest such speed follows, and one on the least stable pole
+    of sway and yaw (``course``) at the speeds of the data, if it is unstable.
     """
     if not points:
         return []
@@ -112,7 +124,7 @@ def _pole_blocks(points: Sequence[OperatingPoint]) -> list[Any]:
         blocks.append(
             Prose(
                 f"From {slowest:g} m/s on, the boat does not hold a straight course without a heading controller: a "
-                "small yaw rate grows until the boat turns.",
+                f"small yaw rate grows until the boat turns. {course_sentence(course)}".rstrip(),
                 "callout",
             )
         )

@@ -5,11 +5,13 @@ motion after a small step, and its frequency response the simulated motion by a 
 from __future__ import annotations
 
 import math
+import time
 import warnings
 
 import numpy as np
 import pytest
 from scipy import signal
+from scipy.linalg import expm
 
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.data.record import Channel, build_record
@@ -20,6 +22,7 @@ from seatrial.ident.export.linearisation import LinearModel, linearise
 from seatrial.ident.model.structure import Model
 from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.models.surge import surge_model
 from seatrial.ident.models.yaw import yaw_model
 
 VALUES = {"m_u": 37.0, "m_v": 47.0, "m_r": 9.7, "d_u": 2.0, "d_uu": 25.0, "d_v": 50.0, "d_vv": 20.0, "d_r": 4.1}
@@ -193,3 +196,62 @@ def test_standard_errors_follow_from_those_of_the_estimates() -> None:
     surge = linearise(horizontal_model("shaft").with_values(VALUES), 0.7, known)
     k = int(np.argmin(np.abs(surge.time_constants - T)))
     assert surge.time_constant_errors[k] == pytest.approx(sd, rel=0.02)
+
+
+def test_step_response_is_that_of_the_matrix_exponential() -> None:
+    """At any times, in any order, with the dead time of each input."""
+    found = linearise(saved(horizontal_model("command"), {"tau_n": 0.25}), 0.7)
+    n = len(found.states)
+    for t in (found.times, np.array([0.0, 5.0, 0.3, 5.0, 2.0]), np.array([30.0]), np.zeros(0)):
+        response = found.step_response({"n_cmd_left": 1.0, "n_cmd_right": -0.5}, t)
+        expected = np.zeros((t.size, n))
+        for k, weight in enumerate((1.0, -0.5)):
+            whole = np.zeros((n + 1, n + 1))
+            whole[:n, :n], whole[:n, n] = found.A, found.B[:, k]
+            expected += [weight * expm(max(at - 0.25, 0.0) * whole)[:n, n] for at in t] if t.size else 0.0
+        for k, name in enumerate(found.states):
+            np.testing.assert_allclose(response[name], expected[:, k], rtol=1e-10, atol=1e-12)
+
+
+def test_responses_of_a_model_with_many_estimates_are_quick() -> None:
+    """The exponentials of a response must not depend on a threaded library, which takes a thousand times longer."""
+    model = horizontal_model("command")
+    for effect in ("mismatch", "cubic-drag", "yaw-bias", "battery-sag", "wind", "lift", "payload-shift"):
+        model = model + catalogue()[effect]
+    model = saved(model)
+    free = [p for p in model.parameters if p.free and p.name not in model.noises]
+    covariance = np.diag([(0.01 * max(abs(p.value), p.step)) ** 2 for p in free])
+    found = linearise(model, 0.7, ParameterCovariance(tuple(p.name for p in free), covariance))
+    assert len(found.moved) > 20
+    start = time.perf_counter()
+    for linear in (found, *found.moved):
+        for motion in found.motions:
+            linear.step_response(motion, found.times)
+    assert time.perf_counter() - start < 1.5
+
+
+def test_course_pole_is_that_of_sway_and_yaw() -> None:
+    """The least stable eigenvalue of the block of sway and yaw, also if a weak thruster couples it with the surge."""
+    model = horizontal_model("command") + catalogue()["mismatch"]
+    for eps in (0.0, -0.05):
+        found = linearise(saved(model, {"eps_LR": eps, "d_r": 0.5, "d_v": 20.0, "m_v": 70.0}), 0.7)
+        block = [found.states.index(n) for n in ("v", "r")]
+        poles = np.linalg.eigvals(found.A[np.ix_(block, block)])
+        k = found.course_pole
+        assert k is not None
+        assert found.poles[k].real == pytest.approx(poles.real.max(), rel=0.1)
+        assert found.poles[k].real > 0.0
+        assert not found.stable
+    assert linearise(surge_model("shaft", "both"), 0.3).course_pole is None
+
+
+def test_error_of_a_pole_is_the_change_by_the_parameter() -> None:
+    model, sd = saved(horizontal_model("shaft"), {"d_r": 3.0}), 0.2
+    found = linearise(model, 0.7, ParameterCovariance(("d_r",), np.array([[sd**2]])))
+    k = found.course_pole
+    assert k is not None
+    ends = [linearise(model.with_values({"d_r": 3.0 + d}), 0.7) for d in (-0.1 * sd, 0.1 * sd)]
+    slope = np.diff([np.sort(x.poles.real)[::-1][0] for x in ends])[0] / (0.2 * sd)
+    assert np.sort(found.poles.real)[::-1][0] == found.poles[k].real
+    assert found.pole_errors[k] == pytest.approx(abs(slope) * sd, rel=0.02)
+    np.testing.assert_allclose(found.time_constant_errors, found.pole_errors * found.time_constants**2)

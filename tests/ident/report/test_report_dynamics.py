@@ -11,7 +11,15 @@ import pytest
 
 from seatrial.ident.report import page
 from seatrial.ident.report.sections.runs import wide_band
-from seatrial.ident.results import Dynamics, FrequencyResponse, OperatingPoint, SteadyCurve, StepResponse, Trace
+from seatrial.ident.results import (
+    CourseStability,
+    Dynamics,
+    FrequencyResponse,
+    OperatingPoint,
+    SteadyCurve,
+    StepResponse,
+    Trace,
+)
 from tests.ident.pages import KINDS, Page, loaded, numbers
 
 
@@ -36,7 +44,10 @@ def dynamics() -> Dynamics:
         speed=1.0, motion="turn", quantity="r", unit="rad/s", stable=False, frequency=f, gain=0.1 / f, phase=-f,
         gain_sd=0.1 + 0 * f, phase_sd=np.nan * f, bandwidth=0.02, lag_90=0.4,
     )  # fmt: skip
-    return Dynamics(steady=steady, points=points, steps=(step,), responses=(response,), delays={"n_left": 0.12})
+    return Dynamics(
+        steady=steady, points=points, steps=(step,), responses=(response,), delays={"n_left": 0.12},
+        conditions={"t": 240.0}, course=CourseStability(speed=1.0, pole=0.1, low=0.05, high=0.2),
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -62,6 +73,11 @@ def test_poles_are_in_words(shown: Page) -> None:
     assert "1 m/s n_left 0.500, n_right 0.510 0.100 – unstable: doubles in 6.9 s" in words
     assert "From 1 m/s on, the boat does not hold a straight course" in words
     assert "With the dead time: 120 ms of n_left" in words
+    assert (
+        "At 1 m/s the boat is directionally unstable: without a controller a small yaw rate grows by a factor" in words
+    )
+    assert "in 10 s (95 % interval: 5 to 20 s)" in words
+    assert "Taken as constant: t = 240 s." in words
 
 
 def test_bode_plot_has_its_units_its_band_and_its_words(shown: Page) -> None:

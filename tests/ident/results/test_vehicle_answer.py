@@ -23,6 +23,7 @@ from seatrial.ident.results.answers import (
     NAMES,
     change_sentence,
     check_warnings,
+    course_sentence,
     estimation_warnings,
     late_sensor_warnings,
     not_converged,
@@ -34,6 +35,7 @@ from seatrial.ident.results.answers import (
     vehicle_answer,
 )
 from seatrial.ident.results.parts import (
+    CourseStability,
     CrossCorrelationRow,
     ErrorComparison,
     Errors,
@@ -385,3 +387,27 @@ def test_answer_states_that_the_fit_stopped_close_to_its_maximum() -> None:
 )
 def test_value_with_an_error_that_is_not_finite_is_still_a_text(value: float, error: float, text: str) -> None:
     assert plus_minus(value, error) == text
+
+
+GROWS = "without a controller a small yaw rate grows by a factor of e in"
+
+
+@pytest.mark.parametrize(
+    ("pole", "low", "high", "sentence"),
+    [
+        (-0.1, -0.3, 0.1, ""),
+        (0.25, 0.125, 0.5, f": {GROWS} 4 s (95 % interval: 2 to 8 s)."),
+        (
+            *(0.02, -0.1, 0.125),
+            f" by the estimate, but not distinguishable from a stable boat: {GROWS} 50 s (95 % interval: from a growth "
+            "in 8 s to a decay in 10 s).",
+        ),
+        (0.02, None, None, f": {GROWS} 50 s (the 95 % interval is unknown)."),
+    ],
+)
+def test_sentence_on_a_directionally_unstable_boat(
+    pole: float, low: float | None, high: float | None, sentence: str
+) -> None:
+    begin = "At 0.9 m/s the boat is directionally unstable" if sentence else ""
+    assert course_sentence(CourseStability(speed=0.9, pole=pole, low=low, high=high)) == begin + sentence
+    assert course_sentence(None) == ""

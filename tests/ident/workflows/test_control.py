@@ -18,7 +18,7 @@ PAGE = how_to("control")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Create the models of the page, and the files that its commands write."""
     made = tmp_path_factory.mktemp("control")
-    for name, text in zip(("boat", "thruster"), blocks(PAGE, "toml"), strict=True):
+    for name, text in zip(("boat", "command", "thruster"), blocks(PAGE, "toml"), strict=True):
         (made / name).mkdir()
         (made / name / "model.toml").write_text(text, encoding="utf-8")
     for line in blocks(PAGE, "sh")[0].splitlines():
@@ -27,18 +27,26 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-def output(code: str) -> str:
-    """Return the text block after a code block."""
+def output(code: str, number: int = 0) -> str:
+    """Return a text block after a code block: 0 is the next one."""
     text = PAGE.read_text(encoding="utf-8")
-    found = re.match(r"\n*```text\n(.*?)^```$", text[text.index(code) + len(code) + 4 :], re.MULTILINE | re.DOTALL)
-    assert found
-    return found[1]
+    after = text[text.index(code) + len(code) :]
+    return re.findall(r"^```text\n(.*?)^```$", after, re.MULTILINE | re.DOTALL)[number]
 
 
 @pytest.mark.parametrize("block", range(4), ids=["slope", "pid", "lqr", "mpc"])
 def test_controller_of_the_page(block: int, folder: Path) -> None:
     code = blocks(PAGE, "python")[block]
     assert run(code, folder) == output(code)
+
+
+@pytest.mark.parametrize("block", [1, 2], ids=["pid", "lqr"])
+def test_controller_of_the_page_with_a_model_of_commands(block: int, folder: Path) -> None:
+    """The page tells to change one line."""
+    code = blocks(PAGE, "python")[block]
+    old = 'MODEL, PLANT = "boat", "plant"'
+    assert old in code
+    assert run(code.replace(old, 'MODEL, PLANT = "command", "commanded"'), folder) == output(code, 1)
 
 
 def test_mpc_with_shaft_speeds_stays_at_rest(folder: Path) -> None:

@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
+import io
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from seatrial.ident.data.record import LogSegment
+from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.fitted_model import FittedModel, fit_nominal_model
 from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.report.terminal import print_result
+from seatrial.ident.results.answers import course_sentence
+from seatrial.ident.results.commands import FitContext, vehicle_result
+from seatrial.ident.results.parts import Provenance
+from seatrial.ident.results.result_file import to_json
+from seatrial.ident.validation.evaluation import evaluate
+from seatrial.ident.workflows import dynamics
 from seatrial.ident.workflows.dynamics import dynamics_of
+from seatrial.ident.workflows.output import validity
 from tests.missions import boat_with, channels_of, sail
 
 
@@ -59,3 +71,52 @@ def test_curves_poles_and_steps_agree(fitted: FittedModel) -> None:
 def test_fit_that_did_not_converge_has_none(fitted: FittedModel) -> None:
     failed = replace(fitted, fit=replace(fitted.fit, message="stopped", converged=False))
     assert dynamics_of(failed) is None
+
+
+def test_unstable_boat_is_named_with_its_time_constant() -> None:
+    """The interval contains the pole of the true hull. The sentence is in the result and on the terminal."""
+    boat = boat_with(None, 2)
+    boat = replace(boat, hull=replace(boat.hull, d_r=1.0, d_rr=9.0))
+    run = LogSegment("a", channels_of(sail(boat, 240.0, 1, run=1)[0]))
+    fitted = fit_nominal_model(horizontal_model(), [run], [])
+    found = dynamics_of(fitted)
+    assert found is not None
+    course = found.course
+    assert course is not None
+    low, high = validity(fitted)["u"]
+    assert low <= course.speed <= high
+    true = boat.truth()
+    u, (m_u, m_v, m_r) = course.speed, (true[n] for n in ("m_u", "m_v", "m_r"))
+    block = [[-true["d_v"] / m_v, -m_u * u / m_v], [(m_u - m_v) * u / m_r, -true["d_r"] / m_r]]
+    pole = float(np.linalg.eigvals(block).real.max())
+    assert pole > 0.0
+    assert course.low is not None
+    assert course.high is not None
+    assert course.low < pole < course.high
+    assert course.unstable
+    result = vehicle_result(
+        fitted, evaluate(fitted), Provenance(created="2026-01-01", seatrial="0", command="seatrial"), [], [],
+        FitContext(fitted.fit.model.values, dynamics=found),
+    )  # fmt: skip
+    sentence = course_sentence(course)
+    assert f"in {1.0 / course.pole:.3g} s" in sentence
+    assert sentence in result.answer
+    text = io.StringIO()
+    print_result(result, Console(file=text, width=4000))
+    assert sentence in text.getvalue()
+    assert json.loads(to_json(result))["dynamics"]["course"]["pole"] == pytest.approx(course.pole, rel=1e-6)
+
+
+def test_conditions_of_the_end_of_the_data_are_in_the_result(fitted: FittedModel) -> None:
+    model = fitted.fit.model + catalogue()["payload-shift"]
+    late = replace(fitted, fit=replace(fitted.fit, model=model))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(dynamics, "validity", lambda f: {**validity(fitted), "t": (0.0, 118.0)})
+        found = dynamics_of(late)
+    assert found is not None
+    assert found.conditions == {"t": 118.0}
+    assert set(found.points[0].inputs) == {"n_left", "n_right"}
+    assert [c.motion for c in found.steady] == ["straight", "turn", "turn"]
+    without = dynamics_of(fitted)
+    assert without is not None
+    assert without.conditions == {}

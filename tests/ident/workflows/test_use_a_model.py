@@ -117,7 +117,7 @@ def joined_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     if not shutil.which("cc"):
         pytest.skip("no C compiler (cc) on PATH")
     monkeypatch.chdir(tmp_path)
-    boat, thruster = blocks(how_to("control"), "toml")
+    boat, _, thruster = blocks(how_to("control"), "toml")
     for name, text in (("boat", boat), *((n, thruster) for n in ("thruster", "t1", "t2"))):
         (tmp_path / name).mkdir()
         (tmp_path / name / "model.toml").write_text(text, encoding="utf-8")

@@ -13,9 +13,15 @@ from seatrial.daq.errors import SeatrialError
 from seatrial.ident.data.loading import LoadedLog, PropulsionInput, TimeWindow, load_all, load_run, load_runs
 from seatrial.ident.data.record import Channel, LogSegment
 from seatrial.ident.estimation.fitted_model import fit_nominal_model
-from seatrial.ident.estimation.prior_knowledge import apply_rig_geometry, fix_parameters, set_initial_values
+from seatrial.ident.estimation.prior_knowledge import (
+    apply_rig_geometry,
+    fix_parameters,
+    set_initial_values,
+    set_priors,
+)
 from seatrial.ident.models.catalogue import make_model
 from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.models.nomoto import nomoto_model
 from seatrial.ident.workflows.model_inputs import choose_model, thrust_from, with_derived_signals
 from seatrial.ident.workflows.output import sensor_rates, validity
 from tests.ident.rolling import Fitted
@@ -118,6 +124,22 @@ def test_log_with_pulses_only_is_rejected_with_advice() -> None:
         choose_model("auto", [loaded("pwm_left", "pwm_right", "psi", "r")])
 
 
+def test_positions_of_the_thrusters_are_no_parameters_of_nomoto() -> None:
+    """In the rig they are ignored, so the message about the option says that the model does not use them."""
+    model, notes = apply_rig_geometry(nomoto_model(), rig_of("boat"))
+    assert (model.values, notes) == (nomoto_model().values, [])
+    with pytest.raises(
+        SeatrialError,
+        match=r"--fix y_left: model nomoto has no such parameter; it has m_u, .*; the model does not use the positions "
+        r"of the thrusters, because its steering gain K contains them: leave out --fix y_left$",
+    ):
+        fix_parameters(nomoto_model(), None, {"y_left": -0.2})
+    with pytest.raises(SeatrialError, match=r"leave out --prior y_right$"):
+        set_priors(nomoto_model(), {"y_right": (0.2, 0.01)})
+    with pytest.raises(SeatrialError, match=r"--initial tau_nn: .*; did you mean 'tau_n'\?$"):
+        set_initial_values(nomoto_model(), {"tau_nn": 0.1})
+
+
 def test_known_parameters_are_fixed() -> None:
     model, _ = fix_parameters(apply_rig_geometry(horizontal_model(), rig_of("boat"))[0], None, {"d_uu": 30.0})
     assert (model.values["d_vv"], model.values["d_uu"]) == (20.0, 30.0)
@@ -126,6 +148,8 @@ def test_known_parameters_are_fixed() -> None:
     assert (model.values["y_left"], model.values["y_right"]) == (-0.15, 0.15)
     with pytest.raises(SeatrialError, match="--fix mass: model horizontal has no such parameter; it has m_u"):
         fix_parameters(horizontal_model(), None, {"mass": 1.0})
+    with pytest.raises(SeatrialError, match=r"--fix d_uuu: .*; did you mean 'd_uu'\?$"):
+        fix_parameters(horizontal_model(), None, {"d_uuu": 1.0})
     with pytest.raises(SeatrialError, match=r"--fix m_u=-1: parameter m_u: -1\.0 is not positive"):
         fix_parameters(horizontal_model(), None, {"m_u": -1.0})
     with pytest.raises(SeatrialError, match=r"--initial m_u=-1: parameter m_u: -1\.0 is not positive"):

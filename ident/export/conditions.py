@@ -1,0 +1,85 @@
+"""Conditions that a linear model and a steady motion take as constant: time, work of the thrusters, place and heading.
+
+Some effects depend on them: a payload shifts at a time, a battery sags with the work, a bank acts at a place, and wind
+acts from a direction. They are no inputs of a controller. The rates of velocities and shafts are therefore evaluated at
+constant values of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from seatrial.daq.errors import SeatrialError, closest_name
+from seatrial.ident.data import TIME_INPUT, WORK_INPUT
+from seatrial.ident.model import Model
+
+COMPUTED = (TIME_INPUT, WORK_INPUT)  # inputs that no user of a model provides
+POSE = ("x", "y", "psi")  # integrals of the velocities
+UNITS = {TIME_INPUT: "s", WORK_INPUT: "", "x": "m", "y": "m", "psi": "rad"}
+AFTER_S = 10.0  # time after the last change of a model at which it is evaluated without a range of the time [s]
+
+
+def conditions_of(model: Model) -> tuple[str, ...]:
+    """Return the names of the conditions on which the rates of velocities and shafts depend.
+
+    They are among the inputs ``t`` and ``work`` and the states ``x``, ``y`` and ``psi``, in this order. The names are
+    those of the equations: a coefficient of zero counts, too.
+    """
+    import casadi as ca  # imported here, because reports only need the texts
+
+    parts = (("x", model.states), ("u", model.inputs), ("p", model.parameters))
+    symbols = [[ca.SX.sym(f"{kind}{i}") for i in range(len(part))] for kind, part in parts]
+    s = model.signals(*symbols)
+    rates = ca.vertcat(*(ca.SX(s.rate[v.name]) for v in model.states if v.name not in POSE))
+    found = {i.name: v for i, v in zip(model.inputs, symbols[1], strict=True) if i.name in COMPUTED}
+    found |= {x.name: v for x, v in zip(model.states, symbols[0], strict=True) if x.name in POSE}
+    return tuple(n for n in UNITS if n in found and ca.depends_on(rates, found[n]))
+
+
+def chosen_conditions(
+    model: Model, ranges: Mapping[str, tuple[float, float]] | None = None, at: Mapping[str, float] | None = None
+) -> dict[str, float]:
+    """Return the values of the conditions on which the rates of a model depend.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    ranges : mapping, optional
+        Range of each signal in the fitted data by name. The default of ``t`` and ``work`` is the end of their range, so
+        that the model is that after all changes. Without a range of the time, it is 10 s after the last change of the
+        model (``t_shift``), and without a change it is zero. Without a range of the work, that is zero.
+    at : mapping, optional
+        Values that replace the defaults, by name. The defaults of place and heading are zero: the origin, and north.
+
+    Raises
+    ------
+    SeatrialError
+        If ``at`` has another name, or a value that is not finite. A condition on which the model does not depend is
+        accepted and has no effect.
+    """
+    given = dict(at or {})
+    for name, value in given.items():
+        if name not in UNITS:
+            near = closest_name(name, UNITS)
+            hint = f"did you mean {near!r}? " if near else ""
+            raise SeatrialError(f"there is no condition {name!r}; {hint}the conditions are {', '.join(UNITS)}")
+        if not abs(value) < float("inf"):
+            raise SeatrialError(f"the condition {name} is {value}: give a finite number")
+    late = late_values(model, ranges)
+    return {n: float(given.get(n, late.get(n, 0.0))) for n in conditions_of(model)}
+
+
+def late_values(model: Model, ranges: Mapping[str, tuple[float, float]] | None = None) -> dict[str, float]:
+    """Return the default values of ``t`` [s] and ``work``: those of the end of the data, after all changes.
+
+    ``ranges`` are the ranges of the signals in the fitted data. See `chosen_conditions` for a model without them.
+    """
+    changes = [p.value for p in model.parameters if p.name == "t_shift"]
+    late = {TIME_INPUT: max(changes) + AFTER_S if changes else 0.0, WORK_INPUT: 0.0}
+    return late | {n: known[1] for n, known in (ranges or {}).items() if n in COMPUTED}
+
+
+def conditions_text(conditions: Mapping[str, float]) -> str:
+    """Return the conditions as text, such as ``t = 240 s, x = 0 m``; empty if there are none."""
+    return ", ".join(f"{n} = {v:.4g} {UNITS[n]}".rstrip() for n, v in conditions.items())

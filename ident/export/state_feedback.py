@@ -1,0 +1,156 @@
+"""State feedback for a boat about straight motion: the linear quadratic regulator of a linear model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seatrial.daq.errors import SeatrialError, closest_name
+from seatrial.ident.model import COMMAND, SHAFT_SPEED, is_of_thruster
+from seatrial.ident.numerics import Array
+
+HEADING = "psi"  # further state of the feedback: the integral of the yaw rate
+
+
+@dataclass(frozen=True, repr=False)
+class StateFeedback:
+    """State feedback ``u = u0 - gain (x - x0)`` of a boat. `lqr` of a linear model returns it.
+
+    Attributes
+    ----------
+    states, inputs : tuple of str
+        Names of the n states (with ``psi``, if the heading is controlled) and m inputs.
+    gain : Array (m, n)
+        Change of each input for a change of each state.
+    x0 : Array (n,)
+        States of the operating point; the heading is zero.
+    u0 : Array (m,)
+        Inputs of the operating point.
+    poles : array of complex numbers (n,)
+        Poles of the linear model with the feedback [1/s], without the dead time of the inputs.
+    """
+
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    gain: Array
+    x0: Array
+    u0: Array
+    poles: NDArray[np.complex128]
+
+    def __call__(self, x: Mapping[str, float], **wanted: float) -> Array:
+        """Return the inputs (m,) at the states ``x``, in the order of `inputs`.
+
+        Shaft speeds and commands are limited to -1 to 1.
+
+        Parameters
+        ----------
+        x : dict of str to float
+            All states by name; others, such as a position, are ignored.
+        **wanted : float
+            Wanted values of states by name, such as ``psi`` [rad] or ``u`` [m/s]. The default is the operating point.
+            The error of the heading is at most half a turn.
+
+        Raises
+        ------
+        SeatrialError
+            If a state is missing, or if there is no state of a name.
+        """
+        if missing := [n for n in self.states if n not in x]:
+            raise SeatrialError(f"the state {missing[0]} is missing; the feedback needs {', '.join(self.states)}")
+        _check_names("state", wanted, self.states)
+        goal = {n: wanted.get(n, float(v)) for n, v in zip(self.states, self.x0, strict=True)}
+        error = np.array([x[n] - goal[n] for n in self.states])
+        turn = [n == HEADING for n in self.states]
+        error[turn] = np.remainder(error[turn] + np.pi, 2.0 * np.pi) - np.pi
+        u = self.u0 - self.gain @ error
+        relative = [is_of_thruster(n, COMMAND, SHAFT_SPEED) for n in self.inputs]
+        found: Array = np.where(relative, np.clip(u, -1.0, 1.0), u)
+        return found
+
+    def __repr__(self) -> str:
+        """Return the gain as a table with a line for each input, and the poles."""
+        size = max(map(len, self.inputs), default=0)
+        rows = [" " * size + "".join(f"{n:>10}" for n in self.states)]
+        rows += [
+            f"{n:<{size}}" + "".join(f"{v:10.4g}" for v in row) for n, row in zip(self.inputs, self.gain, strict=True)
+        ]
+        poles = ", ".join(f"{p.real:.3g}" + (f" {p.imag:+.3g}j" if p.imag else "") for p in self.poles)
+        return "\n".join([f"<StateFeedback: gain of {len(self.inputs)} inputs>", *rows, f"poles {poles} 1/s"])
+
+
+class LinearSystem(Protocol):
+    """Linear system about an operating point, such as `seatrial.ident.export.linearisation.LinearModel`."""
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the n states."""
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the m inputs."""
+
+    @property
+    def A(self) -> Array:
+        """Derivatives (n, n) of the rates by the states."""
+
+    @property
+    def B(self) -> Array:
+        """Derivatives (n, m) of the rates by the inputs."""
+
+    @property
+    def x0(self) -> Array:
+        """States (n,) of the operating point."""
+
+    @property
+    def u0(self) -> Array:
+        """Inputs (m,) of the operating point."""
+
+
+def lqr(linear: LinearSystem, Q: Mapping[str, float], R: Mapping[str, float]) -> StateFeedback:
+    """Return the linear quadratic regulator of a linear system, with weights of states and inputs by name.
+
+    Weights that are missing, the heading and the errors are those of
+    `seatrial.ident.export.linearisation.LinearModel.lqr`.
+    """
+    from scipy.linalg import solve_continuous_are  # imported here, as it takes 0.3 s
+
+    known = (*linear.states, *((HEADING,) if "r" in linear.states else ()))
+    _check_names("state", Q, known)
+    _check_names("input", R, linear.inputs)
+    for name, value in {**Q, **R}.items():
+        if not (np.isfinite(value) and (value > 0.0 or (value == 0.0 and name in Q))):
+            raise SeatrialError(
+                f"the weight of {name} is {value:g}: give a number " + ("of at least 0" if name in Q else "above 0")
+            )
+    n, m = linear.B.shape
+    steered = Q.get(HEADING, 0.0) > 0.0 and HEADING not in linear.states
+    states = (*linear.states, *((HEADING,) if steered else ()))
+    A, B = np.zeros((len(states), len(states))), np.zeros((len(states), m))
+    A[:n, :n], B[:n] = linear.A, linear.B
+    if steered:
+        A[n, linear.states.index("r")] = 1.0
+    weights, costs = np.diag([Q.get(s, 0.0) for s in states]), np.diag([R.get(i, 1.0) for i in linear.inputs])
+    failure = "no feedback with these weights makes the motion stable: give weights to u, r and psi"
+    try:
+        gain = np.linalg.solve(costs, B.T @ solve_continuous_are(A, B, weights, costs))
+    except np.linalg.LinAlgError as problem:
+        raise SeatrialError(failure) from problem
+    poles = np.linalg.eigvals(A - B @ gain).astype(np.complex128)
+    if not (poles.real < 0.0).all():
+        raise SeatrialError(failure)
+    poles = poles[np.argsort(np.abs(poles.real), kind="stable")]
+    x0 = np.append(linear.x0, np.zeros(len(states) - n))
+    return StateFeedback(states, linear.inputs, gain, x0, linear.u0, poles)
+
+
+def _check_names(kind: str, given: Mapping[str, float], known: tuple[str, ...]) -> None:
+    """Raise SeatrialError if a name is not among the known ones of this kind, ``state`` or ``input``."""
+    for name in given:
+        if name not in known:
+            near = closest_name(name, known)
+            hint = f"did you mean {near!r}? " if near else ""
+            raise SeatrialError(f"the model has no {kind} {name!r}; {hint}its {kind}s are {', '.join(known)}")

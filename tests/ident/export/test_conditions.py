@@ -1,0 +1,66 @@
+"""Tests of the conditions of a linear model: time, work, place and heading are constant and no inputs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.export.conditions import chosen_conditions, conditions_of, conditions_text
+from seatrial.ident.export.linearisation import linearise
+from seatrial.ident.export.steady_motion import steady_motion
+from seatrial.ident.model.structure import Model
+from seatrial.ident.models.disturbances import with_disturbances
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.workflows.dynamics import Drives
+from tests.ident.export.test_linearisation import saved
+
+
+def boat(*effects: str, **values: float) -> Model:
+    model = horizontal_model("shaft")
+    for name in effects:
+        model = model + catalogue()[name]
+    return saved(with_disturbances(model), values)
+
+
+def test_payload_is_where_it_is_after_its_shift() -> None:
+    """The linear model has the inputs of the boat only, and the matrices of a boat with the payload there."""
+    moved = boat("payload-shift", t_shift=100.0, x_shift=0.1, y_shift=0.02, x_before=0.03)
+    found = linearise(moved, 0.7)
+    assert found.inputs == ("n_left", "n_right")
+    assert found.conditions == {"t": 110.0}
+    assert "taken as constant: t = 110 s" in repr(found)
+    fixed = linearise(boat("cg-offset", x_g=0.13, y_g=0.02), 0.7)
+    np.testing.assert_allclose(found.A, fixed.A, rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(found.u0, fixed.u0, rtol=1e-6)
+    before = linearise(moved, 0.7, conditions={"t": 20.0})
+    np.testing.assert_allclose(before.A, linearise(boat("cg-offset", x_g=0.03), 0.7).A, rtol=1e-5, atol=1e-7)
+    assert np.abs(before.A - found.A).max() > 1e-3
+    u = found.u0[None]
+    assert steady_motion(moved, u).of("u")[0] == pytest.approx(
+        steady_motion(moved, u, conditions={"t": 1e3}).of("u")[0]
+    )
+    assert list(Drives(moved, {"n_left": (0.0, 1.0), "n_right": (0.0, 1.0)}).names) == ["n_left", "n_right"]
+
+
+def test_place_and_heading_of_a_bank_can_be_chosen() -> None:
+    model = boat("bank", N_bank=0.5, N_slope=0.1, psi_bank=0.5)
+    at_origin, near = (linearise(model, 0.7, conditions=at) for at in ({}, {"x": 10.0, "psi": 0.5}))
+    assert at_origin.conditions == {"x": 0.0, "y": 0.0, "psi": 0.0}
+    assert near.conditions == {"x": 10.0, "y": 0.0, "psi": 0.5}
+    assert np.abs(at_origin.u0 - near.u0).max() > 1e-3
+    assert conditions_text(near.conditions) == "x = 10 m, y = 0 m, psi = 0.5 rad"
+
+
+def test_defaults_are_the_end_of_the_data() -> None:
+    model = boat("payload-shift", "battery-sag", t_shift=100.0)
+    assert conditions_of(model) == ("t", "work")
+    assert chosen_conditions(model, {"t": (0.0, 300.0), "work": (0.0, 2.0)}) == {"t": 300.0, "work": 2.0}
+    assert chosen_conditions(model, {"t": (0.0, 300.0)}, {"t": 5}) == {"t": 5.0, "work": 0.0}
+    assert chosen_conditions(boat(), {"t": (0.0, 300.0)}, {"t": 5.0}) == {}
+    assert linearise(boat(), 0.7).conditions == {}
+    with pytest.raises(SeatrialError, match="there is no condition 'works'; did you mean 'work'"):
+        linearise(model, 0.7, conditions={"works": 1.0})
+    with pytest.raises(SeatrialError, match="the condition t is nan: give a finite number"):
+        linearise(model, 0.7, conditions={"t": float("nan")})
