@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from math import comb
 
 import numpy as np
@@ -442,15 +442,17 @@ def _alternating_share(channel: Channel) -> float:
     return float(np.median(np.mean(blocks, axis=1) ** 2 / np.maximum(whole, 1e-300)))
 
 
-def check_smoothing(c: Channels) -> Iterator[Finding]:
+def check_smoothing(c: Channels, known_noise: Collection[str] = ()) -> Iterator[Finding]:
     """Yield one warning that lists the motion signals without the white noise of a sensor. A filter has smoothed them.
 
     Parameters
     ----------
     c
         Channels (signals) of a log by name.
+    known_noise
+        Signals whose noise the user has given to the fit, as the warning advises. They are not listed.
     """
-    smooth = smoothed(c)
+    smooth = [name for name in smoothed(c) if name not in known_noise]
     if smooth:
         text = "a filter has smoothed the signal: it lacks the noise of a sensor, and its errors last for seconds"
         advice = (
