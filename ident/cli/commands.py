@@ -373,6 +373,7 @@ def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, as_js
 @horizon_option
 @rate_option
 @workers_options
+@trust_option
 @resumed_out_option("fleet")
 @json_option()
 def fleet(logs: tuple[Path, ...], out: Path, workers: Any, force: bool, as_json: bool, **how: Any) -> None:

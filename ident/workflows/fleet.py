@@ -25,8 +25,8 @@ import numpy as np
 
 from seatrial.daq.errors import SeatrialError, counted
 from seatrial.daq.log import open_log
-from seatrial.ident.estimation import LEAST_OWN, ReportedEstimates, between_log_variance
-from seatrial.ident.models import is_own_model
+from seatrial.ident.estimation import LEAST_OWN, ReportedEstimates, between_log_variance, load_model
+from seatrial.ident.models import accepting_code, code_digest, is_own_model
 from seatrial.ident.numerics import Array, chi2_sf
 from seatrial.ident.parallel import ResultTable, TaskOutcome, Workers, run_many
 from seatrial.ident.reporter import Reporter
@@ -154,11 +154,12 @@ def fit_fleet(request: FleetRequest, command: str, reporter: Reporter) -> FleetF
     Raises
     ------
     SeatrialError
-        For example, if fits.parquet has fits with other options, if ``request.out`` is a file, if a library is missing,
-        or if a cluster cannot be used.
+        For example, if a model.toml cannot be read or is not trusted, if fits.parquet has fits with other options, if
+        ``request.out`` is a file, if a library is missing, or if a cluster cannot be used.
     """
+    code = checked_code(request.vehicle)
     logs = hashed_logs(request.logs, reporter)
-    rows = fit_logs(logs, request, reporter)
+    rows = fit_logs(logs, request, code, reporter)
     path = "" if request.out is None else str(request.out / TABLE)
     result = fleet_result(rows, len(logs), request.vehicle.model, path, command)
     if request.out is not None:
@@ -166,7 +167,19 @@ def fit_fleet(request: FleetRequest, command: str, reporter: Reporter) -> FleetF
     return FleetFits(result, rows)
 
 
-def fit_logs(logs: Sequence[FleetLog], request: FleetRequest, reporter: Reporter) -> Any:
+def checked_code(vehicle: VehicleRequest) -> frozenset[str]:
+    """Check the model.toml that the fits begin with, once for all logs, and return the hashes of its Python files.
+
+    The workers run the files with these hashes without a further check (`seatrial.ident.models.accepting_code`). The
+    set is empty for a model without Python files, and for a model that is no model.toml. SeatrialError is raised if the
+    file cannot be read, or if a Python file may not be run without ``--trust-code``.
+    """
+    if not is_saved_model(vehicle.model):
+        return frozenset()
+    return frozenset(map(code_digest, load_model(Path(vehicle.model)).python_files))
+
+
+def fit_logs(logs: Sequence[FleetLog], request: FleetRequest, code: frozenset[str], reporter: Reporter) -> Any:
     """Fit the model to each log in parallel, and return the rows of all estimates (``pyarrow.Table``).
 
     With a folder, the rows are in its fits.parquet. Fits that the file has already are not repeated, except failed
@@ -178,6 +191,8 @@ def fit_logs(logs: Sequence[FleetLog], request: FleetRequest, reporter: Reporter
         Different logs. Those of the request are not used.
     request : FleetRequest
         Options of a fit, folder and workers.
+    code : frozenset of str
+        Hashes of the Python files that the model may run (`checked_code`).
     reporter : Reporter
         Receives progress and warnings.
 
@@ -198,7 +213,7 @@ def fit_logs(logs: Sequence[FleetLog], request: FleetRequest, reporter: Reporter
         if len(todo) < len(logs):
             reporter.progress(f"{len(logs) - len(todo)} of {len(logs)} logs have a fit already")
         began = time.monotonic()
-        for n, outcome in enumerate(run_many(todo, partial(_fit_log, vehicle), request.workers, reporter), 1):
+        for n, outcome in enumerate(run_many(todo, partial(_fit_log, vehicle, code), request.workers, reporter), 1):
             table.add(_rows_of(outcome))
             left = (time.monotonic() - began) / n * (len(todo) - n)
             end = f"failed: {_reason(outcome)}" if outcome.error else "fitted"
@@ -280,10 +295,14 @@ class _Ignored:
         """Ignore the text."""
 
 
-def _fit_log(vehicle: VehicleRequest, log: FleetLog) -> list[Row]:
-    """Fit the model to one log in a worker process, and return a row of the table for each parameter."""
+def _fit_log(vehicle: VehicleRequest, code: frozenset[str], log: FleetLog) -> list[Row]:
+    """Fit the model to one log in a worker process, and return a row of the table for each parameter.
+
+    ``code`` has the hashes of the Python files that the model may run.
+    """
     began = time.process_time()
-    done: VehicleFit = fit_vehicle(replace(vehicle, logs=[log.path]), "", _Ignored(), with_dynamics=False)
+    with accepting_code(code):
+        done: VehicleFit = fit_vehicle(replace(vehicle, logs=[log.path]), "", _Ignored(), with_dynamics=False)
     result = done.result
     of_log: Row = {
         "model": result.fit.model,
