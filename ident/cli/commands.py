@@ -364,7 +364,10 @@ def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, as_js
 
 @ident.command(short_help="Fit a model of the boat to each of many logs.")
 @click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path))
-@model_options()
+@model_options(
+    why="On, as for a single log, because each row of the table stands for itself. The logs may then have different "
+    "models; `ident changes` leaves the tests out by default."
+)
 @robust_option
 @reml_option()
 @mean_order_option()
@@ -421,7 +424,11 @@ def fleet(logs: tuple[Path, ...], out: Path, workers: Any, force: bool, as_json:
     show_default=True,
     help="Largest expected share of false ones among the changed parameters.",
 )
-@model_options(score_tests=False)
+@model_options(
+    score_tests=False,
+    why="Off, because effects would be added in some logs and not in others; the scatter between the logs contains "
+    "what the model lacks. `ident fleet` has the tests on by default.",
+)
 @robust_option
 @reml_option()
 @mean_order_option()

@@ -485,7 +485,7 @@ def _parse_mean_order(
     return None if second is None else 2 if second else 1
 
 
-def model_options(score_tests: bool = True) -> Callable[..., Any]:
+def model_options(score_tests: bool = True, why: str = "") -> Callable[..., Any]:
     """Return a decorator that adds the options of the model of a boat and of its fit to a command.
 
     The command receives ``model``, ``thruster``, ``fixed``, ``initial``, ``priors``, ``effects`` and ``score_tests``.
@@ -494,11 +494,14 @@ def model_options(score_tests: bool = True) -> Callable[..., Any]:
     ----------
     score_tests : bool
         Default of ``--score-tests``.
+    why : str
+        Reason for this default, which the help adds to the description; empty: none.
     """
+    words = f"{SCORE_TESTS} {why}".rstrip()
 
     def decorated(f: Callable[..., Any]) -> Callable[..., Any]:
         """Add the options to the command, so that its help lists them in their order."""
-        f = click.option("--score-tests/--no-score-tests", default=score_tests, show_default=True, help=SCORE_TESTS)(f)
+        f = click.option("--score-tests/--no-score-tests", default=score_tests, show_default=True, help=words)(f)
         for option in reversed(MODEL_OPTIONS):
             f = option(f)
         return f

@@ -228,7 +228,8 @@ def campaign_tables(result: CampaignsResult) -> list[Table]:
         tables.append(table)
     if result.errors:
         tables.append(_campaign_errors_table(result.errors, result.horizon))
-    reasons = [(p.name, p.reason) for p in result.not_compared if not p.reason.startswith(("held", "has its own"))]
+    expected = result.expected_to_differ
+    reasons = [(p.name, p.reason) for p in result.not_compared if p not in expected]
     failed = [(row.log, row.reason) for row in result.failed]
     found = (("Not compared", "parameter", reasons), ("Failed", "log", failed))
     tables += [_reasons_table(title, what, rows) for title, what, rows in found if rows]
@@ -389,6 +390,8 @@ def _growth_text(factor: float) -> str:
 def print_result(result: Result, console: Console) -> None:
     """Print the warnings, the answer, the caveat of a diagnosis and the tables of a result to the console.
 
+    The notes of a run over many logs follow its tables.
+
     The tables of a fit are its parameters, profile likelihoods and prediction errors; a diagnosis adds the candidates.
     A table of a fit without rows is left out. The answer of a fit that did not converge is printed as a warning.
 
@@ -411,6 +414,9 @@ def print_result(result: Result, console: Console) -> None:
         if table is not None:
             console.print()
             print_table(console, table, indent=1)
+    for note in result.notes if isinstance(result, FleetResult | CampaignsResult) else ():
+        console.print()
+        print_prose(console, Text(note, style="dim"))
     console.print()
 
 

@@ -32,7 +32,7 @@ from seatrial.ident.parallel import ResultTable, TaskOutcome, Workers, run_many
 from seatrial.ident.reporter import Reporter
 from seatrial.ident.results import FailedLog, FleetParameter, FleetResult, ParameterRow, provenance, write_result
 from seatrial.ident.studies import estimator_code_hash
-from seatrial.ident.workflows.vehicle import VehicleFit, fit_vehicle
+from seatrial.ident.workflows.vehicle import VehicleFit, fit_vehicle, is_tested
 from seatrial.ident.workflows.vehicle_model import VehicleRequest, is_saved_model
 
 TABLE = "fits.parquet"
@@ -161,7 +161,7 @@ def fit_fleet(request: FleetRequest, command: str, reporter: Reporter) -> FleetF
     logs = hashed_logs(request.logs, reporter)
     rows = fit_logs(logs, request, code, reporter)
     path = "" if request.out is None else str(request.out / TABLE)
-    result = fleet_result(rows, len(logs), request.vehicle.model, path, command)
+    result = fleet_result(rows, len(logs), request.vehicle, path, command)
     if request.out is not None:
         write_result(result, request.out / "result.json")
     return FleetFits(result, rows)
@@ -444,7 +444,7 @@ def _rows_of_logs(table: Any, logs: Sequence[FleetLog]) -> Any:
     return chosen.set_column(chosen.schema.get_field_index("log"), "log", column)
 
 
-def fleet_result(table: Any, n_logs: int, model: str, file: str, command: str) -> FleetResult:
+def fleet_result(table: Any, n_logs: int, vehicle: VehicleRequest, file: str, command: str) -> FleetResult:
     """Return the summary of the fits of many logs as a result.
 
     Parameters
@@ -453,8 +453,8 @@ def fleet_result(table: Any, n_logs: int, model: str, file: str, command: str) -
         Rows of the fits: one for each log and parameter, and one for each failed log.
     n_logs : int
         Number of logs.
-    model : str
-        Name of the model as given.
+    vehicle : VehicleRequest
+        Options of each fit, with the name of the model.
     file : str
         Path of the table; empty if it was not written.
     command : str
@@ -475,10 +475,34 @@ def fleet_result(table: Any, n_logs: int, model: str, file: str, command: str) -
     return FleetResult(
         created=made.created, seatrial=made.seatrial, command=made.command,
         answer=_answer(n_logs, len(fitted), failed, len(bad), parameters),
-        model=model, table=file, n_logs=n_logs, fitted=len(fitted), failed=failed,
+        notes=(score_test_note(vehicle, rows),), model=vehicle.model, table=file, score_tests=is_tested(vehicle),
+        n_logs=n_logs, fitted=len(fitted), failed=failed,
         unconverged=tuple(FailedLog(log=log, reason=reason) for log, reason in bad.items()),
         parameters=parameters,
     )  # fmt: skip
+
+
+def score_test_note(vehicle: VehicleRequest, rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return the sentences on whether the fits of many logs were tested for missing effects, and what follows.
+
+    ``vehicle`` has the options of each fit, and ``rows`` are the rows of the table.
+    """
+    if not is_tested(vehicle):
+        return (
+            "The fits have no score tests: all logs have the same model, and the standard error of a log excludes "
+            "effects that the model may lack; the scatter between the logs contains them."
+        )
+    names: dict[str, set[str]] = {}
+    for row in rows:
+        if row["parameter"] is not None:
+            names.setdefault(row["log"], set()).add(row["parameter"].partition("@")[0])
+    models = len(set(map(frozenset, names.values())))  # an added effect is a model with more parameters
+    return (
+        "Each fit has score tests, as in `seatrial ident vehicle`: small errors of sensors and hull form are added to "
+        "the model of a log that shows them, and the standard error of a log includes what remains unexplained. "
+        + (f"The logs have {models} different models. " if models > 1 else "All logs have the same model. ")
+        + "--no-score-tests leaves the tests out."
+    )
 
 
 def _between_logs(name: str, rows: Sequence[Mapping[str, Any]], level: float) -> FleetParameter:
