@@ -14,7 +14,14 @@ from seatrial.daq.console import print_prose, print_table
 from seatrial.daq.errors import counted
 from seatrial.ident.report import formatting
 from seatrial.ident.report.sections.campaigns import VALUES, change_of, effect_words
-from seatrial.ident.report.sections.comparison import MARKS, WORDS, interval_words, kind_title, ratio_words, signed
+from seatrial.ident.report.sections.comparison import (
+    MARKS,
+    interval_words,
+    kind_title,
+    ratio_words,
+    signed,
+    verdict_words,
+)
 from seatrial.ident.report.sections.parameters import interval, segment_in_words
 from seatrial.ident.report.sections.predictions import by_role, error_words, horizons
 from seatrial.ident.results import (
@@ -277,12 +284,12 @@ def models_table(result: ComparisonResult) -> Table:
 
     The error is the ratio over all channels and the first horizon. A mark shows whether the model is better (▼) or
     worse (▲) than the first one. The counts are the numbers of channels and kinds of prediction in which it is better,
-    worse and not distinguishable.
+    worse, not distinguishable, and without an interval.
     """
     table = titled_table(f"Models, and their error {result.horizons[0]:g} s ahead over all channels")
     table.padding = (0, 1, 0, 0)
     table.add_column("", no_wrap=True, style="bold")
-    for title in ("free", f"error/({result.models[0].label})", "95 %", "▼/▲/same"):
+    for title in ("free", f"error/({result.models[0].label})", "95 %", "▼/▲/same/no interval"):
         table.add_column(Text(title), justify="right", no_wrap=True)
     table.add_column("", overflow="fold")
     for m in result.models:
@@ -317,12 +324,22 @@ def compared_tables(result: ComparisonResult) -> list[Table]:
             for row in rows:
                 factor, unit = formatting.degrees_for(row.unit)
                 cells = [_compared_cell(row, label, factor, with_fit) for label in shown]
-                table.add_row(Text(row.channel), Text(unit), *cells, Text(" ".join(row.not_worse) or "–"))
+                table.add_row(Text(row.channel), Text(unit), *cells, Text(_best_words(row)))
             tables.append(table)
     return tables
 
 
-STYLES = {"better": "bold green", "worse": "bold red", "indistinguishable": ""}
+def _best_words(row: ComparedChannel) -> str:
+    """Return the labels of the best models of a channel as text; a dash if there are none.
+
+    If a ratio to the best model has no interval, the text ends with the number of blocks of time: ``a; no interval: 2
+    blocks``.
+    """
+    words = " ".join(row.not_worse) or "–"
+    return f"{words}; {verdict_words(row.unproven[0])}" if row.unproven else words
+
+
+STYLES = {"better": "bold green", "worse": "bold red", "indistinguishable": "", "no-interval": ""}
 
 
 def _lower(title: str) -> str:
@@ -363,9 +380,10 @@ def _likelihood_sentences(m: ComparedModel) -> list[str]:
     if m.score is None:
         return ["The models do not predict the same samples, so their likelihoods are not compared."]
     low, high = m.score.low, m.score.high
-    interval = "too short for an interval" if low is None or high is None else f"95 %: {signed(low)} to {signed(high)}"
+    verdict = verdict_words(m.score)
+    words = f"({verdict})" if low is None or high is None else f"(95 %: {signed(low)} to {signed(high)}): {verdict}"
     kind = "cross-validated log score" if m.score.held_out else "log score"
-    found = [f"The {kind} is {signed(m.score.gain)} ({interval}): {WORDS[m.score.verdict]}."]
+    found = [f"The {kind} is {signed(m.score.gain)} {words}."]
     if m.criteria is None:
         return [*found, f"No AIC, BIC and likelihood ratio: {m.no_criteria}."]
     c = m.criteria
