@@ -12,6 +12,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+import pandas.testing
 import pytest
 
 import seatrial as st
@@ -148,6 +149,10 @@ def test_scatter_of_the_mass_is_no_change(logs: dict[str, list[Path]], folder: P
     before = {p.name: p.before for p in fouled.parameters}
     assert mass.before.mean == pytest.approx(before["m_u"].mean, rel=0.02)  # its weights include the scatter
     assert found.table.num_rows > 0
+    saved = st.load(folder)
+    pandas.testing.assert_frame_equal(saved.to_pandas(), frame, rtol=1e-5)  # result.json is rounded
+    assert saved.summary() == found.summary()
+    assert saved._repr_html_() == found._repr_html_()
 
 
 def test_one_log_before_and_one_after_claim_nothing(logs: dict[str, list[Path]], folder: Path) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+import pandas.testing
 import pyarrow.parquet
 import pytest
 
@@ -222,7 +223,11 @@ def test_python_interface_takes_a_list_or_one_model_after_the_other(
     worst = frame[(frame["model"] == "bad") & (frame["seconds"] == 2.0)].set_index("channel")
     assert worst.loc["r", "ratio"] > 1.0
     assert "(b)" in repr(listed)
-    again = read_result(listed.save(tmp_path / "saved") / "result.json")
+    saved = st.load(listed.save(tmp_path / "saved"))
+    pandas.testing.assert_frame_equal(saved.to_pandas(), frame, rtol=1e-6)  # result.json is rounded
+    assert saved.summary() == listed.summary()
+    assert saved._repr_html_() == listed._repr_html_()
+    again = read_result(tmp_path / "saved/result.json")
     assert isinstance(again, ComparisonResult)
     assert again.answer == listed.answer
     figures = [x.plot("r") for x in (st.load(tmp_path / "saved"), listed)]

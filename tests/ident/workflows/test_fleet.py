@@ -138,6 +138,20 @@ def test_failed_log_is_a_row_with_its_reason(
     run("ident", "fleet", broken, *QUICK, "--out", tmp_path / "none", status=1)
 
 
+def test_saved_fleet_is_loaded_with_its_table(logs: list[Path], tmp_path: Path) -> None:
+    many = st.fit_many(logs[:2], score_tests=False, fixed={"c2": 1.1}, priors={"c1": (40.0, 2.0)}, jobs=1, out=tmp_path)
+    saved = st.load(tmp_path)
+    assert saved.to_pandas().equals(many.to_pandas())
+    assert saved.summary() == many.summary()
+    assert saved._repr_html_() == many._repr_html_()
+    (tmp_path / "fits.parquet").write_bytes(b"no table")
+    with pytest.raises(SeatrialError, match=r"fits\.parquet: cannot be read \("):
+        saved.to_pandas()
+    (tmp_path / "fits.parquet").unlink()
+    with pytest.raises(SeatrialError, match=r"fits\.parquet: is missing"):
+        saved.to_pandas()
+
+
 def test_second_run_fits_only_the_rest(logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fitted: list[str] = []
     fit_vehicle = fleet.fit_vehicle
