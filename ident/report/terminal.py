@@ -408,7 +408,8 @@ def _growth_text(factor: float) -> str:
 def print_result(result: Result, console: Console) -> None:
     """Print the warnings, the answer, the caveat of a diagnosis and the tables of a result to the console.
 
-    The notes of a run over many logs follow its tables.
+    The notes of a run over many logs follow its tables. The prediction errors of a diagnosis, its last table, are
+    followed by the sentences on how they are computed.
 
     The tables of a fit are its parameters, profile likelihoods and prediction errors; a diagnosis adds the candidates.
     A table of a fit without rows is left out. The answer of a fit that did not converge is printed as a warning.
@@ -428,10 +429,13 @@ def print_result(result: Result, console: Console) -> None:
     print_prose(console, answer)
     if isinstance(result, DiagnosisResult) and result.caveat:
         print_prose(console, Text(result.caveat, style="yellow"))
+    table: Table | None = None
     for table in _all_tables(result):
         if table is not None:
             console.print()
             print_table(console, table, indent=1)
+    if isinstance(result, DiagnosisResult) and table is not None:
+        print_prose(console, Text(result.errors_caveat, style="dim"))
     for note in result.notes if isinstance(result, FleetResult | CampaignsResult) else ():
         console.print()
         print_prose(console, Text(note, style="dim"))
