@@ -298,7 +298,11 @@ def import_() -> None:
 
 @import_.command("map", short_help="MAP SOURCE...: signals by a map; the word map may be left out.")
 @click.argument("sources", metavar="MAP SOURCE...", type=_SOURCE, nargs=-1, required=True)
-@click.option("--guess", is_flag=True, help="Write a map of SOURCE, to the screen or to -o, with its caveats.")
+@click.option(
+    "--guess",
+    is_flag=True,
+    help="Write a map of SOURCE, to the screen or to -o, with its caveats. Give all files that will share the map.",
+)
 @click.option("--dbc", type=_EXISTING, help="With --guess: the DBC file that describes the frames of a CAN log.")
 @output_option(_NEW, "The log (or the map) to write, if it is a single one.")
 @click.option("--out-dir", type=_FOLDER, help="Folder for the logs, named after the sources (default: here).")
@@ -317,7 +321,8 @@ def import_map(
     """Turn SOURCEs (files, or folders of ROS 2 bags) into logs by a MAP from columns and topics to signals.
 
     The first argument is the MAP, which is described in docs/formats/import.md. With --guess there is no MAP: a guessed
-    map of the only SOURCE is written. A file that exists is replaced only with --force.
+    map of the first SOURCE is written, with one scale of the thrusters for all. A file that exists is replaced only
+    with --force.
 
     \b
     Example:
@@ -349,19 +354,20 @@ def import_map(
 def _write_guessed_map(
     sources: tuple[Path, ...], dbc: Path | None, out: Path | None, force: bool, as_json: bool
 ) -> None:
-    """Write the guessed import map of one source file to the file `out`, or to the screen if `out` is None.
+    """Write the guessed import map of source files to the file `out`, or to the screen if `out` is None.
 
     An import map selects columns or topics of the source and names their signals. `dbc` is the file that describes the
-    frames of a CAN log. An existing file is replaced if `force` is true; otherwise it is an error. More than one source
-    is a usage error. If the source does not suffice for a fit, a warning is printed. `as_json` is the flag `--json`.
+    frames of a CAN log. An existing file is replaced if `force` is true; otherwise it is an error. Of several sources,
+    the map is that of the first, and a scale that is guessed from numbers is that of all. If the first source does not
+    suffice for a fit, a warning is printed. `as_json` is the flag `--json`.
     """
     from seatrial.daq.files import write_output
-    from seatrial.daq.importers.guess import guess_map
+    from seatrial.daq.importers.guess import guess_maps
     from seatrial.daq.importers.write_log import replacing
 
-    if len(sources) != 1:
-        raise click.UsageError("--guess takes one source file; guess the import map of each file by itself")
-    found = guess_map(sources[0], dbc, None if out is None else out.parent)
+    if not sources:
+        raise click.UsageError("--guess takes one source file, or several that share a map")
+    found = guess_maps(sources, dbc, None if out is None else out.parent)[0]
     if out is not None:
         with replacing(out, force, sources) as part:
             write_output(part, found.text)
