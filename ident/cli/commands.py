@@ -23,6 +23,7 @@ from seatrial.ident.cli.options import (
     GatheringCommand,
     LineReporter,
     LiveLine,
+    SpacedLines,
     check_output,
     command_line,
     despite_option,
@@ -784,10 +785,13 @@ def design(
 def _with_live_progress(work: Any) -> Any:
     """Run a computation while a live line on standard error shows its progress, and return its result.
 
+    If standard error is no terminal, lines of progress are printed there, at most one of a kind in two seconds.
     ``work`` is a function of a reporter, which receives the lines of progress and the warnings. Its errors are not
     caught.
     """
     console = make_console(stderr=True)
+    if not console.is_terminal:
+        return work(SpacedLines())
     with console.status("compiling") as status:
         return work(LiveLine(console, status))
 

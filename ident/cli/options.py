@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 import sys
+import time
 from collections.abc import Callable, Sequence
 from functools import wraps
 from pathlib import Path
@@ -626,6 +628,27 @@ class LineReporter:
     def warning(self, text: str) -> None:
         """Print the text on a line, indented by two spaces."""
         click.echo(f"  {text}", err=self.err)
+
+
+class SpacedLines(LineReporter):
+    """Reporter that prints progress to standard error: at most one line of a kind in two seconds.
+
+    Lines are of one kind if they differ in their numbers only. A search reports hundreds of them.
+    """
+
+    SPACING_S = 2.0
+
+    def __init__(self) -> None:
+        """Begin without a line."""
+        super().__init__(err=True)
+        self._kind, self._printed = "", -math.inf
+
+    def progress(self, text: str) -> None:
+        """Print the text, unless a line of its kind was printed in the last two seconds."""
+        kind, now = re.sub(r"\d[\d.e+-]*", "0", text), time.monotonic()
+        if kind != self._kind or now - self._printed >= self.SPACING_S:
+            self._kind, self._printed = kind, now
+            super().progress(text)
 
 
 class LiveLine:
