@@ -622,7 +622,21 @@ def replay(log: Path, folder: Path, names: tuple[str, ...], speed: float) -> Non
 )
 @click.option("--from", "t_from", type=FiniteRange(0.0), default=0.0, help="Start [s of the log].")
 @click.option("--to", "t_to", type=FiniteRange(0.0), help="End [s of the log].")
-def export(form: str, log: Path, out: Path, force: bool, rate: float | None, t_from: float, t_to: float | None) -> None:
+@click.option(
+    "--noise",
+    type=_EXISTING,
+    help="With ros: noise.toml of `seatrial ident noise`, for the covariances of imported signals.",
+)
+def export(
+    form: str,
+    log: Path,
+    out: Path,
+    force: bool,
+    rate: float | None,
+    t_from: float,
+    t_to: float | None,
+    noise: Path | None,
+) -> None:
     """Write LOG as files of FORM.
 
     csv and parquet: a table for each device and kind of sample, and the events; with --rate one table of all signals.
@@ -635,15 +649,19 @@ def export(form: str, log: Path, out: Path, force: bool, rate: float | None, t_f
       seatrial export csv logs/run.mcap --out run-csv
       seatrial export mat logs/run.mcap --rate 20 --from 600 --to 1200 --out run-mat
       seatrial export ros logs/run.mcap --out run-ros
+      seatrial export ros imported.mcap --noise noise/noise.toml --out imported-ros
     """
     from seatrial.daq.log import open_log
-    from seatrial.daq.tools import export_log, export_resampled, export_ros
+    from seatrial.daq.tools import declared_noise, export_log, export_resampled, export_ros
 
     if form == "ros" and rate is not None:
         raise click.UsageError(
             "--rate does not apply to ros, which exports the messages as they were logged; leave it out"
         )
 
+    if form != "ros" and noise is not None:
+        raise click.UsageError("--noise applies only to ros, whose messages have covariances; leave it out")
+    deviations = {} if noise is None else declared_noise(noise)
     t_to = math.inf if t_to is None else t_to
     with open_log(log) as opened:
         part = opened
@@ -659,6 +677,7 @@ def export(form: str, log: Path, out: Path, force: bool, rate: float | None, t_f
         if rate is not None:
             written = [export_resampled(part, form, out, rate, force)]
         else:
-            written = export_ros(part, out, force) if form == "ros" else export_log(part, form, out, force)
+            ros = form == "ros"
+            written = export_ros(part, out, force, deviations) if ros else export_log(part, form, out, force)
         for path in written:
             click.echo(printable(str(path)))
