@@ -298,7 +298,11 @@ def import_() -> None:
 
 @import_.command("map", short_help="MAP SOURCE...: signals by a map; the word map may be left out.")
 @click.argument("sources", metavar="MAP SOURCE...", type=_SOURCE, nargs=-1, required=True)
-@click.option("--guess", is_flag=True, help="Write a map of SOURCE, to the screen or to -o, with its caveats.")
+@click.option(
+    "--guess",
+    is_flag=True,
+    help="Write a map of SOURCE, to the screen or to -o, with its caveats. Give all files that will share the map.",
+)
 @click.option("--dbc", type=_EXISTING, help="With --guess: the DBC file that describes the frames of a CAN log.")
 @output_option(_NEW, "The log (or the map) to write, if it is a single one.")
 @click.option("--out-dir", type=_FOLDER, help="Folder for the logs, named after the sources (default: here).")
@@ -317,7 +321,8 @@ def import_map(
     """Turn SOURCEs (files, or folders of ROS 2 bags) into logs by a MAP from columns and topics to signals.
 
     The first argument is the MAP, which is described in docs/formats/import.md. With --guess there is no MAP: a guessed
-    map of the only SOURCE is written. A file that exists is replaced only with --force.
+    map of the first SOURCE is written, with one scale of the thrusters for all. A file that exists is replaced only
+    with --force.
 
     \b
     Example:
@@ -349,19 +354,20 @@ def import_map(
 def _write_guessed_map(
     sources: tuple[Path, ...], dbc: Path | None, out: Path | None, force: bool, as_json: bool
 ) -> None:
-    """Write the guessed import map of one source file to the file `out`, or to the screen if `out` is None.
+    """Write the guessed import map of source files to the file `out`, or to the screen if `out` is None.
 
     An import map selects columns or topics of the source and names their signals. `dbc` is the file that describes the
-    frames of a CAN log. An existing file is replaced if `force` is true; otherwise it is an error. More than one source
-    is a usage error. If the source does not suffice for a fit, a warning is printed. `as_json` is the flag `--json`.
+    frames of a CAN log. An existing file is replaced if `force` is true; otherwise it is an error. Of several sources,
+    the map is that of the first, and a scale that is guessed from numbers is that of all. If the first source does not
+    suffice for a fit, a warning is printed. `as_json` is the flag `--json`.
     """
     from seatrial.daq.files import write_output
-    from seatrial.daq.importers.guess import guess_map
+    from seatrial.daq.importers.guess import guess_maps
     from seatrial.daq.importers.write_log import replacing
 
-    if len(sources) != 1:
-        raise click.UsageError("--guess takes one source file; guess the import map of each file by itself")
-    found = guess_map(sources[0], dbc, None if out is None else out.parent)
+    if not sources:
+        raise click.UsageError("--guess takes one source file, or several that share a map")
+    found = guess_maps(sources, dbc, None if out is None else out.parent)[0]
     if out is not None:
         with replacing(out, force, sources) as part:
             write_output(part, found.text)
@@ -616,7 +622,21 @@ def replay(log: Path, folder: Path, names: tuple[str, ...], speed: float) -> Non
 )
 @click.option("--from", "t_from", type=FiniteRange(0.0), default=0.0, help="Start [s of the log].")
 @click.option("--to", "t_to", type=FiniteRange(0.0), help="End [s of the log].")
-def export(form: str, log: Path, out: Path, force: bool, rate: float | None, t_from: float, t_to: float | None) -> None:
+@click.option(
+    "--noise",
+    type=_EXISTING,
+    help="With ros: noise.toml of `seatrial ident noise`, for the covariances of imported signals.",
+)
+def export(
+    form: str,
+    log: Path,
+    out: Path,
+    force: bool,
+    rate: float | None,
+    t_from: float,
+    t_to: float | None,
+    noise: Path | None,
+) -> None:
     """Write LOG as files of FORM.
 
     csv and parquet: a table for each device and kind of sample, and the events; with --rate one table of all signals.
@@ -629,15 +649,19 @@ def export(form: str, log: Path, out: Path, force: bool, rate: float | None, t_f
       seatrial export csv logs/run.mcap --out run-csv
       seatrial export mat logs/run.mcap --rate 20 --from 600 --to 1200 --out run-mat
       seatrial export ros logs/run.mcap --out run-ros
+      seatrial export ros imported.mcap --noise noise/noise.toml --out imported-ros
     """
     from seatrial.daq.log import open_log
-    from seatrial.daq.tools import export_log, export_resampled, export_ros
+    from seatrial.daq.tools import declared_noise, export_log, export_resampled, export_ros
 
     if form == "ros" and rate is not None:
         raise click.UsageError(
             "--rate does not apply to ros, which exports the messages as they were logged; leave it out"
         )
 
+    if form != "ros" and noise is not None:
+        raise click.UsageError("--noise applies only to ros, whose messages have covariances; leave it out")
+    deviations = {} if noise is None else declared_noise(noise)
     t_to = math.inf if t_to is None else t_to
     with open_log(log) as opened:
         part = opened
@@ -653,6 +677,7 @@ def export(form: str, log: Path, out: Path, force: bool, rate: float | None, t_f
         if rate is not None:
             written = [export_resampled(part, form, out, rate, force)]
         else:
-            written = export_ros(part, out, force) if form == "ros" else export_log(part, form, out, force)
+            ros = form == "ros"
+            written = export_ros(part, out, force, deviations) if ros else export_log(part, form, out, force)
         for path in written:
             click.echo(printable(str(path)))

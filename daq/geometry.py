@@ -44,6 +44,18 @@ def local_ned(lat: NDArray[np.float64], lon: NDArray[np.float64]) -> tuple[NDArr
     return meridian * np.radians(lat - lat[0]), normal * np.cos(phi) * east
 
 
+def from_local_ned(
+    north: NDArray[np.float64], east: NDArray[np.float64], origin: tuple[float, float]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Convert metres north and east of an origin (latitude, longitude) [deg] to latitudes and longitudes (n,) [deg].
+
+    It is the inverse of `local_ned` with the origin as the first point. Longitudes are from -180 to below 180.
+    """
+    one_degree = np.array([origin[0], origin[0] + 1.0]), np.array([origin[1], origin[1] + 1.0])
+    (_, north_m), (_, east_m) = local_ned(*one_degree)
+    return origin[0] + north / north_m, np.mod(origin[1] + east / east_m + 180.0, 360.0) - 180.0
+
+
 def geodetic(x: float, y: float, z: float) -> tuple[float, float]:
     """Convert a point in ECEF [m] to latitude and longitude [deg] of WGS 84 (Bowring 1976).
 

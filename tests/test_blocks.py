@@ -30,6 +30,8 @@ RUN = [
     ("README.md", "sh", [1, 2, 3, 4], f"{TUTORIALS}::test_the_commands_of_the_readme_lead_to_a_report"),
     ("README.md", "sh", [5], f"{HERE}::test_the_logs_of_the_readme_are_imported_and_fitted"),
     ("README.md", "python", ALL, f"{HERE}::test_the_python_of_the_readme_finds_the_effect"),
+    ("docs/formats/export-ros.md", "sh", ALL,
+     "tests/daq/tools/test_ros_signals.py::test_the_command_of_the_page_runs_as_written"),
     ("docs/formats/import.md", "sh", ALL, f"{HERE}::test_the_bag_of_the_import_page_is_fitted"),
     ("docs/formats/result.md", "sh", ALL, f"{HERE}::test_the_json_of_the_result_page_has_its_fields"),
     ("docs/formats/result.md", "python", ALL, f"{HERE}::test_the_curves_of_the_result_page_are_plotted"),

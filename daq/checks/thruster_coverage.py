@@ -19,17 +19,24 @@ FEWEST = 10  # smallest number of samples of the fastest controller from which r
 def _check_rpm_max(log: Log, rig: Rig) -> Iterator[Finding]:
     """Yield a warning for each thruster whose logged shaft speed cannot be normalised, because the rig lacks `rpm_max`.
 
-    `rpm_max` is the shaft speed at full command [rev/min]. The advice contains the largest speed in the log. Thrusters
-    without a shaft speed other than zero in the log are left out.
+    `rpm_max` is the shaft speed at full command [rev/min]. The advice contains the largest speed of all these thrusters
+    in the log, so that equal thrusters get one value. Thrusters without a shaft speed other than zero in the log are
+    left out.
     """
+    largest: dict[str, float] = {}
     for thruster in rig.thrusters:
         if np.isfinite(thruster.rpm_max) or thruster.node not in log.nodes(Esc, thruster.device):
             continue
         rpm = np.abs(log.table(Esc, thruster.device, thruster.node)["rpm"])
-        if np.nanmax(rpm, initial=0.0) > 0.0:
-            text = "the log contains its speed, but a fit uses its commands: the rig lacks its rpm_max"
-            advice = f"give rpm_max in the rig's [[thruster]]; the log goes up to {np.nanmax(rpm):.0f} rev/min"
-            yield Finding(WARNING, "rpm-max-missing", "thrusters", thruster.name, text, advice)
+        if (top := float(np.nanmax(rpm, initial=0.0))) > 0.0:
+            largest[thruster.name] = top
+    for name in largest:
+        text = "the log contains its speed, but a fit uses its commands: the rig lacks its rpm_max"
+        advice = (
+            "give the speed at full command as rpm_max in the rig's [[thruster]], the same for equal thrusters; the "
+            f"log goes up to {max(largest.values()):.0f} rev/min"
+        )
+        yield Finding(WARNING, "rpm-max-missing", "thrusters", name, text, advice)
 
 
 def _numbering_advice(rig: Rig, device: str, nodes: set[int], logged: set[int]) -> str:

@@ -82,13 +82,13 @@ def bench_candidates(table: Table, t: Column | None) -> list[Candidate]:
         return signals
     top = float(np.nanmax(np.abs(speed)))
     step = float(np.nanmedian(np.diff(t))) if t is not None and len(t) > 1 else 0.0
-    caveat, rank = f"{top:.5g} rev/min is assumed to be full speed", 0
+    caveat, rank = "", 0
     if is_reversed and np.nanmin(speed) >= 0.0:
         caveat, rank = "the speed has no sign, but the thrust has; only a static thrust curve can be fitted", 5
     elif step > SLOWEST_SHAFT_S:
         caveat = f"rows {step:.2g} s apart are too slow for a time constant; only a static thrust curve can be fitted"
         rank = 5
-    shaft = MapSignal(SHAFT, (found.speed,), "1", "", f'scale = {1.0 / top:.9g}, hold = "linear"')
+    shaft = MapSignal(SHAFT, (found.speed,), "1", "", 'hold = "linear"', top)
     return [*signals, Candidate("shaft", rank, table, (shaft,), caveat)]
 
 

@@ -77,13 +77,38 @@ class Guess(NamedTuple):
         Text of the map, in TOML.
     problem : str
         Reason why no fit is possible with the map; "" if a fit should be possible.
+    full : dict of str to float
+        Number of the source that becomes 1, by signal, for signals whose scale is guessed from their largest number.
     """
 
     text: str  # of the map
     problem: str  # why no fit is possible with the map; "" if a fit should be possible
+    full: Mapping[str, float] = {}  # number that becomes 1, by signal
 
 
-def guess_map(path: Path, dbc: Path | None = None, folder: Path | None = None) -> Guess:
+def guess_maps(paths: Sequence[Path], dbc: Path | None = None, folder: Path | None = None) -> list[Guess]:
+    """Guess the import map of each of several source files; a scale that is guessed from numbers is the same in all.
+
+    It is that of the largest number of all files, so that equal speeds stay equal. The arguments are those of
+    `guess_map`, and so are the errors.
+    """
+    found = [guess_map(path, dbc, folder) for path in paths]
+    if len(found) < 2:
+        return found
+    full: dict[str, float] = {}
+    for guess in found:
+        for name, top in guess.full.items():
+            full[name] = max(top, full.get(name, 0.0))
+    return [guess_map(path, dbc, folder, full, paths) for path in paths] if full else found
+
+
+def guess_map(
+    path: Path,
+    dbc: Path | None = None,
+    folder: Path | None = None,
+    full: Mapping[str, float] | None = None,
+    files: Sequence[Path] = (),
+) -> Guess:
     """Guess the import map of a source file: which of its columns are which signals, in which units.
 
     Parameters
@@ -94,6 +119,11 @@ def guess_map(path: Path, dbc: Path | None = None, folder: Path | None = None) -
         Database of the messages of a CAN log.
     folder
         Folder in which the map will be stored, by default the current folder. The map names the DBC relative to it.
+    full
+        Number of the source that becomes 1, by signal, for signals whose scale is guessed from numbers. Other signals,
+        and all signals by default, have their largest number in this source.
+    files
+        Files that share the map, if they are several.
 
     Returns
     -------
@@ -122,8 +152,9 @@ def guess_map(path: Path, dbc: Path | None = None, folder: Path | None = None) -
             raise SeatrialError(f"{path}: no table of numbers found in this text; write the import map by hand")
         options = SourceOptions(replace(style, nan="drop", time_order="drop"))  # as in the guessed map
     tables = [table for table in kind.read(path, options) if table.names]
+    names = " ".join(file.name for file in files) or path.name
     head = [
-        f"# From `seatrial import --guess {path.name}`. Check each caveat, then run `seatrial import MAP {path.name}`.",
+        f"# From `seatrial import --guess {names}`. Check each caveat, then run `seatrial import MAP {names}`.",
         'format = "seatrial-import 1"',
         f"name = {_toml_text(path.stem)}",
     ]
@@ -142,15 +173,34 @@ def guess_map(path: Path, dbc: Path | None = None, folder: Path | None = None) -
     benches = [c for t in tables if not t.kind for c in bench_candidates(t, row_seconds(t, clocks[id(t)]))]
     candidates = [c for t in tables for c in (*message_candidates(t), *_column_candidates(t, clocks, together))]
     candidates = benches or [*candidates, *outputs(tables)]
+    candidates = [_with_full_speed(c, full or {}) for c in candidates]
     candidates = [_with_unit_caveats(_with_frame_key(c) if kind.name == "ros" else c) for c in candidates]
     main = _main_clock(candidates, clocks)
-    taken, lines = _chosen_signals(candidates, clocks, main)
+    taken, lines = _chosen_signals(candidates, clocks, main, max(len(files), 1))
     problem = _missing_for_fit(taken, tables)
     head += _style_line(options, kind.name) + _time_lines(tables, candidates, clocks, main)
     remarks = [f"# caveat: {table.full_remark}" for table in tables if table.full_remark]
     remarks += [f"# caveat: {line}" for line in _held_signal_comments(candidates, taken, clocks)]
     text = "\n".join([*head, *remarks, "signal = [", *lines, *_unrecognised_lines(tables, candidates, clocks), "]"])
-    return Guess(text + (f"\n# no fit: {problem}" if problem else "") + "\n", problem)
+    tops = {signal.name: signal.full for signal in taken if signal.full}
+    return Guess(text + (f"\n# no fit: {problem}" if problem else "") + "\n", problem, tops)
+
+
+def _with_full_speed(candidate: Candidate, full: Mapping[str, float]) -> Candidate:
+    """Return a candidate whose signals with a guessed full speed have that of ``full``, where it has their name."""
+    signals = (s._replace(full=full[s.name]) if s.full and s.name in full else s for s in candidate.signals)
+    return candidate._replace(signals=tuple(signals))
+
+
+def _scale_remark(signal: MapSignal, n_files: int) -> str:
+    """Return the remark on a guessed scale, at the end of the line of a signal; "" if the scale is no guess."""
+    if not signal.full:
+        return ""
+    of = "this file" if n_files == 1 else f"these {n_files} files"
+    return (
+        f"  # scale: a guess, 1 / {signal.full:.6g}, the largest number of {of}; better: 1 / (number at full speed), "
+        "the same on both sides and in all files"
+    )
 
 
 def _is_log(path: Path) -> bool:
@@ -596,8 +646,8 @@ def outputs(tables: Sequence[Table]) -> Iterator[Candidate]:
     for k, table in enumerate(shafts):
         node = _controller_sort_key(table)[0]
         name = (("n",) if len(shafts) == 1 else ("n_left", "n_right"))[k] if len(shafts) <= 2 else f"n_{node}"
-        caveat = f"controller {node} is assumed to be {name}, {top:.5g} rev/min (electrical for a VESC) full speed"
-        taken = MapSignal(name, ("rpm",), "1", "", f'scale = {1.0 / top:.9g}, role = "input", hold = "linear"')
+        caveat = f"controller {node} is assumed to be {name}; the speed of a VESC is electrical"
+        taken = MapSignal(name, ("rpm",), "1", "", 'role = "input", hold = "linear"', top)
         yield Candidate("drive", 1, table, (taken,), caveat)
 
 
@@ -645,7 +695,9 @@ def _pulse_scale(p: Mapping[str, float], node: int) -> tuple[str, str]:
 # The choice
 
 
-def _chosen_signals(candidates: Sequence[Candidate], clocks: Clocks, main: Clock) -> tuple[list[MapSignal], list[str]]:
+def _chosen_signals(
+    candidates: Sequence[Candidate], clocks: Clocks, main: Clock, n_files: int
+) -> tuple[list[MapSignal], list[str]]:
     """Choose the signals of a guessed import map. Return them, and the lines of the map.
 
     The lines are one for each chosen signal, behind its caveat, then the other candidates as comments. Candidates are
@@ -655,7 +707,7 @@ def _chosen_signals(candidates: Sequence[Candidate], clocks: Clocks, main: Clock
     times), and its thrusters have the same quantity as those of its group that were chosen before. A speed without
     direction is not chosen after u. Commands and shaft speeds are not chosen if the source has forces of a left or
     right thruster, or if the vehicle is no boat. `main` is the time column in [time] of the map, and `clocks` has that
-    of each table, by the id of the table.
+    of each table, by the id of the table. `n_files` files share the map.
     """
 
     sides: dict[frozenset[str], set[str]] = {}
@@ -673,7 +725,7 @@ def _chosen_signals(candidates: Sequence[Candidate], clocks: Clocks, main: Clock
     quantities: dict[str, frozenset[str]] = {}  # quantity of the chosen thrusters, by group
     taken: dict[str, MapSignal] = {}
     has_force = any(s.name in ("f_left", "f_right") for c in candidates for s in c.signals)
-    found: dict[str, tuple[str, str]] = {}  # line and caveat of each signal
+    found: dict[str, tuple[str, str, str]] = {}  # line, its remark, and caveat of each signal
     others: list[str] = []
     for candidate in sorted(candidates, key=order):
         names = {signal.name for signal in candidate.signals}
@@ -689,17 +741,24 @@ def _chosen_signals(candidates: Sequence[Candidate], clocks: Clocks, main: Clock
         for signal in candidate.signals:
             line = _signal_line(candidate.table, signal, clock, main)
             if free:
-                taken[signal.name], found[signal.name] = signal, (line, candidate.caveat)
+                taken[signal.name] = signal
+                found[signal.name] = line, _scale_remark(signal, n_files), _caveat_of(candidate, signal)
             else:
                 reason = f"  # {candidate.caveat}" if candidate.caveat and candidate.rank >= UNCHOSEN_RANK else ""
                 others.append(f"  # {line},{reason}")
     places = {name: k for k, name in enumerate(NAMES)}
     lines, last_caveat = [], ""
     for name in sorted(found, key=lambda name: (places.get(name, len(places)), name)):
-        line, caveat = found[name]
-        lines += [f"  # caveat: {caveat}"] * bool(caveat and caveat != last_caveat) + [f"  {line},"]
+        line, remark, caveat = found[name]
+        lines += [f"  # caveat: {caveat}"] * bool(caveat and caveat != last_caveat) + [f"  {line},{remark}"]
         last_caveat = caveat
     return list(taken.values()), lines + (["  # also in the source:", *others] if others else [])
+
+
+def _caveat_of(candidate: Candidate, signal: MapSignal) -> str:
+    """Return the caveat of a chosen signal: first that its full speed is a guess, then the caveat of its candidate."""
+    top = f"its greatest number, {signal.full:.5g}, is assumed to be full forward" if signal.full else ""
+    return "; ".join(part for part in (top, candidate.caveat) if part)
 
 
 def _signal_line(table: Table, signal: MapSignal, clock: Clock, main: Clock) -> str:
@@ -719,6 +778,7 @@ def _signal_line(table: Table, signal: MapSignal, clock: Clock, main: Clock) -> 
     if clock.column and (clock.column, clock.form) != (main.column, main.form):
         keys.append(f"time = {_toml_text(clock.column)}")
         keys += [f"time_format = {_toml_text(clock.form)}"] * (clock.form != main.form)
+    keys += [f"scale = {1.0 / signal.full:.9g}"] if signal.full else []
     return f"{{ {', '.join([*keys, *([signal.extra] if signal.extra else [])])} }}"
 
 

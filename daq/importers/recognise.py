@@ -60,6 +60,8 @@ class MapSignal(NamedTuple):
         Quantity that is computed from several columns, as in a map; "" for a single column.
     extra : str
         Further keys of the map, as TOML.
+    full : float
+        Number of the column that becomes 1, if it is a guess from the largest number of the source; 0 if it is not.
     """
 
     name: str  # in models
@@ -67,6 +69,7 @@ class MapSignal(NamedTuple):
     unit: str
     make: str = ""
     extra: str = ""  # further keys, as TOML
+    full: float = 0.0  # number that becomes 1, if it is a guess from the numbers
 
 
 Row = tuple[str, int, tuple[MapSignal, ...]]  # group, rank and signals of a candidate
@@ -452,8 +455,8 @@ def drive(words: frozenset[str], values: Column, unit: str) -> tuple[str, MapSig
         Group ("force" or "drive"), signal without its columns, and caveat. The signal of a force is f_left, f_right or
         X. That of a command or shaft speed is n, n_left or n_right, converted to -1 .. 1. Its numbers are taken as this
         command itself, as per cent, as pulses with rest at 1500 us and full forward at 1900 us, or else the largest
-        magnitude is 1. The result is None if the column does not belong to a thruster, has a unit of another quantity
-        (such as W), or has no finite value.
+        magnitude is 1 (`MapSignal.full`). The result is None if the column does not belong to a thruster, has a unit of
+        another quantity (such as W), or has no finite value.
     """
     drive_words = words & DRIVES
     if not drive_words or words & _NOT_DRIVES:
@@ -479,14 +482,15 @@ def drive(words: frozenset[str], values: Column, unit: str) -> tuple[str, MapSig
     if wraps.any():
         caveat = "; ".join(part for part in (WRAPPED.format(np.max(good)), caveat) if part)
 
-    def found(unit: str, extra: str, *caveats: str) -> tuple[str, MapSignal, str]:
+    def found(unit: str, extra: str, *caveats: str, full: float = 0.0) -> tuple[str, MapSignal, str]:
         """Return group "drive", the signal n, n_left or n_right, and its caveats joined to one text.
 
-        `unit` is the unit of the signal, and `extra` are further keys of the import map.
+        `unit` is the unit of the signal, `extra` are further keys of the import map, and `full` is the number that is
+        guessed to be full speed.
         """
         return (
             "drive",
-            MapSignal(f"n{side}", (), unit, "", extra),
+            MapSignal(f"n{side}", (), unit, "", extra, full),
             "; ".join(part for part in (*caveats, caveat) if part),
         )
 
@@ -501,5 +505,4 @@ def drive(words: frozenset[str], values: Column, unit: str) -> tuple[str, MapSig
         return found("1", PULSES, "1500 us is assumed to be rest, 1900 us full forward")
     if top <= 100.0 and not unit and not speed:
         return found("%", role, f"its numbers, up to {top:.3g}, are assumed to be per cent")
-    scale = f"scale = {1.0 / top:.9g}, " if top > 0.0 else ""
-    return found("1", scale + role, f"its greatest number, {top:.4g}, is assumed to be full forward")
+    return found("1", role, full=top)

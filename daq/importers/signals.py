@@ -42,6 +42,8 @@ class SignalData:
         The values.
     has_gaps : bool
         Whether it is an input that is unknown in some intervals of time; a NaN sample begins each interval.
+    origin : tuple of float or None
+        Latitude and longitude [deg] of the zero of a position that was computed from them; None for other signals.
     """
 
     signal: Signal
@@ -49,6 +51,7 @@ class SignalData:
     t: Column  # s of the file's clock, or since 1970 after `origin` was added; (n,)
     values: Column  # (n,)
     has_gaps: bool = False  # whether it is an input with unknown intervals; a NaN sample begins each
+    origin: tuple[float, float] | None = None  # latitude and longitude of a position's zero, deg
 
 
 @dataclass(frozen=True)
@@ -228,7 +231,8 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
         unit, factor = UNITS[signal.unit]
         signal, values = _in_ned(signal, values[rows] * factor)
         t_signal, values = _with_timeouts(t[rows], _wrapped_or_unwrapped(values, signal.angle), signal.timeout)
-        signals.append(SignalData(signal, unit, t_signal, values, bool(gaps.any())))
+        origin = _origin_of_position(table, signal)
+        signals.append(SignalData(signal, unit, t_signal, values, bool(gaps.any()), origin))
     for places in of_table.values():
         for k, data, held_signal in _without_held([signals[k] for k in places], places):
             signals[k] = data
@@ -364,11 +368,30 @@ def _raw_values(table: Table, signal: Signal) -> Column:
         course = np.where(parts[0] == 0.0, 0.0, parts[1])
         return parts[0] * (np.cos(course) if signal.make == "velocity_north" else np.sin(course))
     lat, lon = (np.degrees(part) for part in parts)
-    known = np.flatnonzero(np.isfinite(lat) & np.isfinite(lon) & ((lat != 0.0) | (lon != 0.0)))
-    found = np.full(len(lat), np.nan)  # receivers without a fix write 0, 0
+    known = _fix_rows(lat, lon)
+    found = np.full(len(lat), np.nan)
     if len(known):
         found[known] = local_ned(lat[known], lon[known])[signal.make == "east"]
     return found
+
+
+def _fix_rows(lat: Column, lon: Column) -> NDArray[np.intp]:
+    """Return the rows with a fix, of latitudes and longitudes (n,) [deg]. Receivers without a fix write NaN or 0, 0."""
+    return np.flatnonzero(np.isfinite(lat) & np.isfinite(lon) & ((lat != 0.0) | (lon != 0.0)))
+
+
+def _origin_of_position(table: Table, signal: Signal) -> tuple[float, float] | None:
+    """Return latitude and longitude [deg] of the zero of a signal that is made from them: the first fix of the table.
+
+    None for other signals, without a fix, and for a signal that the map scales, shifts or turns.
+    """
+    plain = (signal.scale, signal.offset, signal.sign, signal.frame) == (1.0, 0.0, 1.0, "NED")
+    if signal.make not in ("north", "east") or not plain:
+        return None
+    parts = zip(signal.columns, signal.units, strict=True)
+    lat, lon = (np.degrees(table.numbers(column) * UNITS[unit][1]) for column, unit in parts)
+    known = _fix_rows(lat, lon)
+    return (float(lat[known[0]]), float(lon[known[0]])) if len(known) else None
 
 
 def _in_ned(signal: Signal, values: Column) -> tuple[Signal, Column]:

@@ -136,6 +136,8 @@ def _write_in_order(
     for data in signals:
         signal = data.signal
         metadata = {"unit": data.unit, "hold": signal.hold, "role": signal.role}
+        if data.origin is not None:
+            metadata["origin"] = f"{data.origin[0]!r} {data.origin[1]!r}"
         topic = schema.topic(Scalar, signal.name)
         channels.append(writer.channel(topic, schema.TYPES[Scalar], metadata))
         layouts.append(cdr_layout(schema.TYPES[Scalar], signal.name.encode()))

@@ -647,6 +647,19 @@ class Log:
         """
         return self._channel_metadata(signal).get("role", "output")
 
+    def position_origin(self, signal: str) -> tuple[float, float] | None:
+        """Return latitude and longitude [deg] of the zero of an imported position; None if they are unknown.
+
+        They are known if the import computed the position from latitude and longitude. Raise SeatrialError if the log
+        lacks the signal.
+        """
+        numbers = self._channel_metadata(signal).get("origin", "").split()
+        try:
+            lat, lon = map(float, numbers)
+        except ValueError:
+            return None
+        return (lat, lon) if np.isfinite([lat, lon]).all() else None
+
     def _channel_metadata(self, signal: str) -> dict[str, str]:
         """Return the texts that the log has about an imported signal, by name, such as "unit", "hold" and "role".
 

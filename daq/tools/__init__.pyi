@@ -18,3 +18,4 @@ from .ros_export import export_ros as export_ros
 from .ros_live import FLOOD as FLOOD
 from .ros_live import ReceivedCommand as ReceivedCommand
 from .ros_live import Ros2Node as Ros2Node
+from .ros_signals import declared_noise as declared_noise

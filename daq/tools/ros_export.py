@@ -9,6 +9,8 @@ messages in the axes of REP-103 (body forward, left, up; world east, north, up) 
 | `/odom` | nav_msgs/msg/Odometry, `odom` to `base_link` | the first AHRS with a heading and the first GNSS receiver |
 | `/tf` | tf2_msgs/msg/TFMessage, `odom` to `base_link` | the same |
 
+An imported log, which has signals in place of devices, gets the messages of `seatrial.daq.tools.ros_signals`.
+
 The origin of `odom` is the first fix. The origin of `base_link` is the reference point of the lever arms in the rig
 file.
 """
@@ -19,7 +21,7 @@ import heapq
 import json
 import re
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 from importlib import resources
 from operator import itemgetter
@@ -32,37 +34,19 @@ from numpy.typing import NDArray
 
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.files import write_output
-from seatrial.daq.geometry import local_ned, quaternion, rotation_matrix
-from seatrial.daq.log import NANO, NODE_TOPICS, Log, schema
+from seatrial.daq.geometry import local_ned, rotation_matrix
+from seatrial.daq.log import NODE_TOPICS, Log, schema
 from seatrial.daq.samples import Ahrs, Command, Esc, Frame, Gnss, LoadCell, Scalar, Servo
+from seatrial.daq.tools.ros_frames import MAX_GAP_S, NO_MEASUREMENT, RosMessage, nanoseconds, pose_messages
+from seatrial.daq.tools.ros_signals import FIX, fix_messages, imported_motion, imu_messages, odometry_messages
 
 PACKAGE = "seatrial_msgs"
 BAG, PACKAGE_FOLDER, FOXGLOVE, PLOTJUGGLER = "bag", PACKAGE, "foxglove.json", "plotjuggler.xml"
-MAX_GAP_S = 2.0  # s; positions are not interpolated over a longer time between two fixes
-NO_MEASUREMENT = 1e6  # variance of an unmeasured velocity; with variance 0 its value 0 would be a measured standstill
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")  # Okabe and Ito; colour-blind people can distinguish them
 Array = NDArray[np.float64]
 
 
-class RosMessage(NamedTuple):
-    """One ROS message to write to a bag, with its time and topic.
-
-    Attributes
-    ----------
-    stamp_ns : int
-        Time of the run clock [ns since 1970].
-    topic : str
-        Name of the topic.
-    message : object
-        Message of rosbags, or bytes in CDR.
-    """
-
-    stamp_ns: int  # time of the run clock, ns since 1970
-    topic: str
-    message: Any  # object of rosbags, or bytes in CDR
-
-
-def export_ros(log: Log, folder: Path, force: bool = False) -> list[Path]:
+def export_ros(log: Log, folder: Path, force: bool = False, noise: Mapping[str, float] | None = None) -> list[Path]:
     """Export a log for ROS 2: a bag, a package with the message definitions, and layouts of viewers.
 
     Parameters
@@ -74,6 +58,9 @@ def export_ros(log: Log, folder: Path, force: bool = False) -> list[Path]:
     force
         Whether existing outputs may be replaced. An existing folder of the bag or of the package is then deleted with
         all its content before it is written.
+    noise
+        Standard deviation of the noise of imported signals, by name, in SI units, for the covariances. None, or a
+        signal that is not among them: unknown.
 
     Returns
     -------
@@ -101,12 +88,16 @@ def export_ros(log: Log, folder: Path, force: bool = False) -> list[Path]:
         *(_imu_messages(source, rows) for source, rows in ahrs.items()),
         _odometry_messages(log, ahrs, store.types),
     ]
+    signals = imported_motion(log, noise or {})
+    if signals is not None:
+        added += [imu_messages(signals), fix_messages(signals), odometry_messages(signals, store.types)]
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for path in made[:2]:
             shutil.rmtree(path, ignore_errors=True)
         with Writer(made[0], version=9, storage_plugin=StoragePlugin.MCAP) as bag:
             kinds = {**log.types(), **{f"/ros/{source}/imu": schema.IMU for source in ahrs}}
+            kinds |= {} if signals is None else signals.types
             connections = {
                 name: bag.add_connection(ros_topic(name), kind, typestore=store) for name, kind in kinds.items()
             }
@@ -121,7 +112,10 @@ def export_ros(log: Log, folder: Path, force: bool = False) -> list[Path]:
                 bag.write(connections[name], stamp_ns, data)
         _write_package(made[1])
         plots = _plots_of_log(log)
-        write_output(made[2], json.dumps(_foxglove_layout(log, plots, "/tf" in connections), indent=1) + "\n")
+        write_output(
+            made[2],
+            json.dumps(_foxglove_layout(plots, _fix_topic(log, connections), "/tf" in connections), indent=1) + "\n",
+        )
         write_output(made[3], _plotjuggler_layout(plots))
     except OSError as error:
         raise SeatrialError(
@@ -179,7 +173,7 @@ def _imu_messages(source: str, rows: NDArray[np.void]) -> Iterator[RosMessage]:
     names = [field.name for field in fields(Ahrs)]
     for row in rows:
         message = rep_103_imu(source, Ahrs(*(float(row[name]) for name in names)))
-        yield RosMessage(_nanoseconds(row["t"]), message.topic, message.pack(_nanoseconds(row["t"])))
+        yield RosMessage(nanoseconds(row["t"]), message.topic, message.pack(nanoseconds(row["t"])))
 
 
 def _odometry_messages(log: Log, ahrs_of: Mapping[str, NDArray[np.void]], types: Any) -> Iterator[RosMessage]:
@@ -219,50 +213,9 @@ def _odometry_messages(log: Log, ahrs_of: Mapping[str, NDArray[np.void]], types:
         has_velocity = bool(np.isfinite(v[:2]).all())  # many receivers do not report the vertical velocity
         velocity = R.T @ np.nan_to_num(v) - np.cross(rates, arm) if has_velocity else np.zeros(3)
         known = (has_velocity, has_velocity, has_velocity and bool(np.isfinite(v[2])), *np.isfinite(measured).tolist())
-        yield from _pose_messages(row["t"], position, angles, np.concatenate([velocity, rates]), known, types)
-
-
-def _pose_messages(
-    t: float, position: Array, angles: Sequence[float], twist: Array, known: Sequence[bool], types: Any
-) -> Iterator[RosMessage]:
-    """Yield the ROS odometry message and the transform for one pose of the boat, converted to the axes of REP-103.
-
-    Parameters
-    ----------
-    t
-        Time [s since 1970].
-    position
-        North, east and down from the first fix [m], shape (3,).
-    angles
-        Yaw, pitch and roll [rad].
-    twist
-        Velocity forward, starboard, down [m/s] and angular velocity about these axes [rad/s], shape (6,).
-    known
-        Whether each item of the twist is measured, shape (6,). Its variance is 0 (unknown) if it is, and 1e6 if not.
-        The covariance of the pose is always 0 (unknown).
-    types
-        Message classes of rosbags by name.
-    """
-    header = _ros_header(t, "odom", types)
-    enu = {"x": float(position[1]), "y": float(position[0]), "z": float(-position[2])}
-    turned = _ros_quaternion(angles, types)
-    pose = types["geometry_msgs/msg/Pose"](position=types["geometry_msgs/msg/Point"](**enu), orientation=turned)
-    moved = types["geometry_msgs/msg/Twist"](
-        linear=_ros_vector(twist[:3], types), angular=_ros_vector(twist[3:], types)
-    )
-    unknown = np.zeros(36)
-    variances = np.diag(np.where(known, 0.0, NO_MEASUREMENT)).ravel()
-    yield RosMessage(_nanoseconds(t), "/odom", types["nav_msgs/msg/Odometry"](
-        header=header, child_frame_id="base_link",
-        pose=types["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=unknown),
-        twist=types["geometry_msgs/msg/TwistWithCovariance"](twist=moved, covariance=variances),
-    ))  # fmt: skip
-    transform = types["geometry_msgs/msg/Transform"](
-        translation=types["geometry_msgs/msg/Vector3"](**enu), rotation=turned
-    )
-    stamped_type = types["geometry_msgs/msg/TransformStamped"]
-    stamped = stamped_type(header=header, child_frame_id="base_link", transform=transform)
-    yield RosMessage(_nanoseconds(t), "/tf", types["tf2_msgs/msg/TFMessage"](transforms=[stamped]))
+        twist = np.diag(np.where(known, 0.0, NO_MEASUREMENT))
+        moved = np.concatenate([velocity, rates])
+        yield from pose_messages(row["t"], position, angles, moved, (np.zeros((6, 6)), twist), types)
 
 
 def _has_position(rows: NDArray[np.void]) -> NDArray[np.bool_]:
@@ -271,41 +224,6 @@ def _has_position(rows: NDArray[np.void]) -> NDArray[np.bool_]:
     Kind 2 is a two-dimensional fix; see `Gnss.fix`.
     """
     return np.asarray((rows["fix"] >= 2) & np.isfinite(rows["lat"]) & np.isfinite(rows["lon"]))
-
-
-def _nanoseconds(t: float) -> int:
-    """Convert the time of a message from s to whole nanoseconds, rounded to the nearest one."""
-    return round(float(t) * NANO)
-
-
-def _ros_header(t: float, frame: str, types: Any) -> Any:
-    """Return a ROS message header with a time [s since 1970] and the name of a frame.
-
-    `types` are the message classes of rosbags by name.
-    """
-    sec, nanosec = divmod(_nanoseconds(t), NANO)
-    stamp = types["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
-    return types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame)
-
-
-def _ros_vector(frd: Sequence[float] | Array, types: Any) -> Any:
-    """Convert a vector from forward, starboard, down to a ROS vector in the axes forward, left, up.
-
-    `types` are the message classes of rosbags by name.
-    """
-    x, y, z = map(float, frd)
-    return types["geometry_msgs/msg/Vector3"](x=x, y=-y, z=-z)
-
-
-def _ros_quaternion(angles: Sequence[float], types: Any) -> Any:
-    """Convert yaw, pitch and roll [rad] in NED to the ROS quaternion of the body (forward, left, up) in ENU.
-
-    Yaw then counts from east instead of north. Yaw and pitch change their signs with the axes z and y. `types` are the
-    message classes of rosbags by name.
-    """
-    yaw, pitch, roll = angles
-    x, y, z, w = quaternion(np.pi / 2 - yaw, -pitch, roll)
-    return types["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w)
 
 
 # Interface package ------------------------------------------------------------------------------------------------
@@ -427,11 +345,17 @@ def _plots_of_log(log: Log) -> list[Plot]:
     return found
 
 
-def _foxglove_layout(log: Log, plots: Sequence[Plot], has_frames: bool) -> dict[str, Any]:
+def _fix_topic(log: Log, topics: Collection[str]) -> str:
+    """Return the topic of the fixes for a map: of the first receiver, or of imported positions; "" without fixes."""
+    receivers = log.sources(Gnss)
+    return f"/{receivers[0]}/fix" if receivers else FIX if FIX in topics else ""
+
+
+def _foxglove_layout(plots: Sequence[Plot], fixes: str, has_frames: bool) -> dict[str, Any]:
     """Return a layout of Foxglove Studio as the content of a JSON file.
 
-    It has the plots below each other. Beside them are a map of the fixes of the first GNSS receiver, if there is one,
-    and a 3D view of the frames of the topic /tf if `has_frames` is true.
+    It has the plots below each other. Beside them are a map of the topic `fixes`, unless it is "", and a 3D view of the
+    frames of the topic /tf if `has_frames` is true.
     """
     panels: dict[str, Any] = {}
     for number, plot in enumerate(plots):
@@ -445,8 +369,8 @@ def _foxglove_layout(log: Log, plots: Sequence[Plot], has_frames: bool) -> dict[
             "showLegend": True, "isSynced": True, "xAxisVal": "timestamp",
         }  # fmt: skip
     side: list[str] = []
-    if receivers := log.sources(Gnss):
-        panels["map!0"] = {"followTopic": f"/{receivers[0]}/fix", "layer": "map"}
+    if fixes:
+        panels["map!0"] = {"followTopic": fixes, "layer": "map"}
         side = ["map!0"]
     if has_frames:
         panels["3D!0"] = {"followTf": "base_link", "fixedFrame": "odom"}

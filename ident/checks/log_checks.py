@@ -6,7 +6,7 @@ report of a check: sample intervals, signals, shaft speeds, and motion against t
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -518,7 +518,7 @@ def _duration(c: Channels) -> float:
     return end - begin
 
 
-def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
+def check_signals(c: Channels, sides: Mapping[str, float], known_noise: Collection[str] = ()) -> Iterator[Finding]:
     """Yield the findings of all checks of the signals.
 
     Parameters
@@ -527,6 +527,8 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
         Channels of a log (`seatrial.ident.data.channels`).
     sides
         Position of each thruster to starboard [m].
+    known_noise
+        Signals whose noise the user has given to the fit; a check before a fit does not report them as smoothed.
 
     Yields
     ------
@@ -557,7 +559,7 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
     ranges = [*of_wraps, *(f for f in check_ranges(c) if f.where not in wraps), *check_frozen(c)]
     ranges += [*check_alternating(c), *of_inputs]
     yield from ranges
-    yield from check_smoothing(c)
+    yield from check_smoothing(c, known_noise)
     yield from check_quantised(c)
     yield from check_held(c)
     yield from check_held_inputs(c)

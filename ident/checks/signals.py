@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from math import comb
 
 import numpy as np
@@ -92,6 +92,17 @@ def check_intervals(c: Channels) -> Iterator[Finding]:
             return
 
 
+def _largest_inputs(c: Channels) -> dict[str, float]:
+    """Return the 99 % quantile of the size of each command and shaft speed, by its name, sorted by name."""
+    names = sorted(n for n in c if is_of_thruster(n, COMMAND, SHAFT_SPEED))
+    return {name: float(np.quantile(np.abs(c[name].value), 0.99)) for name in names}
+
+
+def _quantity_of(name: str) -> str:
+    """Return the quantity of the signal of a thruster: ``n_cmd`` or ``n``."""
+    return SignalId.parse(name).quantity
+
+
 def check_ranges(c: Channels) -> Iterator[Finding]:
     """Yield a fault for each signal whose values no boat can have, with the unit that would explain them.
 
@@ -107,14 +118,20 @@ def check_ranges(c: Channels) -> Iterator[Finding]:
         for a yaw rate above 5 rad/s (99 % quantile), and for headings in degrees or converted twice.
         ``positions-in-degrees`` for a track of less than 0.1 in both directions, far from its origin.
     """
-    for name in sorted(n for n in c if is_of_thruster(n, COMMAND, SHAFT_SPEED)):
-        most = float(np.quantile(np.abs(c[name].value), 0.99))
+    for name, most in (largest := _largest_inputs(c)).items():
         if most > MAX_N:
+            # All thrusters get one scale, so that equal speeds stay equal.
+            top = max(n for other, n in largest.items() if _quantity_of(other) == _quantity_of(name))
             value = c[name].value
             pulses = float(np.median(value)) > 700.0 and float(value.max()) < 2600.0  # microseconds of a servo output
-            unit = "a pulse width in us" if pulses else "percent" if most <= 110.0 else "rev/min, or a wrong offset"
-            fix = "scale = 0.0025, offset = -3.75" if pulses else f"scale = {0.01 if most <= 110.0 else 1.0 / most:.3g}"
-            advice = f"set {fix} for this signal in the import map, or correct rpm_max in the rig file"
+            unit = "a pulse width in us" if pulses else "percent" if top <= 110.0 else "rev/min, or a wrong offset"
+            fix = "scale = 0.0025, offset = -3.75" if pulses else f"scale = {0.01 if top <= 110.0 else 1.0 / top:.3g}"
+            guess = (
+                ""
+                if pulses or top <= 110.0
+                else ", a guess from the largest number; better: 1 / (number at full speed)"
+            )
+            advice = f"set {fix} for all thrusters in the import map{guess}, or correct rpm_max in the rig file"
             yield Finding(
                 "fault",
                 "n-out-of-range",
@@ -442,15 +459,17 @@ def _alternating_share(channel: Channel) -> float:
     return float(np.median(np.mean(blocks, axis=1) ** 2 / np.maximum(whole, 1e-300)))
 
 
-def check_smoothing(c: Channels) -> Iterator[Finding]:
+def check_smoothing(c: Channels, known_noise: Collection[str] = ()) -> Iterator[Finding]:
     """Yield one warning that lists the motion signals without the white noise of a sensor. A filter has smoothed them.
 
     Parameters
     ----------
     c
         Channels (signals) of a log by name.
+    known_noise
+        Signals whose noise the user has given to the fit, as the warning advises. They are not listed.
     """
-    smooth = smoothed(c)
+    smooth = [name for name in smoothed(c) if name not in known_noise]
     if smooth:
         text = "a filter has smoothed the signal: it lacks the noise of a sensor, and its errors last for seconds"
         advice = (

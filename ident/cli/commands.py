@@ -23,6 +23,7 @@ from seatrial.ident.cli.options import (
     GatheringCommand,
     LineReporter,
     LiveLine,
+    SpacedLines,
     check_output,
     command_line,
     despite_option,
@@ -364,7 +365,10 @@ def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, as_js
 
 @ident.command(short_help="Fit a model of the boat to each of many logs.")
 @click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path))
-@model_options()
+@model_options(
+    why="On, as for a single log, because each row of the table stands for itself. The logs may then have different "
+    "models; `ident changes` leaves the tests out by default."
+)
 @robust_option
 @reml_option()
 @mean_order_option()
@@ -373,6 +377,7 @@ def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, as_js
 @horizon_option
 @rate_option
 @workers_options
+@trust_option
 @resumed_out_option("fleet")
 @json_option()
 def fleet(logs: tuple[Path, ...], out: Path, workers: Any, force: bool, as_json: bool, **how: Any) -> None:
@@ -420,7 +425,11 @@ def fleet(logs: tuple[Path, ...], out: Path, workers: Any, force: bool, as_json:
     show_default=True,
     help="Largest expected share of false ones among the changed parameters.",
 )
-@model_options(score_tests=False)
+@model_options(
+    score_tests=False,
+    why="Off, because effects would be added in some logs and not in others; the scatter between the logs contains "
+    "what the model lacks. `ident fleet` has the tests on by default.",
+)
 @robust_option
 @reml_option()
 @mean_order_option()
@@ -776,10 +785,13 @@ def design(
 def _with_live_progress(work: Any) -> Any:
     """Run a computation while a live line on standard error shows its progress, and return its result.
 
+    If standard error is no terminal, lines of progress are printed there, at most one of a kind in two seconds.
     ``work`` is a function of a reporter, which receives the lines of progress and the warnings. Its errors are not
     caught.
     """
     console = make_console(stderr=True)
+    if not console.is_terminal:
+        return work(SpacedLines())
     with console.status("compiling") as status:
         return work(LiveLine(console, status))
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 import sys
+import time
 from collections.abc import Callable, Sequence
 from functools import wraps
 from pathlib import Path
@@ -485,7 +487,7 @@ def _parse_mean_order(
     return None if second is None else 2 if second else 1
 
 
-def model_options(score_tests: bool = True) -> Callable[..., Any]:
+def model_options(score_tests: bool = True, why: str = "") -> Callable[..., Any]:
     """Return a decorator that adds the options of the model of a boat and of its fit to a command.
 
     The command receives ``model``, ``thruster``, ``fixed``, ``initial``, ``priors``, ``effects`` and ``score_tests``.
@@ -494,11 +496,14 @@ def model_options(score_tests: bool = True) -> Callable[..., Any]:
     ----------
     score_tests : bool
         Default of ``--score-tests``.
+    why : str
+        Reason for this default, which the help adds to the description; empty: none.
     """
+    words = f"{SCORE_TESTS} {why}".rstrip()
 
     def decorated(f: Callable[..., Any]) -> Callable[..., Any]:
         """Add the options to the command, so that its help lists them in their order."""
-        f = click.option("--score-tests/--no-score-tests", default=score_tests, show_default=True, help=SCORE_TESTS)(f)
+        f = click.option("--score-tests/--no-score-tests", default=score_tests, show_default=True, help=words)(f)
         for option in reversed(MODEL_OPTIONS):
             f = option(f)
         return f
@@ -623,6 +628,27 @@ class LineReporter:
     def warning(self, text: str) -> None:
         """Print the text on a line, indented by two spaces."""
         click.echo(f"  {text}", err=self.err)
+
+
+class SpacedLines(LineReporter):
+    """Reporter that prints progress to standard error: at most one line of a kind in two seconds.
+
+    Lines are of one kind if they differ in their numbers only. A search reports hundreds of them.
+    """
+
+    SPACING_S = 2.0
+
+    def __init__(self) -> None:
+        """Begin without a line."""
+        super().__init__(err=True)
+        self._kind, self._printed = "", -math.inf
+
+    def progress(self, text: str) -> None:
+        """Print the text, unless a line of its kind was printed in the last two seconds."""
+        kind, now = re.sub(r"\d[\d.e+-]*", "0", text), time.monotonic()
+        if kind != self._kind or now - self._printed >= self.SPACING_S:
+            self._kind, self._printed = kind, now
+            super().progress(text)
 
 
 class LiveLine:

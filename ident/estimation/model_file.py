@@ -139,6 +139,13 @@ class SavedModel:
     holds: Mapping[str, str] = field(default_factory=dict)
     refits: tuple[RefittedEffect, ...] = ()
 
+    @property
+    def python_files(self) -> tuple[Path, ...]:
+        """Python files of the user that the model needs: that of its structure, and that of its effects."""
+        source = self.model.source
+        structure = (Path(source.rpartition(":")[0]),) if is_own_model(source) else ()
+        return structure + (() if self.effects_file is None else (self.effects_file,))
+
     def uncertainty(self, name: str) -> float:
         """Return the standard uncertainty [N] of the thrust coefficient ``name``; NaN if it has no standard error.
 

@@ -13,7 +13,7 @@ that the design maximises the smaller of the two T. Sources: Atkinson and Fedoro
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -41,6 +41,7 @@ from seatrial.ident.numerics import Array, SearchResult, normal_cdf
 
 # Experiments are simulated in vector lanes: the processor computes one group of experiments at once, one per lane.
 CHUNK = 2  # such groups per call; few, since delayed input taps make them large
+N_START = 128  # random points from which the search starts
 REFITS = 6  # Gauss-Newton steps for the reported T
 RELIABLE_T = 30.0  # with a larger T a fit hardly ever prefers the wrong model
 
@@ -286,6 +287,7 @@ def discriminate(
     *,
     evaluations: int = 4000,
     progress: Callable[[int, float], None] | None = None,
+    phase: Callable[[str], None] | None = None,
 ) -> DiscriminationDesign:
     """Search the T-optimal step sequence for two models: the one with the largest T, whichever model is true.
 
@@ -303,6 +305,8 @@ def discriminate(
     progress
         Function that is called after each batch of points, with the number of evaluations and the best logarithm of T
         of the current search (a large negative number if limits are violated).
+    phase
+        Function that is called with the name of each phase before and after the search, when it begins or goes on.
 
     Returns
     -------
@@ -322,25 +326,33 @@ def discriminate(
         )
     evaluator = DesignEvaluator(problem)
     pairs = _both_hypotheses(model_a, model_b, problem)
+    report: Callable[[str], object] = phase or str
+    tried = 0
 
     def evaluate(z: Array) -> tuple[Array, Array]:
         """Return log T (n,) of the worse hypothesis and the violation (n,) of the limits, at search points z (n, size).
 
         Log T is that of the smaller T, to first order. Log T is ``SINGULAR`` (-1e9) if one of both T is not finite.
         """
-        command = problem.commands(z)
-        parts: Sequence[Array] = [
-            np.minimum(*(r(command[:, :, k : k + 32]) for r in pairs)) for k in range(0, command.shape[2], 32)
-        ]
+        nonlocal tried
+        command, parts = problem.commands(z), list[Array]()
+        for k in range(0, command.shape[2], 32):
+            if (
+                tried < N_START
+            ):  # the first call compiles both models, which takes longer than a search on a fast computer
+                report(f"random start points, {tried} of {N_START}" if tried else "compiling both models")
+            parts.append(np.minimum(*(r(command[:, :, k : k + 32]) for r in pairs)))
+            tried += parts[-1].size
         T = np.concatenate(parts)
         return np.where(np.isfinite(T), np.log(np.maximum(T, 1e-12)), SINGULAR), evaluator.violation(command)
 
-    found = search_design(problem.steps, evaluate, evaluations, problem.seed, None, progress, n_start=128)
+    found = search_design(problem.steps, evaluate, evaluations, problem.seed, None, progress, n_start=N_START)
     if found.violation > 0:
         raise SeatrialError(
             "no step sequence that keeps to the limits was found; give a larger --area, weaker limits or a longer "
             "--duration"
         )
     levels, durations = (a[..., 0] for a in problem.steps.unpack(found.z[None]))
+    report("comparison after refits")
     made = DiscriminationDesign(problem, levels, durations, (0.0, 0.0), found)
     return replace(made, separation=separation(model_a, model_b, problem, made.command))

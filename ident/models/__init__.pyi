@@ -59,7 +59,9 @@ from .thruster import delay_step as delay_step
 from .thruster import delayed_channels as delayed_channels
 from .thruster import pace_with_copy_at as pace_with_copy_at
 from .thruster import thruster_model as thruster_model
+from .user_code import accepting_code as accepting_code
 from .user_code import check_user_model as check_user_model
+from .user_code import code_digest as code_digest
 from .user_code import effects_for as effects_for
 from .user_code import file_digest as file_digest
 from .user_code import load_effects as load_effects

@@ -13,7 +13,7 @@ import hashlib
 import importlib.util
 import inspect
 import os
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextvars import ContextVar
 from pathlib import Path
 from types import ModuleType
@@ -34,6 +34,7 @@ ADVICE = {
 
 
 _TRUST: ContextVar[bool] = ContextVar("trust_code", default=False)
+_ACCEPTED: ContextVar[frozenset[str]] = ContextVar("accepted_code", default=frozenset())
 
 
 @contextlib.contextmanager
@@ -52,12 +53,27 @@ def trusting_code() -> Iterator[None]:
         _TRUST.reset(before)
 
 
+@contextlib.contextmanager
+def accepting_code(digests: Collection[str]) -> Iterator[None]:
+    """Return a context manager inside which the Python files with these hashes (`code_digest`) may be run.
+
+    A worker process uses it for the files that the process of the command has checked already. A worker on another
+    computer has no list of files that the user has run. A file with another hash is checked as usual.
+    """
+    before = _ACCEPTED.set(frozenset(digests))
+    try:
+        yield
+    finally:
+        _ACCEPTED.reset(before)
+
+
 def trusted_file(named_by: Path, file: str, digest: str | None) -> Path:
     """Return the path of the Python file that a model.toml names, after checking that it may be run.
 
     Without `--trust-code`, the file must lie in the folder of model.toml after resolving symbolic links. It must have
     the hash in model.toml, and this user must have run it before. With `--trust-code`, the file need only exist; its
-    hash is then stored as known, so that the last condition is fulfilled later without the option.
+    hash is then stored as known, so that the last condition is fulfilled later without the option. A file that another
+    process of the command has checked (`accepting_code`) need only exist, too.
 
     Parameters
     ----------
@@ -87,13 +103,15 @@ def trusted_file(named_by: Path, file: str, digest: str | None) -> Path:
     if _TRUST.get():
         remember_trusted_file(normal_path)
         return normal_path
+    if code_digest(path) in _ACCEPTED.get():
+        return normal_path
     if not path.resolve().is_relative_to(folder):
         reason = "is not in its folder"
     elif digest is None:
         reason = "is named without its hash"
     elif file_digest(path) != digest:
         reason = "has changed since it was written"
-    elif _full_digest(path) not in _known_digests():
+    elif code_digest(path) not in _known_digests():
         reason = "was never run by you before"
     else:
         return normal_path
@@ -116,7 +134,7 @@ def remember_trusted_file(path: Path) -> None:
     `--trust-code`. A hash that is known already is not added again. If the hash cannot be written, the Python file
     stays unknown, without an error. A missing Python file raises OSError.
     """
-    digest = _full_digest(path)
+    digest = code_digest(path)
     if digest in _known_digests():
         return
     with contextlib.suppress(OSError, SeatrialError):
@@ -141,7 +159,7 @@ def _known_digests() -> set[str]:
         return set()
 
 
-def _full_digest(path: Path) -> str:
+def code_digest(path: Path) -> str:
     """Return the SHA-256 of a file's contents, as 64 hexadecimal digits. A missing file raises OSError."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 

@@ -14,7 +14,14 @@ from seatrial.daq.console import print_prose, print_table
 from seatrial.daq.errors import counted
 from seatrial.ident.report import formatting
 from seatrial.ident.report.sections.campaigns import VALUES, change_of, effect_words
-from seatrial.ident.report.sections.comparison import MARKS, WORDS, interval_words, kind_title, ratio_words, signed
+from seatrial.ident.report.sections.comparison import (
+    MARKS,
+    interval_words,
+    kind_title,
+    ratio_words,
+    signed,
+    verdict_words,
+)
 from seatrial.ident.report.sections.parameters import interval, segment_in_words
 from seatrial.ident.report.sections.predictions import by_role, error_words, horizons
 from seatrial.ident.results import (
@@ -228,7 +235,8 @@ def campaign_tables(result: CampaignsResult) -> list[Table]:
         tables.append(table)
     if result.errors:
         tables.append(_campaign_errors_table(result.errors, result.horizon))
-    reasons = [(p.name, p.reason) for p in result.not_compared if not p.reason.startswith(("held", "has its own"))]
+    expected = result.expected_to_differ
+    reasons = [(p.name, p.reason) for p in result.not_compared if p not in expected]
     failed = [(row.log, row.reason) for row in result.failed]
     found = (("Not compared", "parameter", reasons), ("Failed", "log", failed))
     tables += [_reasons_table(title, what, rows) for title, what, rows in found if rows]
@@ -276,12 +284,12 @@ def models_table(result: ComparisonResult) -> Table:
 
     The error is the ratio over all channels and the first horizon. A mark shows whether the model is better (▼) or
     worse (▲) than the first one. The counts are the numbers of channels and kinds of prediction in which it is better,
-    worse and not distinguishable.
+    worse, not distinguishable, and without an interval.
     """
     table = titled_table(f"Models, and their error {result.horizons[0]:g} s ahead over all channels")
     table.padding = (0, 1, 0, 0)
     table.add_column("", no_wrap=True, style="bold")
-    for title in ("free", f"error/({result.models[0].label})", "95 %", "▼/▲/same"):
+    for title in ("free", f"error/({result.models[0].label})", "95 %", "▼/▲/same/no interval"):
         table.add_column(Text(title), justify="right", no_wrap=True)
     table.add_column("", overflow="fold")
     for m in result.models:
@@ -316,12 +324,22 @@ def compared_tables(result: ComparisonResult) -> list[Table]:
             for row in rows:
                 factor, unit = formatting.degrees_for(row.unit)
                 cells = [_compared_cell(row, label, factor, with_fit) for label in shown]
-                table.add_row(Text(row.channel), Text(unit), *cells, Text(" ".join(row.not_worse) or "–"))
+                table.add_row(Text(row.channel), Text(unit), *cells, Text(_best_words(row)))
             tables.append(table)
     return tables
 
 
-STYLES = {"better": "bold green", "worse": "bold red", "indistinguishable": ""}
+def _best_words(row: ComparedChannel) -> str:
+    """Return the labels of the best models of a channel as text; a dash if there are none.
+
+    If a ratio to the best model has no interval, the text ends with the number of blocks of time: ``a; no interval: 2
+    blocks``.
+    """
+    words = " ".join(row.not_worse) or "–"
+    return f"{words}; {verdict_words(row.unproven[0])}" if row.unproven else words
+
+
+STYLES = {"better": "bold green", "worse": "bold red", "indistinguishable": "", "no-interval": ""}
 
 
 def _lower(title: str) -> str:
@@ -362,9 +380,10 @@ def _likelihood_sentences(m: ComparedModel) -> list[str]:
     if m.score is None:
         return ["The models do not predict the same samples, so their likelihoods are not compared."]
     low, high = m.score.low, m.score.high
-    interval = "too short for an interval" if low is None or high is None else f"95 %: {signed(low)} to {signed(high)}"
+    verdict = verdict_words(m.score)
+    words = f"({verdict})" if low is None or high is None else f"(95 %: {signed(low)} to {signed(high)}): {verdict}"
     kind = "cross-validated log score" if m.score.held_out else "log score"
-    found = [f"The {kind} is {signed(m.score.gain)} ({interval}): {WORDS[m.score.verdict]}."]
+    found = [f"The {kind} is {signed(m.score.gain)} {words}."]
     if m.criteria is None:
         return [*found, f"No AIC, BIC and likelihood ratio: {m.no_criteria}."]
     c = m.criteria
@@ -389,6 +408,9 @@ def _growth_text(factor: float) -> str:
 def print_result(result: Result, console: Console) -> None:
     """Print the warnings, the answer, the caveat of a diagnosis and the tables of a result to the console.
 
+    The notes of a run over many logs follow its tables. The prediction errors of a diagnosis, its last table, are
+    followed by the sentences on how they are computed.
+
     The tables of a fit are its parameters, profile likelihoods and prediction errors; a diagnosis adds the candidates.
     A table of a fit without rows is left out. The answer of a fit that did not converge is printed as a warning.
 
@@ -407,10 +429,16 @@ def print_result(result: Result, console: Console) -> None:
     print_prose(console, answer)
     if isinstance(result, DiagnosisResult) and result.caveat:
         print_prose(console, Text(result.caveat, style="yellow"))
+    table: Table | None = None
     for table in _all_tables(result):
         if table is not None:
             console.print()
             print_table(console, table, indent=1)
+    if isinstance(result, DiagnosisResult) and table is not None:
+        print_prose(console, Text(result.errors_caveat, style="dim"))
+    for note in result.notes if isinstance(result, FleetResult | CampaignsResult) else ():
+        console.print()
+        print_prose(console, Text(note, style="dim"))
     console.print()
 
 

@@ -18,6 +18,7 @@ from .campaigns import EffectDifference as EffectDifference
 from .campaigns import JointTest as JointTest
 from .campaigns import LogEstimate as LogEstimate
 from .campaigns import NotCompared as NotCompared
+from .campaigns import NotComparedCode as NotComparedCode
 from .campaigns import ParameterDifference as ParameterDifference
 from .campaigns import campaigns_answer as campaigns_answer
 from .commands import AIMS as AIMS

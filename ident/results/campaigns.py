@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 from seatrial.daq.errors import counted
-from seatrial.ident.results.commands import FailedLog
+from seatrial.ident.results.commands import SCORE_TESTED, FailedLog
 from seatrial.ident.results.parts import Change, ErrorComparison, Part, Result
 from seatrial.ident.results.tables import format_number
 
@@ -15,6 +15,9 @@ Campaign = Literal["before", "after"]
 FEW_LOGS = 4  # with up to so many logs of both campaigns, intervals by Student's t are wide
 MOST_NAMES = 4  # changed parameters that the answer has with their sizes
 JOINT_LEVEL = 0.05  # significance level of the joint test
+NotComparedCode = Literal[
+    "fixed", "per-log", "in-some-models", "position", "at-bound", "vague", "undetermined", "mainly-prior", "other"
+]
 
 
 class LogEstimate(Part, frozen=True, kw_only=True):
@@ -80,6 +83,14 @@ class NotCompared(Part, frozen=True, kw_only=True):
 
     name: Annotated[str, Meta(description="name of the parameter")]
     meaning: Annotated[str, Meta(description="meaning in words")]
+    code: Annotated[
+        NotComparedCode,
+        Meta(
+            description="kind of reason: `fixed`; `per-log`, its true value differs from log to log; `in-some-models`, "
+            "not all logs have it; `position`, its origin differs; `at-bound` or `vague` in a log; `undetermined` by a "
+            "campaign; `mainly-prior`, known from its prior; `other`: in a result of an earlier version"
+        ),
+    ] = "other"
     reason: Annotated[str, Meta(description="reason in words")]
 
 
@@ -161,6 +172,7 @@ class CampaignsResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="
 
     model: Annotated[str, Meta(description="name of the model as given; `auto`: chosen for each log")]
     table: Annotated[str, Meta(description="file of all estimates; empty: no file was written")]
+    score_tests: Annotated[bool | None, Meta(description=SCORE_TESTED)] = None
     horizon: Annotated[float, Meta(description="prediction horizon [s]")]
     false_discovery_rate: Annotated[
         float, Meta(description="largest expected share of false ones among the changed parameters")
@@ -175,6 +187,11 @@ class CampaignsResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="
         CommonFactor | None, Meta(description="null: fewer than three such parameters, or fewer than three logs")
     ]
     errors: Annotated[tuple[CampaignErrors, ...], Meta(description="prediction errors")]
+
+    @property
+    def expected_to_differ(self) -> tuple[NotCompared, ...]:
+        """Parameters that nobody expects to be compared: those that are fixed, and those with a value for each log."""
+        return tuple(p for p in self.not_compared if p.code in ("fixed", "per-log"))
 
     @property
     def changed(self) -> tuple[ParameterDifference, ...]:

@@ -706,11 +706,15 @@ class FailedLog(Part, frozen=True, kw_only=True):
     reason: Annotated[str, Meta(description="reason in one line")]
 
 
+SCORE_TESTED = "whether each fit was tested for missing effects (`--score-tests`); null: result of an earlier version"
+
+
 class FleetResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="fleet"):
     """Result of `seatrial ident fleet`: one model fitted to each of many logs, and the differences between the logs."""
 
     model: Annotated[str, Meta(description="name of the model as given; `auto`: chosen for each log")]
     table: Annotated[str, Meta(description="file of all estimates; empty: no file was written")]
+    score_tests: Annotated[bool | None, Meta(description=SCORE_TESTED)] = None
     n_logs: Annotated[int, Meta(description="number of logs")]
     fitted: Annotated[int, Meta(description="number of logs whose fit converged")]
     failed: Annotated[tuple[FailedLog, ...], Meta(description="logs without a fit")]

@@ -13,7 +13,7 @@ from seatrial.ident.numerics import Array
 from seatrial.ident.results.parts import Part, Result, same_length
 
 PredictionKind = Literal["one_step", "horizon", "simulation"]
-ComparisonVerdict = Literal["better", "worse", "indistinguishable"]
+ComparisonVerdict = Literal["better", "worse", "indistinguishable", "no-interval"]
 LABEL = "label of the model: `a`, `b`, ..."
 
 
@@ -21,12 +21,16 @@ class ComparedRatio(Part, frozen=True, kw_only=True):
     """RMS prediction error of a model divided by that of another model at the same samples.
 
     The 95 % interval is by a jackknife over blocks of time. The verdict is `better` or `worse` if the interval excludes
-    1 and the difference is more than half a per cent; otherwise, and without an interval, `indistinguishable`.
+    1 and the difference is more than half a per cent; otherwise it is `indistinguishable`. With fewer than four
+    blocks there is no interval, and the verdict is `no-interval`: nothing is known about the difference.
     """
 
     ratio: Annotated[float, Meta(description="error / error of the other model; below 1 the model is better")]
-    low: Annotated[float | None, Meta(description="95 % interval of `ratio`; null: the logs are too short")] = None
+    low: Annotated[float | None, Meta(description="95 % interval of `ratio`; null: fewer than four blocks")] = None
     high: Annotated[float | None, Meta(description="upper end of the interval")] = None
+    blocks: Annotated[int | None, Meta(description="number of blocks of time; null: result of an earlier version")] = (
+        None
+    )
     verdict: Annotated[ComparisonVerdict, Meta(description="verdict, by the interval")]
 
 
@@ -72,10 +76,17 @@ class ComparedChannel(Part, frozen=True, kw_only=True):
     )
 
     @property
+    def unproven(self) -> tuple[ComparedRatio, ...]:
+        """Ratios to the best model that have no interval, in the order of the models; empty if all have one."""
+        ratios = (e.against_best for e in self.errors)
+        return tuple(r for r in ratios if r is not None and r.verdict == "no-interval")
+
+    @property
     def not_worse(self) -> tuple[str, ...]:
         """Labels of the best model and of those that are not distinguishable from it, in the order of the models.
 
-        A model whose ratio to the best one cannot be computed is not among them. The result is empty if all diverged.
+        A model whose ratio to the best one cannot be computed, or has no interval (`unproven`), is not among them. The
+        result is empty if all diverged.
         """
         return tuple(
             e.model
@@ -108,7 +119,9 @@ class LogScore(Part, frozen=True, kw_only=True):
     low: Annotated[float | None, Meta(description="95 % interval of `gain`; null: fewer than four blocks")] = None
     high: Annotated[float | None, Meta(description="upper end of the interval")] = None
     blocks: Annotated[int, Meta(description="number of blocks of time")]
-    verdict: Annotated[ComparisonVerdict, Meta(description="`indistinguishable` if the interval contains 0")]
+    verdict: Annotated[
+        ComparisonVerdict, Meta(description="`indistinguishable` if the interval contains 0; `no-interval` without one")
+    ]
     held_out: Annotated[bool, Meta(description="neither model was fitted to any of the logs")]
 
 

@@ -131,6 +131,7 @@ def diagnosis_result(
         fit=fit_summary(diagnosis.after.fit, diagnosis.before.model.values),
         failed_runs=diagnosis.failed_runs,
         cross_validated=diagnosis.cross_validated,
+        validated_in_blocks=bool(evaluation.in_blocks),
         mismatches=tuple(_mismatch_row(m) for m in reported_mismatches(diagnosis)),
         removed_effects=tuple(
             parts.RemovedEffectRow(

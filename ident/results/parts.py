@@ -1160,6 +1160,20 @@ class DiagnosisResult(FitResult, frozen=True, kw_only=True, tag_field="kind", ta
     """
 
     @property
+    def errors_caveat(self) -> str:
+        """Sentences on how the prediction errors are computed, and on the command that gives comparable ones."""
+        if self.cross_validated:
+            how = "each block of time of the estimation logs is predicted by a fit to the others"
+        elif self.validated_in_blocks:
+            how = "each block of time of a validation log is predicted with estimates from the others"
+        else:
+            how = "the model is fitted again by plain maximum likelihood"
+        return (
+            f"Not comparable with errors of `ident vehicle` and `ident compare`: {how}. Comparable errors of both "
+            "models: `seatrial ident compare MODEL DIAGNOSIS --on LOG`."
+        )
+
+    @property
     def converged(self) -> bool:
         """Whether the fit without the added effects and the fit with them both converged."""
         return self.fit.converged and self.converged_before
@@ -1174,6 +1188,13 @@ class DiagnosisResult(FitResult, frozen=True, kw_only=True, tag_field="kind", ta
         bool,
         Meta(
             description="blocked cross-validation: blocks of the estimation runs, each predicted by a fit to the others"
+        ),
+    ] = False
+    validated_in_blocks: Annotated[
+        bool,
+        Meta(
+            description="the validation runs are predicted in blocks of time, each with the estimates from the other "
+            "blocks of its run, because an added effect has separate parameters for each run"
         ),
     ] = False
     mismatches: Annotated[

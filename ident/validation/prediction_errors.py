@@ -253,11 +253,14 @@ class ErrorRatio:
         The ratio.
     low, high
         Its 95 % interval, NaN with fewer than four blocks of time with errors (`prediction_change`).
+    blocks
+        Number of these blocks.
     """
 
     ratio: float
     low: float
     high: float
+    blocks: int = field(default=0, kw_only=True)
 
     @property
     def verdict(self) -> Literal["fell", "rose", "unchanged"]:
@@ -434,11 +437,10 @@ def prediction_change(
         with np.errstate(divide="ignore", invalid="ignore"):  # a single block leaves no errors
             row[at[1:]] = 0.5 * np.log((of.after.sum() - of.after) / (of.before.sum() - of.before))
         rms = (float(np.sqrt(part.sum() / of.n)) for part in (of.before, of.after))
-        channels[name] = ChannelChange(*_ratio_with_interval(row[at]), *rms)
+        channels[name] = ChannelChange(*_ratio_with_interval(row[at]), *rms, blocks=of.block.size)
     enough = np.array([of.block.size >= FEWEST_BLOCKS for of in sums.values()])
-    return PredictionChange(
-        *_ratio_with_interval(logs[enough if enough.any() else ~enough].mean(axis=0)), horizon, channels
-    )
+    mean = logs[enough if enough.any() else ~enough].mean(axis=0)
+    return PredictionChange(*_ratio_with_interval(mean), horizon, channels, blocks=blocks.size)
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from seatrial.ident.estimation import (
     nominal_model,
 )
 from seatrial.ident.model import Model
+from seatrial.ident.models import accepting_code
 from seatrial.ident.parallel import Workers, run_many
 from seatrial.ident.reporter import Reporter
 from seatrial.ident.results import CampaignErrors, error_rows, finite
@@ -69,13 +70,14 @@ def prediction_errors(
     comparison: Comparison,
     logs: Sequence[FleetLog],
     vehicle: VehicleRequest,
+    code: frozenset[str],
     workers: Workers,
     reporter: Reporter,
 ) -> tuple[tuple[CampaignErrors, ...], float]:
     """Predict each log by the values of the campaigns without this log, and return the errors and the horizon [s].
 
     Values that need the log itself, because its campaign has no other one, are left out. A log that cannot be predicted
-    is left out with a warning.
+    is left out with a warning. ``code`` has the hashes of the Python files that the model may run.
     """
     by_name = {log.name: log for log in logs}
     before = _campaign_values(fitted.part(~fitted.after), comparison.scatter)
@@ -85,7 +87,7 @@ def prediction_errors(
         if (values := _values_without(fitted, comparison, k, before))
     ]
     found: dict[str, LogErrors] = {}
-    work = partial(_errors_of_log, portable(vehicle))
+    work = partial(_errors_of_log, portable(vehicle), code)
     for n, outcome in enumerate(run_many(tasks, work, workers, reporter), 1):
         if outcome.value is None:
             reporter.warning(f"{outcome.task.log.name}: no prediction: {outcome.error}")
@@ -155,10 +157,11 @@ def _campaign_values(
     return found if held is None else held | {n: v for n, v in found.items() if n in (changed or ())}
 
 
-def _errors_of_log(vehicle: VehicleRequest, task: PredictedLog) -> LogErrors:
-    """Predict one log by each model, in a worker process."""
+def _errors_of_log(vehicle: VehicleRequest, code: frozenset[str], task: PredictedLog) -> LogErrors:
+    """Predict one log by each model, in a worker process. ``code``: hashes of the Python files that may be run."""
     loaded, _ = load_all([task.log.path], [], vehicle.window, device_faults)
-    problem = vehicle_problem(vehicle, loaded, [])
+    with accepting_code(code):
+        problem = vehicle_problem(vehicle, loaded, [])
     # First order, as in `seatrial ident compare`.
     model = replace(nominal_model(problem.model), second_order=False)
     horizon = vehicle.estimation.horizon or model.horizon

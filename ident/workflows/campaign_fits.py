@@ -31,6 +31,7 @@ from seatrial.ident.results import (
     JointTest,
     LogEstimate,
     NotCompared,
+    NotComparedCode,
     ParameterDifference,
     finite,
 )
@@ -163,7 +164,7 @@ def compare_fits(fitted: FittedLogs, false_discovery_rate: float = FALSE_DISCOVE
         Largest expected share of false ones among the changed parameters.
     """
     reasons = {name: _why_not_compared(fitted, name) for name in fitted.names}
-    names = [name for name, reason in reasons.items() if not reason]
+    names = [name for name, reason in reasons.items() if reason is None]
     differences = {name: _difference(fitted, name) for name in names}
     q = _adjusted_p_values(fitted, differences)
     parameters = tuple(_parameter(fitted, n, differences[n], q[n], false_discovery_rate) for n in names)
@@ -176,9 +177,9 @@ def compare_fits(fitted: FittedLogs, false_discovery_rate: float = FALSE_DISCOVE
         )
         joint = JointTest(p=finite(p), directions=directions, parameters=tuple(dynamic))
     not_compared = tuple(
-        NotCompared(name=n, meaning=next(r[n]["meaning"] for r in fitted.rows if n in r), reason=reason)
-        for n, reason in reasons.items()
-        if reason
+        NotCompared(name=n, meaning=next(r[n]["meaning"] for r in fitted.rows if n in r), code=why[0], reason=why[1])
+        for n, why in reasons.items()
+        if why is not None
     )
     return Comparison(
         parameters, not_compared, _effects(fitted, parameters, differences), joint,
@@ -186,32 +187,33 @@ def compare_fits(fitted: FittedLogs, false_discovery_rate: float = FALSE_DISCOVE
     )  # fmt: skip
 
 
-def _why_not_compared(fitted: FittedLogs, name: str) -> str:
-    """Return the reason why a parameter cannot be compared between the campaigns; empty if it can."""
+def _why_not_compared(fitted: FittedLogs, name: str) -> tuple[NotComparedCode, str] | None:
+    """Return the reason why a parameter cannot be compared between the campaigns, as code and words; None if it can."""
     found, n = [r[name] for r in fitted.rows if name in r], len(fitted.rows)
     if any(r["per_log"] for r in found):
-        return "has its own value in each log"
+        return "per-log", "has its own value in each log"
     if not any(r["free"] for r in found):
-        return f"held at its {found[0]['origin']} value"
+        return "fixed", f"held at its {found[0]['origin']} value"
     if len(found) < n:
-        return f"is in the model of {len(found)} of {n} logs"
+        return "in-some-models", f"is in the model of {len(found)} of {n} logs"
     effect = catalogue().get(found[0]["effect"] or "")
     if effect is not None and effect.fixed_point:
-        return "a position, whose origin differs from log to log"
-    for flag in (AT_BOUND, VAGUE):
+        return "position", "a position, whose origin differs from log to log"
+    flags: tuple[tuple[NotComparedCode, str], ...] = (("at-bound", AT_BOUND), ("vague", VAGUE))
+    for code, flag in flags:
         # A value at a bound has no error. The mean of the other logs would be too far from the bound.
         flagged = np.array([r[name]["flag"] == flag for r in fitted.rows])
         if flagged.any():
             where = (f"{int(flagged[part].sum())} of {int(part.sum())} logs" for part in (~fitted.after, fitted.after))
-            return "{} in {} before and {} after".format(flag, *where)
+            return code, "{} in {} before and {} after".format(flag, *where)
     known = fitted.known(name)
     for after in (False, True):
         if not known[fitted.after == after].any():
-            return f"no log {campaign_of(after)} determines it"
+            return "undetermined", f"no log {campaign_of(after)} determines it"
     shares = [(json.loads(r["prior_parts"]).get(name, 0.0) / r["se"]) ** 2 for r in found if r["se"]]
     if shares and np.mean(shares) > MOST_PRIOR:
-        return f"known mainly from its prior ({100 * np.mean(shares):.0f} % of the information)"
-    return ""
+        return "mainly-prior", f"known mainly from its prior ({100 * np.mean(shares):.0f} % of the information)"
+    return None
 
 
 def _difference(fitted: FittedLogs, name: str) -> CampaignDifference:

@@ -15,7 +15,6 @@ from typing import Any
 import msgspec
 
 from seatrial.daq.errors import SeatrialError
-from seatrial.ident.estimation import load_model
 from seatrial.ident.parallel import Workers
 from seatrial.ident.reporter import Reporter
 from seatrial.ident.results import (
@@ -28,8 +27,9 @@ from seatrial.ident.results import (
 )
 from seatrial.ident.workflows.campaign_errors import prediction_errors
 from seatrial.ident.workflows.campaign_fits import FALSE_DISCOVERY_RATE, Row, campaign_of, compare_fits, fitted_logs
-from seatrial.ident.workflows.fleet import TABLE, FleetRequest, fit_logs, hashed_logs
-from seatrial.ident.workflows.vehicle_model import VehicleRequest, is_saved_model
+from seatrial.ident.workflows.fleet import TABLE, FleetRequest, checked_code, fit_logs, hashed_logs, score_test_note
+from seatrial.ident.workflows.vehicle import is_tested
+from seatrial.ident.workflows.vehicle_model import VehicleRequest
 
 
 @dataclass(frozen=True)
@@ -104,16 +104,15 @@ def find_changes(request: ChangesRequest, command: str, reporter: Reporter) -> C
     """
     if not (request.before and request.after):
         raise SeatrialError("a comparison needs logs of both campaigns; give one or more before and one or more after")
+    code = checked_code(request.vehicle)
     before, after = (hashed_logs(paths, reporter) for paths in (request.before, request.after))
     twice = {x.sha256: x.name for x in before}
     for log in after:
         if log.sha256 in twice:
             raise SeatrialError(f"{log.name}: is in both campaigns (as {twice[log.sha256]}); leave it out of one")
-    if is_saved_model(request.vehicle.model):
-        load_model(Path(request.vehicle.model))  # an error of the file is one line, not one for each log
     logs = [*before, *after]
     fits = FleetRequest((), request.vehicle, request.out, request.workers, request.force)
-    table = fit_logs(logs, fits, reporter)
+    table = fit_logs(logs, fits, code, reporter)
     rows = table.to_pylist()
     later = {log.sha256 for log in after}
     fitted = fitted_logs(rows, later)
@@ -122,11 +121,12 @@ def find_changes(request: ChangesRequest, command: str, reporter: Reporter) -> C
         first = _failed([r for r in rows if (r["sha256"] in later) == (which == "after")])[0]
         raise SeatrialError(f"no fit to a log {which} has converged; {first.log}: {first.reason}")
     comparison = compare_fits(fitted, request.false_discovery_rate)
-    errors, horizon = prediction_errors(fitted, comparison, logs, request.vehicle, request.workers, reporter)
+    errors, horizon = prediction_errors(fitted, comparison, logs, request.vehicle, code, request.workers, reporter)
     made = provenance([], command)
     result = CampaignsResult(
         created=made.created, seatrial=made.seatrial, command=made.command, answer="",
-        notes=comparison.notes, model=request.vehicle.model,
+        notes=(*comparison.notes, score_test_note(request.vehicle, rows)), model=request.vehicle.model,
+        score_tests=is_tested(request.vehicle),
         table="" if request.out is None else str(request.out / TABLE),
         horizon=horizon, false_discovery_rate=request.false_discovery_rate,
         campaigns=_campaign_logs(rows, later), failed=_failed(rows), parameters=comparison.parameters,

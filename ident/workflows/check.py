@@ -25,7 +25,7 @@ from seatrial.ident.checks import (
     smoothed,
 )
 from seatrial.ident.data import Channel, LoadedLog
-from seatrial.ident.model import INF, SHAFT_SPEED, Model, SignalId
+from seatrial.ident.model import INF, SHAFT_SPEED, Model, ParameterOrigin, SignalId
 from seatrial.ident.models import (
     ESTIMATOR_ERROR,
     NOISE,
@@ -96,8 +96,23 @@ def check_first(
     for log in logs:
         its_copies = [f for f in copies if f.where == log.about["path"]]
         sides, by_shafts = sides_of_model(model, log), _has_shaft_speeds(model)
-        checked.append(with_findings(log, sides, despite_faults, its_copies, uses_shaft_speeds=by_shafts))
+        checked.append(
+            with_findings(
+                log,
+                sides,
+                despite_faults,
+                its_copies,
+                uses_shaft_speeds=by_shafts,
+                known_noise=signals_of_given_noise(model),
+            )
+        )
     return checked[: len(loaded)], checked[len(loaded) :]
+
+
+def signals_of_given_noise(model: Model) -> set[str]:
+    """Return the names of the outputs whose noise the user has fixed, for example by ``--fix e_psi=0.03``."""
+    given = {p.name for p in model.parameters if not p.free and p.origin is ParameterOrigin.GIVEN}
+    return {o.name for o in model.outputs if o.noise in given}
 
 
 def _has_shaft_speeds(model: Model) -> bool:
@@ -113,6 +128,7 @@ def with_findings(
     more: Sequence[Finding] = (),
     *,
     uses_shaft_speeds: bool = True,
+    known_noise: Collection[str] = (),
 ) -> LoadedLog:
     """Check a log before a fit, and return a copy with the findings in ``about["findings"]``.
 
@@ -128,6 +144,8 @@ def with_findings(
         Findings of other checks of this log.
     uses_shaft_speeds : bool
         Whether the fit uses the shaft speeds of the log. False: faults of their telemetry do not refuse the log.
+    known_noise : collection of str
+        Signals whose noise the user has given to the fit. They are not reported as smoothed.
 
     Returns
     -------
@@ -142,7 +160,7 @@ def with_findings(
     """
     name = log.about["path"]
     assert log.device_faults is not None, "logs of a fit are loaded with `device_faults`"
-    found = [*log.device_faults, *check_signals(log.own_channels, sides), *more]
+    found = [*log.device_faults, *check_signals(log.own_channels, sides, known_noise), *more]
     reported = [f for f in found if f.level != OK]
     refused = [f for f in reported if invalidates_fit(f, uses_shaft_speeds)]
     if refused and not despite_faults:
@@ -254,9 +272,10 @@ def with_noise_floors(model: Model, logs: Sequence[LoadedLog]) -> tuple[Model, l
             least[o.noise] = max(least.get(o.noise, 0.0), part[o.name] * usual[o.noise], rounded)
     floors = [replace(p, value=max(p.value, INITIAL_FACTOR * least[p.name]), bounds=(least[p.name], INF))
               for p in model.parameters if p.free and p.name in least]  # fmt: skip
-    listed = {o.noise for o in model.outputs if o.name in smooth}
-    bounds = ", ".join(f"{p.name} {p.bounds[0]:g} {p.unit}" for p in floors if p.name in listed)
-    signals = ", ".join(sorted(smooth))
+    estimated_noise = {p.name for p in floors}
+    listed = {o.name: o.noise for o in model.outputs if o.name in smooth and o.noise in estimated_noise}
+    bounds = ", ".join(f"{p.name} {p.bounds[0]:g} {p.unit}" for p in floors if p.name in listed.values())
+    signals = ", ".join(sorted(listed))
     line = f"Smoothed signals ({signals}): lower bounds of their estimated noise are {bounds}; --fix sets the noise."
     return model.replace_parameters(*floors), [line] if bounds else []
 

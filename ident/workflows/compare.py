@@ -416,6 +416,11 @@ def comparison_answer(result: ComparisonResult) -> str:
     elif all(ratio.verdict == "worse" for _, ratio in shown):
         nearest = min(shown, key=lambda row: row[1].ratio)
         words = f"Best {seconds:g} s ahead: ({first.label}) {first.name}. {_change_words(*nearest, first)}"
+    elif all(ratio.verdict == "no-interval" for _, ratio in shown):
+        blocks = f" (no interval: {counted(n, 'block')})" if (n := shown[0][1].blocks) is not None else ""
+        words = f"The logs are too short for a verdict {seconds:g} s ahead{blocks}."
+        if len(shown) == 1:
+            words += f" {_change_words(*shown[0], first)}"
     else:
         words = f"No model is significantly better than ({first.label}) {first.name} {seconds:g} s ahead."
         if len(shown) == 1:
@@ -429,6 +434,6 @@ def _change_words(model: ComparedModel, ratio: ComparedRatio, reference: Compare
     side = "smaller" if by < 0.0 else "larger"
     words = f"The error of ({model.label}) over all channels is {abs(by):.0f} % {side} than that of ({reference.label})"
     if ratio.low is None or ratio.high is None:
-        return f"{words}; the logs are too short for an interval."
+        return f"{words}, without an interval."
     low, high = (f"{100.0 * (r - 1.0):+.0f}".replace("-", "−") for r in (ratio.low, ratio.high))
     return f"{words} (95 %: {low} to {high} %)."

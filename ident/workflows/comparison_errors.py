@@ -111,6 +111,7 @@ def ratio_row(found: ErrorRatio | None) -> ComparedRatio | None:
     """Return an error ratio as a row of the result; None without a ratio (no common errors other than zero)."""
     if found is None or not np.isfinite(found.ratio):
         return None
-    return ComparedRatio(
-        ratio=found.ratio, low=finite(found.low), high=finite(found.high), verdict=VERDICTS[found.verdict]
-    )
+    low, high = finite(found.low), finite(found.high)
+    known = low is not None and high is not None
+    verdict: ComparisonVerdict = VERDICTS[found.verdict] if known else "no-interval"
+    return ComparedRatio(ratio=found.ratio, low=low, high=high, blocks=found.blocks, verdict=verdict)

@@ -48,6 +48,8 @@ def log_score(
         reach = float(student_ppf(0.975, n - 1) * np.std(gains, ddof=1) * np.sqrt(n))
     verdict: ComparisonVerdict = "better" if gain > reach else "worse" if gain < -reach else "indistinguishable"
     low, high = finite(gain - reach), finite(gain + reach)
+    if low is None or high is None:
+        verdict = "no-interval"
     return LogScore(gain=gain, low=low, high=high, blocks=n, verdict=verdict, held_out=held_out)
 
 

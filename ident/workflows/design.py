@@ -57,7 +57,7 @@ from seatrial.ident.model import Effect, Model, Parameter
 from seatrial.ident.models import make_model, scale_priors, size_of
 from seatrial.ident.numerics import Array
 from seatrial.ident.report import typeset_unit, write_design_page
-from seatrial.ident.reporter import Reporter
+from seatrial.ident.reporter import QUIET, Reporter
 from seatrial.ident.results import (
     Baseline,
     CommandTrace,
@@ -177,7 +177,7 @@ def make_design(
         written then.
     """
     beside = _paths_beside_mission(out, force)
-    task, compared = make_task(source, request)
+    task, compared = make_task(source, request, reporter)
     model_thrusters = task.actuation.thrusters
     thrusters = request.thrusters or model_thrusters
     if len(thrusters) != len(model_thrusters):
@@ -188,6 +188,7 @@ def make_design(
         )
     idle = Segment("static", np.zeros(1), np.zeros((1, len(thrusters))))
     parse_mission(dump_mission(Mission("names", "mission", tuple(thrusters), (idle,), 1.0)), "--thrusters")
+    reporter.progress("design: compiling the model")
     DesignEvaluator(task).criterion  # noqa: B018  # raises the error of a wrong --parameters before the search
     reporter.progress(
         f"design: {task.steps.n_steps} steps in {task.steps.duration:g} s for {', '.join(_criterion_parameters(task))}"
@@ -201,9 +202,11 @@ def make_design(
             evaluations=request.evaluations,
             progress=lambda n, merit: reporter.progress(f"design: {n} simulations, {request.criterion} {merit:.2f}"),
         )
-    reporter.progress("baseline signals, Monte Carlo, track")
+    reporter.progress("design: baseline signals")
     found = baseline_signals(task, seed=request.seed)
+    reporter.progress("design: Monte Carlo of the parameters")
     samples = monte_carlo(task, {"design": made.command} | {k: r.command for k, r in found.items()}, seed=request.seed)
+    reporter.progress("design: track")
     track, unbounded = _bounded_track(made)
     best = max(found, key=lambda k: found[k].value)
     fine = found[best].command[np.minimum(_rows_of_finer_grid(task), len(task.t) - 1)]
@@ -433,7 +436,9 @@ def round_to_digits(values: Array, digits: int) -> Array:
     return np.array([float(f"{v:.{digits}g}") for v in values.ravel()]).reshape(values.shape)
 
 
-def make_task(source: str, request: DesignRequest) -> tuple[DesignProblem, tuple[EffectHypothesis, ...]]:
+def make_task(
+    source: str, request: DesignRequest, reporter: Reporter = QUIET
+) -> tuple[DesignProblem, tuple[EffectHypothesis, ...]]:
     """Return the design problem that the options of `seatrial mission design` define, and the effects to discriminate.
 
     The problem has the model, the number of steps, the criterion, the limits, the prior and the spacing of the rows in
@@ -446,6 +451,8 @@ def make_task(source: str, request: DesignRequest) -> tuple[DesignProblem, tuple
         the prior (the covariance of its estimates), the ranges of its signals and its sensor rates.
     request : DesignRequest
         Options of the design.
+    reporter : Reporter
+        Receives progress.
 
     Raises
     ------
@@ -455,6 +462,7 @@ def make_task(source: str, request: DesignRequest) -> tuple[DesignProblem, tuple
         do not fit into the duration, or if the two effects of ``request.between`` cannot be compared (`hypotheses`).
     """
     is_path = source.endswith((".toml", ".json")) or ("/" in source and Path(source).is_dir())
+    reporter.progress("design: reading the model")
     saved = load_model(Path(source)) if is_path else None
     model = saved.model if saved is not None else make_model(source)
     if why := reason_without_mission(model):
@@ -490,6 +498,7 @@ def make_task(source: str, request: DesignRequest) -> tuple[DesignProblem, tuple
     else:
         task = replace(task, prior=prior_from_fit(saved), validity=saved.validity, fitted_rates=saved.rates)
     compared = hypotheses(model if saved is None else saved, request.between) if request.between else ()
+    reporter.progress("design: time constants of the sampled boats, for the spacing of the rows")
     members = [
         (model, DesignEvaluator(task).boats(N_TRACKS, 2)),
         *((h.model, np.array([list(h.model.values.values())])) for h in compared),
@@ -523,13 +532,18 @@ def _discrimination_design(
         task,
         evaluations=max(request.evaluations // 8, 500),
         progress=lambda n, merit: reporter.progress(f"design: {n} comparisons, T {np.exp(merit):.3g}"),
+        phase=lambda words: reporter.progress(f"design: {words}"),
     )
+    reporter.progress("design: information of the mission")
     evaluator = DesignEvaluator(task)
     information = evaluator.information(task.actuation.inputs(made.command[:, :, None]))
     value = float(evaluator.criterion(information + evaluator.prior_information)[0])
     rng = np.random.default_rng([request.seed, 31])
     random = [task.commands(z)[:, :, 0] for z in task.steps.random(8, rng)[:, None]]
-    random_criteria = [min(separation(a, b, task, c)) for c in random]
+    random_criteria = list[float]()
+    for k, command in enumerate(random):
+        reporter.progress(f"design: comparison with random missions, {k} of {len(random)}")
+        random_criteria.append(min(separation(a, b, task, command)))
     first, second = (h.effect for h in compared)
     row = Discrimination(
         effects=(first, second),

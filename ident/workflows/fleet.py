@@ -25,14 +25,14 @@ import numpy as np
 
 from seatrial.daq.errors import SeatrialError, counted
 from seatrial.daq.log import open_log
-from seatrial.ident.estimation import LEAST_OWN, ReportedEstimates, between_log_variance
-from seatrial.ident.models import is_own_model
+from seatrial.ident.estimation import LEAST_OWN, ReportedEstimates, between_log_variance, load_model
+from seatrial.ident.models import accepting_code, code_digest, is_own_model
 from seatrial.ident.numerics import Array, chi2_sf
 from seatrial.ident.parallel import ResultTable, TaskOutcome, Workers, run_many
 from seatrial.ident.reporter import Reporter
 from seatrial.ident.results import FailedLog, FleetParameter, FleetResult, ParameterRow, provenance, write_result
 from seatrial.ident.studies import estimator_code_hash
-from seatrial.ident.workflows.vehicle import VehicleFit, fit_vehicle
+from seatrial.ident.workflows.vehicle import VehicleFit, fit_vehicle, is_tested
 from seatrial.ident.workflows.vehicle_model import VehicleRequest, is_saved_model
 
 TABLE = "fits.parquet"
@@ -154,19 +154,32 @@ def fit_fleet(request: FleetRequest, command: str, reporter: Reporter) -> FleetF
     Raises
     ------
     SeatrialError
-        For example, if fits.parquet has fits with other options, if ``request.out`` is a file, if a library is missing,
-        or if a cluster cannot be used.
+        For example, if a model.toml cannot be read or is not trusted, if fits.parquet has fits with other options, if
+        ``request.out`` is a file, if a library is missing, or if a cluster cannot be used.
     """
+    code = checked_code(request.vehicle)
     logs = hashed_logs(request.logs, reporter)
-    rows = fit_logs(logs, request, reporter)
+    rows = fit_logs(logs, request, code, reporter)
     path = "" if request.out is None else str(request.out / TABLE)
-    result = fleet_result(rows, len(logs), request.vehicle.model, path, command)
+    result = fleet_result(rows, len(logs), request.vehicle, path, command)
     if request.out is not None:
         write_result(result, request.out / "result.json")
     return FleetFits(result, rows)
 
 
-def fit_logs(logs: Sequence[FleetLog], request: FleetRequest, reporter: Reporter) -> Any:
+def checked_code(vehicle: VehicleRequest) -> frozenset[str]:
+    """Check the model.toml that the fits begin with, once for all logs, and return the hashes of its Python files.
+
+    The workers run the files with these hashes without a further check (`seatrial.ident.models.accepting_code`). The
+    set is empty for a model without Python files, and for a model that is no model.toml. SeatrialError is raised if the
+    file cannot be read, or if a Python file may not be run without ``--trust-code``.
+    """
+    if not is_saved_model(vehicle.model):
+        return frozenset()
+    return frozenset(map(code_digest, load_model(Path(vehicle.model)).python_files))
+
+
+def fit_logs(logs: Sequence[FleetLog], request: FleetRequest, code: frozenset[str], reporter: Reporter) -> Any:
     """Fit the model to each log in parallel, and return the rows of all estimates (``pyarrow.Table``).
 
     With a folder, the rows are in its fits.parquet. Fits that the file has already are not repeated, except failed
@@ -178,6 +191,8 @@ def fit_logs(logs: Sequence[FleetLog], request: FleetRequest, reporter: Reporter
         Different logs. Those of the request are not used.
     request : FleetRequest
         Options of a fit, folder and workers.
+    code : frozenset of str
+        Hashes of the Python files that the model may run (`checked_code`).
     reporter : Reporter
         Receives progress and warnings.
 
@@ -198,7 +213,7 @@ def fit_logs(logs: Sequence[FleetLog], request: FleetRequest, reporter: Reporter
         if len(todo) < len(logs):
             reporter.progress(f"{len(logs) - len(todo)} of {len(logs)} logs have a fit already")
         began = time.monotonic()
-        for n, outcome in enumerate(run_many(todo, partial(_fit_log, vehicle), request.workers, reporter), 1):
+        for n, outcome in enumerate(run_many(todo, partial(_fit_log, vehicle, code), request.workers, reporter), 1):
             table.add(_rows_of(outcome))
             left = (time.monotonic() - began) / n * (len(todo) - n)
             end = f"failed: {_reason(outcome)}" if outcome.error else "fitted"
@@ -280,10 +295,14 @@ class _Ignored:
         """Ignore the text."""
 
 
-def _fit_log(vehicle: VehicleRequest, log: FleetLog) -> list[Row]:
-    """Fit the model to one log in a worker process, and return a row of the table for each parameter."""
+def _fit_log(vehicle: VehicleRequest, code: frozenset[str], log: FleetLog) -> list[Row]:
+    """Fit the model to one log in a worker process, and return a row of the table for each parameter.
+
+    ``code`` has the hashes of the Python files that the model may run.
+    """
     began = time.process_time()
-    done: VehicleFit = fit_vehicle(replace(vehicle, logs=[log.path]), "", _Ignored(), with_dynamics=False)
+    with accepting_code(code):
+        done: VehicleFit = fit_vehicle(replace(vehicle, logs=[log.path]), "", _Ignored(), with_dynamics=False)
     result = done.result
     of_log: Row = {
         "model": result.fit.model,
@@ -425,7 +444,7 @@ def _rows_of_logs(table: Any, logs: Sequence[FleetLog]) -> Any:
     return chosen.set_column(chosen.schema.get_field_index("log"), "log", column)
 
 
-def fleet_result(table: Any, n_logs: int, model: str, file: str, command: str) -> FleetResult:
+def fleet_result(table: Any, n_logs: int, vehicle: VehicleRequest, file: str, command: str) -> FleetResult:
     """Return the summary of the fits of many logs as a result.
 
     Parameters
@@ -434,8 +453,8 @@ def fleet_result(table: Any, n_logs: int, model: str, file: str, command: str) -
         Rows of the fits: one for each log and parameter, and one for each failed log.
     n_logs : int
         Number of logs.
-    model : str
-        Name of the model as given.
+    vehicle : VehicleRequest
+        Options of each fit, with the name of the model.
     file : str
         Path of the table; empty if it was not written.
     command : str
@@ -456,10 +475,34 @@ def fleet_result(table: Any, n_logs: int, model: str, file: str, command: str) -
     return FleetResult(
         created=made.created, seatrial=made.seatrial, command=made.command,
         answer=_answer(n_logs, len(fitted), failed, len(bad), parameters),
-        model=model, table=file, n_logs=n_logs, fitted=len(fitted), failed=failed,
+        notes=(score_test_note(vehicle, rows),), model=vehicle.model, table=file, score_tests=is_tested(vehicle),
+        n_logs=n_logs, fitted=len(fitted), failed=failed,
         unconverged=tuple(FailedLog(log=log, reason=reason) for log, reason in bad.items()),
         parameters=parameters,
     )  # fmt: skip
+
+
+def score_test_note(vehicle: VehicleRequest, rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return the sentences on whether the fits of many logs were tested for missing effects, and what follows.
+
+    ``vehicle`` has the options of each fit, and ``rows`` are the rows of the table.
+    """
+    if not is_tested(vehicle):
+        return (
+            "The fits have no score tests: all logs have the same model, and the standard error of a log excludes "
+            "effects that the model may lack; the scatter between the logs contains them."
+        )
+    names: dict[str, set[str]] = {}
+    for row in rows:
+        if row["parameter"] is not None:
+            names.setdefault(row["log"], set()).add(row["parameter"].partition("@")[0])
+    models = len(set(map(frozenset, names.values())))  # an added effect is a model with more parameters
+    return (
+        "Each fit has score tests, as in `seatrial ident vehicle`: small errors of sensors and hull form are added to "
+        "the model of a log that shows them, and the standard error of a log includes what remains unexplained. "
+        + (f"The logs have {models} different models. " if models > 1 else "All logs have the same model. ")
+        + "--no-score-tests leaves the tests out."
+    )
 
 
 def _between_logs(name: str, rows: Sequence[Mapping[str, Any]], level: float) -> FleetParameter:

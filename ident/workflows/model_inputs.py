@@ -574,7 +574,7 @@ def _check_sensors_and_set_holds(
     ``path``: file of the model, for the message.
     """
     logs = [*loaded, *validation_logs]
-    present = [n for n, s in SENSORS.items() if any(all(o.name in x.run.channels for o in s.outputs) for x in logs)]
+    present = [s.name for s in model.sensors if any(all(o.name in x.run.channels for o in s.outputs) for x in logs)]
     lost = [s.name for s in model.sensors if s.name in SENSORS and s.name not in present]
     if len(lost) == len(model.sensors):
         raise SeatrialError(

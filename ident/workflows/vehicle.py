@@ -143,6 +143,14 @@ def fit_vehicle(request: VehicleRequest, command: str, reporter: Reporter, with_
     return VehicleFit(fitted, result)
 
 
+def is_tested(request: VehicleRequest) -> bool:
+    """Return whether a fit is tested by the score tests: if the request has them, and its model and method allow them.
+
+    A user-defined model and output error have no score tests.
+    """
+    return request.score_tests and not is_own_model(request.model) and request.estimation.method == "prediction-error"
+
+
 def _assess(request: VehicleRequest, problem: VehicleProblem, reporter: Reporter) -> ModelAssessment | None:
     """Test by score tests, before the fit, whether the vehicle model lacks effects of the catalogue.
 
@@ -150,7 +158,7 @@ def _assess(request: VehicleRequest, problem: VehicleProblem, reporter: Reporter
     test, and for output error, which has no score tests. Return None with a warning if the tests fail: the fit is
     possible without them.
     """
-    if not request.score_tests or is_own_model(request.model) or request.estimation.method != "prediction-error":
+    if not is_tested(request):
         return None
     model = replace(problem.model, second_order=False)  # as in a diagnosis
     if request.estimation.outlier_model:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from seatrial.ident.results import ComparisonResult
 
 AnyModel = Any  # PathLike, FittedVehicle, FittedDiagnosis or Saved, which is imported only if it is needed
+RATIO = ("ratio", "low", "high", "blocks", "verdict")  # columns of the ratio of an error to that of the first model
 Models = Sequence[AnyModel] | Mapping[str, AnyModel]
 
 
@@ -63,8 +64,9 @@ class Comparison(Shown):
         """Return all errors as a ``pandas.DataFrame``: a row for each kind of prediction, channel and model.
 
         The columns are ``kind`` (one_step, horizon, simulation), ``seconds`` (the horizon, else NaN), ``channel``,
-        ``unit``, ``model`` (its name), ``rms`` (NaN: diverged), ``fit`` (1: perfect), ``ratio``, ``low``, ``high`` and
-        ``verdict`` (against the first model, with the 95 % interval), and ``best`` (whether the error is the smallest).
+        ``unit``, ``model`` (its name), ``rms`` (NaN: diverged), ``fit`` (1: perfect), ``ratio``, ``low``, ``high``,
+        ``blocks`` and ``verdict`` (against the first model, with the 95 % interval and the number of independent blocks
+        of time; ``no-interval`` with fewer than four), and ``best`` (whether the error is the smallest).
         A model has no row for a channel that it does not predict.
 
         Raises
@@ -78,11 +80,11 @@ class Comparison(Shown):
             of_channel = {"kind": row.kind, "seconds": row.seconds, "channel": row.channel, "unit": row.unit}
             for e in row.errors:
                 found = e.against_reference
-                ratio = {n: None if found is None else getattr(found, n) for n in ("ratio", "low", "high", "verdict")}
+                ratio = {n: None if found is None else getattr(found, n) for n in RATIO}
                 own = {"model": names[e.model], "rms": e.rms, "fit": e.fit}
                 rows.append({**of_channel, **own, **ratio, "best": e.model == row.best})
         frame = import_library("pandas").DataFrame(rows)
-        numbers = ["seconds", "rms", "fit", "ratio", "low", "high"]
+        numbers = ["seconds", "rms", "fit", "ratio", "low", "high", "blocks"]
         return frame.astype(dict.fromkeys(numbers, float))
 
     def plot(self, *channels: str, horizon: float | Literal["simulation"] | None = None) -> Figure:

@@ -14,7 +14,7 @@ from seatrial.api import tables
 from seatrial.api.findings import DiagnosisFindings
 from seatrial.api.fits import FittedResult, MotionMethods, Series, known_options, model_path
 from seatrial.api.logs import PathLike
-from seatrial.api.messages import errors_of_users
+from seatrial.api.messages import errors_of_users, text_of
 from seatrial.api.plots import comparison_figure, prediction_figure
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from seatrial.ident.estimation import SavedModel
     from seatrial.ident.model import Model, Parameter
 
-MODEL, RESULT = "model.toml", "result.json"
+MODEL, RESULT, ESTIMATES = "model.toml", "result.json", "fits.parquet"
 MODEL_COLUMNS = ("value", "se", "unit", "meaning")  # of the table of a model without its result
 
 
@@ -118,9 +118,11 @@ class Saved(MotionMethods, Shown):
         return "" if self.result is None else tables.conclusion(self.result)
 
     def summary(self) -> str:
-        """Return the estimates as a table in text if the loaded result is that of a fit, otherwise its `answer`.
+        """Return the loaded result as text.
 
-        Without a result the parameters of the model are listed with their standard errors.
+        For the result of a fit this is the table of its estimates, as `FittedVehicle.summary`. For any other result it
+        is the answer with the tables that the command prints. Without a result the parameters of the model are listed
+        with their standard errors.
 
         Raises
         ------
@@ -130,7 +132,7 @@ class Saved(MotionMethods, Shown):
         if hasattr(self.result, "fit"):
             return tables.summary(self.result)
         if self.result is not None:
-            return self.answer
+            return text_of(self.result)
         errors = self.standard_errors
         return "\n".join(f"{n} = {v:.6g} ± {errors.get(n, np.nan):.2g}" for n, v in self.params.items())
 
@@ -156,18 +158,33 @@ class Saved(MotionMethods, Shown):
         return prediction_figure(self.result, channels)
 
     def to_pandas(self) -> Any:
-        """Return the parameters as a ``pandas.DataFrame`` with a row for each.
+        """Return the loaded result as a ``pandas.DataFrame``, with the columns of the function that computes it.
 
-        If the result of a fit was loaded, the columns are those of `FittedVehicle.to_pandas`. Otherwise they are value,
-        se, unit and meaning, from the model.
+        - Fit or diagnosis: a row for each parameter, with the columns of `FittedVehicle.to_pandas`.
+        - Fleet: a row for each log and parameter, with the columns of `FittedFleet.to_pandas`, from the fits.parquet
+          beside result.json. This file may also have logs of earlier runs.
+        - Changes: a row for each compared parameter, with the columns of `CampaignComparison.to_pandas`.
+        - Comparison: a row for each kind of prediction, channel and model, with the columns of `Comparison.to_pandas`.
+        - Navigation: a row for each log and time, with the columns of `Navigated.to_pandas`, from the CSV files beside
+          result.json.
+
+        Without one of these results, the rows are the parameters of the model, with the columns value, se, unit and
+        meaning.
 
         Raises
         ------
         SeatrialError
-            If neither the result of a fit nor a model was loaded, or if pandas is not installed.
+            If there is neither such a result nor a model, if a file beside result.json is missing or cannot be read, or
+            if pandas is not installed.
         """
         if hasattr(self.result, "fit"):
             return tables.frame(self.result)
+        computed = self._as_computed(with_files=True)
+        if computed is not None:
+            return computed.to_pandas()
+        if self.result is not None and self.model is None:
+            kind = self.result.__struct_config__.tag
+            raise SeatrialError(f"{self.path}: a result of the kind {kind!r} has no table in pandas; use .result")
         rows = [
             (p.name, p.value, self.standard_errors.get(p.name, np.nan), p.unit, p.meaning) for p in self._parameters
         ]
@@ -185,15 +202,54 @@ class Saved(MotionMethods, Shown):
             raise SeatrialError(f"{self.path}: no {MODEL} was loaded; load the folder that contains it")
         return self.model
 
+    def _as_computed(self, with_files: bool) -> Any:
+        """Return the object that the function of this result returns, or None for another result.
+
+        The functions are those of a fleet, of changes, of a comparison and of a navigation. ``with_files``: whether the
+        files beside result.json are read; otherwise the object has none of them. SeatrialError is raised if one of
+        them is missing or cannot be read.
+        """
+        from seatrial.api.campaigns import CampaignComparison
+        from seatrial.api.comparison import Comparison
+        from seatrial.api.fleet import FittedFleet
+        from seatrial.api.runs import Navigated
+        from seatrial.ident.results import CampaignsResult, ComparisonResult, FleetResult, NavigationResult
+
+        result = self.result
+        if isinstance(result, ComparisonResult):
+            return Comparison(result)
+        if isinstance(result, CampaignsResult):
+            return CampaignComparison(result, None)
+        if isinstance(result, FleetResult):
+            return FittedFleet(result, tables.read_parquet(self._beside(ESTIMATES)) if with_files else None)
+        if isinstance(result, NavigationResult):
+            names = [f"{row.record}.csv" for row in result.navigation] if with_files else []
+            return Navigated(result, {name: self._beside(name).read_bytes() for name in names})
+        return None
+
+    def _beside(self, name: str) -> Path:
+        """Return the path of a file beside the loaded result.json. SeatrialError is raised if it does not exist."""
+        file = (self.path if self.path.is_dir() else self.path.parent) / Path(name).name
+        if not file.is_file():
+            raise SeatrialError(f"{file}: is missing, and the table of this result is in it; load the whole folder")
+        return file
+
     @property
     def _parameters(self) -> tuple[Parameter, ...]:
         """Parameters of the loaded model with their values; SeatrialError without a model."""
         return self.saved_model().model.parameters
 
     def _content(self) -> Content:
-        """Return the content of the result of a fit; otherwise the parameters of the model, if there is one."""
+        """Return the content of the result of a fit, of many logs, of a comparison or of a navigation.
+
+        For another result it is the answer, with the parameters of the model, if there is one.
+        """
         if hasattr(self.result, "fit"):
             return tables.content(self.result)
+        computed = self._as_computed(with_files=False)
+        if computed is not None:
+            content: Content = computed._content()
+            return content
         notes = [] if self.result is None else [w.text for w in self.result.warnings]
         if self.model is None:
             return Content(self.answer, notes)

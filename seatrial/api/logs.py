@@ -196,8 +196,9 @@ def import_log(
     files : path or sequence of paths
         Files: text tables, bags of ROS, DataFlash, ULog, MATLAB and others.
     map_path : path, optional
-        Import map, which assigns columns to signals. None: a map is guessed for each file. Look at a guessed map before
-        you rely on it (``seatrial import --guess FILE``).
+        Import map, which assigns columns to signals. None: a map is guessed for each file; a scale that is guessed from
+        numbers is the same for all files. Look at a guessed map before you rely on it (``seatrial import --guess
+        FILE``).
     out_dir : path
         Folder of the logs, which is created. A log has the name of its file; if the map merges files, that of the map.
     force : bool
@@ -219,7 +220,7 @@ def import_log(
     """
     from tempfile import TemporaryDirectory
 
-    from seatrial.daq.importers.guess import guess_map
+    from seatrial.daq.importers.guess import guess_maps
     from seatrial.daq.importers.import_files import import_files
 
     sources, folder = as_paths(files), Path(out_dir)
@@ -228,10 +229,10 @@ def import_log(
     with errors_of_users():
         if map_path is not None:
             return import_files(Path(map_path), sources, out_dir=folder, force=force)
-        for source in sources:
+        for source, guess in zip(sources, guess_maps(sources), strict=True):
             with TemporaryDirectory() as scratch:
                 guessed = Path(scratch) / f"{source.stem}.toml"
-                guessed.write_text(guess_map(source).text, encoding="utf-8")
+                guessed.write_text(guess.text, encoding="utf-8")
                 made += import_files(guessed, [source], out_dir=folder, force=force)
     return made
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from seatrial.api.shown import Content
+from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import import_library
 
 if TYPE_CHECKING:
@@ -124,6 +126,16 @@ def frame(result: FitResult) -> Any:
     """Return the parameters of a fit as a ``pandas.DataFrame`` with a row for each; SeatrialError without pandas."""
     rows = [statistics(row) for row in result.fit.parameters]
     return import_library("pandas").DataFrame(rows, columns=list(Statistics._fields)).set_index("name")
+
+
+def read_parquet(path: Path) -> Any:
+    """Return the content of a Parquet file as a ``pyarrow.Table``; SeatrialError if it cannot be read."""
+    parquet, arrow = import_library("pyarrow.parquet"), import_library("pyarrow")
+    try:
+        return parquet.read_table(path)
+    except (OSError, arrow.ArrowException) as problem:
+        line = str(problem).splitlines()[0]
+        raise SeatrialError(f"{path}: cannot be read ({line}); run the command again") from problem
 
 
 def _cells(row: Statistics) -> tuple[str, ...]:

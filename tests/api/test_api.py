@@ -561,6 +561,14 @@ def test_navigate_returns_and_saves_the_states(logs: list[Path], fit: st.FittedV
     }
     assert "30" in done.answer or "20" in done.answer
     assert repr(done).startswith("<Navigated: run3>")
+    saved = st.load(tmp_path / "out")
+    assert saved.to_pandas().equals(frame)
+    assert "GNSS outages" in saved.summary()
+    assert "<td>run3</td>" in saved._repr_html_()
+    assert st.load(tmp_path / "out/result.json").to_pandas().equals(frame)
+    (tmp_path / "out/run3.csv").unlink()
+    with pytest.raises(SeatrialError, match=r"run3\.csv: is missing, and the table of this result is in it"):
+        saved.to_pandas()
 
 
 @pytest.mark.parametrize(

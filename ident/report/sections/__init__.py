@@ -103,7 +103,7 @@ def _fit(canvas: Canvas, result: FitResult) -> list[Section]:
         *([answer.static_section(canvas, static, rpm_max)] if static else []),
         *([thruster.steady_section(canvas, bench), thruster.shaft_section(canvas, bench)] if bench else []),
         runs.prediction_section(canvas, result),
-        predictions.errors_section(result.errors, result.horizon_seconds),
+        predictions.errors_section(result.errors, result.horizon_seconds, diagnosis.errors_caveat if diagnosis else ""),
         runs.traces_section(canvas, result),
         runs.run_section(canvas, result.logs, result.inputs),
         dynamics.section(canvas, result.dynamics if isinstance(result, VehicleResult | DiagnosisResult) else None),

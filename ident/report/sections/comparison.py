@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from seatrial.daq.errors import counted
 from seatrial.ident.numerics import Array
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Canvas, Cell, Grid, Heading, Prose, Section, Table, tabbed
@@ -23,6 +24,7 @@ from seatrial.ident.results import (
     ComparedTrace,
     ComparisonResult,
     ComparisonVerdict,
+    LogScore,
     PredictionKind,
 )
 
@@ -31,11 +33,13 @@ MARKS: dict[ComparisonVerdict, tuple[str, str]] = {
     "better": ("▼ ", "good"),
     "worse": ("▲ ", "bad"),
     "indistinguishable": ("", ""),
+    "no-interval": ("", ""),
 }
 WORDS: dict[ComparisonVerdict, str] = {
     "better": "better",
     "worse": "worse",
     "indistinguishable": "not distinguishable",
+    "no-interval": "no interval",
 }
 BAND = 0.13  # opacity of the 95 % band of one of several models
 
@@ -45,6 +49,12 @@ def kind_title(kind: PredictionKind, seconds: float | None) -> str:
     if kind == "horizon":
         return f"{seconds:g} s ahead"
     return "One step ahead" if kind == "one_step" else "Simulation"
+
+
+def verdict_words(row: ComparedRatio | LogScore) -> str:
+    """Return the verdict on a ratio or a log score as text; without an interval ``no interval: 2 blocks``."""
+    words = WORDS[row.verdict]
+    return words if row.verdict != "no-interval" or row.blocks is None else f"{words}: {counted(row.blocks, 'block')}"
 
 
 def opening_blocks(result: ComparisonResult) -> list[Any]:
@@ -63,11 +73,12 @@ def opening_blocks(result: ComparisonResult) -> list[Any]:
         ("better", "num"),
         ("worse", "num"),
         ("not distinguishable", "num"),
+        ("no interval", "num"),
     )
     rows = []
     for m in result.models:
         change = m.ahead(result.horizons[0])
-        verdict = "reference" if m is result.models[0] else "–" if change is None else WORDS[change.verdict]
+        verdict = "reference" if m is result.models[0] else "–" if change is None else verdict_words(change)
         rows.append(
             [
                 Cell(f"({m.label})", "strong"),
@@ -81,7 +92,7 @@ def opening_blocks(result: ComparisonResult) -> list[Any]:
         )
     note = (
         "The error is the geometric mean over all channels of RMS error / RMS error of (a). Each model keeps its "
-        "estimates; only what belongs to a log, such as the current, is estimated anew. The last three columns count "
+        "estimates; only what belongs to a log, such as the current, is estimated anew. The last four columns count "
         "the verdicts against (a) over all channels and kinds of prediction."
     )
     return [Table(columns, rows), Prose(note, "quiet")]
@@ -115,7 +126,8 @@ def best_section(result: ComparisonResult) -> Section:
     columns = (("channel", ""), *((kind_title(*kind), "") for kind in kinds))
     lead = (
         "The best model of each channel, and those that are not distinguishable from it, as the 95 % interval of the "
-        "ratio of both errors includes 1. A model that is better than all others is bold."
+        "ratio of both errors includes 1. A model that is better than all others is bold. No interval: the data have "
+        "fewer than four independent blocks of time, so nothing is known about the difference."
     )
     return Section("best", "Which model is better", [Table(columns, rows)] if rows else [], lead)
 
@@ -126,6 +138,8 @@ def _best_cell(row: ComparedChannel | None) -> Cell:
         return Cell("–")
     others = [label for label in row.not_worse if label != row.best]
     words = f"({row.best})" + "".join(f" or ({label})" for label in others)
+    if row.unproven:
+        return Cell(f"{words}; {verdict_words(row.unproven[0])}")
     return Cell(words, "" if others or len(row.errors) == 1 else "strong")
 
 
@@ -158,7 +172,8 @@ def errors_section(result: ComparisonResult) -> Section:
         "Root mean square of the difference of measured and predicted values, at the samples that all models predict. "
         "The fit is 1 − error / standard deviation of the measured values. ▼ and ▲: the error is smaller or larger "
         f"than that of ({reference}), and the 95 % interval of the ratio excludes 1. The intervals are by a jackknife "
-        "over blocks of time; a simulation of a short log has too few of them for a verdict."
+        "over blocks of time that are longer than the errors are correlated. Fewer than four blocks give no interval "
+        "and no verdict: the errors of a simulation accumulate, so that a short log is one block or two."
     )
     return Section("errors", "Prediction errors", tabbed(tabs), lead)
 
@@ -175,7 +190,7 @@ def _error_cells(row: ComparedChannel, e: ComparedError) -> list[Cell | str]:
         Cell(formatting.percent(e.fit), "num"),
         Cell(mark + ratio_words(ratio), f"num {style}".strip()),
         Cell(interval_words(ratio), "num"),
-        Cell("–" if ratio is None else WORDS[ratio.verdict], style),
+        Cell("–" if ratio is None else verdict_words(ratio), style),
         Cell("best" if e.model == row.best else ratio_words(e.against_best), "num"),
         Cell(interval_words(e.against_best), "num"),
     ]
@@ -220,7 +235,7 @@ def _likelihood_cells(m: ComparedModel) -> list[Cell | str]:
         low, high = (None if v is None else signed(v) for v in (score.low, score.high))
         interval = "–" if low is None or high is None else f"{low} to {high}"
         shown += [Cell(signed(score.gain), "num"), Cell(interval, "num")]
-        shown.append(Cell(WORDS[score.verdict], MARKS[score.verdict][1]))
+        shown.append(Cell(verdict_words(score), MARKS[score.verdict][1]))
     if c is None:
         return [*shown, *(Cell("–", "num") for _ in range(4))]
     ratio = "–" if c.p is None else formatting.plain(2.0 * c.gain)

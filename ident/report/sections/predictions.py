@@ -71,7 +71,7 @@ def compared(errors: Errors) -> bool:
     return any(row.before is not None for kind in kinds for row in kind.values())
 
 
-def errors_section(errors: Errors, seconds: float) -> Section:
+def errors_section(errors: Errors, seconds: float, caveat: str = "") -> Section:
     """Return the section with the tables of RMS prediction errors: one tab for validation, one for estimation data.
 
     With one model, a table has the fit in per cent; with two models, the ratio of their errors. The section is empty if
@@ -83,6 +83,8 @@ def errors_section(errors: Errors, seconds: float) -> Section:
         Errors of one model, or of the models before and after effects were added.
     seconds : float
         Prediction horizon [s].
+    caveat : str
+        Sentences on how the errors were computed, which follow the lead; empty: none.
     """
     has_before = compared(errors)
     table = _before_after_table if has_before else _error_table
@@ -91,6 +93,7 @@ def errors_section(errors: Errors, seconds: float) -> Section:
     lead = "Root mean square of the difference of measured and predicted values."
     if has_before:
         lead += " ▼ and ▲: the error fell or rose; the 95 % interval of the ratio excludes 1."
+    lead = f"{lead} {caveat}".rstrip()
     return Section("errors", "Error before and after" if has_before else "Prediction error", tabbed(tabs), lead)
 
 

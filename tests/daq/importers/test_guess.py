@@ -17,11 +17,12 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.io import savemat
 
+import seatrial as st
 from seatrial.daq import cli
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.importers import guess
 from seatrial.daq.importers.clocks import Clock, clock_of
-from seatrial.daq.importers.guess import Guess, guess_map, outputs
+from seatrial.daq.importers.guess import Guess, guess_map, guess_maps, outputs
 from seatrial.daq.importers.import_files import import_files
 from seatrial.daq.importers.recognise import read_name
 from seatrial.daq.importers.sources import SourceKind
@@ -273,7 +274,41 @@ def test_left_and_right_have_the_same_scale(tmp_path: Path, top: float) -> None:
 
 def test_controllers_have_the_same_scale() -> None:
     tables = [Table(Path("x"), f"esc_{k}", {"rpm": 1000.0 / k + 0 * TIME}, TIME, "Esc") for k in (1, 2)]
-    assert {c.signals[0].extra.split(",")[0] for c in outputs(tables)} == {"scale = 0.001"}
+    assert {c.signals[0].full for c in outputs(tables)} == {1000.0}
+
+
+def test_a_scale_that_is_guessed_from_the_largest_number_says_so_on_its_line(tmp_path: Path) -> None:
+    turn = np.cos(TIME)
+    path = write(tmp_path, {"t": TIME, "yaw": turn, "rpm_port": 900.0 * turn, "rpm_stbd": 450.0 * turn})
+    lines = [line for line in guess_map(path).text.splitlines() if "rpm_" in line]
+    remark = (
+        "# scale: a guess, 1 / 900, the largest number of this file; better: 1 / (number at full speed), the same on "
+        "both sides and in all files"
+    )
+    assert len(lines) == 2
+    assert all(line.endswith(f"}},  {remark}") for line in lines)
+    assert {s.get("scale") for s in tomllib.loads(guess_map(path).text)["signal"]} == {None, 0.00111111111}
+    percent = write(tmp_path, {"t": TIME, "yaw": turn, "cmd_port [%]": 50.0 * turn, "cmd_stbd [%]": turn})
+    assert "a guess" not in guess_map(percent).text
+
+
+def test_files_that_share_a_map_share_its_guessed_scale(tmp_path: Path) -> None:
+    turn, paths = np.cos(TIME), [tmp_path / "one.csv", tmp_path / "two.csv"]
+    for path, top in zip(paths, (400.0, 1000.0), strict=True):
+        columns_of = {"t": TIME, "yaw": turn, "rpm_port": top * turn, "rpm_stbd": 0.5 * top * turn}
+        write(tmp_path, columns_of).rename(path)
+    maps = guess_maps(paths)
+    for made in maps:
+        scales = {s["name"]: s.get("scale") for s in tomllib.loads(made.text)["signal"]}
+        assert scales == {"psi": None, "n_left": 0.001, "n_right": 0.001}
+        assert "1 / 1000, the largest number of these 2 files" in made.text
+        assert "`seatrial import --guess one.csv two.csv`" in made.text
+    assert guess_map(paths[0]).full == {"n_left": 400.0, "n_right": 400.0}
+    words = ["--guess", *map(str, paths), "-o", str(tmp_path / "both.toml")]
+    CliRunner().invoke(cli.import_, words, catch_exceptions=False)
+    assert (tmp_path / "both.toml").read_text(encoding="utf-8") == maps[0].text
+    logs = st.import_log(paths, out_dir=tmp_path / "logs")
+    assert [np.abs(values(log, "n_left")[1]).max() for log in logs] == pytest.approx([0.4, 1.0])
 
 
 @pytest.mark.parametrize(

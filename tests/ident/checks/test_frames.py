@@ -14,9 +14,15 @@ from seatrial.ident.checks.sensors import sensor_matches
 from seatrial.ident.checks.signals import check_frozen, estimated, noise_floor, smoothed
 from seatrial.ident.data.loading import LoadedLog
 from seatrial.ident.data.record import Channel, LogSegment
+from seatrial.ident.estimation.prior_knowledge import fix_parameters
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.models.nomoto import nomoto_model
-from seatrial.ident.workflows.check import with_estimator_errors, with_noise_floors
+from seatrial.ident.workflows.check import (
+    check_first,
+    signals_of_given_noise,
+    with_estimator_errors,
+    with_noise_floors,
+)
 from tests.missions import boat_with, channels_of, sail
 
 SIDES = {"left": -0.15, "right": 0.15}
@@ -76,6 +82,23 @@ def test_smoothed_signal_is_reported_and_its_noise_has_a_lower_bound(run: dict[s
     assert model.parameter("e_psi") == horizontal_model().parameter("e_psi")
     assert len(notes) == 1
     assert with_noise_floors(horizontal_model(), [])[1] == []
+
+
+def test_noise_that_the_user_gave_is_not_reported_as_smoothed(run: dict[str, Channel]) -> None:
+    ekf = run | {n: filtered(run[n]) for n in ("psi", "r")}
+    log = LoadedLog(LogSegment("run", ekf), {"path": "run"}, {}, None, device_faults=[])
+    model, _ = fix_parameters(horizontal_model(), None, {"e_psi": 0.03})
+    assert signals_of_given_noise(horizontal_model()) == set()
+    assert signals_of_given_noise(model) == {"psi"}
+    for fitted, named in ((horizontal_model(), "psi, r"), (model, "r")):
+        (checked,), _ = check_first([log], [], fitted, True)
+        smooth = [f["where"] for f in checked.about["findings"] if f["code"] == "channel-smoothed"]
+        assert smooth == [named]
+        assert with_noise_floors(fitted, [log])[1][0].startswith(f"Smoothed signals ({named}): ")
+    known, _ = fix_parameters(horizontal_model(), None, {"e_psi": 0.03, "e_r": 0.01})
+    (checked,), _ = check_first([log], [], known, True)
+    assert "channel-smoothed" not in {f["code"] for f in checked.about["findings"]}
+    assert with_noise_floors(known, [log])[1] == []
 
 
 def test_position_of_an_estimator_gets_correlated_errors(run: dict[str, Channel]) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from seatrial.ident.checks.sensors import Match, gyro_and_heading
+from seatrial.ident.checks.signals import check_ranges
 from seatrial.ident.data import Channel
 from seatrial.ident.numerics import Array
 
@@ -32,3 +33,17 @@ def test_wrong_unit_of_heading_or_gyro_is_named(scale: float, top: float, ending
     )
     assert (finding.level, finding.code) == ("fault", "angle-in-degrees")
     assert finding.text.endswith(ending)
+
+
+def test_advice_on_the_scale_is_the_same_for_both_sides() -> None:
+    """Speeds in rev/min have the scale of the faster side, although the slower one alone could be in per cent."""
+    t = np.arange(0.0, 20.0, 0.1)
+    speeds = {"n_left": Channel(t, 1000.0 * np.cos(t)), "n_right": Channel(t, 90.0 * np.cos(t))}
+    found = [f for f in check_ranges(speeds) if f.code == "n-out-of-range"]
+    assert [f.where for f in found] == ["n_left", "n_right"]
+    (advice,) = {f.advice for f in found}
+    assert advice.startswith("set scale = 0.001 for all thrusters in the import map, a guess from the largest number")
+    percent = {name: Channel(t, 100.0 * np.cos(t)) for name in speeds}
+    assert {f.advice for f in check_ranges(percent)} == {
+        "set scale = 0.01 for all thrusters in the import map, or correct rpm_max in the rig file"
+    }

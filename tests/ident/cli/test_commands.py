@@ -13,7 +13,7 @@ import msgspec
 import pytest
 
 from seatrial import command_line
-from seatrial.ident.cli.options import run_workflow
+from seatrial.ident.cli.options import SpacedLines, run_workflow
 from seatrial.ident.estimation.model_file import load_model
 from seatrial.ident.results.parts import VehicleResult
 from seatrial.ident.results.result_file import read_result
@@ -318,3 +318,25 @@ def test_usage_error_has_status_2(logs: Path, run: Run, words: str) -> None:
     assert status == 2
     assert err.startswith("seatrial ident ")
     assert err.count("\n") == 1
+
+
+def test_lines_of_progress_of_one_kind_are_two_seconds_apart(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    now = 0.0
+    monkeypatch.setattr("seatrial.ident.cli.options.time.monotonic", lambda: now)
+    lines = SpacedLines()
+    for k in range(10):
+        now = 0.5 * k
+        lines.progress(f"design: {61 * k} simulations, D {-1.5 * k:.2f}")
+    lines.progress("design: track")
+    lines.warning("no track")
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert [line.strip() for line in shown.err.splitlines()] == [
+        "design: 0 simulations, D -0.00",
+        "design: 244 simulations, D -6.00",
+        "design: 488 simulations, D -12.00",
+        "design: track",
+        "no track",
+    ]

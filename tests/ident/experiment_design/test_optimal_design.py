@@ -399,6 +399,30 @@ def late(model: Model, name: str) -> Model:
     return (model + catalogue()[name]).with_values({"tau_delay": 0.2} if name == "delay" else {"T_lag": 0.2})
 
 
+def test_discrimination_reports_each_phase_before_and_after_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compiling both models and the random start points took most of a minute without a word."""
+    problem = boat_task(20.0, 8)
+    a, b = late(problem.model, "delay"), late(problem.model, "lag")
+    lines = list[str]()
+
+    def quick(self: HypothesisPair, command: np.ndarray, refits: int = 0) -> np.ndarray:
+        return 40.0 + np.mean(command**2, axis=(0, 1))
+
+    monkeypatch.setattr(HypothesisPair, "__call__", quick)
+    discriminate(
+        a,
+        b,
+        problem,
+        evaluations=500,
+        progress=lambda n, merit: lines.append("search"),
+        phase=lines.append,
+    )
+    starts = ["compiling both models", *(f"random start points, {n} of 128" for n in (32, 64, 96))]
+    assert lines[: len(starts)] == starts
+    assert set(lines[len(starts) : -1]) == {"search"}
+    assert lines[-1] == "comparison after refits"
+
+
 @pytest.mark.study
 def test_designed_mission_discriminates_delay_and_lag_better_than_random_missions() -> None:
     problem = boat_task(20.0, 8)

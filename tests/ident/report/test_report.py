@@ -287,6 +287,30 @@ def test_fit_that_did_not_converge_has_no_headline(fit: str, diagnosis: dict[str
     assert not loaded(result).converged
 
 
+@pytest.mark.parametrize(
+    ("cross_validated", "in_blocks", "how"),
+    [
+        (False, False, "the model is fitted again by plain maximum likelihood"),
+        (False, True, "each block of time of a validation log is predicted with estimates from the others"),
+        (True, False, "each block of time of the estimation logs is predicted by a fit to the others"),
+    ],
+)
+def test_errors_of_a_diagnosis_say_which_command_gives_comparable_ones(
+    small: dict[str, Any], cross_validated: bool, in_blocks: bool, how: str, tmp_path: Path
+) -> None:
+    content = small | {"cross_validated": cross_validated, "validated_in_blocks": in_blocks}
+    words = "Comparable errors of both models: `seatrial ident compare MODEL DIAGNOSIS --on LOG`."
+    shown = " ".join(printed(content).split())
+    table = shown[shown.index("Error before → after") :]
+    assert how in table
+    assert words in table
+    text = " ".join(written(content, tmp_path).split())
+    section = text[text.index('<section id="errors"') : text.index('<section id="traces"')]
+    assert how in section
+    assert words in section
+    assert "Comparable" not in printed(shortened(KINDS["thruster"]()))
+
+
 def test_terminal_shows_the_units_of_outages() -> None:
     words = " ".join(printed(KINDS["navigation"]()).split())
     assert "from [s] for [s] 95 % radius [m] error [m] allowed [m]" in words

@@ -10,7 +10,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
+import pandas.testing
 import pytest
 
 import seatrial as st
@@ -18,7 +20,8 @@ from seatrial import command_line
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.estimation.standard_errors import AT_BOUND
 from seatrial.ident.report.sections.campaigns import _signed
-from seatrial.ident.results import CampaignsResult
+from seatrial.ident.report.terminal import campaign_tables
+from seatrial.ident.results import CampaignsResult, NotCompared
 from seatrial.ident.results.result_file import read_result
 from seatrial.ident.workflows.campaign_errors import _campaign_values
 from seatrial.ident.workflows.campaign_fits import Comparison, FittedLogs, compare_fits, fitted_logs
@@ -84,6 +87,16 @@ def test_a_changed_drag_is_found_with_its_size(fouled: CampaignsResult) -> None:
     reasons = {p.name: p.reason for p in fouled.not_compared}
     assert reasons["c1"] == "held at its given value"
     assert reasons["V_x"] == "has its own value in each log"
+    assert fouled.score_tests is False
+    assert fouled.notes[-1].startswith("The fits have no score tests: all logs have the same model")
+
+
+def test_table_of_what_was_not_compared_goes_by_the_code_and_not_by_the_words(fouled: CampaignsResult) -> None:
+    codes = ("fixed", "per-log", "at-bound")
+    rows = tuple(NotCompared(name=c, meaning="", code=c, reason=f"held for reason {c}") for c in codes)
+    changed = msgspec.structs.replace(fouled, not_compared=rows)
+    (table,) = [t for t in campaign_tables(changed) if str(t.title) == "Not compared"]
+    assert [str(cell) for cell in table.columns[0].cells] == ["at-bound"]
 
 
 def test_prediction_errors_fall_with_the_changed_parameter_alone(fouled: CampaignsResult) -> None:
@@ -136,6 +149,10 @@ def test_scatter_of_the_mass_is_no_change(logs: dict[str, list[Path]], folder: P
     before = {p.name: p.before for p in fouled.parameters}
     assert mass.before.mean == pytest.approx(before["m_u"].mean, rel=0.02)  # its weights include the scatter
     assert found.table.num_rows > 0
+    saved = st.load(folder)
+    pandas.testing.assert_frame_equal(saved.to_pandas(), frame, rtol=1e-5)  # result.json is rounded
+    assert saved.summary() == found.summary()
+    assert saved._repr_html_() == found._repr_html_()
 
 
 def test_one_log_before_and_one_after_claim_nothing(logs: dict[str, list[Path]], folder: Path) -> None:
@@ -259,6 +276,13 @@ def test_parameters_that_cannot_be_compared_have_a_reason() -> None:
         "current": "has its own value in each log",
         "thrust": "known mainly from its prior (81 % of the information)",
         "lost": "no log after determines it",
+    }
+    assert {p.name: p.code for p in found.not_compared} == {
+        "bound": "at-bound",
+        "held": "fixed",
+        "current": "per-log",
+        "thrust": "mainly-prior",
+        "lost": "undetermined",
     }
     assert found.notes == (
         "The priors of thrust are the same for both campaigns. If one of these has changed, the change appears in "

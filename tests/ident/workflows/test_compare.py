@@ -12,11 +12,13 @@ from typing import Any
 
 import msgspec
 import numpy as np
+import pandas.testing
 import pyarrow.parquet
 import pytest
 
 import seatrial as st
 from seatrial import command_line
+from seatrial.api.comparison import Comparison
 from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from seatrial.ident.data.loading import LoadedLog
 from seatrial.ident.data.record import Channel, LogSegment
@@ -26,6 +28,8 @@ from seatrial.ident.model.parameter import Parameter
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.models.surge import surge_model
 from seatrial.ident.parallel import Workers
+from seatrial.ident.report.blocks import Cell
+from seatrial.ident.report.sections.comparison import _best_cell, _error_cells
 from seatrial.ident.report.terminal import compared_tables
 from seatrial.ident.results import ComparisonResult, LogScore
 from seatrial.ident.results.result_file import read_result
@@ -37,7 +41,7 @@ from seatrial.ident.workflows.compare import (
     labels,
     records_of_same_time,
 )
-from seatrial.ident.workflows.compared_predictions import ONE_STEP, PredictedRecord
+from seatrial.ident.workflows.compared_predictions import ONE_STEP, SIMULATION, PredictedRecord
 from seatrial.ident.workflows.comparison_errors import at_common_samples, channel_rows
 from seatrial.ident.workflows.comparison_likelihood import (
     _is_nested,
@@ -117,8 +121,8 @@ def test_every_kind_channel_and_model_has_an_error_and_a_verdict(compared: Compa
     assert compared.answer.startswith("Best 2 s ahead: (a) good. The error of (b) over all channels is ")
     assert sum(compared.counts("b").values()) == 32
     assert compared.counts("b")["worse"] > 3
-    assert compared.counts("b")["indistinguishable"] > 0
-    assert compared.counts("a") == {"better": 0, "worse": 0, "indistinguishable": 0}
+    assert compared.counts("b")["no-interval"] > 0
+    assert compared.counts("a") == {"better": 0, "worse": 0, "indistinguishable": 0, "no-interval": 0}
 
 
 def test_predictions_over_time_agree_with_the_errors(compared: ComparisonResult) -> None:
@@ -219,7 +223,11 @@ def test_python_interface_takes_a_list_or_one_model_after_the_other(
     worst = frame[(frame["model"] == "bad") & (frame["seconds"] == 2.0)].set_index("channel")
     assert worst.loc["r", "ratio"] > 1.0
     assert "(b)" in repr(listed)
-    again = read_result(listed.save(tmp_path / "saved") / "result.json")
+    saved = st.load(listed.save(tmp_path / "saved"))
+    pandas.testing.assert_frame_equal(saved.to_pandas(), frame, rtol=1e-6)  # result.json is rounded
+    assert saved.summary() == listed.summary()
+    assert saved._repr_html_() == listed._repr_html_()
+    again = read_result(tmp_path / "saved/result.json")
     assert isinstance(again, ComparisonResult)
     assert again.answer == listed.answer
     figures = [x.plot("r") for x in (st.load(tmp_path / "saved"), listed)]
@@ -313,6 +321,33 @@ def test_rows_name_the_best_model_and_those_not_distinguishable_from_it() -> Non
     assert (row.n, row.block) == (2000, 10.0)
 
 
+def test_too_few_blocks_give_no_interval_and_no_verdict(compared: ComparisonResult) -> None:
+    """Errors of 29.5 m against 0.05 m are not "not distinguishable" if the log has two independent blocks."""
+    t = np.arange(0.0, 20.0, 0.1)
+    own = [{"run": {"x": errors(t, np.full(t.size, e))}} for e in (29.5, 0.05)]
+    (row,) = channel_rows(SIMULATION, own, labels(2), {"x": "m"}, {"x": 10.0})
+    ratio = row.errors[0].against_best
+    assert ratio is not None
+    assert ratio.ratio == pytest.approx(590.0)
+    assert (ratio.low, ratio.high, ratio.blocks, ratio.verdict) == (None, None, 2, "no-interval")
+    assert (row.best, row.not_worse, len(row.unproven)) == ("b", ("b",), 1)
+    short = msgspec.structs.replace(compared, channels=(row,))
+    assert short.counts("b") == {"better": 0, "worse": 0, "indistinguishable": 0, "no-interval": 1}
+    (table,) = compared_tables(short)
+    assert [str(cell) for cell in table.columns[-1].cells] == ["b; no interval: 2 blocks"]
+    cells = _error_cells(row, row.errors[1])
+    assert "no interval: 2 blocks" in [cell.words for cell in cells if isinstance(cell, Cell)]
+    best = _best_cell(row)
+    assert (best.words, best.style) == ("(b); no interval: 2 blocks", "")
+    frame = Comparison(short).to_pandas()
+    assert list(frame["verdict"].dropna()) == ["no-interval"]
+    assert list(frame["blocks"].dropna()) == [2]
+    (enough,) = channel_rows(SIMULATION, own, labels(2), {"x": "m"}, {"x": 5.0})
+    known = enough.errors[0].against_best
+    assert known is not None
+    assert (known.blocks, known.verdict) == (4, "worse")
+
+
 def test_records_of_models_with_other_inputs_cover_the_same_time() -> None:
     t = np.arange(0.0, 60.0, 0.1)
     channels = {
@@ -357,7 +392,7 @@ def test_short_logs_have_a_gain_without_an_interval() -> None:
     found = log_score(predicted(t, 0 * t), predicted(t, 0 * t + 1.0), 10.0, True)
     assert found is not None
     assert (found.gain, found.blocks) == (pytest.approx(300.0), 2)
-    assert (found.low, found.high, found.verdict) == (None, None, "indistinguishable")
+    assert (found.low, found.high, found.verdict) == (None, None, "no-interval")
 
 
 def log(sha256: str | None) -> LoadedLog:
@@ -395,13 +430,17 @@ def test_reason_for_no_information_criteria(
 def test_answer_without_a_significant_difference(compared: ComparisonResult) -> None:
     first, second = compared.models
     change = second.changes[1]
-    same = msgspec.structs.replace(
-        change.against_reference, ratio=0.98, low=None, high=None, verdict="indistinguishable"
-    )
+    same = msgspec.structs.replace(change.against_reference, ratio=0.98, low=0.9, high=1.1, verdict="indistinguishable")
     again = msgspec.structs.replace(second, changes=(msgspec.structs.replace(change, against_reference=same),))
     assert comparison_answer(msgspec.structs.replace(compared, models=(first, again))) == (
         "No model is significantly better than (a) good 2 s ahead. The error of (b) over all channels is 2 % smaller "
-        "than that of (a); the logs are too short for an interval."
+        "than that of (a) (95 %: −10 to +10 %)."
+    )
+    short = msgspec.structs.replace(same, low=None, high=None, blocks=3, verdict="no-interval")
+    again = msgspec.structs.replace(second, changes=(msgspec.structs.replace(change, against_reference=short),))
+    assert comparison_answer(msgspec.structs.replace(compared, models=(first, again))) == (
+        "The logs are too short for a verdict 2 s ahead (no interval: 3 blocks). The error of (b) over all channels is "
+        "2 % smaller than that of (a), without an interval."
     )
     assert comparison_answer(msgspec.structs.replace(compared, models=(first,))).startswith(
         "The logs have no prediction"

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ import pytest
 
 import seatrial as st
 from seatrial import command_line
+from seatrial.api.messages import text_of
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.estimation.maximum_likelihood import EstimationOptions
 from seatrial.ident.numerics import Array
@@ -134,6 +136,20 @@ def test_failed_log_is_a_row_with_its_reason(
     assert {f.log: f.reason for f in result.failed} == reasons
     assert st.fit_many([missing], jobs=1).failed == {str(missing): reasons[str(missing)]}
     run("ident", "fleet", broken, *QUICK, "--out", tmp_path / "none", status=1)
+
+
+def test_saved_fleet_is_loaded_with_its_table(logs: list[Path], tmp_path: Path) -> None:
+    many = st.fit_many(logs[:2], score_tests=False, fixed={"c2": 1.1}, priors={"c1": (40.0, 2.0)}, jobs=1, out=tmp_path)
+    saved = st.load(tmp_path)
+    assert saved.to_pandas().equals(many.to_pandas())
+    assert saved.summary() == many.summary()
+    assert saved._repr_html_() == many._repr_html_()
+    (tmp_path / "fits.parquet").write_bytes(b"no table")
+    with pytest.raises(SeatrialError, match=r"fits\.parquet: cannot be read \("):
+        saved.to_pandas()
+    (tmp_path / "fits.parquet").unlink()
+    with pytest.raises(SeatrialError, match=r"fits\.parquet: is missing"):
+        saved.to_pandas()
 
 
 def test_second_run_fits_only_the_rest(logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -279,7 +295,7 @@ def test_differences_between_logs_are_found_beside_a_common_prior() -> None:
     rng = np.random.default_rng(3)
     noise, differences = rng.normal(0.0, 0.1, 40), rng.normal(0.0, 0.5, 40)
     equal, differing = (
-        fleet_result(made(30.0 + x, 0.1, 2.0), 40, "auto", "", "") for x in (noise, noise + differences)
+        fleet_result(made(30.0 + x, 0.1, 2.0), 40, VEHICLE, "", "") for x in (noise, noise + differences)
     )
     (a,), (b,) = equal.parameters, differing.parameters
     assert a.agree
@@ -289,31 +305,64 @@ def test_differences_between_logs_are_found_beside_a_common_prior() -> None:
     assert not b.agree
     assert b.scatter == pytest.approx(0.5, rel=0.35)
     assert "differ by more than the standard errors in m_u." in differing.answer
-    independent = fleet_result(made(30.0 + noise, 0.1), 40, "auto", "", "").parameters[0]
+    independent = fleet_result(made(30.0 + noise, 0.1), 40, VEHICLE, "", "").parameters[0]
     assert independent.se_mean == pytest.approx(0.1 / np.sqrt(40), rel=0.3)
-    current = fleet_result(made(noise + differences, 0.1, per_log=True), 40, "auto", "", "")
+    current = fleet_result(made(noise + differences, 0.1, per_log=True), 40, VEHICLE, "", "")
     assert "agree in all parameters" in current.answer
 
 
 def test_false_alarm_rate_of_the_verdict() -> None:
     rng = np.random.default_rng(4)
     tables = [made(30.0 + rng.normal(0.0, 0.1, 6) + 2.0 * rng.normal(), 0.1, 2.0) for _ in range(400)]
-    alarms = sum(not fleet_result(t, 6, "auto", "", "").parameters[0].agree for t in tables)
+    alarms = sum(not fleet_result(t, 6, VEHICLE, "", "").parameters[0].agree for t in tables)
     assert alarms <= 12  # 4 are expected at the level of 0.01
 
 
 def test_summary_of_a_thousand_logs_is_quick() -> None:
     table = made(30.0 + np.random.default_rng(5).normal(0.0, 0.1, 1000), 0.1, 2.0)
     began = time.process_time()
-    assert fleet_result(table, 1000, "auto", "", "").parameters[0].n == 1000
+    assert fleet_result(table, 1000, VEHICLE, "", "").parameters[0].n == 1000
     assert time.process_time() - began < 10.0
+
+
+def test_result_says_whether_the_fits_had_score_tests() -> None:
+    rows = made(np.array([30.0, 31.0]), 0.1).to_pylist()
+    schema = made(np.zeros(1), 0.1).schema
+    tested = replace(VEHICLE, score_tests=True)
+    other = [*rows, rows[1] | {"parameter": "A_psi"}]
+    notes = {}
+    for name, vehicle, of in (("off", VEHICLE, rows), ("on", tested, rows), ("two", tested, other)):
+        result = fleet_result(pyarrow.Table.from_pylist(of, schema=schema), 2, vehicle, "", "")
+        assert result.score_tests is (name != "off")
+        (notes[name],) = result.notes
+        assert notes[name][:60] in " ".join(text_of(result).split())
+    assert notes["off"].startswith("The fits have no score tests: all logs have the same model")
+    assert "All logs have the same model" in notes["on"]
+    assert "The logs have 2 different models. --no-score-tests leaves" in notes["two"]
+    own = replace(tested, model="boat.py:model")  # has no score tests in any case
+    assert fleet_result(pyarrow.Table.from_pylist(rows, schema=schema), 2, own, "", "").score_tests is False
+
+
+@pytest.mark.parametrize(("command", "default"), [("fleet", "score-tests"), ("changes", "no-score-tests")])
+def test_help_gives_the_default_of_the_score_tests_and_its_reason(
+    command: str, default: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run("ident", command, "--help")
+    shown = " ".join(capsys.readouterr().out.split())
+    option = shown[shown.index("--score-tests / --no-score-tests") :]
+    option = option[: option.index("--robust")]
+    assert option.rstrip().endswith(f"[default: {default}]")
+    assert "because" in option
+    assert {"fleet": "`ident changes` leaves the tests out", "changes": "`ident fleet` has the tests on"}[
+        command
+    ] in option
 
 
 def test_unconverged_fits_are_listed_and_not_compared() -> None:
     table = made(np.array([30.0, 31.0, 99.0]), 0.1)
     rows = table.to_pylist()
     rows[2] |= {"converged": False, "message": "stopped after 200 iterations"}
-    result = fleet_result(pyarrow.Table.from_pylist(rows, schema=table.schema), 3, "auto", "", "")
+    result = fleet_result(pyarrow.Table.from_pylist(rows, schema=table.schema), 3, VEHICLE, "", "")
     assert [(u.log, u.reason) for u in result.unconverged] == [("run2", "stopped after 200 iterations")]
     assert result.parameters[0].n == result.fitted == 2
     assert "fitted to 2 of 3 logs, 1 did not converge." in result.answer

@@ -188,6 +188,26 @@ def test_foreign_code_is_run_with_the_option_trust_code(work: Path, tmp_path: Pa
     assert run("ident", "export", path, "--to", "python") == 1  # The option applies to that command only.
 
 
+def test_fleet_checks_the_model_once_and_its_workers_run_what_the_user_trusted(
+    work: Path, tmp_path: Path, capsys: Said
+) -> None:
+    shutil.copytree(work / "out", tmp_path / "got")
+    with (tmp_path / "got/rolling.py").open("a", encoding="utf-8") as file:
+        file.write("# changed\n")
+    decay(work / "other.csv", 2)
+    assert run("import", work / "map.toml", work / "other.csv", "-o", tmp_path / "other.mcap") == 0
+    capsys.readouterr()
+    fleet = ("ident", "fleet", work / "decay.mcap", tmp_path / "other.mcap", "--model", tmp_path / "got/model.toml")
+    words = (*fleet, "--jobs", 2, "--out", tmp_path / "fleet")
+    assert run(*words) == 1
+    shown = capsys.readouterr()
+    assert shown.err.count("rolling.py has changed since it was written, so it is not run") == 1
+    assert "2 of 2" not in shown.err + shown.out
+    assert not (tmp_path / "fleet").exists()
+    assert run(*words, "--trust-code") == 0
+    assert "The model was fitted to 2 of 2 logs." in capsys.readouterr().out
+
+
 def test_user_effects_are_found_from_any_folder_and_stay_with_the_model(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said
 ) -> None:
