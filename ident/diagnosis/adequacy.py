@@ -415,17 +415,26 @@ def _failed_candidate_reasons(search_round: Round) -> list[str]:
 
 
 def _no_better_prediction_reasons(weight: EffectImportance | None, policy: SearchPolicy) -> list[str]:
-    """Return the reason for ambiguity that the prediction is no better with an effect, or could not be tested.
+    """Return the reason for ambiguity that the prediction is hardly better with an effect, or could not be tested.
 
-    ``weight`` is the importance of the effect. The list is empty if the prediction is better (`improves_prediction`),
-    or if there is no importance (None).
+    ``weight`` is the importance of the effect. The list is empty if the prediction is better (`improves_prediction`)
+    and the error without the effect is at least ``policy.min_identified_ratio`` times that with it, by inputs alone or
+    over the horizon. It is also empty if there is no importance (None).
     """
     if weight is not None and weight.untested is not None:
         return [f"the prediction without this effect could not be tested: {weight.untested}"]
-    if weight is None or improves_prediction(weight, policy):
+    if weight is None:
         return []
-    horizon = "" if weight.prediction is None else f" {weight.prediction.horizon:g} s ahead"
-    return [f"the prediction{horizon} is no better with this effect"]
+    if not improves_prediction(weight, policy):
+        horizon = "" if weight.prediction is None else f" {weight.prediction.horizon:g} s ahead"
+        return [f"the prediction{horizon} is no better with this effect"]
+    ratios = [weight.error_ratio, *([] if weight.prediction is None else [1.0 / weight.prediction.ratio])]
+    if max(ratios) >= policy.min_identified_ratio:
+        return []
+    return [
+        f"without this effect the prediction error is only {100 * (max(ratios) - 1):.0f} % larger, and small "
+        "imperfections of another kind may have the same effect"
+    ]
 
 
 def recommended_experiment(diagnosis: Diagnosis) -> str | None:

@@ -914,11 +914,17 @@ class _Search:
 
         The fit ``found`` is stored in ``common_errors``, and ``common`` becomes empty, so that no others are added. The
         effects of ``found`` and waves are removed from ``candidates``. From now on an added effect has to change the
-        prediction by more than before (``policy.min_error_ratio_beside``). The function fits nothing.
+        prediction by more than before (``policy.min_error_ratio_beside``, and ``policy.min_identified_ratio_beside`` to
+        be identified). The function fits nothing.
         """
         self.common_errors, self.common = found, {}
         beside = self.policy.min_error_ratio_beside
-        self.policy = replace(self.policy, min_error_ratio=beside, material_error_ratio=beside)
+        self.policy = replace(
+            self.policy,
+            min_error_ratio=beside,
+            material_error_ratio=beside,
+            min_identified_ratio=self.policy.min_identified_ratio_beside,
+        )
         # Waves shake every boat, are not correlated with its inputs, and the prediction is as good without them.
         for name in (*(e.name for e in found.effects), WAVES):
             self.candidates.pop(name, None)

@@ -182,6 +182,18 @@ def _fit_sentence(prediction: PredictionFit, errors: Errors, horizon: float) -> 
     return f"{begin}fit {_percent(prediction.fit)}{interval}{span}."
 
 
+def poor_channel(errors: Errors) -> tuple[str, float] | None:
+    """Return the name in reports and the fit of the channel with the smallest fit over the horizon, if it is negative.
+
+    With a negative fit, the prediction is worse than the mean value of the channel. The fits are those on the
+    validation data, or on the estimation data if there are no others. None if no fit is negative.
+    """
+    table = errors.estimation if errors.validation is None else errors.validation
+    fits = {n: 1 - row.after / row.spread for n, row in table.horizon.items() if row.spread and row.after is not None}
+    worst = min(fits, key=lambda n: fits[n], default=None)
+    return (NAMES.get(worst, worst), fits[worst]) if worst is not None and fits[worst] < 0.0 else None
+
+
 def _whiteness_sentence(
     errors: Errors, residuals: Sequence[ResidualTests], cross: Sequence[CrossCorrelationRow], searchable: bool
 ) -> str:

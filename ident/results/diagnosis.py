@@ -38,6 +38,7 @@ from seatrial.ident.results.answers import (
     late_sensor_warnings,
     not_converged,
     outlier_lines,
+    poor_channel,
 )
 from seatrial.ident.results.parts import DiagnosisResult, Provenance
 from seatrial.ident.results.tables import (
@@ -104,7 +105,7 @@ def diagnosis_result(
     failed = not_converged(diagnosis.before.fit) or not_converged(diagnosis.after.fit)
     calibration = calibration_tables(after)
     recommended = recommended_experiment(diagnosis)
-    answer = "" if failed else diagnosis_answer(diagnosis, prediction, after.horizon)
+    answer = "" if failed else diagnosis_answer(diagnosis, prediction, after.horizon, poor_channel(errors))
     course = course_sentence(dynamics.course if dynamics else None)
     return DiagnosisResult(
         **msgspec.structs.asdict(made),
@@ -180,10 +181,16 @@ def diagnosis_result(
     )
 
 
-def diagnosis_answer(diagnosis: Diagnosis, prediction: parts.PredictionChangeRow | None, horizon: float) -> str:
+def diagnosis_answer(
+    diagnosis: Diagnosis,
+    prediction: parts.PredictionChangeRow | None,
+    horizon: float,
+    poor: tuple[str, float] | None = None,
+) -> str:
     """Return the answer of a diagnosis: the missing effects, and the change of the prediction errors by them.
 
-    A last sentence follows if the diagnosis was validated by blocked cross-validation instead of separate runs.
+    If no effect was added although the model predicts a channel badly, a sentence says so. A last sentence follows if
+    the diagnosis was validated by blocked cross-validation instead of separate runs.
 
     Parameters
     ----------
@@ -194,8 +201,16 @@ def diagnosis_answer(diagnosis: Diagnosis, prediction: parts.PredictionChangeRow
         sentence on it.
     horizon : float
         Prediction horizon [s].
+    poor : tuple of (str, float) or None
+        Channel that the model predicts worse than by its mean value, and its fit (negative); None without one.
     """
     sentences = [_missing_effects_sentence(diagnosis, prediction)]
+    if poor is not None and not diagnosis.effects and diagnosis.rounds:
+        sentences.append(
+            f"But the model predicts one channel {horizon:g} s ahead worse than its mean value would: {poor[0]}, fit "
+            f"{100 * poor[1]:.0f} %. Something is missing that no effect of the catalogue describes: look at the "
+            "residuals in the report, and at what differs between the runs."
+        )
     if diagnosis.effects and prediction is not None:
         sentences.append(change_sentence(prediction, horizon))
     if diagnosis.cross_validated:
@@ -237,8 +252,8 @@ def _missing_effects_sentence(diagnosis: Diagnosis, prediction: parts.Prediction
     if immaterial := [r.effect.title for r in diagnosis.removed if is_immaterial(r, diagnosis.policy)]:
         do, them = ("explains", "it") if len(immaterial) == 1 else ("explain", "them")
         return (
-            f"No effect is missing that matters to the prediction: {_joined_titles(immaterial)} {do} a part "
-            f"of the residuals one step ahead, but the prediction is as good without {them}."
+            f"No effect of the catalogue improves the prediction: {_joined_titles(immaterial)} {do} a part of the "
+            f"residuals one step ahead, but the prediction is as good without {them}."
         )
     # An effect that was chosen in the last round, but is not in the model, was removed by backward elimination.
     why = (

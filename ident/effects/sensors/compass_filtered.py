@@ -71,7 +71,7 @@ EFFECT = Effect(
     "+ dev_f2c cos 2psi - delta; (u, v) rotated by delta",
     source="compass adjusters' coefficients B to E behind a complementary filter (Mahony, Hamel and Pflimlin 2008)",
     experiment="swinging the compass: slow turns through all headings, in both directions, and the same fast",
-    requires=("hull", "body_velocity"),
+    requires=("hull",),
     scan={"T_head": (1.0, 3.0, 8.0)},
     nests=("compass",),
     alternatives=("compass", "compass-motor"),

@@ -67,7 +67,7 @@ EFFECT = Effect(
     "(u, v) rotated by delta",
     source="ArduPilot manual, compass/motor interference compensation; Bowditch, chapter 6",
     experiment="full forward and full reverse on four constant headings, under way and moored",
-    requires=("n", "f", "body_velocity"),
+    requires=("n", "f", "hull"),
     scan={"T_dev": (3.0, 8.0, 20.0)},
     alternatives=("compass", "compass-filtered", "velocity-point"),
 )

@@ -257,6 +257,22 @@ def test_effect_without_influence_on_the_prediction_is_ambiguous(error: float, a
     assert found.attribution == attribution
 
 
+@pytest.mark.parametrize(("error", "ratio"), [(1.2, 0.95), (1.05, 0.8), (1.1, 0.9)])
+def test_small_effect_is_not_identified_beside_common_errors(error: float, ratio: float) -> None:
+    """Either ratio of the errors may reach 1.15: that by inputs alone, or that over the horizon."""
+    beside = replace(DEFAULT_POLICY, min_identified_ratio=DEFAULT_POLICY.min_identified_ratio_beside)
+    weight = EffectImportance(
+        "bank", 200.0, error, 90.0, 5.0, PredictionChange(ratio, ratio - 0.04, ratio + 0.04, 10.0, {})
+    )
+    evidence = AttributionEvidence((), N, importances=[weight])
+    (found,) = assess_alternatives([one_round(refit("bank", 800.0))], evidence, beside)
+    assert (found.attribution == "identified") == (max(error, 1 / ratio) >= 1.15)
+    (alone,) = assess_alternatives([one_round(refit("bank", 800.0))], evidence)
+    assert alone.attribution == "identified"
+    if found.reasons:
+        assert "only 11 % larger" in found.reasons[0]
+
+
 def test_effect_with_unknown_importance_is_ambiguous() -> None:
     weight = EffectImportance("wind", float("nan"), float("nan"), untested="x0")
     (found,) = assess_alternatives([one_round(refit("wind", 800.0))], AttributionEvidence((), N, importances=[weight]))

@@ -72,12 +72,6 @@ def test_limit_without_a_filter_is_the_compass_deviation() -> None:
     assert off(0.3) == pytest.approx(0.5 * off(0.6), rel=0.1)  # The difference has the order of the time constant.
 
 
-def test_effect_is_accepted_only_with_sensors_of_an_estimator() -> None:
-    plain = horizontal_model("shaft", ("attitude", "gyro", "position"))
-    assert not plain.accepts(catalogue()["compass-filtered"])
-    assert horizontal_model("shaft", SENSORS).accepts(catalogue()["compass-filtered"])
-
-
 def test_filtered_deviation_is_identified() -> None:
     model = model_with("compass-filtered", e_psi=0.01, e_r=0.005, e_uv=0.03)
     model = replace(model, states=tuple(replace(s, from_output="") for s in model.states))

@@ -57,9 +57,20 @@ def test_yaw_rate_adds_to_the_velocity_of_the_measured_point() -> None:
     assert (seen["u"], seen["v"], seen["r"]) == pytest.approx((1.0 - 0.4 * 0.2, 0.4 * 0.5, 0.4))
 
 
-def test_effects_are_not_accepted_without_body_velocity() -> None:
-    plain = horizontal_model("shaft", ("attitude", "gyro", "position"))
-    assert not any(plain.accepts(catalogue()[n]) for n in ("compass-motor", "velocity-point"))
+def test_heading_errors_need_no_body_velocity() -> None:
+    """Most logs have a heading and the velocity over ground, which the error of the heading does not change."""
+    plain = horizontal_model("shaft", ("attitude", "gyro", "position", "ground_velocity"))
+    assert not plain.accepts(catalogue()["velocity-point"])
+    for name, state in (("compass-motor", "drawn_c"), ("compass-filtered", "behind_1c")):
+        assert plain.accepts(catalogue()[name])
+        model = (plain + catalogue()[name]).with_values({p: 0.1 for p in ("dev_mc", "dev_f1c") if p in name_of(name)})
+        changed, unchanged = (at(model, u=2.0, psi=0.3, **{state: s}) for s in (1.0, 0.0))
+        assert abs(changed["psi"] - unchanged["psi"]) == pytest.approx(0.1)
+        assert (changed["vx"], changed["vy"]) == pytest.approx((unchanged["vx"], unchanged["vy"]))
+
+
+def name_of(effect: str) -> set[str]:
+    return {p.name for p in catalogue()[effect].parameters}
 
 
 def sailed(truth: Model, seed: int) -> Record:
