@@ -282,7 +282,10 @@ def is_accepted(refit: Refit, policy: SearchPolicy = DEFAULT_POLICY) -> bool:
     - the prediction over the horizon is significantly better;
     - the prediction by inputs alone is significantly better, by an amount that matters (`falls_materially`);
     - the effects together make the prediction significantly better than that of the nominal model, and the point
-      estimate of the change by this effect is a fall that matters.
+      estimate of the change by this effect is a fall that matters;
+    - the gain in all data is significant (``policy.min_pooled_t``), and the errors fall to less than
+      ``1 / policy.min_error_ratio_beside`` by their point estimate. If a boat is directionally unstable, its errors
+      grow in bursts, and their ratio has no useful interval.
 
     Parameters
     ----------
@@ -297,6 +300,8 @@ def is_accepted(refit: Refit, policy: SearchPolicy = DEFAULT_POLICY) -> bool:
     better = better or (by_inputs is not None and by_inputs.verdict == "fell" and falls_materially(by_inputs, policy))
     if total is not None and total.verdict == "fell":
         better = better or falls_materially(prediction, policy)
+    if prediction is not None and refit.pooled_t > policy.min_pooled_t:
+        better = better or prediction.ratio < 1 / policy.min_error_ratio_beside
     return is_validated(refit, policy) and not worse and (better or not refit.nonparametric)
 
 

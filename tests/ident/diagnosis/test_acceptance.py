@@ -159,6 +159,11 @@ def refit(
                 (0.98, change(0.9, 0.8, 1.02), False),
             )
         ),
+        # A directionally unstable boat: the errors grow in bursts, and their ratio has no useful interval.
+        *(
+            ({"kind": EffectKind.NONPARAMETRIC, "prediction": change(ratio, 0.4, 1.7), "pooled_t": t}, accepted)
+            for ratio, t, accepted in ((0.85, 4.0, True), (0.95, 4.0, False), (0.85, 2.5, False))
+        ),
         ({"prediction": NEARLY}, True),
     ],
 )
