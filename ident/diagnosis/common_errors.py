@@ -13,8 +13,8 @@ of the catalogue are part of these equations, so that members of no use stay nea
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -22,18 +22,21 @@ from seatrial.ident.data import Record
 from seatrial.ident.diagnosis.acceptance import Comparison
 from seatrial.ident.diagnosis.findings import CommonErrorsFit, CommonErrorsGain
 from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
-from seatrial.ident.diagnosis.score_test import ScoreEquations
+from seatrial.ident.diagnosis.score_test import ColumnIndex, ScoreEquations
 from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import FIT_ERRORS, FittedModel, SearchSettings, ValidationData, fit_and_evaluate
 from seatrial.ident.model import Effect, Model
 from seatrial.ident.models import TELEMETRY_AGE, telemetry_age
 
 SENSOR_ERRORS = (
-    TELEMETRY_AGE, "gnss-latency", "gnss-latency-command", "gnss-latency-force", "heading-lag", "compass", "gyro-scale",
-    "lever-arm",
+    TELEMETRY_AGE, "gnss-latency", "gnss-latency-command", "gnss-latency-force", "heading-lag", "compass",
+    "compass-filtered", "gyro-scale", "lever-arm",
 )  # fmt: skip
 HULL_FORM = ("cross-flow", "lift", "sway-yaw")
 COMMON_ERRORS = (*SENSOR_ERRORS, *HULL_FORM)
+# A compass deviation behind a heading filter has four states, which double the time of a fit. It gains twice as much as
+# a deviation without filter on boats whose prediction it does not change, and seven times as much on others.
+MIN_GAIN_RATIO_OF_STATES = 4.0
 # For the fits with the common errors: fifteen more parameters, of which some are nearly zero, need no exact maximum
 COMMON_SEARCH = SearchSettings(tolerance=0.05)
 ROUGH_COMMON_SEARCH = SearchSettings(tolerance=0.2, max_iterations=15, robust_errors=False, refine=False)
@@ -53,11 +56,14 @@ class CommonErrorScore:
         Expected gain of all of them in 2 ln L with priors, less the penalty ``df ln n`` of their parameters.
     step
         One-step estimate of each parameter by name, in the unit of the parameter.
+    scan
+        Values of the scanned parameters of the selected errors by name.
     """
 
     names: tuple[str, ...]
     criterion: float
     step: Mapping[str, float]
+    scan: Mapping[str, float] = field(default_factory=dict)
 
 
 def common_errors_for(model: Model, candidates: Mapping[str, Effect]) -> dict[str, Effect]:
@@ -112,8 +118,9 @@ def score_common_errors(equations: ScoreEquations, common: Mapping[str, Effect],
         No names and a criterion of zero if no error increases the criterion.
     """
     score = equations.projected[1]
-    columns = {c.columns.name: np.asarray(c.at) for c in equations.indices if c.columns.name in common}
-    names = {c.columns.name: c.names for c in equations.indices if c.columns.name in common}
+    placed = _without_costly_states(best_columns(equations, common), equations, common)
+    columns = {name: np.asarray(c.at) for name, c in placed.items()}
+    names = {name: c.names for name, c in placed.items()}
     weight = {
         k: w
         for name in columns
@@ -123,7 +130,7 @@ def score_common_errors(equations: ScoreEquations, common: Mapping[str, Effect],
     best, step = 0.0, dict[str, float]()
     while True:
         trials = []
-        for name in columns.keys() - set(selected):
+        for name in columns.keys() - set(selected) - nested_in(common, selected):
             at = np.concatenate([columns[m] for m in (*selected, name)])
             values = equations.one_step(at, np.array([weight[k] for k in at]))
             criterion = float(score[at] @ values) - at.size * float(np.log(n))
@@ -131,12 +138,62 @@ def score_common_errors(equations: ScoreEquations, common: Mapping[str, Effect],
             if all(_has_possible_sign(common[m], estimates) for m in (*selected, name)):
                 trials.append((criterion, name, estimates))
         if not trials or (top := max(trials, key=lambda t: t[0]))[0] <= best:
-            return CommonErrorScore(tuple(selected), best, step)
+            scan = {p: value for m in selected for p, value in placed[m].columns.scan.items()}
+            return CommonErrorScore(tuple(selected), best, step, scan)
         best, step = top[0], top[2]
         selected.append(top[1])
 
 
-def with_common_errors(model: Model, common: Sequence[Effect], step: Mapping[str, float], share: float) -> Model:
+def best_columns(equations: ScoreEquations, effects: Mapping[str, Effect]) -> dict[str, ColumnIndex]:
+    """Return the columns of each of the effects by name; of an effect with scanned parameters those of the best scan.
+
+    The best scan explains most: its one-step estimates have the largest gain in likelihood. Effects without columns are
+    left out.
+    """
+    found: dict[str, tuple[float, ColumnIndex]] = {}
+    for placed in equations.indices:
+        name = placed.columns.name
+        if name not in effects:
+            continue
+        gain = _gain_of(equations, placed, effects[name])
+        if name not in found or gain > found[name][0]:
+            found[name] = gain, placed
+    return {name: placed for name, (_, placed) in found.items()}
+
+
+def _without_costly_states(
+    placed: Mapping[str, ColumnIndex], equations: ScoreEquations, common: Mapping[str, Effect]
+) -> dict[str, ColumnIndex]:
+    """Return the columns without those of one of two nested errors, of which the larger one adds states to the model.
+
+    The larger error is kept if it gains at least ``MIN_GAIN_RATIO_OF_STATES`` times as much as the smaller one.
+    """
+    gain = {n: _gain_of(equations, c, common[n]) for n, c in placed.items()}
+    kept = dict(placed)
+    for name, inner in [(n, m) for n in placed for m in common[n].nests if common[n].states and m in placed]:
+        kept.pop(inner if gain[name] >= MIN_GAIN_RATIO_OF_STATES * gain[inner] else name, None)
+    return kept
+
+
+def _gain_of(equations: ScoreEquations, placed: ColumnIndex, effect: Effect) -> float:
+    """Return the expected gain in 2 ln L of an effect alone, with its priors."""
+    at, weight = np.asarray(placed.at), np.array(prior_information(effect, placed.names))
+    return float(equations.projected[1][at] @ equations.one_step(at, weight))
+
+
+def nested_in(effects: Mapping[str, Effect], names: Collection[str]) -> set[str]:
+    """Return the names of the effects that one of the named effects contains as a special case, or that contain it."""
+    inner = {m for n in names if n in effects for m in effects[n].nests}
+    return inner | {n for n, e in effects.items() if set(e.nests) & set(names)}
+
+
+def with_common_errors(
+    model: Model,
+    common: Sequence[Effect],
+    step: Mapping[str, float],
+    share: float,
+    scan: Mapping[str, float] | None = None,
+) -> Model:
     """Return a model with common errors added, at initial values from the score tests.
 
     Parameters
@@ -151,10 +208,15 @@ def with_common_errors(model: Model, common: Sequence[Effect], step: Mapping[str
     share
         Factor of these estimates, 0 to 1. An initial value is the parameter's own value plus this share of the
         estimate, limited to the bounds.
+    scan
+        Values of scanned parameters by name, which are their initial values.
     """
     for effect in common:
         values = []
         for p in effect.parameters:
+            if scan and p.name in scan:
+                values.append(p.at(scan[p.name]))
+                continue
             sd = p.prior[1] if p.prior else np.inf
             value = p.value + share * float(np.clip(step.get(p.name, 0.0), -sd, sd))
             values.append(p.at(min(max(value, p.bounds[0]), p.bounds[1])))
@@ -201,7 +263,7 @@ def fit_common_errors(
     effects = tuple(common[name] for name in members.names)
     for share in (1.0, 0.3, 0.0):
         try:
-            model = with_common_errors(current.fit.model, effects, members.step, share)
+            model = with_common_errors(current.fit.model, effects, members.step, share, members.scan)
             fitted = fit_and_evaluate(model, records, validation_data, settings=COMMON_SEARCH)
             compared = Comparison(current, fitted, policy)
             validated, t = compared.gain

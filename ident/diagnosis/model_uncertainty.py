@@ -26,7 +26,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from seatrial.ident.diagnosis.common_errors import COMMON_ERRORS, prior_information
+from seatrial.ident.diagnosis.common_errors import COMMON_ERRORS, best_columns, nested_in, prior_information
 from seatrial.ident.diagnosis.findings import ModelUncertainty
 from seatrial.ident.diagnosis.score_test import Score, ScoreEquations
 from seatrial.ident.estimation import Fit, thrust_scale_of
@@ -60,6 +60,9 @@ def model_uncertainty(
     gain = equations.coefficients_on_fitted
     names, shifts, steps = [], [], {}
     common = {n: e for n, e in effects.items() if n in COMMON_ERRORS}
+    present = [e.name for e in fit.model.effects]
+    covered = nested_in(common, present) | {m for e in (*common.values(), *fit.model.effects) for m in e.nests}
+    common = {n: e for n, e in common.items() if n not in covered}
     scans = {s.name: s.scan for s in passing if s.name not in common}
     for placed in equations.indices:
         name = placed.columns.name
@@ -91,7 +94,7 @@ def _error_without(equations: ScoreEquations, common: Mapping[str, Effect]) -> A
     then wrong by ``G m`` on average, with the covariance ``G P G'``: G are the regression coefficients of the columns
     of the common errors on those of the fitted parameters.
     """
-    placed = [i for i in equations.indices if i.columns.name in common]
+    placed = [*best_columns(equations, common).values()]
     if not placed:
         return np.zeros((len(equations.parameters), len(equations.parameters)))
     at = np.concatenate([np.asarray(i.at) for i in placed])

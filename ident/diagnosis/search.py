@@ -42,6 +42,7 @@ from seatrial.ident.diagnosis.common_errors import (
     common_errors_for,
     fit_common_errors,
     given_common_errors,
+    nested_in,
     prior_information,
     score_common_errors,
 )
@@ -913,9 +914,9 @@ class _Search:
         """Continue the search with a model that has the common errors.
 
         The fit ``found`` is stored in ``common_errors``, and ``common`` becomes empty, so that no others are added. The
-        effects of ``found`` and waves are removed from ``candidates``. From now on an added effect has to change the
-        prediction by more than before (``policy.min_error_ratio_beside``, and ``policy.min_identified_ratio_beside`` to
-        be identified). The function fits nothing.
+        effects of ``found``, nested ones and waves are removed from ``candidates``. From now on an added effect has to
+        change the prediction by more than before (``policy.min_error_ratio_beside``, and
+        ``policy.min_identified_ratio_beside`` to be identified). The function fits nothing.
         """
         self.common_errors, self.common = found, {}
         beside = self.policy.min_error_ratio_beside
@@ -926,7 +927,8 @@ class _Search:
             min_identified_ratio=self.policy.min_identified_ratio_beside,
         )
         # Waves shake every boat, are not correlated with its inputs, and the prediction is as good without them.
-        for name in (*(e.name for e in found.effects), WAVES):
+        names = {e.name for e in found.effects}
+        for name in (*names, *nested_in(self.candidates, names), WAVES):
             self.candidates.pop(name, None)
 
     @property

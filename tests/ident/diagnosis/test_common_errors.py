@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -27,7 +28,7 @@ from seatrial.ident.diagnosis.score_test import (
 )
 from seatrial.ident.effects import catalogue
 from seatrial.ident.models.catalogue import make_model
-from seatrial.ident.models.horizontal import STANDARD
+from seatrial.ident.models.horizontal import STANDARD, horizontal_model
 from seatrial.ident.validation.prediction_errors import PredictionChange
 
 N = 4000  # rows; the penalty of a parameter is ln 4000 = 8.3
@@ -60,6 +61,25 @@ def equations(sizes: dict[str, list[float]], correlation: float = 0.0, seed: int
 
 def common(*names: str) -> dict[str, object]:
     return {name: catalogue()[name] for name in names}
+
+
+@pytest.mark.parametrize(("filtered", "selected"), [(0.3, "compass-filtered"), (0.15, "compass")])
+def test_heading_filter_is_selected_only_if_it_explains_much_more(filtered: float, selected: str) -> None:
+    """The filter adds four states to the model, and the deviation without it is a special case."""
+    name, effect = "compass-filtered", catalogue()["compass-filtered"]
+    found = equations({"compass": [0.11, 0.0, 0.0, 0.0], name: [filtered, *[0.0] * 4]})
+    indices = []
+    for index in found.indices:  # The time constant of the filter is scanned and has no column.
+        names = tuple(n for n in index.names if n not in effect.scan)
+        scan = {"T_head": 8.0} if index.columns.name == name else {}
+        columns = replace(index.columns, parameters=names, scan=scan, delta=np.zeros((0, 0, len(names))))
+        indices.append(ColumnIndex(columns, index.at[: len(names)]))
+    found = replace(found, indices=tuple(indices))
+    members = score_common_errors(found, common("compass", name), N)  # type: ignore[arg-type]
+    assert members.names == (selected,)
+    assert members.scan == ({"T_head": 8.0} if selected == name else {})
+    model = with_common_errors(horizontal_model(), (effect,), {}, 1.0, {"T_head": 8.0})
+    assert model.values["T_head"] == 8.0
 
 
 def test_members_that_are_in_the_residuals_are_selected_and_others_are_not() -> None:
