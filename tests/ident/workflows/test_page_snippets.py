@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +58,7 @@ def test_simulation_with_a_model_of_commands(folder: Path, monkeypatch: pytest.M
     words = ["export", "vehicle/model.toml", "--to", "python", "-o", "boat.py"]
     CliRunner().invoke(commands, words, catch_exceptions=False)
     monkeypatch.syspath_prepend(str(folder))
+    monkeypatch.delitem(sys.modules, "boat", raising=False)  # that of another test
     space: dict[str, Any] = {}
     exec(compile(blocks(how_to("use-a-model"), "python")[0], "use-a-model.md", "exec"), space)
     boat, x = space["boat"], space["x"]
