@@ -116,13 +116,20 @@ def lateness(log: Path) -> np.ndarray:
     return (changes[:3] - start - np.array([3.0, 7.0, 11.0])) / SPEED
 
 
+def signals_of(content: dict[str, Any]) -> set[str]:
+    """Return the names of all signals that the page lists."""
+    return {signal["id"] for table in content["tables"] for signal in table["signals"]}
+
+
 def test_the_page_shows_a_run_while_it_lasts(standin: StandIn, tmp_path: Path) -> None:
     short_mission(tmp_path)
     with running(tmp_path, (*MISSION_RUN, "--view")) as run:
         address = address_of(run)
-        content = until_state(address, "live")
-        signals = {signal["id"] for table in content["tables"] for signal in table["signals"]}
-        assert {"/esc/1/state:rpm", "/loadcell/counts:force"} <= signals
+        content, end = until_state(address, "live"), time.monotonic() + 10.0
+        while not {"/esc/1/state:rpm", "/loadcell/counts:force"} <= signals_of(content):  # one may come later
+            assert time.monotonic() < end, signals_of(content)
+            time.sleep(0.1)
+            content = ask(address, "api/log")
         run.until_turning(standin)
         end, shown = time.monotonic() + 10.0, False
         while not shown:
