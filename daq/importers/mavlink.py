@@ -123,9 +123,10 @@ def is_tlog(head: bytes) -> bool:
 
 
 def _mavlink_device(rig: Rig | None) -> Device | None:
-    """Return the MAVLink device (autopilot) of a rig. Without a rig (`rig` is None), the result is None.
+    """Find the MAVLink device (autopilot) of a rig.
 
-    Raise SeatrialError if the rig has no such device or several.
+    The result is None if ``rig`` is None. The function raises SeatrialError if the rig does not have exactly one such
+    device.
     """
     if rig is None:
         return None

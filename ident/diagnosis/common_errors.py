@@ -13,7 +13,7 @@ of the catalogue are part of these equations, so that members of no use stay nea
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -130,7 +130,7 @@ def score_common_errors(equations: ScoreEquations, common: Mapping[str, Effect],
     best, step = 0.0, dict[str, float]()
     while True:
         trials = []
-        for name in columns.keys() - set(selected) - nested_in(common, selected):
+        for name in columns.keys() - set(selected) - nested_in(common, [common[m] for m in selected]):
             at = np.concatenate([columns[m] for m in (*selected, name)])
             values = equations.one_step(at, np.array([weight[k] for k in at]))
             criterion = float(score[at] @ values) - at.size * float(np.log(n))
@@ -181,10 +181,14 @@ def _gain_of(equations: ScoreEquations, placed: ColumnIndex, effect: Effect) -> 
     return float(equations.projected[1][at] @ equations.one_step(at, weight))
 
 
-def nested_in(effects: Mapping[str, Effect], names: Collection[str]) -> set[str]:
-    """Return the names of the effects that one of the named effects contains as a special case, or that contain it."""
-    inner = {m for n in names if n in effects for m in effects[n].nests}
-    return inner | {n for n, e in effects.items() if set(e.nests) & set(names)}
+def nested_in(candidates: Mapping[str, Effect], chosen: Iterable[Effect]) -> set[str]:
+    """Return the names of the candidates that a chosen effect contains as a special case, or that contain one.
+
+    A chosen effect need not be among the candidates.
+    """
+    chosen = [*chosen]
+    names, inner = {e.name for e in chosen}, {m for e in chosen for m in e.nests}
+    return {n for n, e in candidates.items() if n in inner or names & set(e.nests)}
 
 
 def with_common_errors(

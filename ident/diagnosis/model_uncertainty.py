@@ -60,8 +60,8 @@ def model_uncertainty(
     gain = equations.coefficients_on_fitted
     names, shifts, steps = [], [], {}
     common = {n: e for n, e in effects.items() if n in COMMON_ERRORS}
-    present = [e.name for e in fit.model.effects]
-    covered = nested_in(common, present) | {m for e in (*common.values(), *fit.model.effects) for m in e.nests}
+    # A special case of another common error counts with that one.
+    covered = nested_in(common, fit.model.effects) | {m for e in common.values() for m in e.nests}
     common = {n: e for n, e in common.items() if n not in covered}
     scans = {s.name: s.scan for s in passing if s.name not in common}
     for placed in equations.indices:

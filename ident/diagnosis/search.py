@@ -927,8 +927,7 @@ class _Search:
             min_identified_ratio=self.policy.min_identified_ratio_beside,
         )
         # Waves shake every boat, are not correlated with its inputs, and the prediction is as good without them.
-        names = {e.name for e in found.effects}
-        for name in (*names, *nested_in(self.candidates, names), WAVES):
+        for name in (*(e.name for e in found.effects), *nested_in(self.candidates, found.effects), WAVES):
             self.candidates.pop(name, None)
 
     @property

@@ -280,6 +280,10 @@ def separation(model_a: Model, model_b: Model, problem: DesignProblem, command: 
     return first, second
 
 
+def _ignore(phase: str) -> None:
+    """Ignore the name of a phase: nobody asked for progress."""
+
+
 def discriminate(
     model_a: Model,
     model_b: Model,
@@ -326,8 +330,8 @@ def discriminate(
         )
     evaluator = DesignEvaluator(problem)
     pairs = _both_hypotheses(model_a, model_b, problem)
-    report: Callable[[str], object] = phase or str
-    tried = 0
+    report = phase or _ignore
+    tried = 0  # search points so far
 
     def evaluate(z: Array) -> tuple[Array, Array]:
         """Return log T (n,) of the worse hypothesis and the violation (n,) of the limits, at search points z (n, size).
@@ -337,10 +341,10 @@ def discriminate(
         nonlocal tried
         command, parts = problem.commands(z), list[Array]()
         for k in range(0, command.shape[2], 32):
-            if (
-                tried < N_START
-            ):  # the first call compiles both models, which takes longer than a search on a fast computer
-                report(f"random start points, {tried} of {N_START}" if tried else "compiling both models")
+            if tried == 0:
+                report("compiling both models")  # in the first call
+            elif tried < N_START:
+                report(f"random start points, {tried} of {N_START}")
             parts.append(np.minimum(*(r(command[:, :, k : k + 32]) for r in pairs)))
             tried += parts[-1].size
         T = np.concatenate(parts)

@@ -81,5 +81,5 @@ def late_values(model: Model, ranges: Mapping[str, tuple[float, float]] | None =
 
 
 def conditions_text(conditions: Mapping[str, float]) -> str:
-    """Return the conditions as text, such as ``t = 240 s, x = 0 m``; empty if there are none."""
+    """Format conditions as text, for example ``t = 240 s, x = 0 m``. The text of no conditions is empty."""
     return ", ".join(f"{n} = {v:.4g} {UNITS[n]}".rstrip() for n, v in conditions.items())

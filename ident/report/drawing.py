@@ -107,7 +107,7 @@ class Budget:
 
 
 def drawable(y: Array | None) -> Array | None:
-    """Return the curve y unchanged if it can be drawn. Return None if y is None or if none of its values is finite."""
+    """Return the curve ``y`` if it has a finite value, and None otherwise. The result is None for None, too."""
     return y if y is not None and np.isfinite(y).any() else None
 
 

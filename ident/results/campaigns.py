@@ -190,7 +190,7 @@ class CampaignsResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="
 
     @property
     def expected_to_differ(self) -> tuple[NotCompared, ...]:
-        """Parameters that nobody expects to be compared: those that are fixed, and those with a value for each log."""
+        """Parameters that cannot be compared by their nature: they are fixed, or they have a value for each log."""
         return tuple(p for p in self.not_compared if p.code in ("fixed", "per-log"))
 
     @property

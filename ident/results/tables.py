@@ -62,7 +62,7 @@ NO_PREDICTION = HorizonPrediction(*(np.zeros(0),) * 3)  # empty: of a channel wi
 
 
 def finite(value: float | None) -> float | None:
-    """Return a number as a float for a result, or None (null in result.json) for None, NaN and infinity."""
+    """Convert a number for result.json, which has no NaN and no infinity: these become None, and so does None."""
     return None if value is None or not math.isfinite(value) else float(value)
 
 

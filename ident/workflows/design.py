@@ -644,9 +644,9 @@ def _hypothesis(known: SavedModel | Model, name: str, other: str) -> EffectHypot
 
 
 def refit_without(refits: Sequence[RefittedEffect], name: str, other: str) -> RefittedEffect | None:
-    """Return the last refit of an effect, among those whose model lacks the effect ``other``.
+    """Find the last refit of the effect ``name`` whose model does not contain the effect ``other``.
 
-    The result is None if ``refits`` contains no such refit.
+    The result is None if there is no such refit.
     """
     return next((r for r in reversed(refits) if r.name == name and other not in r.beside), None)
 

@@ -192,7 +192,7 @@ class FitReport(Shown):
 
     @property
     def warnings(self) -> list[str]:
-        """Warnings of the fit, as sentences; empty if there are none."""
+        """Warnings of the fit, one text for each. The list is empty if the fit has no warnings."""
         return [w.text for w in self.result.warnings]
 
     @property

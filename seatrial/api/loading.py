@@ -68,16 +68,16 @@ class ExportOptions(TypedDict, total=False):
 
 @dataclass(frozen=True, repr=False)
 class Saved(MotionMethods, Shown):
-    """Files of a fit that were read from disk. `load` returns it.
+    """Saved fit: the content of the files of a fit. The function `load` reads them and returns this object.
 
     Attributes
     ----------
     path : Path
         File or folder that was loaded.
     model : SavedModel or None
-        Content of model.toml (`seatrial.ident.estimation.SavedModel`); None without that file.
+        Content of model.toml (`seatrial.ident.estimation.SavedModel`). It is None if there is no such file.
     result : Result or None
-        Content of result.json (`seatrial.ident.results`); None without that file.
+        Content of result.json (`seatrial.ident.results`). It is None if there is no such file.
     """
 
     path: Path

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from seatrial.ident.model import HISTORY_STEP, INF, Effect, Input, Parameter, Signals, tap_name
+from seatrial.ident.model import HISTORY_STEP, INF, Effect, Input, Parameter, Signals, tap_name, weighted_sum
 from seatrial.ident.models import LONGEST_DELAY, SHORTEST_LAG, SIDES, available_taps
 
 N_PAST = 5  # number of earlier samples of each input
@@ -57,14 +57,13 @@ def delay_shaft(s: Signals) -> None:
     the thrust in the model is traced back too.
     """
     weights, earlier = _weights_ago(s.p.tau_gnss / 2), {}
-    used = [(j, w) for j, w in enumerate(weights) if not (isinstance(w, float) and w == 0.0)]
     for side in SIDES:
         name = f"n_{side}"
         taps = available_taps(s, name)
         copies = [getattr(s.u, tap_name(name, k)) for k in taps]
         copies += N_PAST * copies[-1:]  # before the oldest copy, the input is assumed constant
         for i, k in enumerate(taps):
-            earlier[tap_name(name, k)] = sum(w * copies[i + j] for j, w in used)
+            earlier[tap_name(name, k)] = weighted_sum(weights, copies[i : i + N_PAST + 1])
     _delay_fix(s, s.again(_earlier_lag_states(s, earlier), earlier, {}))
 
 

@@ -16,6 +16,7 @@ from seatrial.ident.diagnosis.common_errors import (
     CommonErrorScore,
     common_errors_for,
     fit_common_errors,
+    nested_in,
     score_common_errors,
     with_common_errors,
 )
@@ -80,6 +81,13 @@ def test_heading_filter_is_selected_only_if_it_explains_much_more(filtered: floa
     assert members.scan == ({"T_head": 8.0} if selected == name else {})
     model = with_common_errors(horizontal_model(), (effect,), {}, 1.0, {"T_head": 8.0})
     assert model.values["T_head"] == 8.0
+
+
+def test_nested_candidates_of_an_error_that_the_model_has_already_are_found() -> None:
+    """A model that `ident vehicle` has fitted contains the filter, which is then no candidate itself."""
+    candidates = {n: catalogue()[n] for n in ("compass", "mount")}
+    assert nested_in(candidates, [catalogue()["compass-filtered"]]) == {"compass"}
+    assert nested_in(common("compass-filtered", "mount"), [catalogue()["compass"]]) == {"compass-filtered"}  # type: ignore[arg-type]
 
 
 def test_members_that_are_in_the_residuals_are_selected_and_others_are_not() -> None:
