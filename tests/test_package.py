@@ -253,6 +253,16 @@ class Environment:
             pytest.skip("pip has no network here")
         assert done.returncode == 0, done.stderr
 
+    def pip_uninstall(self, name: str) -> None:
+        """Uninstall a package."""
+        subprocess.run([str(self.bin / "pip"), "--quiet", "uninstall", "--yes", name], check=True)
+
+    @property
+    def packages(self) -> Path:
+        """Return the folder with the installed packages."""
+        (folder,) = (self.bin.parent / "lib").glob("python3*/site-packages")
+        return folder
+
     def seatrial(self, cwd: Path, *words: str) -> subprocess.CompletedProcess[str]:
         """Run the command as a user does, in a folder outside the project."""
         command = [str(self.bin / "seatrial"), *words]
@@ -284,3 +294,42 @@ def test_the_default_installation_runs_the_commands_of_the_docs(built: Built, tm
     refused = environment.seatrial(tmp_path, "mission", "design", "horizontal:shaft", "--out", "designed.toml")
     assert refused.returncode == 1
     assert "which is not installed: pip install 'seatrial[ident]'" in refused.stderr
+
+
+@pytest.mark.study
+@pytest.mark.timeout(300)
+def test_nothing_is_lost_beside_a_package_with_a_folder_of_the_same_name(built: Built, tmp_path: Path) -> None:
+    """Install seatrial over frappe-bench, which has a top-level package `bench`, and uninstall each of them."""
+    environment = Environment(tmp_path / "environment")
+
+    def files_of_frappe_bench() -> dict[str, bytes]:
+        return contents(environment.packages, "bench", "frappe_bench-*.dist-info")
+
+    environment.pip("--no-deps", "--no-compile", "frappe-bench")
+    before = files_of_frappe_bench()
+    assert "bench/__init__.py" in before
+
+    environment.pip("--no-deps", "--no-compile", str(built.wheel))
+    ours = contents(environment.packages, "seatrial")
+    assert wanted() - set(ours) == set()
+    assert files_of_frappe_bench() == before
+
+    environment.pip_uninstall("seatrial")
+    assert files_of_frappe_bench() == before
+    assert contents(environment.packages, "seatrial", "seatrial-*.dist-info") == {}
+
+    environment.pip("--no-deps", "--no-compile", str(built.wheel))
+    environment.pip_uninstall("frappe-bench")
+    assert contents(environment.packages, "seatrial") == ours
+    assert files_of_frappe_bench() == {}
+
+
+def contents(folder: Path, *patterns: str) -> dict[str, bytes]:
+    """Return the content of all files below the matching folders, by path; compiled files are left out."""
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for pattern in patterns
+        for place in folder.glob(pattern)
+        for path in place.rglob("*")
+        if path.is_file() and path.suffix != ".pyc"
+    }
