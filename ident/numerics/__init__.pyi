@@ -40,4 +40,5 @@ from .signal_processing import fit_first_order_lag as fit_first_order_lag
 from .signal_processing import noise_from_differences as noise_from_differences
 from .signal_processing import rounding_step as rounding_step
 from .signal_processing import steady_segments as steady_segments
+from .signal_processing import welch_spectrum as welch_spectrum
 from .signal_processing import wrap as wrap

@@ -27,6 +27,7 @@ from seatrial.ident.numerics import (
     kolmogorov_sf,
     normal_cdf,
     normality_p,
+    welch_spectrum,
 )
 
 SEGMENT = 256  # samples of a segment in Welch's method
@@ -331,16 +332,14 @@ def spectral_peak(innovations: Mapping[str, Array], dt: float) -> SpectralPeak |
     corrected for the number of bins and channels (Bonferroni). Of 2000 simulations of coloured noise without a peak,
     1 % have a p value below 0.001, and none below 1e-6. Use the latter as the limit.
     """
-    from scipy import signal  # imported here: it takes more than a second, and only this test needs it
-
     found: list[SpectralPeak] = []
     seen = {name: _gaps_as_zeros(e) for name, e in innovations.items()}
     long_enough = {name: e for name, e in seen.items() if e.size >= 5 * SEGMENT // 2}
     for name, e in long_enough.items():
         x = e - e.mean()
         x = x[1:] - (x[1:] @ x[:-1]) / (x @ x) * x[:-1]
-        frequency, power = signal.welch(x, 1.0 / dt, "hann", SEGMENT)
-        frequency, power = frequency[FIRST_BIN:-1], power[FIRST_BIN:-1]
+        frequency = np.fft.rfftfreq(SEGMENT, dt)[FIRST_BIN:-1]
+        power = welch_spectrum(x, SEGMENT)[FIRST_BIN:-1]
         segments = 2 * x.size // SEGMENT - 1
         dof = 36 * segments**2 / (19 * segments - 1)
         over = power / _smooth_spectrum(power) * (chi2_isf(0.5, dof) / dof)

@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from seatrial.ident.numerics.signal_processing import (
     Hold,
@@ -17,6 +18,7 @@ from seatrial.ident.numerics.signal_processing import (
     noise_from_differences,
     rounding_step,
     steady_segments,
+    welch_spectrum,
     wrap,
 )
 
@@ -43,6 +45,21 @@ def test_lag_without_time_constant_equals_its_input() -> None:
     f = np.random.default_rng(0).normal(size=20)
     np.testing.assert_array_equal(first_order_lag(f, 0.0, SAMPLE_S, hold="backward"), f)
     np.testing.assert_array_equal(first_order_lag(f, 0.0, SAMPLE_S)[1:], f[:-1])
+
+
+def test_missing_samples_of_a_lag_stay_missing() -> None:
+    f = np.ones(20)
+    f[10] = np.nan
+    x = first_order_lag(f, TAU, SAMPLE_S, hold="backward")
+    assert np.all(np.isfinite(x[:10]))
+    assert np.all(np.isnan(x[10:]))
+    assert first_order_lag(np.zeros((0, 2)), TAU, SAMPLE_S).shape == (0, 2)
+
+
+@pytest.mark.parametrize("n", [64, 200, 1001])
+def test_welch_spectrum_is_that_of_scipy(n: int) -> None:
+    x = 3.0 + np.random.default_rng(n).normal(size=n).cumsum()
+    np.testing.assert_allclose(welch_spectrum(x, 64), signal.welch(x, 1.0, "hann", 64)[1], rtol=1e-9, atol=1e-12)
 
 
 def test_delay_and_time_constant_are_found() -> None:
