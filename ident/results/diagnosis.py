@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import isfinite
 from typing import cast
 
 import msgspec
@@ -213,12 +214,28 @@ def diagnosis_answer(
         )
     if diagnosis.effects and prediction is not None:
         sentences.append(change_sentence(prediction, horizon))
+        if prediction.verdict == "unchanged" and (reason := _likelihood_sentence(diagnosis, prediction.role)):
+            sentences.append(reason)
     if diagnosis.cross_validated:
         sentences.append(
             "Without --validate, the model is validated by blocked cross-validation: each block of time of the "
             "estimation data is predicted by a fit to the other blocks."
         )
     return " ".join(sentences)
+
+
+def _likelihood_sentence(diagnosis: Diagnosis, role: str) -> str:
+    """Return why effects were added that do not change the prediction over the horizon significantly.
+
+    The sentence gives the gain in log-likelihood of the validation data by each effect. ``role`` is the name of these
+    data. The text is empty if no gain is known.
+    """
+    known = [w for w in diagnosis.importances if isfinite(w.validation_gain) and isfinite(w.t)]
+    if not known:
+        return ""
+    titles = {r.effect.name: r.effect.title for r in diagnosis.effects}
+    gains = [f"{titles[w.effect]} by {w.validation_gain:.0f} (t = {w.t:.1f})" for w in known]
+    return f"One step ahead the {role} data support them; their log-likelihood rises with {_joined_titles(gains)}."
 
 
 def _missing_effects_sentence(diagnosis: Diagnosis, prediction: parts.PredictionChangeRow | None) -> str:

@@ -222,7 +222,7 @@ def test_curve_without_a_better_prediction_is_described_as_a_resemblance(fell: b
     chosen = Refit(curve, blank(), 90.0, 1, 82.0, 30.0, 4.0)
     found = Diagnosis(
         blank(), blank(cross_validated=False), (Round((), (), (chosen,), chosen),), (), (),
-        (EffectAttribution(curve.name, "nonparametric"),), (EffectImportance(curve.name, 90.0, 1.02),),
+        (EffectAttribution(curve.name, "nonparametric"),), (EffectImportance(curve.name, 90.0, 1.02, 41.2, 5.34),),
     )  # fmt: skip
     change = parts.PredictionChangeRow(
         role="validation", ratio=0.98, low=0.96, high=0.99 if fell else 1.01, verdict="fell" if fell else "unchanged",
@@ -231,6 +231,8 @@ def test_curve_without_a_better_prediction_is_described_as_a_resemblance(fell: b
     answer = diagnosis_answer(found, change, 10.0)
     assert answer.startswith("The model lacks a curve" if fell else "The missing effect resembles a curve")
     assert ("falls" in answer) is fell
+    support = "their log-likelihood rises with a curve: the force X depends on u by 41 (t = 5.3)."
+    assert answer.endswith(f"One step ahead the validation data support them; {support}") is not fell
 
 
 def test_round_without_a_significant_score_lists_the_tested_candidates() -> None:
