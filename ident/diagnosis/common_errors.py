@@ -4,8 +4,8 @@ A fix is 0.1 to 0.2 s old, shaft telemetry arrives late, a heading trails, an an
 given position, and no hull has exactly two drag terms for each axis. Each of these errors gains much likelihood, and
 hardly changes the prediction. If the search added them one by one, they would take all its rounds, and until the last
 of them is in the model they also distort the score tests of the effects that matter. So they are one group: the search
-adds them together if several are needed and no other parametric effect that passes its score test explains more. They
-do not count as effects found.
+adds them together if several are needed and no other parametric effect (waves left out) that passes its score test
+explains more. They do not count as effects found.
 
 The members are selected by stepwise regression in the normal equations of the score tests, without a refit. The priors
 of the catalogue are part of these equations, so that members of no use stay near zero.

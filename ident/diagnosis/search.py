@@ -879,11 +879,12 @@ class _Search:
     def add_common_errors(self, current: FittedModel, passed: Sequence[Score]) -> FittedModel | None:
         """Add the common errors to a model if no other parametric candidate explains more; return the fit with them.
 
-        Only candidates that pass their score tests are compared. None if ``common`` is empty or no model was scored, if
-        fewer than ``policy.min_common_errors`` of them are needed, if a single other candidate explains more, or if the
-        fit with them fails, is not supported by the data or predicts significantly worse. In the last case they are not
-        tried again (``common`` is empty). After a success ``common``, ``common_errors``, ``candidates`` and ``policy``
-        are changed.
+        Only candidates that pass their score tests are compared, without waves, which every boat has and which do not
+        change the prediction. None if ``common`` is empty or no model was scored, if fewer than
+        ``policy.min_common_errors`` of them are needed, if a single other candidate explains more, or if the fit with
+        them fails, is not supported by the data or predicts significantly worse. In the last case they are not tried
+        again (``common`` is empty). After a success ``common``, ``common_errors``, ``candidates`` and ``policy`` are
+        changed.
 
         Parameters
         ----------
@@ -895,7 +896,9 @@ class _Search:
         if not self.common or self.equations is None:
             return None
         joint = score_common_errors(self.equations, self.common, self.n)
-        others = [s.criterion(self.n) for s in passed if not s.nonparametric and s.name not in self.common]
+        # `keep_common_errors` removes waves from the candidates, however much they explain.
+        beside = {*self.common, WAVES}
+        others = [s.criterion(self.n) for s in passed if not s.nonparametric and s.name not in beside]
         if len(joint.names) < self.policy.min_common_errors or joint.criterion < max(others, default=0.0):
             return None
         common, self.common = self.common, {}

@@ -11,6 +11,7 @@ import pytest
 from seatrial.ident.data.record import Channel, LogSegment
 from seatrial.ident.diagnosis import search
 from seatrial.ident.diagnosis.acceptance import is_immaterial, refit_outcome
+from seatrial.ident.diagnosis.common_errors import CommonErrorScore
 from seatrial.ident.diagnosis.findings import (
     CommonErrorsFit,
     Diagnosis,
@@ -447,6 +448,22 @@ def test_removal_of_the_last_effect_returns_to_the_fit_before_it(monkeypatch: py
     current, _, removed = mine.backward_elimination(blank(), blank(), blank())
     assert current is first.fitted
     assert [r.effect.name for r in removed] == ["cubic"]
+
+
+@pytest.mark.parametrize(("name", "added"), [("waves", True), ("wind", False)])
+def test_waves_do_not_keep_the_common_errors_out(name: str, added: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    members = ("telemetry-age", "gnss-latency", "lift", "sway-yaw")
+    mine = a_search(*(Effect(n, n, {}) for n in (*members, name, "compass")))
+    mine.n, mine.equations = 1000, cast(Any, object())
+    mine.common = {n: mine.candidates[n] for n in members}
+    extended = blank()
+    found = CommonErrorsFit(tuple(mine.common.values()), extended)
+    monkeypatch.setattr(search, "score_common_errors", lambda *_: CommonErrorScore(members, 100.0, {}, {}))
+    monkeypatch.setattr(search, "fit_common_errors", lambda *_, **__: found)
+    result = mine.add_common_errors(blank(), [Score(name, 900.0, 1, 30.0, {}, {})])
+    assert (result is extended) is added
+    assert ("waves" in mine.candidates) is False
+    assert ("compass" in mine.candidates) is True
 
 
 def test_removal_fits_again_if_common_errors_came_after_an_effect(monkeypatch: pytest.MonkeyPatch) -> None:
