@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from seatrial.ident.data import Channel
-from seatrial.ident.numerics import Array, mean_error, steady_segments
+from seatrial.ident.numerics import Array, mean_error, steady_segments, welch_spectrum
 
 # s: time that is left out after a change of command, and time before the next change over which is averaged
 SETTLED_S, AVERAGED_S = 1.0, 0.6
@@ -137,17 +137,15 @@ def measured_response(command: Channel, speed: Channel, rate: float) -> tuple[Ar
     tuple of Array (n_frequencies,)
         Frequencies [Hz], gains, and phases [rad]. They are empty for a record that is too short.
     """
-    from scipy.signal import csd, welch  # imported here, as it takes half a second
-
     length = int(SEGMENT_S * rate)
     t = np.arange(max(command.t[0], speed.t[0]), min(float(speed.t[-1]), float(command.t[-1]) + SEGMENT_S), 1.0 / rate)
     if t.size < 2 * length:
         return np.empty(0), np.empty(0), np.empty(0)
     x = command.value[np.searchsorted(command.t, t, side="right") - 1]
     y = np.interp(t, speed.t, speed.value)
-    f, cross = csd(x, y, fs=rate, nperseg=length)
-    _, input_density = welch(x, fs=rate, nperseg=length)
-    _, output_density = welch(y, fs=rate, nperseg=length)
+    f = np.fft.rfftfreq(length, 1.0 / rate)
+    cross = welch_spectrum(x, length, y)
+    input_density, output_density = welch_spectrum(x, length), welch_spectrum(y, length)
     coherence = np.abs(cross) ** 2 / np.maximum(input_density * output_density, np.finfo(float).tiny)
     used = (f > 0.0) & (coherence > COHERENT) & (input_density > CYCLE_GAIN * input_density.max())
     ratio = cross[used] / input_density[used]

@@ -56,10 +56,14 @@ def test_missing_samples_of_a_lag_stay_missing() -> None:
     assert first_order_lag(np.zeros((0, 2)), TAU, SAMPLE_S).shape == (0, 2)
 
 
-@pytest.mark.parametrize("n", [64, 200, 1001])
-def test_welch_spectrum_is_that_of_scipy(n: int) -> None:
-    x = 3.0 + np.random.default_rng(n).normal(size=n).cumsum()
-    np.testing.assert_allclose(welch_spectrum(x, 64), signal.welch(x, 1.0, "hann", 64)[1], rtol=1e-9, atol=1e-12)
+@pytest.mark.parametrize("n", [65, 200, 1001])
+@pytest.mark.parametrize("segment", [64, 65])
+def test_welch_spectrum_is_that_of_scipy(n: int, segment: int) -> None:
+    rng = np.random.default_rng(n)
+    x, y = 3.0 + rng.normal(size=n).cumsum(), rng.normal(size=n)
+    power, cross = signal.welch(x, 1.0, "hann", segment)[1], signal.csd(x, y, 1.0, "hann", segment)[1]
+    np.testing.assert_allclose(welch_spectrum(x, segment), power, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(welch_spectrum(x, segment, y), cross, rtol=1e-9, atol=1e-12)
 
 
 def test_delay_and_time_constant_are_found() -> None:
