@@ -17,12 +17,13 @@ Otherwise the effect is *ambiguous*.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from seatrial.ident.diagnosis.acceptance import improves_prediction, is_accepted, is_validated
+from seatrial.ident.diagnosis.common_errors import HULL_FORM
 from seatrial.ident.diagnosis.findings import Diagnosis, EffectAttribution, EffectImportance, Refit, Round
 from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
 from seatrial.ident.diagnosis.score_test import Score
@@ -136,7 +137,7 @@ def assess_alternatives(
             *_explained_by_parameters_reasons(search_round.chosen.effect, explained),
         ]
         reasons += [
-            *_no_better_prediction_reasons(importance.get(search_round.chosen.effect.name), policy),
+            *_no_better_prediction_reasons(search_round.chosen.effect.name, importance, policy),
             *evidence.reservations,
         ]
         others = [q.effect.name for q in _competing_refits(search_round, policy)]
@@ -414,13 +415,18 @@ def _failed_candidate_reasons(search_round: Round) -> list[str]:
     ]
 
 
-def _no_better_prediction_reasons(weight: EffectImportance | None, policy: SearchPolicy) -> list[str]:
+def _no_better_prediction_reasons(
+    name: str, importance: Mapping[str, EffectImportance], policy: SearchPolicy
+) -> list[str]:
     """Return the reason for ambiguity that the prediction is hardly better with an effect, or could not be tested.
 
-    ``weight`` is the importance of the effect. The list is empty if the prediction is better (`improves_prediction`)
-    and the error without the effect is at least ``policy.min_identified_ratio`` times that with it, by inputs alone or
-    over the horizon. It is also empty if there is no importance (None).
+    ``name`` is the name of the effect, with its importance in ``importance``. The list is empty if the prediction is
+    better (`improves_prediction`) and the error without the effect is at least ``policy.min_identified_ratio`` times
+    that with it, by inputs alone or over the horizon. For the form of the hull (`HULL_FORM`), which is never exactly
+    that of the model, the limit is ``policy.min_identified_ratio_beside``. The list is also empty if the importance is
+    missing.
     """
+    weight = importance.get(name)
     if weight is not None and weight.untested is not None:
         return [f"the prediction without this effect could not be tested: {weight.untested}"]
     if weight is None:
@@ -429,7 +435,10 @@ def _no_better_prediction_reasons(weight: EffectImportance | None, policy: Searc
         horizon = "" if weight.prediction is None else f" {weight.prediction.horizon:g} s ahead"
         return [f"the prediction{horizon} is no better with this effect"]
     ratios = [weight.error_ratio, *([] if weight.prediction is None else [1.0 / weight.prediction.ratio])]
-    if max(ratios) >= policy.min_identified_ratio:
+    least = policy.min_identified_ratio
+    if name in HULL_FORM:
+        least = max(least, policy.min_identified_ratio_beside)
+    if max(ratios) >= least:
         return []
     return [
         f"without this effect the prediction error is only {100 * (max(ratios) - 1):.0f} % larger, and small "

@@ -84,9 +84,9 @@ class SearchPolicy:
         evidence.
     min_identified_ratio, min_identified_ratio_beside
         Error ratio, without the effect over with it, below which an effect is not identified. The second value replaces
-        the first one if the model has the common errors. A real boat has many small imperfections, and an effect of the
-        catalogue resembles several of them: on ten boats of other authorship, names of effects that changed the
-        prediction by less than 15 % were wrong in two of four cases.
+        the first one if the model has the common errors, and always for an effect of the form of the hull. A real boat
+        has many small imperfections, and an effect of the catalogue resembles several of them: on ten boats of other
+        authorship, names of effects that changed the prediction by less than 15 % were wrong in two of four cases.
     min_error_ratio
         Error ratio, without the effect over with it, above which a change of the prediction without a significant
         interval counts as an improvement. In the recovery study one of 153 correct effects and all wrong effects are

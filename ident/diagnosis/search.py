@@ -239,13 +239,16 @@ def diagnose(
     gone = {r.effect.name for r in removed}
     kept = [r for r in search.rounds if r.chosen is None or r.chosen.effect.name not in gone]
     order = [w.effect for w in weights]
+    # The size of an effect is judged by standard errors that include what the model still lacks.
+    uncertainty = search.uncertainty(passed, current.fit)
+    widened = replace(current, fit=with_model_uncertainty(current.fit, uncertainty))
     evidence = AttributionEvidence(
         remaining=passed,
         n=search.n,
         untested=start.untested,
         importances=weights,
         reservations=_reservations(before, current, search.policy),
-        after=current,
+        after=widened,
         nominal=search.rounds[0].scores if search.rounds else (),
         unaffected=unaffected,
         beside=beside,
@@ -253,8 +256,6 @@ def diagnose(
     judgements = assess_alternatives(kept, evidence, search.policy)
     judgements = tuple(sorted(judgements, key=lambda j: order.index(j.effect)))
     shapes, undrawn = _reported_curves(base, kept, judgements, records)
-    uncertainty = search.uncertainty(passed, current.fit)
-    widened = replace(current, fit=with_model_uncertainty(current.fit, uncertainty))
     return Diagnosis(
         before=widened if current is before else before,
         after=widened,

@@ -273,6 +273,14 @@ def test_small_effect_is_not_identified_beside_common_errors(error: float, ratio
         assert "only 11 % larger" in found.reasons[0]
 
 
+@pytest.mark.parametrize(("error", "attribution"), [(1.2, "identified"), (1.1, "ambiguous")])
+def test_form_of_the_hull_is_identified_only_if_the_prediction_is_much_better(error: float, attribution: str) -> None:
+    """No hull has exactly the drag terms of the model, so a small difference is no missing effect."""
+    weight = EffectImportance("lift", 200.0, error, 90.0, 5.0, PredictionChange(0.94, 0.72, 1.24, 10.0, {}))
+    (found,) = assess_alternatives([one_round(refit("lift", 800.0))], AttributionEvidence((), N, importances=[weight]))
+    assert found.attribution == attribution
+
+
 def test_effect_with_unknown_importance_is_ambiguous() -> None:
     weight = EffectImportance("wind", float("nan"), float("nan"), untested="x0")
     (found,) = assess_alternatives([one_round(refit("wind", 800.0))], AttributionEvidence((), N, importances=[weight]))
