@@ -39,6 +39,7 @@ from seatrial.daq.importers.recognise import (
     message_candidates,
     quantity,
     read_name,
+    unmeasured_parts,
     without_unit,
 )
 from seatrial.daq.importers.sources import source_kind, text_head
@@ -180,10 +181,20 @@ def guess_map(
     problem = _missing_for_fit(taken, tables)
     head += _style_line(options, kind.name) + _time_lines(tables, candidates, clocks, main)
     remarks = [f"# caveat: {table.full_remark}" for table in tables if table.full_remark]
+    remarks += [line for table in tables for line in _not_measured_lines(table)]
     remarks += [f"# caveat: {line}" for line in _held_signal_comments(candidates, taken, clocks)]
     text = "\n".join([*head, *remarks, "signal = [", *lines, *_unrecognised_lines(tables, candidates, clocks), "]"])
     tops = {signal.name: signal.full for signal in taken if signal.full}
     return Guess(text + (f"\n# no fit: {problem}" if problem else "") + "\n", problem, tops)
+
+
+def _not_measured_lines(table: Table) -> list[str]:
+    """Return a comment line for each part of a ROS Imu that is not measured; none for other tables."""
+    return [
+        f"# not measured: {part} of {table.topic}, whose covariance begins with -1"
+        + ("; its values change: if the driver measures it, use its lines below" if changes else "")
+        for part, changes in unmeasured_parts(table).items()
+    ]
 
 
 def _with_full_speed(candidate: Candidate, full: Mapping[str, float]) -> Candidate:
