@@ -37,6 +37,7 @@ from seatrial.daq.importers.recognise import (
     Name,
     drive,
     message_candidates,
+    named_commands,
     quantity,
     read_name,
     unmeasured_parts,
@@ -48,6 +49,8 @@ from seatrial.daq.importers.text_table import has_decimal_commas, sniff_style
 from seatrial.daq.importers.units import UNITS
 from seatrial.daq.log import LOG_FORMAT, open_log
 
+THRUSTERS = ("drive", "command")  # groups of commands and shaft speeds
+PAIRS = ("n_left", "n_right"), ("n_cmd_left", "n_cmd_right"), ("f_left", "f_right")
 MOTION = ("x", "vx", "u", "psi", "r", "speed")
 FORCES = {"X": "N", "N": "Nm"}  # units of surge force and yaw moment, by their SNAME letters
 LETTERS = {"X": "surge force", "N": "yaw moment"}
@@ -173,7 +176,7 @@ def guess_map(
     together = {words: np.concatenate(values) for words, values in drives.items()}
     benches = [c for t in tables if not t.kind for c in bench_candidates(t, row_seconds(t, clocks[id(t)]))]
     candidates = [c for t in tables for c in (*message_candidates(t), *_column_candidates(t, clocks, together))]
-    candidates = benches or [*candidates, *outputs(tables)]
+    candidates = benches or named_commands([*candidates, *outputs(tables)])
     candidates = [_with_full_speed(c, full or {}) for c in candidates]
     candidates = [_with_unit_caveats(_with_frame_key(c) if kind.name == "ros" else c) for c in candidates]
     main = _main_clock(candidates, clocks)
@@ -438,7 +441,7 @@ def _with_frame_key(candidate: Candidate) -> Candidate:
         elif candidate.group == "rate":
             also = 'assumed positive to port, as in REP-103; if positive to starboard, give frame = "NED"'
         caveat = "; ".join(part for part in (caveat, also) if part)
-    if candidate.group in ("drive", "force") or not is_ned:
+    if candidate.group in (*THRUSTERS, "force") or not is_ned:
         return candidate._replace(caveat=caveat)
     ned = [s if s.make in GEOGRAPHIC else _with_key(s, 'frame = "NED"') for s in candidate.signals]
     return candidate._replace(signals=tuple(ned), caveat=caveat)
@@ -730,7 +733,7 @@ def _chosen_signals(
 
         The rank is raised by 2 if the source has thrusters of this quantity on one side only.
         """
-        single = c.quantity and len({"n_left", "n_right", "f_left", "f_right"} & sides[c.quantity]) == 1
+        single = c.quantity and any(len(sides[c.quantity].intersection(pair)) == 1 for pair in PAIRS)
         return c.rank + 2 * bool(single), -len(c.table)
 
     quantities: dict[str, frozenset[str]] = {}  # quantity of the chosen thrusters, by group
@@ -741,7 +744,7 @@ def _chosen_signals(
     for candidate in sorted(candidates, key=order):
         names = {signal.name for signal in candidate.signals}
         free = candidate.rank < UNCHOSEN_RANK and not names & set(taken) and not (names == {"speed"} and "u" in taken)
-        free &= not (candidate.group == "drive" and (has_force or candidate.table.vehicle not in (None, *BOATS)))
+        free &= not (candidate.group in THRUSTERS and (has_force or candidate.table.vehicle not in (None, *BOATS)))
         free &= not candidate.quantity or quantities.get(candidate.group, candidate.quantity) == candidate.quantity
         clock = clocks[id(candidate.table)]
         free &= bool(
@@ -755,15 +758,18 @@ def _chosen_signals(
                 taken[signal.name] = signal
                 found[signal.name] = line, _scale_remark(signal, n_files), _caveat_of(candidate, signal)
             else:
-                reason = f"  # {candidate.caveat}" if candidate.caveat and candidate.rank >= UNCHOSEN_RANK else ""
-                others.append(f"  # {line},{reason}")
+                remark = _scale_remark(signal, n_files).strip("# ")
+                reason = "; ".join(part for part in (remark, candidate.caveat) if part)
+                others.append(f"  # {line}," + (f"  # {reason}" if reason else ""))
     places = {name: k for k, name in enumerate(NAMES)}
     lines, last_caveat = [], ""
     for name in sorted(found, key=lambda name: (places.get(name, len(places)), name)):
         line, remark, caveat = found[name]
         lines += [f"  # caveat: {caveat}"] * bool(caveat and caveat != last_caveat) + [f"  {line},{remark}"]
         last_caveat = caveat
-    return list(taken.values()), lines + (["  # also in the source:", *others] if others else [])
+    return list(taken.values()), lines + (
+        ["  # also in the source, each in place of the signal of its name:", *others] if others else []
+    )
 
 
 def _caveat_of(candidate: Candidate, signal: MapSignal) -> str:
@@ -841,7 +847,7 @@ def _missing_for_fit(taken: Sequence[MapSignal], tables: Sequence[Table]) -> str
         return ""
     if not names & set(MOTION):
         return "no position, velocity, heading or yaw rate was recognised; name one by hand in the import map"
-    if not ({"n_left", "n_right"} <= names or {"f_left", "f_right"} <= names or names & {"n", "X", "N"}):
+    if not (any(names.issuperset(pair) for pair in PAIRS) or names & {"n", "X", "N"}):
         functions = _servo_functions(tables)
         if functions and not {LEFT_THROTTLE, RIGHT_THROTTLE} <= set(functions.values()):
             listed = (
@@ -849,7 +855,7 @@ def _missing_for_fit(taken: Sequence[MapSignal], tables: Sequence[Table]) -> str
             )
             text = f"its outputs are not a left and a right throttle: {', '.join(listed)}"
             return f"{text}; name the inputs by hand in the import map"
-        if half := names & {"n_left", "n_right", "f_left", "f_right"}:
+        if half := names & {name for pair in PAIRS for name in pair}:
             return f"only {', '.join(sorted(half))} of the thrusters was recognised; name the other side by hand"
         text = "no commands, shaft speeds or forces of thrusters were recognised, and a model needs an input"
         return f"{text}; name them by hand in the import map"

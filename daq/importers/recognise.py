@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -395,6 +396,56 @@ def _twist_rows(table: Table, prefix: str) -> tuple[Row, ...]:
         _vector_row("body", "u v", linear, "m/s", 1),
         _vector_row("rate", "r", f"{prefix}angular.z", "rad/s", 1),
     )
+
+
+def named_commands(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Return candidates in which commands have names of their own if the source also has the shaft speeds.
+
+    `drive` and `message_candidates` call commands and shaft speeds n_left and n_right. If the source has both of both
+    sides, commands become n_cmd_left and n_cmd_right, in the group "command", so that a map can have all four.
+
+    Parameters
+    ----------
+    candidates
+        All candidates of a source.
+
+    Notes
+    -----
+    A shaft speed has the hold "linear" and no word of a command in its name. So has a quantity that is only called "n",
+    beside other commands; it gets this hold. Set-points of a shaft speed are no commands here. Nor are the outputs of
+    an autopilot beside the speeds that its controllers report: these have a delay, and mostly no sign.
+    """
+    drives = [c for c in candidates if c.group == "drive" and c.rank < UNCHOSEN_RANK and not c.quantity & SET_POINTS]
+    drives = [c for c in drives if c.table.kind not in ("Servo", "Esc")]
+    lone = {"n"}
+    shafts = [c for c in drives if not c.quantity & _COMMANDS and (c.quantity == lone or _is_linear(c))]
+    commands = [c for c in drives if not any(c is shaft for shaft in shafts)]
+    if not (_has_both_sides(shafts) and _has_both_sides(commands)):
+        return list(candidates)
+    found = []
+    for c in candidates:
+        if any(c is command for command in commands):
+            signals = tuple(s._replace(name=s.name.replace("n_", "n_cmd_", 1)) for s in c.signals)
+            c = c._replace(group="command", signals=signals)
+        elif any(c is shaft for shaft in shafts) and not any("hold = " in s.extra for s in c.signals):
+            signals = tuple(s._replace(extra=f'{s.extra}, hold = "linear"') for s in c.signals)
+            text = 'assumed to be a measured shaft speed, beside the commands; if it is a command, give hold = "zero"'
+            c = c._replace(signals=signals, caveat="; ".join(part for part in (c.caveat, text) if part))
+        found.append(c)
+    return found
+
+
+def _is_linear(candidate: Candidate) -> bool:
+    """Return whether all signals of a candidate have the hold "linear"."""
+    return all('hold = "linear"' in signal.extra for signal in candidate.signals)
+
+
+def _has_both_sides(candidates: Sequence[Candidate]) -> bool:
+    """Return whether candidates of one quantity have a left and a right thruster."""
+    sides: dict[frozenset[str], set[str]] = {}
+    for c in candidates:
+        sides.setdefault(c.quantity, set()).update(signal.name for signal in c.signals)
+    return any({"n_left", "n_right"} <= names for names in sides.values())
 
 
 def unmeasured_parts(table: Table) -> dict[str, bool]:
