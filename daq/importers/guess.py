@@ -65,6 +65,7 @@ PULSE_US = (("MIN", 1100.0), ("TRIM", 1500.0), ("MAX", 1900.0))  # us; defaults 
 # Topics, types and frames of ROS that use north, east, down or forward, starboard, down
 _NED = re.compile(r"(?i)(?<![a-z])(ned|frd)(?![a-z])|px4_msgs|seatrial_msgs")
 SCALARS = ("Float64", "Float32", "Float64Stamped", "Float32Stamped", "Scalar")  # only the topic names the quantity
+MOST_NAMED = 3  # files of a shared map that its first line names
 MOST_LISTED = 12  # columns that were not recognised and are listed as comments
 UNKNOWN_CDEG = 65535  # an unknown heading in MAVLink (hdg)
 TURN = 6.6  # rad; slightly more than a whole turn
@@ -96,7 +97,7 @@ def guess_maps(paths: Sequence[Path], dbc: Path | None = None, folder: Path | No
     It is that of the largest number of all files, so that equal speeds stay equal. The arguments are those of
     `guess_map`, and so are the errors.
     """
-    found = [guess_map(path, dbc, folder) for path in paths]
+    found = [guess_map(path, dbc, folder, files=paths) for path in paths]
     if len(found) < 2:
         return found
     full: dict[str, float] = {}
@@ -156,11 +157,15 @@ def guess_map(
             raise SeatrialError(f"{path}: no table of numbers found in this text; write the import map by hand")
         options = SourceOptions(replace(style, nan="drop", time_order="drop"))  # as in the guessed map
     tables = [table for table in kind.read(path, options) if table.names]
-    names = " ".join(file.name for file in files) or path.name
+    sources = files or (path,)
+    names, more = " ".join(file.name for file in sources[:MOST_NAMED]), len(sources) - MOST_NAMED
+    and_more = f" and {more} more" if more > 0 else ""
+    stems = ", ".join(file.stem for file in sources[:MOST_NAMED])
     head = [
-        f"# From `seatrial import --guess {names}`. Check each caveat, then run `seatrial import MAP {names}`.",
+        f"# From `seatrial import --guess {names}`{and_more}. Check each caveat, then run `seatrial import MAP {names}`"
+        f"{and_more}.",
         'format = "seatrial-import 1"',
-        f"name = {_toml_text(path.stem)}",
+        f"name = {_toml_text(stems + and_more)}",
     ]
     if kind.name == "ros":
         head.append('frame = "ENU"  # REP-103: east, north, up; forward, left, up; or else "NED"')

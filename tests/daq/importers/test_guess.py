@@ -353,6 +353,24 @@ def test_one_side_of_a_shaft_speed_does_not_rename_the_commands(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
+    ("count", "first", "name"),
+    [
+        (2, "guess r1.csv r2.csv`. Check each caveat, then run `seatrial import MAP r1.csv r2.csv`.", "r1, r2"),
+        (5, "guess r1.csv r2.csv r3.csv` and 2 more. Check", "r1, r2, r3 and 2 more"),
+    ],
+)
+def test_a_map_of_several_files_names_them(tmp_path: Path, count: int, first: str, name: str) -> None:
+    paths = [tmp_path / f"r{k}.csv" for k in range(1, count + 1)]
+    for path in paths:
+        write(tmp_path, {"t": TIME, "yaw": np.cos(TIME), "cmd_left": np.cos(TIME), "cmd_right": np.cos(TIME)}).rename(
+            path
+        )
+    text = guess_maps(paths)[0].text
+    assert first in text.splitlines()[0]
+    assert tomllib.loads(text)["name"] == name
+
+
+@pytest.mark.parametrize(
     ("name", "times", "form", "caveat"),
     [
         ("time", TIME, "s", ""),
