@@ -37,8 +37,10 @@ from seatrial.daq.importers.recognise import (
     Name,
     drive,
     message_candidates,
+    named_commands,
     quantity,
     read_name,
+    unmeasured_parts,
     without_unit,
 )
 from seatrial.daq.importers.sources import source_kind, text_head
@@ -47,6 +49,8 @@ from seatrial.daq.importers.text_table import has_decimal_commas, sniff_style
 from seatrial.daq.importers.units import UNITS
 from seatrial.daq.log import LOG_FORMAT, open_log
 
+THRUSTERS = ("drive", "command")  # groups of commands and shaft speeds
+PAIRS = ("n_left", "n_right"), ("n_cmd_left", "n_cmd_right"), ("f_left", "f_right")
 MOTION = ("x", "vx", "u", "psi", "r", "speed")
 FORCES = {"X": "N", "N": "Nm"}  # units of surge force and yaw moment, by their SNAME letters
 LETTERS = {"X": "surge force", "N": "yaw moment"}
@@ -61,6 +65,7 @@ PULSE_US = (("MIN", 1100.0), ("TRIM", 1500.0), ("MAX", 1900.0))  # us; defaults 
 # Topics, types and frames of ROS that use north, east, down or forward, starboard, down
 _NED = re.compile(r"(?i)(?<![a-z])(ned|frd)(?![a-z])|px4_msgs|seatrial_msgs")
 SCALARS = ("Float64", "Float32", "Float64Stamped", "Float32Stamped", "Scalar")  # only the topic names the quantity
+MOST_NAMED = 3  # files of a shared map that its first line names
 MOST_LISTED = 12  # columns that were not recognised and are listed as comments
 UNKNOWN_CDEG = 65535  # an unknown heading in MAVLink (hdg)
 TURN = 6.6  # rad; slightly more than a whole turn
@@ -92,7 +97,7 @@ def guess_maps(paths: Sequence[Path], dbc: Path | None = None, folder: Path | No
     It is that of the largest number of all files, so that equal speeds stay equal. The arguments are those of
     `guess_map`, and so are the errors.
     """
-    found = [guess_map(path, dbc, folder) for path in paths]
+    found = [guess_map(path, dbc, folder, files=paths) for path in paths]
     if len(found) < 2:
         return found
     full: dict[str, float] = {}
@@ -152,11 +157,15 @@ def guess_map(
             raise SeatrialError(f"{path}: no table of numbers found in this text; write the import map by hand")
         options = SourceOptions(replace(style, nan="drop", time_order="drop"))  # as in the guessed map
     tables = [table for table in kind.read(path, options) if table.names]
-    names = " ".join(file.name for file in files) or path.name
+    sources = files or (path,)
+    names, more = " ".join(file.name for file in sources[:MOST_NAMED]), len(sources) - MOST_NAMED
+    and_more = f" and {more} more" if more > 0 else ""
+    stems = ", ".join(file.stem for file in sources[:MOST_NAMED])
     head = [
-        f"# From `seatrial import --guess {names}`. Check each caveat, then run `seatrial import MAP {names}`.",
+        f"# From `seatrial import --guess {names}`{and_more}. Check each caveat, then run `seatrial import MAP {names}`"
+        f"{and_more}.",
         'format = "seatrial-import 1"',
-        f"name = {_toml_text(path.stem)}",
+        f"name = {_toml_text(stems + and_more)}",
     ]
     if kind.name == "ros":
         head.append('frame = "ENU"  # REP-103: east, north, up; forward, left, up; or else "NED"')
@@ -172,7 +181,7 @@ def guess_map(
     together = {words: np.concatenate(values) for words, values in drives.items()}
     benches = [c for t in tables if not t.kind for c in bench_candidates(t, row_seconds(t, clocks[id(t)]))]
     candidates = [c for t in tables for c in (*message_candidates(t), *_column_candidates(t, clocks, together))]
-    candidates = benches or [*candidates, *outputs(tables)]
+    candidates = benches or named_commands([*candidates, *outputs(tables)])
     candidates = [_with_full_speed(c, full or {}) for c in candidates]
     candidates = [_with_unit_caveats(_with_frame_key(c) if kind.name == "ros" else c) for c in candidates]
     main = _main_clock(candidates, clocks)
@@ -180,10 +189,20 @@ def guess_map(
     problem = _missing_for_fit(taken, tables)
     head += _style_line(options, kind.name) + _time_lines(tables, candidates, clocks, main)
     remarks = [f"# caveat: {table.full_remark}" for table in tables if table.full_remark]
+    remarks += [line for table in tables for line in _not_measured_lines(table)]
     remarks += [f"# caveat: {line}" for line in _held_signal_comments(candidates, taken, clocks)]
     text = "\n".join([*head, *remarks, "signal = [", *lines, *_unrecognised_lines(tables, candidates, clocks), "]"])
     tops = {signal.name: signal.full for signal in taken if signal.full}
     return Guess(text + (f"\n# no fit: {problem}" if problem else "") + "\n", problem, tops)
+
+
+def _not_measured_lines(table: Table) -> list[str]:
+    """Return a comment line for each part of a ROS Imu that is not measured; none for other tables."""
+    return [
+        f"# not measured: {part} of {table.topic}, whose covariance begins with -1"
+        + ("; its values change: if the driver measures it, use its lines below" if changes else "")
+        for part, changes in unmeasured_parts(table).items()
+    ]
 
 
 def _with_full_speed(candidate: Candidate, full: Mapping[str, float]) -> Candidate:
@@ -427,7 +446,7 @@ def _with_frame_key(candidate: Candidate) -> Candidate:
         elif candidate.group == "rate":
             also = 'assumed positive to port, as in REP-103; if positive to starboard, give frame = "NED"'
         caveat = "; ".join(part for part in (caveat, also) if part)
-    if candidate.group in ("drive", "force") or not is_ned:
+    if candidate.group in (*THRUSTERS, "force") or not is_ned:
         return candidate._replace(caveat=caveat)
     ned = [s if s.make in GEOGRAPHIC else _with_key(s, 'frame = "NED"') for s in candidate.signals]
     return candidate._replace(signals=tuple(ned), caveat=caveat)
@@ -719,7 +738,7 @@ def _chosen_signals(
 
         The rank is raised by 2 if the source has thrusters of this quantity on one side only.
         """
-        single = c.quantity and len({"n_left", "n_right", "f_left", "f_right"} & sides[c.quantity]) == 1
+        single = c.quantity and any(len(sides[c.quantity].intersection(pair)) == 1 for pair in PAIRS)
         return c.rank + 2 * bool(single), -len(c.table)
 
     quantities: dict[str, frozenset[str]] = {}  # quantity of the chosen thrusters, by group
@@ -730,7 +749,7 @@ def _chosen_signals(
     for candidate in sorted(candidates, key=order):
         names = {signal.name for signal in candidate.signals}
         free = candidate.rank < UNCHOSEN_RANK and not names & set(taken) and not (names == {"speed"} and "u" in taken)
-        free &= not (candidate.group == "drive" and (has_force or candidate.table.vehicle not in (None, *BOATS)))
+        free &= not (candidate.group in THRUSTERS and (has_force or candidate.table.vehicle not in (None, *BOATS)))
         free &= not candidate.quantity or quantities.get(candidate.group, candidate.quantity) == candidate.quantity
         clock = clocks[id(candidate.table)]
         free &= bool(
@@ -744,15 +763,18 @@ def _chosen_signals(
                 taken[signal.name] = signal
                 found[signal.name] = line, _scale_remark(signal, n_files), _caveat_of(candidate, signal)
             else:
-                reason = f"  # {candidate.caveat}" if candidate.caveat and candidate.rank >= UNCHOSEN_RANK else ""
-                others.append(f"  # {line},{reason}")
+                remark = _scale_remark(signal, n_files).strip("# ")
+                reason = "; ".join(part for part in (remark, candidate.caveat) if part)
+                others.append(f"  # {line}," + (f"  # {reason}" if reason else ""))
     places = {name: k for k, name in enumerate(NAMES)}
     lines, last_caveat = [], ""
     for name in sorted(found, key=lambda name: (places.get(name, len(places)), name)):
         line, remark, caveat = found[name]
         lines += [f"  # caveat: {caveat}"] * bool(caveat and caveat != last_caveat) + [f"  {line},{remark}"]
         last_caveat = caveat
-    return list(taken.values()), lines + (["  # also in the source:", *others] if others else [])
+    return list(taken.values()), lines + (
+        ["  # also in the source, each in place of the signal of its name:", *others] if others else []
+    )
 
 
 def _caveat_of(candidate: Candidate, signal: MapSignal) -> str:
@@ -830,7 +852,7 @@ def _missing_for_fit(taken: Sequence[MapSignal], tables: Sequence[Table]) -> str
         return ""
     if not names & set(MOTION):
         return "no position, velocity, heading or yaw rate was recognised; name one by hand in the import map"
-    if not ({"n_left", "n_right"} <= names or {"f_left", "f_right"} <= names or names & {"n", "X", "N"}):
+    if not (any(names.issuperset(pair) for pair in PAIRS) or names & {"n", "X", "N"}):
         functions = _servo_functions(tables)
         if functions and not {LEFT_THROTTLE, RIGHT_THROTTLE} <= set(functions.values()):
             listed = (
@@ -838,7 +860,7 @@ def _missing_for_fit(taken: Sequence[MapSignal], tables: Sequence[Table]) -> str
             )
             text = f"its outputs are not a left and a right throttle: {', '.join(listed)}"
             return f"{text}; name the inputs by hand in the import map"
-        if half := names & {"n_left", "n_right", "f_left", "f_right"}:
+        if half := names & {name for pair in PAIRS for name in pair}:
             return f"only {', '.join(sorted(half))} of the thrusters was recognised; name the other side by hand"
         text = "no commands, shaft speeds or forces of thrusters were recognised, and a model needs an input"
         return f"{text}; name them by hand in the import map"

@@ -276,18 +276,34 @@ def parse_import_map(text: str, path: Path) -> ImportMap:
     sources = whole or tuple(_source_of_table(table, table.text("match"), path.parent) for table in files)
     if form == FORMATS[1]:
         sources = tuple(_keeping_repeats(source) for source in sources)
-    names = [signal.log_name for source in sources for signal in source.signals]
-    for signal_name in names:
-        if names.count(signal_name) > 1:
-            raise root.error(
-                "signal", f"'{signal_name}' appears twice (after conversion to NED); give each signal its own name"
-            )
+    seen: dict[str, str] = {}
+    for k, source in enumerate(sources, 1):
+        for i, signal in enumerate(source.signals, 1):
+            entry = f"{f'file[{k}].' if files else ''}signal[{i}] ({_column_text(signal)})"
+            if (before := seen.setdefault(signal.log_name, entry)) is not entry:
+                raise root.error(
+                    "signal",
+                    f"'{signal.log_name}' appears twice (after conversion to NED), as {before} and as {entry}; leave "
+                    f"one of them out, or rename one{_advice_on_name(signal.log_name)}",
+                )
     pieces = tuple(_piece_of_table(table) for table in root.tables("log"))
     if len({piece.name for piece in pieces}) < len(pieces):
         raise root.error("log", "two [[log]] tables have the same name; rename one")
     vehicle = _boat_numbers(root.table("geometry"), GEOMETRY) | _boat_numbers(root.table("scale"), SCALE)
     root.done()
     return ImportMap(name, path, text, bool(files), sources, pieces, vehicle)
+
+
+def _column_text(signal: Signal) -> str:
+    """Return the topic and the columns of a signal of an import map, for messages: `/rpm: data`."""
+    columns = ", ".join(signal.columns)
+    return f"{signal.topic}: {columns}" if signal.topic else columns
+
+
+def _advice_on_name(name: str) -> str:
+    """Return advice on a second name for a thruster's signal, with a colon in front; "" for other signals."""
+    side = name.removeprefix("n_")
+    return f": n_cmd_{side} is the command, n_{side} the shaft speed" if side in ("left", "right") else ""
 
 
 def _keeping_repeats(source: Source) -> Source:

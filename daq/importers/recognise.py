@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -110,6 +111,8 @@ def _fix_row(lat: str, lon: str, unit: str, rank: int) -> Row:
     return "position", rank, signals
 
 
+IMU_PARTS = ("orientation", "angular_velocity", "linear_acceleration")
+NOT_MEASURED = -1.0  # first covariance of a part of a ROS Imu that is not measured
 _Q = "q[1] q[2] q[3] q[0]"  # PX4 writes w first
 PULSES = 'scale = 0.0025, offset = -3.75, missing = 0, missing_is = 0, role = "input"'  # no pulse: the thruster stops
 OUTPUT = f'{PULSES}, hold = "sampled"'  # an output that an autopilot reports at a fixed rate
@@ -344,7 +347,8 @@ def message_candidates(table: Table) -> list[Candidate]:
     list of Candidate
         Candidates whose columns are all in the table and have values; empty for an unknown type. All candidates of a
         type have its caveat. Candidates of a topic of set-points or of a simulator's ground truth get a rank with which
-        they are not chosen.
+        they are not chosen, and so do parts of an Imu that are marked as not measured although their values change
+        (`unmeasured_parts`). Such parts with constant values are left out.
     """
     kind = table.kind.rpartition("/")[2]
     if table.kind.startswith("px4_msgs/"):
@@ -358,12 +362,16 @@ def message_candidates(table: Table) -> list[Candidate]:
         rows = ()
     if kind == "Vector3Stamped" and re.search("(?i)vel", table.topic):
         rows = (_vector_row("velocity", "vx vy", "vector.x vector.y", "m/s", 0),)
-    found = []
+    found, unmeasured = [], unmeasured_parts(table)
     for group, rank, signals in rows:
+        part = signals[0].columns[0].partition(".")[0]
+        if not unmeasured.get(part, True):
+            continue
         known = [np.isfinite(table.columns[c]).any() for s in signals for c in s.columns if c in table.columns]
         if len(known) == sum(len(s.columns) for s in signals) and all(known):
-            behind = UNCHOSEN_RANK if SETPOINT.search(table.topic) else 0
-            found.append(Candidate(group, rank + behind, table, signals, CAVEATS.get(kind, "")))
+            behind = UNCHOSEN_RANK if SETPOINT.search(table.topic) or part in unmeasured else 0
+            caveat = "marked as not measured" if part in unmeasured else CAVEATS.get(kind, "")
+            found.append(Candidate(group, rank + behind, table, signals, caveat))
     return found
 
 
@@ -388,6 +396,81 @@ def _twist_rows(table: Table, prefix: str) -> tuple[Row, ...]:
         _vector_row("body", "u v", linear, "m/s", 1),
         _vector_row("rate", "r", f"{prefix}angular.z", "rad/s", 1),
     )
+
+
+def named_commands(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Return candidates in which commands have names of their own if the source also has the shaft speeds.
+
+    `drive` and `message_candidates` call commands and shaft speeds n_left and n_right. If the source has both of both
+    sides, commands become n_cmd_left and n_cmd_right, in the group "command", so that a map can have all four.
+
+    Parameters
+    ----------
+    candidates
+        All candidates of a source.
+
+    Notes
+    -----
+    A shaft speed has the hold "linear" and no word of a command in its name. So has a quantity that is only called "n",
+    beside other commands; it gets this hold. Set-points of a shaft speed are no commands here. Nor are the outputs of
+    an autopilot beside the speeds that its controllers report: these have a delay, and mostly no sign.
+    """
+    drives = [c for c in candidates if c.group == "drive" and c.rank < UNCHOSEN_RANK and not c.quantity & SET_POINTS]
+    drives = [c for c in drives if c.table.kind not in ("Servo", "Esc")]
+    lone = {"n"}
+    shafts = [c for c in drives if not c.quantity & _COMMANDS and (c.quantity == lone or _is_linear(c))]
+    commands = [c for c in drives if not any(c is shaft for shaft in shafts)]
+    if not (_has_both_sides(shafts) and _has_both_sides(commands)):
+        return list(candidates)
+    found = []
+    for c in candidates:
+        if any(c is command for command in commands):
+            signals = tuple(s._replace(name=s.name.replace("n_", "n_cmd_", 1)) for s in c.signals)
+            c = c._replace(group="command", signals=signals)
+        elif any(c is shaft for shaft in shafts) and not any("hold = " in s.extra for s in c.signals):
+            signals = tuple(s._replace(extra=f'{s.extra}, hold = "linear"') for s in c.signals)
+            text = 'assumed to be a measured shaft speed, beside the commands; if it is a command, give hold = "zero"'
+            c = c._replace(signals=signals, caveat="; ".join(part for part in (c.caveat, text) if part))
+        found.append(c)
+    return found
+
+
+def _is_linear(candidate: Candidate) -> bool:
+    """Return whether all signals of a candidate have the hold "linear"."""
+    return all('hold = "linear"' in signal.extra for signal in candidate.signals)
+
+
+def _has_both_sides(candidates: Sequence[Candidate]) -> bool:
+    """Return whether candidates of one quantity have a left and a right thruster."""
+    sides: dict[frozenset[str], set[str]] = {}
+    for c in candidates:
+        sides.setdefault(c.quantity, set()).update(signal.name for signal in c.signals)
+    return any({"n_left", "n_right"} <= names for names in sides.values())
+
+
+def unmeasured_parts(table: Table) -> dict[str, bool]:
+    """Return the parts of a ROS Imu that it marks as not measured, by a first covariance of -1 in all messages.
+
+    Parameters
+    ----------
+    table
+        Rows of one topic.
+
+    Returns
+    -------
+    dict
+        By the name of each such part (`orientation`, `angular_velocity`, `linear_acceleration`): whether its values
+        change. Some drivers write -1 for an unknown covariance of a part that they measure; then the values change.
+        Empty for other messages.
+    """
+    found = {}
+    for part in IMU_PARTS if table.kind.rpartition("/")[2] == "Imu" else ():
+        mark = table.columns.get(f"{part}_covariance[0]")
+        if mark is None or not mark.size or not np.all(mark == NOT_MEASURED):
+            continue
+        axes = [table.columns[f"{part}.{axis}"] for axis in "xyzw" if f"{part}.{axis}" in table.columns]
+        found[part] = any(bool(np.any(values != values[0])) for values in axes)
+    return found
 
 
 def wrapped_negative(values: Column) -> np.typing.NDArray[np.bool_]:

@@ -204,16 +204,14 @@ def check_frozen(c: Channels) -> Iterator[Finding]:
                 continue
             start, duration = float(c[name].t[0]), float(np.ptp(c[name].t))
             value = float(c[name].value[np.searchsorted(c[name].t, begin)])
+            advice = "check the sensor; give another column in the import map, or leave the signal out of the map"
             if end - begin >= 0.99 * duration:
                 text, code = f"stays at {value:g} in the whole log, but the boat moves", "channel-constant"
             else:
                 code = "channel-frozen"
+                advice += ", or leave this time out (t_from, t_to under [[log]])"
                 since = f"for {end - begin:.1f} s, from {begin - start:.1f} s on"
                 text = f"stays at {value:.6g} {since}, but the boat moves"
-            advice = (
-                "check the sensor; give another column, or leave this time out (t_from, t_to under [[log]]), in the "
-                "import map"
-            )
             yield Finding("fault", code, "stuck", name, text, advice)
 
 

@@ -75,6 +75,7 @@ from .standard_errors import VAGUE as VAGUE
 from .stochastic_simulation import SampledInputs as SampledInputs
 from .stochastic_simulation import simulate_stochastic as simulate_stochastic
 from .thrust_scale import ReportedEstimates as ReportedEstimates
+from .thrust_scale import ReportedUnits as ReportedUnits
 from .thrust_scale import ThrustScale as ThrustScale
 from .thrust_scale import free_unknown_scale as free_unknown_scale
 from .thrust_scale import least_yaw_inertia as least_yaw_inertia

@@ -135,7 +135,7 @@ def _shaft_speed_lines(content: Content) -> list[str]:
         return []
     c1, c2 = (C.number(v) for v in content.thrust_curve)
     return [
-        "/* Shaft speed at which a thruster has this thrust [N], -1 to 1 in its range. */",
+        f"/* Shaft speed at which a thruster has this thrust [{content.unit('N')}], -1 to 1 in its range. */",
         f"static inline double {content.name}_shaft_speed(double thrust)",
         "{",
         f"    const double c1 = {c1}, c2 = {c2};",

@@ -137,7 +137,7 @@ def write(content: Content) -> str:
             _function(content, "_f", content.programs[0]),
             _function(content, "_h", content.programs[1]),
             PAST,
-            *([SHAFT_SPEED] if content.thrust_curve else []),
+            *([SHAFT_SPEED.replace("UNIT", content.unit("N"))] if content.thrust_curve else []),
             END.replace("NAME_", f"{content.name}_"),
         ]
     )

@@ -24,7 +24,7 @@ from scipy.linalg import solve_continuous_lyapunov
 
 from seatrial.ident.data import TIME_INPUT, WORK_INPUT, WORK_UNIT
 from seatrial.ident.engine import VectorisedModel
-from seatrial.ident.estimation import SavedModel, thrust_scale_of
+from seatrial.ident.estimation import ReportedUnits, SavedModel, reported_units
 from seatrial.ident.export.conditions import late_values
 from seatrial.ident.export.history import TIME, WORK, History, history_of
 from seatrial.ident.model import Input, Model, Parameter, ParameterRole, Signals, State
@@ -122,6 +122,38 @@ class Content:
             [f"u_{n}" for n in self.inputs],
             [f"p_{name_of.get(p.name, f'unused_{i}')}" for i, p in enumerate(self.model.parameters)],
         )
+
+    @cached_property
+    def reported(self) -> ReportedUnits:
+        """Units in which results report the numbers of the saved model: ratios if thrust or arms were not given."""
+        return reported_units(self.saved.model)
+
+    def unit(self, unit: str) -> str:
+        """Return the unit of a number of the file: ``unit``, or ``relative`` if its thrust or arms are not known.
+
+        A relative number is right only as a ratio to the thrust or to the arms in the file.
+        """
+        return RELATIVE if any(self.reported.scale.powers(unit)) else unit
+
+    def parameter_unit(self, i: int) -> str:
+        """Return the unit of the exported parameter with index ``i``, as `unit`.
+
+        A parameter that the saved model lacks, as one of a joined bench model, has its own unit.
+        """
+        p = self.exported_parameters[i]
+        return self.unit(p.unit) if p.name in self.saved.model.values else p.unit
+
+    @property
+    def standard_errors(self) -> dict[str, float]:
+        """Standard errors by identifier, in the units of the parameters.
+
+        Parameters without a standard error, and those that are relative, are left out.
+        """
+        return {
+            n: e
+            for i, (n, e) in enumerate(zip(self.parameters, self.errors, strict=True))
+            if math.isfinite(e) and self.parameter_unit(i) != RELATIVE
+        }
 
     @cached_property
     def programs(self) -> tuple[Program, Program]:
@@ -350,9 +382,13 @@ def equivalent_noise(whole: Model, kept: Model) -> EquivalentNoise:
 
 
 def provenance_lines(content: Content, target: str) -> list[str]:
-    """Return the first lines of a header: the target, the command and the logs of the fit, and the effects."""
-    made = content.saved.provenance
-    lines = [f"{content.model.name}: fitted model, exported to {target} by seatrial."]
+    """Return the first lines of a header: the target, an unknown scale, command and logs of the fit, and effects."""
+    made, scale = content.saved.provenance, content.reported.scale
+    lines = [f"{content.model.name}: fitted model, exported to {target} by seatrial.", *scale.caveats]
+    if scale.caveats:
+        terms = ["T = c1 + c2 is the full forward thrust of one thruster."] * scale.relative
+        terms += ["y_arm is the arm of the thrusters."] * scale.relative_yaw
+        lines += [f"A number marked `{RELATIVE}` has its ratio beside it.", " ".join(terms)]
     lines += [f"{label}: {made[key]}" for label, key in (("made by", "made_by"), ("created", "created")) if key in made]
     lines += [f"fitted to: {log}" for log in made.get("logs", [])]
     if content.effects:
@@ -376,12 +412,12 @@ def header(content: Content, target: str) -> list[str]:
         lines.append(AXES)
     lines += ["States x, inputs u, outputs y:"]
     lines += [
-        f"  x[{i}] {n} {_unit_text(s.unit)} {s.meaning}".rstrip()
+        f"  x[{i}] {n} {_unit_text(content.unit(s.unit))} {s.meaning}".rstrip()
         for i, (n, s) in enumerate(zip(content.states, content.model.states, strict=True))
     ]
     lines += _input_lines(content)
     lines += [
-        f"  y[{i}] {n} {_unit_text(o.unit)}" + (", an angle" if o.angle else "")
+        f"  y[{i}] {n} {_unit_text(content.unit(o.unit))}" + (", an angle" if o.angle else "")
         for i, (n, o) in enumerate(zip(content.outputs, content.model.outputs, strict=True))
     ]
     lines += _physical_input_lines(content)
@@ -403,13 +439,15 @@ def _input_lines(content: Content) -> list[str]:
         copies = [(f"u[{j}] {n}", i) for j, (n, i) in group]
         if signal and len(copies) >= SHORTEST_GROUP:
             (first, i), (last, end) = copies[0], copies[-1]
-            lines.append(f"  {first} to {last}: {signal} {_unit_text(i.unit)}, {i.delay:g} to {end.delay:g} s ago")
+            lines.append(
+                f"  {first} to {last}: {signal} {_unit_text(content.unit(i.unit))}, {i.delay:g} to {end.delay:g} s ago"
+            )
             continue
         for name, i in copies:
             if i.tap:
                 lines.append(f"  {name}: {i.tap_of}, {i.delay:g} s ago")
             else:
-                lines.append(f"  {name} {_unit_text(i.unit)}{_input_meaning(i)}")
+                lines.append(f"  {name} {_unit_text(content.unit(i.unit))}{_input_meaning(i)}")
     if taps:
         step = taps[0].delay / taps[0].tap
         lines.append(f"  NAME_ago_K (NAME~K in seatrial) is the input NAME delayed by K times {step:g} s.")
@@ -425,7 +463,7 @@ def _physical_input_lines(content: Content) -> list[str]:
     lines = ["", "Physical inputs: only these have to be given. The inputs u are computed from them:"]
     for name, signal, hold in zip(content.physical_inputs, content.history.inputs, content.holds, strict=True):
         between = "linear between its samples" if hold == "linear" else "each value is held until the next one"
-        lines.append(f"  {name} {_unit_text(signal.unit)}, {between}")
+        lines.append(f"  {name} {_unit_text(content.unit(signal.unit))}, {between}")
     computed = [n for n, s in (("the time", TIME), ("the work", WORK)) if s in content.history.sources]
     if computed:
         lines.append(f"  {' and '.join(computed)} since the start {'are' if len(computed) > 1 else 'is'} computed, too")
@@ -456,10 +494,10 @@ def _input_meaning(signal: Input) -> str:
 
 
 def _remark_lines(content: Content) -> list[str]:
-    """Return the last lines of a header: the remarks of the content, removed states, parameters to be set or scaled.
+    """Return the last lines of a header: the remarks of the content, removed states, parameters to be set.
 
-    After ``content.remarks`` follow lines about removed states, their noise, relative parameters, and per-record
-    parameters. The list is empty for a content without any of these.
+    After ``content.remarks`` follow lines about removed states, their noise, and per-record parameters. The list is
+    empty for a content without any of these.
     """
     lines = list(content.remarks)
     if content.removed_states:
@@ -479,8 +517,6 @@ def _remark_lines(content: Content) -> list[str]:
             f"The output noise includes their variance. It is correlated over these times: {lasting}.",
             "A filter that assumes white noise should use samples that far apart, or keep the states.",
         ]
-    if ratios := thrust_scale_of(content.saved.model).caveats:
-        lines += ["", *ratios]
     per_record = [n for n, p in zip(content.parameters, content.exported_parameters, strict=True) if p.per_record]
     if per_record:
         lines += [
@@ -501,13 +537,21 @@ def comment(content: Content, i: int) -> str:
 
     A considered parameter (not estimated, with an uncertain prior) shows the standard deviation of its prior as the
     error. A fixed parameter shows the origin of its value instead, and a free one without a standard error neither.
+    A parameter whose scale is not known has its ratio to the thrust or arm in place of unit and error.
     """
     p = content.exported_parameters[i]
+    if content.parameter_unit(i) == RELATIVE:
+        scale = content.reported.scale
+        ratio = f"{p.value * content.reported.factor(p.unit):.4g} {scale.unit(p.unit)}".strip()
+        origin = "" if p.free else f"{p.provenance},"
+        words = f"[{RELATIVE}: {scale.name(p.name, p.unit)} = {ratio}] {origin} {p.meaning}"
+        return " ".join(words.split())
     error = content.errors[i] if p.considered_sd is None else p.considered_sd
     origin = f"+- {error:.3g}" if math.isfinite(error) else "" if p.free else f"{p.provenance},"
     return " ".join(" ".join(part for part in (_unit_text(p.unit), origin, p.meaning) if part).split())
 
 
+RELATIVE = "relative"  # in place of the unit of a number that is right only as a ratio to thrust or arms
 AXES = "Axes: x north, y east; u forward, v to starboard; psi and r clockwise seen from above (not those of REP-103)."
 SHORTEST_GROUP = 3  # smallest number of delayed copies of a signal that have a common line in the header
 ATOM, UNARY, PRODUCT, SUM = 100, 30, 20, 10  # precedence of an expression: a higher number binds more tightly

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Literal
 from xml.etree import ElementTree
 
-from seatrial.ident.export.codegen import Content, Program, comment, header
+from seatrial.ident.export.codegen import RELATIVE, Content, Program, comment, header
 from seatrial.ident.model import Parameter
 
 BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
@@ -56,31 +56,59 @@ def variables(content: Content) -> list[FmuVariable]:
     initial states with ``start.`` and inputs before the start with ``before.``. A state with the name of an input
     begins with ``state.``.
     """
+
+    def unit(shown: str) -> str:
+        """Return a unit of the content for the file: a relative number has none, since its unit is not known."""
+        return "" if shown == RELATIVE else shown
+
     inputs = list(zip(content.physical_inputs, content.history.inputs, strict=True))
     states = list(zip(content.states, content.model.states, strict=True))
     direct = _direct_inputs(content, content.programs[1])
     return [
         *(
-            FmuVariable(n, i.unit, _text(f"input {i.name}, held between communication points"), "input", 0.0)
+            FmuVariable(
+                n, unit(content.unit(i.unit)), _text(f"input {i.name}, held between communication points"), "input", 0.0
+            )
             for n, i in inputs
         ),
         *(
-            FmuVariable(f"start.{n}", s.unit, _text(f"at the start: {s.meaning or s.name}"), "start", 0.0)
-            for n, s in states
-        ),
-        *(FmuVariable(f"before.{n}", i.unit, _text(f"{i.name} before the start"), "before", 0.0) for n, i in inputs),
-        *(
-            FmuVariable(f"p.{n}", p.unit, _text(comment(content, k)), "parameter", p.value, parameter_bounds(p))
-            for k, (n, p) in enumerate(zip(content.parameters, content.exported_parameters, strict=True))
-        ),
-        *(
             FmuVariable(
-                f"state.{n}" if n in content.physical_inputs else n, s.unit, _text(s.meaning or s.name), "state"
+                f"start.{n}", unit(content.unit(s.unit)), _text(f"at the start: {s.meaning or s.name}"), "start", 0.0
             )
             for n, s in states
         ),
         *(
-            FmuVariable(f"sensor.{n}", o.unit, _text(f"output {o.name} without noise"), "output", depends_on=depends)
+            FmuVariable(f"before.{n}", unit(content.unit(i.unit)), _text(f"{i.name} before the start"), "before", 0.0)
+            for n, i in inputs
+        ),
+        *(
+            FmuVariable(
+                f"p.{n}",
+                unit(content.parameter_unit(k)),
+                _text(comment(content, k)),
+                "parameter",
+                p.value,
+                parameter_bounds(p),
+            )
+            for k, (n, p) in enumerate(zip(content.parameters, content.exported_parameters, strict=True))
+        ),
+        *(
+            FmuVariable(
+                f"state.{n}" if n in content.physical_inputs else n,
+                unit(content.unit(s.unit)),
+                _text(s.meaning or s.name),
+                "state",
+            )
+            for n, s in states
+        ),
+        *(
+            FmuVariable(
+                f"sensor.{n}",
+                unit(content.unit(o.unit)),
+                _text(f"output {o.name} without noise"),
+                "output",
+                depends_on=depends,
+            )
             for n, o, depends in zip(content.outputs, content.model.outputs, direct, strict=True)
         ),
     ]

@@ -30,7 +30,7 @@ def step(x, u, dt, p=P):
 SHAFT_SPEED = '''
 
 def shaft_speed(thrust):
-    """Return the shaft speed at which a thruster has this thrust [N], -1 to 1 in its range."""
+    """Return the shaft speed at which a thruster has this thrust [UNIT], -1 to 1 in its range."""
     c1, c2 = THRUST_CURVE
     return (thrust / (c1 + c2)) ** 0.5 if thrust >= 0 else -((-thrust / (c1 - c2)) ** 0.5)
 '''
@@ -53,7 +53,7 @@ def write(content: Content) -> str:
             STEP_FUNCTION,
             PAST,
             SIMULATION,
-            *([SHAFT_SPEED] if content.thrust_curve else []),
+            *([SHAFT_SPEED.replace("UNIT", content.unit("N"))] if content.thrust_curve else []),
         ]
     )
     limits = _limits(content)
@@ -113,7 +113,7 @@ def constants(content: Content) -> list[str]:
         f"INPUTS = {_tuple_text(content.inputs)}",
         f"OUTPUTS = {_tuple_text(content.outputs)}",
         f"PHYSICAL_INPUTS = {_tuple_text(content.physical_inputs)}",
-        *[f"{kind}_UNITS = {_tuple_text([signal.unit for signal in part])}" for kind, part in units],
+        *[f"{kind}_UNITS = {_tuple_text([content.unit(signal.unit) for signal in part])}" for kind, part in units],
         "P = {  # value [unit] +- standard error, meaning",
         *rows,
         "}",
@@ -136,7 +136,7 @@ def constants(content: Content) -> list[str]:
         f"    {_tuple_text([i.angle for i in past.inputs])},",
         ")",
         f"TIME, WORK = {content.late!r}  # defaults of the inputs t [s] and work of inputs_from: the end of the data",
-        *([f"THRUST_CURVE = {content.thrust_curve!r}  # c1, c2 [N]"] if content.thrust_curve else []),
+        *([f"THRUST_CURVE = {content.thrust_curve!r}  # c1, c2 [{content.unit('N')}]"] if content.thrust_curve else []),
         f"_SHAFTS, WORK_UNIT = {_tuple_text(past.shafts)}, {WORK_UNIT!r}  # work is the integral of |n|^3 / WORK_UNIT",
     ]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterable, Mapping, Sequence
 
 from seatrial.ident.data import TIME_INPUT, WORK_INPUT
@@ -14,12 +13,11 @@ from seatrial.ident.export.history import TIME, WORK
 def write(content: Content) -> str:
     """Return the text of the YAML file of a model, with the parameters of a ROS 2 node.
 
-    Empty lists are left out, because ROS 2 cannot infer their type. Parameters without a standard error are left out of
-    ``standard_errors``. The name of the node is the prefix of the content.
+    Empty lists are left out, because ROS 2 cannot infer their type. Parameters without a standard error, and
+    relative ones, are left out of ``standard_errors``. The name of the node is the prefix of the content.
     """
     own = [p.name for p in content.exported_parameters]
-    units = {n: p.unit for n, p in zip(content.parameters, content.exported_parameters, strict=True)}
-    errors = {n: e for n, e in zip(content.parameters, content.errors, strict=True) if math.isfinite(e)}
+    units = {n: content.parameter_unit(i) for i, n in enumerate(content.parameters)}
     rows = [f"model: {_quoted(content.model.name)}"]
     if content.effects:
         rows.append(f"effects: {_quoted_list(content.effects)}")
@@ -28,13 +26,16 @@ def write(content: Content) -> str:
         ("output", content.outputs, content.model.outputs),
     ):
         if names:
-            rows += [f"{kind}s: {_quoted_list(names)}", f"{kind}_units: {_quoted_list(signal.unit for signal in part)}"]
+            rows += [
+                f"{kind}s: {_quoted_list(names)}",
+                f"{kind}_units: {_quoted_list(content.unit(signal.unit) for signal in part)}",
+            ]
     past = content.history
     if past.inputs:
         rows += [
             "# A node gives only the physical inputs.",
             f"physical_inputs: {_quoted_list(content.physical_inputs)}",
-            f"physical_input_units: {_quoted_list(i.unit for i in past.inputs)}",
+            f"physical_input_units: {_quoted_list(content.unit(i.unit) for i in past.inputs)}",
             f"physical_input_holds: {_quoted_list(content.holds)}",
         ]
     if past.sources:
@@ -42,7 +43,7 @@ def write(content: Content) -> str:
             "# The inputs of the equations follow from them: input k is input_sources[k] of input_delays[k] seconds",
             "# ago. Without a past, it is the present value.",
             f"inputs: {_quoted_list(content.inputs)}",
-            f"input_units: {_quoted_list(i.unit for i in content.model.inputs)}",
+            f"input_units: {_quoted_list(content.unit(i.unit) for i in content.model.inputs)}",
         ]
         sources = [{TIME: TIME_INPUT, WORK: WORK_INPUT}.get(k) or content.physical_inputs[k] for k in past.sources]
         rows += [
@@ -65,7 +66,7 @@ def write(content: Content) -> str:
             ),
         ]
         rows += ["units:", *(f"  {_yaml_key(n)}: {_quoted(unit)}" for n, unit in units.items())]
-    rows += _mapping_lines("standard_errors", errors)
+    rows += _mapping_lines("standard_errors", content.standard_errors)
     rows += _mapping_lines(
         "process_noise", dict(zip(content.states, content.state_noise, strict=True)), "diffusion, unit/sqrt(s)"
     )

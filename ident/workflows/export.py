@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from seatrial.daq.errors import SeatrialError, warn
-from seatrial.ident.estimation import load_model, model_file
+from seatrial.ident.estimation import ThrustScale, load_model, model_file, thrust_scale_of
 from seatrial.ident.export import export, file_name, prefix
 
 MODULES = ("python", "casadi")  # targets whose files are Python modules
@@ -76,7 +76,8 @@ def export_model(request: ExportRequest) -> ExportedModel:
     Warns
     -----
     SeatrialWarning
-        If ``request.name`` is not a valid name and another one is used, and as `seatrial.ident.export.export`.
+        If thrust or arms of the model were not given (Gazebo and VRX have checks of their own), if ``request.name`` is
+        not a valid name and another one is used, and as `seatrial.ident.export.export`.
     """
     _check_options(request)
     saved = load_model(request.model)
@@ -96,7 +97,26 @@ def export_model(request: ExportRequest) -> ExportedModel:
         )
     except ValueError as problem:
         raise SeatrialError(f"{request.model}: {problem}") from problem
+    if request.target not in BLOCKS and (line := _scale_warning(thrust_scale_of(saved.model))):
+        warn(line)
     return ExportedModel(file_name(saved, request.target, request.name), content)
+
+
+def _scale_warning(scale: ThrustScale) -> str:
+    """Return a line on numbers of an exported file that are only ratios, with advice; "" if their scale is known."""
+    if not (scale.relative or scale.relative_yaw):
+        return ""
+    lacking, options = [], []
+    if scale.relative:
+        lacking.append("masses, damping and forces are right only as ratios to the thrust c1 + c2, not in kg and N")
+        options.append("`ident vehicle --thruster FILE` or `--fix c1=VALUE`")
+    if scale.relative_yaw:
+        lacking.append("inertia and damping in yaw are right only as ratios to the arms of the thrusters")
+        options.append("the arms (position_m in the rig file, or [geometry] in the import map)")
+    return (
+        f"the scale of the model was not given: {'; '.join(lacking)}; the motion that they predict is right; for "
+        f"numbers in SI units, fit the boat with {' and with '.join(options)}"
+    )
 
 
 def _check_options(request: ExportRequest) -> None:

@@ -297,9 +297,15 @@ def thrust_from(model: Model, loaded: Sequence[LoadedLog]) -> str:
         Empty if neither shaft speeds nor commands are inputs, for example if the thrust itself is an input.
     """
     if "n_state" in model.provides:
+        renamed = (
+            "; the logs have these commands as n_left and n_right, and the model calls them n_cmd_left and n_cmd_right"
+            if any(_has_renamed_commands(x) for x in loaded)
+            else ""
+        )
         return (
             "thrust from the commands: the shafts are states with a dead zone, a delay and a time constant, as usual "
             "for logs without timely shaft speeds (--model horizontal:shaft takes the signals as shaft speeds)"
+            f"{renamed}"
         )
     if any(e.name == TELEMETRY_AGE for e in model.effects):
         return (
@@ -321,6 +327,12 @@ def thrust_from(model: Model, loaded: Sequence[LoadedLog]) -> str:
         )
     text = "thrust from the commands, or an autopilot's outputs, without a lag: no shaft speed is measured"
     return f"{text}{where}{hint}"
+
+
+def _has_renamed_commands(log: LoadedLog) -> bool:
+    """Return whether the commands of a log with derived signals are imported as ``n_left`` and ``n_right``."""
+    shaft, command = (log.run.channels.get(names[0]) for names in (SHAFTS, COMMANDS))
+    return command is not None and command is shaft and command.source in SHAFTS
 
 
 def _has_held_shaft_speeds(log: LoadedLog) -> bool:

@@ -419,7 +419,8 @@ def export(
     Warns
     -----
     SeatrialWarning
-        If the format cannot have a part of the model, or if a name or value has to be changed.
+        If the format cannot have a part of the model, if a name or value has to be changed, or if thrust or arms were
+        not given, so that masses and damping are only ratios.
 
     Examples
     --------

@@ -29,6 +29,11 @@ from seatrial.ident.models.yaw import yaw_model
 from tests.ident.carriers import vehicle_for
 
 CLOSE = 1e-12
+# Rows of model.toml with the thrust and the arms of the thrusters as given values
+KNOWN_SCALE = "".join(
+    f'\n[[parameter]]\nname = "{name}"\nvalue = {value}\nfree = false\norigin = "given"\n'
+    for name, value in (("c1", 40.0), ("y_left", -0.2), ("y_right", 0.2))
+)
 # f(x, u, p), h(x, u, p), step(x, u, dt, p)
 Functions = tuple[Callable[..., Any], Callable[..., Any], Callable[..., Any]]
 

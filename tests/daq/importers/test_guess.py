@@ -311,6 +311,65 @@ def test_files_that_share_a_map_share_its_guessed_scale(tmp_path: Path) -> None:
     assert [np.abs(values(log, "n_left")[1]).max() for log in logs] == pytest.approx([0.4, 1.0])
 
 
+def commands_and_speeds(left: str = "cmd_left", right: str = "cmd_right", rpm: str = "rpm_") -> dict[str, np.ndarray]:
+    """Return columns of commands and shaft speeds of both sides, with a heading."""
+    turn = np.cos(TIME)
+    return {
+        "t": TIME, "yaw": turn, left: 0.5 * np.sign(turn), right: 0.4 * np.sign(turn), f"{rpm}left": 900.0 * turn,
+        f"{rpm}right": 450.0 * turn,
+    }  # fmt: skip
+
+
+def test_commands_and_shaft_speeds_are_both_in_the_map(tmp_path: Path) -> None:
+    path = write(tmp_path, commands_and_speeds())
+    found = guessed_signals(path)
+    assert {name: found[name]["column"] for name in found if name != "psi"} == {
+        "n_cmd_left": "cmd_left", "n_cmd_right": "cmd_right", "n_left": "rpm_left", "n_right": "rpm_right",
+    }  # fmt: skip
+    assert all(found[f"n_cmd_{side}"]["role"] == "input" for side in ("left", "right"))
+    assert all(found[f"n_{side}"]["hold"] == "linear" for side in ("left", "right"))
+    assert "also in the source" not in guess_map(path).text
+    assert np.abs(values(tmp_path / "run.mcap", "n_cmd_left")[1]).max() == 0.5
+    assert np.abs(values(tmp_path / "run.mcap", "n_left")[1]).max() == pytest.approx(1.0)
+
+
+def test_a_column_n_beside_commands_is_a_shaft_speed(guess_of: Guessing) -> None:
+    found = thrusters(guess_of("matlab", columns("n_left", "n_right", "n_cmd_left", "n_cmd_right", "yaw", top=0.5)))
+    assert [found[name][0] for name in ("n_left", "n_right", "n_cmd_left", "n_cmd_right")] == [
+        "n_left", "n_right", "n_cmd_left", "n_cmd_right",
+    ]  # fmt: skip
+    assert found["n_left"][2] == "linear"
+
+
+def test_one_side_of_a_shaft_speed_does_not_rename_the_commands(tmp_path: Path) -> None:
+    """A comment has the caveat of its guessed scale, too."""
+    table = commands_and_speeds()
+    del table["rpm_right"]
+    text = guess_map(write(tmp_path, table)).text
+    assert {s["name"] for s in tomllib.loads(text)["signal"]} == {"psi", "n_left", "n_right"}
+    (line,) = (line for line in text.splitlines() if "rpm_left" in line)
+    assert line.startswith('  # { name = "n_left"')
+    assert "# scale: a guess, 1 / 900, the largest number of this file; better: 1 / (number at full speed)" in line
+
+
+@pytest.mark.parametrize(
+    ("count", "first", "name"),
+    [
+        (2, "guess r1.csv r2.csv`. Check each caveat, then run `seatrial import MAP r1.csv r2.csv`.", "r1, r2"),
+        (5, "guess r1.csv r2.csv r3.csv` and 2 more. Check", "r1, r2, r3 and 2 more"),
+    ],
+)
+def test_a_map_of_several_files_names_them(tmp_path: Path, count: int, first: str, name: str) -> None:
+    paths = [tmp_path / f"r{k}.csv" for k in range(1, count + 1)]
+    for path in paths:
+        write(tmp_path, {"t": TIME, "yaw": np.cos(TIME), "cmd_left": np.cos(TIME), "cmd_right": np.cos(TIME)}).rename(
+            path
+        )
+    text = guess_maps(paths)[0].text
+    assert first in text.splitlines()[0]
+    assert tomllib.loads(text)["name"] == name
+
+
 @pytest.mark.parametrize(
     ("name", "times", "form", "caveat"),
     [

@@ -7,6 +7,7 @@ import math
 import os
 import shutil
 import sqlite3
+import tomllib
 import tracemalloc
 from dataclasses import replace
 from pathlib import Path
@@ -159,6 +160,29 @@ def test_quantities_that_an_imu_does_not_measure_are_left_out(tmp_path: Path) ->
     assert not [name for name in table.names if name.startswith("orientation.")]
     np.testing.assert_allclose(table.columns["angular_velocity.z"], 0.3 + np.arange(N))
     np.testing.assert_array_equal(table.columns["linear_acceleration.z"], 9.81)
+
+
+def test_a_covariance_of_minus_one_means_not_measured_in_a_guessed_map(tmp_path: Path) -> None:
+    """The acceleration here has gravity alone, and the driver of the angular velocity does not know its covariance."""
+    path, kind, unknown = tmp_path / "bag", "sensor_msgs/msg/Imu", np.array([-1.0] + [0.0] * 8)
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/imu", kind, typestore=STORE)
+        for k in range(N):
+            message = replace(
+                imu(k),
+                orientation_covariance=np.zeros(9),
+                angular_velocity_covariance=unknown,
+                linear_acceleration_covariance=unknown,
+            )
+            writer.write(connection, round((T0 + 0.05 * k) * 1e9), STORE.serialize_cdr(message, kind))
+    text = guess_map(path).text
+    assert [s["name"] for s in tomllib.loads(text)["signal"]] == ["psi"]
+    assert "\n# not measured: linear_acceleration of /imu, whose covariance begins with -1\n" in text
+    assert "# not measured: angular_velocity of /imu, whose covariance begins with -1; its values change" in text
+    assert "linear_acceleration.x" not in text
+    (line,) = (line for line in text.splitlines() if "angular_velocity.z" in line)
+    assert line.startswith('  # { name = "r"')
+    assert line.endswith("# marked as not measured")
 
 
 def test_every_number_has_the_name_of_its_field(bag: Path) -> None:

@@ -133,7 +133,9 @@ def test_signals_of_a_boat_at_rest_are_not_frozen(run: dict[str, Channel]) -> No
             for n, c in run.items()}  # fmt: skip
     still = Channel(t, np.where((t > 30.0) & (t < 60.0), 0.0, run["r"].value))
     assert not list(check_frozen({"psi": held["psi"], "r": still}))
-    assert [f.code for f in check_frozen(run | {"r": held["r"]})] == ["channel-frozen"]
+    (found,) = check_frozen(run | {"r": held["r"]})
+    assert found.code == "channel-frozen"
+    assert "or leave the signal out of the map" in found.advice
     assert [f.code for f in check_frozen(run | {"x": held["x"], "y": held["y"]})] == ["channel-frozen"] * 2
     apart = {f"n_{side}": replace(run["n_left"], value=sign * np.abs(run["n_left"].value))
              for side, sign in (("left", 1.0), ("right", -1.0))}  # fmt: skip

@@ -20,11 +20,13 @@ from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from seatrial.ident.cli.commands import ident
 from seatrial.ident.data.record import Record
 from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.estimation import thrust_scale_of
 from seatrial.ident.estimation.output_error import simulate
 from seatrial.ident.export.codegen import collect_content, identifiers, prefix
 from seatrial.ident.export.formats import SUFFIXES, TARGETS, export
+from seatrial.ident.export.model_description import variables
 from seatrial.ident.model.parameter import Parameter, ParameterOrigin
-from seatrial.ident.model.structure import Output, Sensor, State, plain_model
+from seatrial.ident.model.structure import Model, Output, Sensor, State, plain_model
 from seatrial.ident.models.components import estimator_error
 from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
@@ -32,7 +34,18 @@ from seatrial.ident.models.kinematic import kinematic_model
 from seatrial.ident.models.nomoto import nomoto_model
 from seatrial.ident.models.thruster import thruster_model
 from seatrial.ident.workflows.export import Target
-from tests.ident.exported import ALONE, MODELS, compare, moved, points, run_c, run_casadi, run_python, saved
+from tests.ident.exported import (
+    ALONE,
+    KNOWN_SCALE,
+    MODELS,
+    compare,
+    moved,
+    points,
+    run_c,
+    run_casadi,
+    run_python,
+    saved,
+)
 from tests.test_docs import ROOT, blocks
 
 
@@ -98,11 +111,13 @@ def test_ros2_values_are_exact(name: str) -> None:
         table = reader.load(text)[c.name]["ros__parameters"]
         assert table["parameters"] == dict(zip(c.parameters, c.values, strict=True))
         assert all(isinstance(v, float) for v in table["parameters"].values())
-        assert table["standard_errors"] == {n: e for n, e in zip(c.parameters, c.errors, strict=True) if e == e}
+        own, scale = list(zip(c.parameters, c.exported_parameters, c.errors, strict=True)), thrust_scale_of(model)
+        known = {n: e for n, p, e in own if e == e and not any(scale.powers(p.unit))}
+        assert table.get("standard_errors", {}) == known
         assert table["process_noise"] == dict(zip(c.states, c.state_noise, strict=True))
         assert table["measurement_noise"] == dict(zip(c.outputs, c.output_noise, strict=True))
         assert (tuple(table["states"]), tuple(table["outputs"])) == (c.states, c.outputs)
-        assert table["units"] == {n: p.unit for n, p in zip(c.parameters, c.exported_parameters, strict=True)}
+        assert table["units"] == {n: "relative" if any(scale.powers(p.unit)) else p.unit for n, p, _ in own}
         assert table.get("validity", {}) == ({"u": [-0.5, 1.2]} if "u" in c.states else {})
 
 
@@ -242,20 +257,54 @@ def test_omitted_sideslip_is_noise_of_both_axes() -> None:
     assert "have no effect at rest: stamp_error_left, stamp_error_right." in " ".join(export(saved(model), "c").split())
 
 
+def known_scale(model: Model) -> Model:
+    """Return the horizontal model with the thrust and the arms of its thrusters as given values."""
+    given = (("c1", 40.0), ("y_left", -0.2), ("y_right", 0.2))
+    return model.replace_parameters(*(model.parameter(n).known(v, 0.0, ParameterOrigin.GIVEN) for n, v in given))
+
+
 @pytest.mark.parametrize("target", TARGETS)
 def test_unknown_thrust_is_stated_in_the_header(target: str) -> None:
+    """Numbers whose scale is not known have a ratio in place of unit and standard error."""
     model = horizontal_model()
-    text = export(saved(model), target)
-    assert "The thrust was not given: masses, damping and forces are right as ratios to c1 + c2 only" in text
-    assert "The arms were not given" in text
-    assert "[N] built-in, thrust" in text
-    known = (
-        model.parameter(n).known(v, 0.0, ParameterOrigin.GIVEN)
-        for n, v in (("c1", 40.0), ("y_left", -0.2), ("y_right", 0.2))
-    )
-    text = export(saved(model.replace_parameters(*known)), target)
-    assert "Nobody" not in text
+    fitted = replace(saved(model), errors={"m_u": 2.88, "m_r": 0.77, "q_u": 0.01})
+    text = export(fitted, target)
+    assert isinstance(text, str)
+    line = "The thrust was not given: masses, damping and forces are right as ratios to c1 + c2 only"
+    assert any(line in top for top in text.splitlines()[:4])
+    assert any("The arms were not given" in top for top in text.splitlines()[:5])
+    v = model.values
+    full = v["c1"] + v["c2"]
+    assert f"[relative: m_u/T = {v['m_u'] / full:.4g} kg/N] surge mass" in text
+    assert f"[relative: m_r/(T y_arm) = {v['m_r'] / full / v['y_right']:.4g} kg m2/(N m)] " in text
+    assert f"[relative: c1/T = {v['c1'] / full:.4g}] built-in, thrust" in text
+    assert not [word for word in ("[kg", "[N", "2.88", "0.77", '"kg') if word in text]
+    text = export(replace(fitted, model=known_scale(model)), target)
+    assert "relative" not in text
     assert "[N] given, thrust" in text
+    assert "[kg] +- 2.88 surge mass" in text
+
+
+def test_unknown_thrust_has_no_unit_in_an_fmu() -> None:
+    units = {v.name: v.unit for v in variables(collect_content(saved(horizontal_model())))}
+    assert (units["p.m_u"], units["p.c1"], units["u"]) == ("", "", "m/s")
+    units = {v.name: v.unit for v in variables(collect_content(saved(known_scale(horizontal_model()))))}
+    assert (units["p.m_u"], units["p.c1"]) == ("kg", "N")
+
+
+def test_export_of_an_unknown_thrust_prints_one_warning(tmp_path: Path) -> None:
+    """The parameters that a model.toml lacks have built-in values."""
+    text = blocks(ROOT / "docs/formats/model.md", "toml")[0]
+    source, words = tmp_path / "model.toml", ["export", str(tmp_path / "model.toml"), "--to", "c"]
+    source.write_text(text + KNOWN_SCALE, encoding="utf-8")
+    CliRunner().invoke(ident, words, catch_exceptions=False)  # pytest turns a warning into an error
+    source.write_text(text, encoding="utf-8")
+    with pytest.warns(SeatrialWarning) as found:
+        CliRunner().invoke(ident, words, catch_exceptions=False)
+    (line,) = (str(w.message) for w in found)
+    assert "right only as ratios to the thrust c1 + c2, not in kg and N" in line
+    assert "right only as ratios to the arms" in line
+    assert "--fix c1=VALUE" in line
 
 
 def test_offsets_of_a_measured_attitude_are_omitted_like_all_others() -> None:
@@ -323,7 +372,7 @@ def test_export_command(target: str, tmp_path: Path) -> None:
 )
 def test_python_file_that_cannot_be_imported_is_reported(name: str, valid: str, tmp_path: Path) -> None:
     source = tmp_path / "model.toml"
-    source.write_text(blocks(ROOT / "docs/formats/model.md", "toml")[0], encoding="utf-8")
+    source.write_text(blocks(ROOT / "docs/formats/model.md", "toml")[0] + KNOWN_SCALE, encoding="utf-8")
     words = ["export", str(source), "--to", "python", "-o"]
     with pytest.warns(SeatrialWarning, match=f"^{name}: Python cannot import a file of this name; {valid} would be"):
         CliRunner().invoke(ident, [*words, str(tmp_path / name)], catch_exceptions=False)

@@ -28,7 +28,7 @@ from seatrial.ident.export.formats import export
 from seatrial.ident.export.model_description import base_exponents, variables
 from seatrial.ident.model.structure import Model
 from tests.ident.export.test_simulation import COMMAND, SHAFT, initial, samples
-from tests.ident.exported import MODELS, compiler, saved, simulate_python
+from tests.ident.exported import KNOWN_SCALE, MODELS, compiler, saved, simulate_python
 from tests.test_docs import ROOT, blocks
 
 FMUS = {"command": COMMAND, "shaft": SHAFT, "measured attitude": MODELS["measured attitude"], "odd": MODELS["odd"]}
@@ -387,7 +387,7 @@ def test_units_have_the_exponents_of_their_base_units() -> None:
 def test_export_command_writes_an_fmu(tmp_path: Path) -> None:
     compiler()
     source, out = tmp_path / "model.toml", tmp_path / "boat.fmu"
-    source.write_text(blocks(ROOT / "docs/formats/model.md", "toml")[0], encoding="utf-8")
+    source.write_text(blocks(ROOT / "docs/formats/model.md", "toml")[0] + KNOWN_SCALE, encoding="utf-8")
     words = ["export", str(source), "--to", "fmu", "--name", "my_boat"]
     done = CliRunner().invoke(ident, [*words, "-o", str(out)], catch_exceptions=False)
     assert done.stdout == f"wrote {out}\n"

@@ -112,6 +112,21 @@ def test_shaft_speeds_with_a_zero_hold_are_reported(source: str, hold: str, hint
     assert ('hold = "linear" in the import map' in note) == hinted
 
 
+@pytest.mark.parametrize(("name", "renamed"), [("n_{}", True), ("n_cmd_{}", False)])
+def test_another_name_of_the_commands_is_stated_in_one_line(name: str, renamed: bool) -> None:
+    t, names = np.arange(5.0), [name.format(side) for side in ("left", "right")]
+    logged = loaded(*AHRS, *GNSS, holds=dict.fromkeys(names, "zero"))
+    found = {**logged.run.channels, **{n: Channel(t, t, source=n) for n in names}}
+    logged = replace(logged, run=replace(logged.run, channels=found), propulsion=PropulsionInput.COMMAND)
+    log = with_derived_signals(logged, "auto", None)
+    model = choose_model("auto", [log])
+    assert {i.name for i in model.inputs if not i.tap} >= {"n_cmd_left", "n_cmd_right"}
+    line = thrust_from(model, [log])
+    assert "\n" not in line
+    text = "the logs have these commands as n_left and n_right, and the model calls them n_cmd_left and n_cmd_right"
+    assert (text in line) == renamed
+
+
 def test_inputs_that_only_some_logs_have_are_not_used() -> None:
     with pytest.raises(SeatrialError, match=r"run\.mcap: no inputs for the horizontal model .*; the log has psi, r"):
         choose_model("auto", [loaded("n_left", "n_right", "psi", "r"), loaded("psi", "r")])
