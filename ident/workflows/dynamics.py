@@ -10,7 +10,14 @@ import numpy as np
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.data import TIME_INPUT, WORK_INPUT
 from seatrial.ident.estimation import Fit, FittedModel, ParameterCovariance
-from seatrial.ident.export import LinearModel, chosen_conditions, linearise, side_inputs, steady_motion
+from seatrial.ident.export import (
+    LinearModel,
+    chosen_conditions,
+    linearise,
+    side_inputs,
+    steady_motion,
+    turn_sentence,
+)
 from seatrial.ident.model import COMMAND, SHAFT_SPEED, Model, ModelKind, is_of_thruster
 from seatrial.ident.numerics import Array
 from seatrial.ident.results import (
@@ -68,8 +75,7 @@ def dynamics_of(fitted: FittedModel) -> Dynamics | None:
         course = _course_stability(model, linear, ranges.get("u"), known, conditions)
     return Dynamics(
         steady=tuple(curves), points=tuple(_point(x) for x in linear), steps=tuple(steps), responses=tuple(responses),
-        delays=dict(linear[0].delays) if linear else {}, conditions=dict(linear[0].conditions) if linear else {},
-        course=course,
+        delays=dict(linear[0].delays) if linear else {}, conditions=conditions, course=course,
     )  # fmt: skip
 
 
@@ -148,8 +154,9 @@ def steady_curves(
     -------
     list of SteadyCurve
         The curve of the speed, then one of the turn rate for each mean. A curve with fewer than three steady motions is
-        left out. The list is empty without a range of the commands, and if the rates of a user-defined model are not
-        defined at them.
+        left out. A model that depends on heading or place has no curve of the turn rate, as a turning boat keeps
+        neither of them. The list is empty without a range of the commands, and if the rates of a user-defined model are
+        not defined at them.
     """
     states, drives = {s.name for s in model.states}, Drives(model, ranges)
     if not drives.names:
@@ -159,7 +166,7 @@ def steady_curves(
         held = chosen_conditions(model, ranges) if conditions is None else conditions
         if "u" in states:
             curves.append(_straight(model, known, drives, points, held))
-        if "r" in states and drives.two_sided:
+        if "r" in states and drives.two_sided and not turn_sentence(held):
             curves += [_turn(model, known, drives, mean * drives.high, points, held) for mean in means]
     except (ArithmeticError, np.linalg.LinAlgError, TypeError, ValueError):
         return []

@@ -17,7 +17,7 @@ from seatrial.api.messages import errors_of_users
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError, warn
 from seatrial.daq.log import import_library
-from seatrial.ident.export import Inputs, LinearModel, conditions_text, pole_text
+from seatrial.ident.export import Inputs, LinearModel, conditions_text, pole_text, turn_sentence
 from seatrial.ident.model import THRUSTER_FORCE, is_of_thruster
 
 if TYPE_CHECKING:
@@ -198,7 +198,7 @@ class Linearisation(Shown, LinearModel):
 
 @dataclass(frozen=True, repr=False)
 class Steady(Shown):
-    """Steady speed and turn rate of a boat in still water over constant commands. `steady` returns it.
+    """Steady speed and turn rate of a boat without current over constant commands. `steady` returns it.
 
     Attributes
     ----------
@@ -221,13 +221,16 @@ class Steady(Shown):
     def turns(self) -> tuple[SteadyCurve, ...]:
         """Steady turn rates [rad/s] over half the difference of left and right command, one for each mean command.
 
-        Empty if the model has no turn rate or no thrusters of two sides.
+        Empty if the model has no turn rate or no thrusters of two sides, or if it depends on heading or place.
         """
         return tuple(c for c in self.curves if c.motion == "turn")
 
     @property
     def answer(self) -> str:
-        """Largest steady speed and turn rate within the commands of the data, and the conditions, in sentences."""
+        """Largest steady speed and turn rate within the commands of the data, and the conditions, in sentences.
+
+        A sentence says why a model that depends on heading or place has no steady turn rate.
+        """
         words = {"u": ("speed", 1.0, "m/s"), "r": ("turn rate", np.degrees(1.0), "deg/s")}
         found = []
         for quantity, (name, factor, unit) in words.items():
@@ -246,6 +249,8 @@ class Steady(Shown):
                 found.append(
                     f"The largest steady {name} is {number(value, 3)}{error} {unit}, at a command of {command}."
                 )
+        if not self.turns and any(len(c.inputs) > 1 for c in self.curves) and (why := turn_sentence(self.conditions)):
+            found.append(why)
         if self.conditions:
             found.append(f"Taken as constant: {conditions_text(self.conditions)}.")
         return " ".join(found)
@@ -290,7 +295,8 @@ class Steady(Shown):
             panel.traces.append({**line, "showlegend": c.motion == "turn"})
         unit = "N" if is_of_thruster(self.curves[0].inputs[0], THRUSTER_FORCE) else "part of full"
         figure, height = stacked(list(panels.values()), f"command [{unit}]", panel_height=220)
-        return Figure("Steady motion in still water", figure["data"], _legend_below(figure["layout"], height))
+        words = f"Steady motion at {conditions_text(self.conditions)}" if self.conditions else "Steady motion"
+        return Figure(words, figure["data"], _legend_below(figure["layout"], height))
 
     def _content(self) -> Content:
         """Return the answer, and a table of about ten commands of each curve."""
@@ -371,10 +377,11 @@ def steady(
     points: int = 41,
     at: Mapping[str, float] | None = None,
 ) -> Steady:
-    """Compute the steady speed and the steady turn rate of a fitted model over constant commands, in still water.
+    """Compute the steady speed and the steady turn rate of a fitted model over constant commands, without current.
 
     The commands are those of the fitted data. Disturbance forces and the current are left out. Speed and turn rate at a
-    command without a stable steady motion are NaN.
+    command without a stable steady motion are NaN. A model that depends on the heading or the place, as by wind, has a
+    steady speed for one heading and place (``at``), and no steady turn rate: a turning boat keeps neither of them.
 
     Parameters
     ----------
@@ -416,6 +423,8 @@ def steady(
         structure, ranges, known = _estimates(model)
         conditions = chosen_conditions(structure, ranges, at)
         curves = steady_curves(structure, ranges, known, means, points, conditions)
+    if not curves and (why := turn_sentence(conditions)):
+        raise SeatrialError(f"model {structure.name} has no steady motion. {why}")
     if not curves:
         raise SeatrialError(
             f"model {structure.name} has no steady motion: it needs a speed u or turn rate r, and commands whose range "

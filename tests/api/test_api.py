@@ -309,6 +309,30 @@ def test_conditions_of_effects_are_stated_and_can_be_chosen(fit: st.FittedVehicl
     assert "constant" not in st.steady(fit, points=5).answer
 
 
+def in_wind(fit: st.FittedVehicle, folder: Path, north: float = -3.0) -> Path:
+    """Return the model.toml of a fit with a steady wind force to the north [N]."""
+    model = fit.save(folder) / "model.toml"
+    values = {"F_wx": north, "F_wy": 0.5, "w_x": 0.5, "w_n": 0.1, "w_nn": 0.0, "k_air": 0.28}
+    rows = "".join(f'[[parameter]]\nname = "{n}"\nvalue = {v}\nfree = false\n' for n, v in values.items())
+    text = re.sub(r"^effects = \[", 'effects = ["wind", ', model.read_text(), flags=re.MULTILINE)
+    model.write_text(text + rows)
+    return model
+
+
+def test_steady_motion_in_wind_is_that_of_a_heading(fit: st.FittedVehicle, tmp_path: Path) -> None:
+    """The speed differs between both directions of the wind, and no turn is steady."""
+    model = in_wind(fit, tmp_path / "fit")
+    against, before = st.steady(model, points=5), st.steady(model, points=5, at={"psi": np.pi})
+    assert against.straight is not None
+    assert before.straight is not None
+    assert against.straight.value[-1] < before.straight.value[-1] - 0.01
+    assert against.turns == ()
+    assert "largest steady turn rate" not in against.answer
+    assert "There is no steady turn: the model depends on the heading" in against.answer
+    assert before.answer.endswith("Taken as constant: psi = 3.142 rad.")
+    assert "psi = 0 rad" in against.plot().title
+
+
 def test_steady_motion_is_that_of_a_long_simulation(fit: st.FittedVehicle, tmp_path: Path) -> None:
     steady, saved = fit.steady(means=(0.5,), points=21), st.load(fit.save(tmp_path / "fit"))
     assert steady.straight is not None

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from seatrial.ident.export import conditions_text
+from seatrial.ident.export import conditions_text, frame_words, turn_sentence
 from seatrial.ident.model import THRUSTER_FORCE, is_of_thruster
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Canvas, Cell, Grid, Heading, Plot, Prose, Section, Table
@@ -42,10 +42,13 @@ def section(canvas: Canvas, dynamics: Dynamics | None) -> Section:
     turns = [c for c in dynamics.steady if c.motion == "turn"]
     curves += [_turn_plot(canvas, turns)] if turns else []
     blocks: list[Any] = [Grid(curves, 320)] if curves else []
+    two_sided = any(len(c.inputs) > 1 for c in dynamics.steady)
+    if two_sided and not turns and (why := turn_sentence(dynamics.conditions)):
+        blocks.append(Prose(why, "caption"))
     blocks += _pole_blocks(dynamics.points, dynamics.course) + _step_blocks(canvas, dynamics)
     blocks += _bode_blocks(canvas, dynamics)
     lead = (
-        "Computed from the model for still water, without disturbances and within the commands of the data. Bands are "
+        f"Computed from the model {frame_words(dynamics.conditions)}, and within the commands of the data. Bands are "
         "95 % intervals from the standard errors of the parameters."
     )
     if dynamics.conditions:
