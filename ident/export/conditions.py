@@ -91,7 +91,19 @@ def frame_words(conditions: Mapping[str, float]) -> str:
     if not pose:
         return "for still water, without disturbances"
     example = " (such as wind)" if "psi" in pose else ""
-    return f"at {conditions_text(pose)}, with the effects that depend on it{example}, without current and disturbance forces"
+    what = f"with the effects that depend on it{example}, without current and disturbance forces"
+    return f"at {conditions_text(pose)}, {what}"
+
+
+def heading_sentence(conditions: Mapping[str, float]) -> str:
+    """State that a linear model holds near one heading, if its rates depend on it; otherwise the text is empty."""
+    if "psi" not in conditions:
+        return ""
+    at = conditions_text({"psi": conditions["psi"]})
+    return (
+        f"The model depends on the heading (as wind does, for example): matrices and inputs hold near {at}; "
+        "at={'psi': ...} gives those of the heading that you steer."
+    )
 
 
 def turn_sentence(conditions: Mapping[str, float]) -> str:

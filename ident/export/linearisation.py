@@ -12,14 +12,15 @@ from numpy.typing import NDArray
 from seatrial.daq.errors import SeatrialError, closest_name
 from seatrial.ident.estimation import PARAMETER_STEP, ParameterCovariance, principal_directions
 from seatrial.ident.export.codegen import without_nuisance
-from seatrial.ident.export.conditions import chosen_conditions, conditions_text
+from seatrial.ident.export.conditions import chosen_conditions, conditions_text, heading_sentence
 from seatrial.ident.export.rates import Rates
-from seatrial.ident.export.state_feedback import StateFeedback, lqr
+from seatrial.ident.export.state_feedback import HEADING, StateFeedback, lqr
 from seatrial.ident.model import COMMAND, SHAFT_SPEED, THRUSTER_FORCE, Model, is_of_thruster
 from seatrial.ident.numerics import Array
 
 BALANCED = 1e-6  # largest rate at the operating point, in the unit of each state per second
 TRIALS = (0.1, 0.4, 0.8)  # initial values of the inputs: at zero the thrust has no slope
+HEADING_STEP = 1e-5  # step of the central difference by the heading [rad]
 CORRECTIONS = 6  # steps of the search for the operating point of moved estimates
 CONSTANTS, LONGEST_S, TIMES = 4.0, 60.0, 200  # length of a response in time constants and in s, and its points
 DECADE, FREQUENCIES = 10.0, 300  # reach of a frequency response beyond the poles, as a factor, and its points
@@ -104,12 +105,17 @@ class LinearModel:
         Dead time [s] of each input that the model delays. The matrices do not contain it.
     units : dict of str to str
         Unit of each state and input by name; empty for a number without unit.
+    by_heading : Array (n,)
+        Derivatives of the rates by the heading [unit of the state per s and rad], which A does not contain. They are
+        zero unless the model depends on the heading, as by wind.
     moved : tuple of LinearModel
         Linear models with moved estimates: by 0.05 standard errors along each principal direction of their covariance.
         Standard errors are computed from them. Empty if the covariance is unknown.
     conditions : dict of str to float
         Conditions on which the model depends, and which the linear model takes as constant: time ``t`` [s] since the
         start of a run, ``work`` of the thrusters, place ``x`` and ``y`` [m], heading ``psi`` [rad]. Often empty.
+    assumed : tuple of str
+        Names of the conditions whose value is a default, because none was chosen.
     """
 
     speed: float
@@ -121,8 +127,10 @@ class LinearModel:
     u0: Array
     delays: Mapping[str, float]
     units: Mapping[str, str]
+    by_heading: Array
     moved: tuple[LinearModel, ...] = ()
     conditions: Mapping[str, float] = field(default_factory=dict)
+    assumed: tuple[str, ...] = ()
 
     @property
     def poles(self) -> Complex:
@@ -307,6 +315,8 @@ class LinearModel:
 
         The feedback minimises the integral of ``sum of Q e^2 + sum of R (u - u0)^2`` over time, with the errors ``e``
         of the states. The dead time of the inputs is not part of the design: choose poles that are slow beside it.
+        If the rates depend on the heading, as by wind, `by_heading` is part of the design. The inputs ``u0`` then hold
+        the course at one heading alone. A `SeatrialWarning` says so if that heading was not chosen (``at``).
 
         Parameters
         ----------
@@ -382,6 +392,8 @@ class LinearModel:
         lines.append(f"inputs {', '.join(self.inputs)}")
         if self.conditions:
             lines.append(f"taken as constant: {conditions_text(self.conditions)}")
+        if words := heading_sentence(self.conditions):
+            lines.append(words)
         for pole, constant in zip(self.poles, self.time_constants, strict=True):
             lines.append(f"pole {pole_text(pole)} 1/s, time constant {constant:.4g} s")
         return "\n".join(lines)
@@ -439,7 +451,7 @@ def linearise(
     The operating point is found first: the inputs, the sway speed and the shafts for which speed and yaw rate (zero)
     stay. If one thruster is weaker, the inputs differ. Disturbance forces and sensor errors are left out. Delayed
     copies of an input count as the input itself. Time, work of the thrusters, place and heading are no inputs: they are
-    constant.
+    constant. The derivatives by the heading are in `LinearModel.by_heading`, not in A.
 
     Parameters
     ----------
@@ -463,6 +475,7 @@ def linearise(
     reduced, _ = without_nuisance(model)
     constant = chosen_conditions(reduced, at=conditions)
     rates = Rates(reduced, conditions=constant)
+    assumed = tuple(n for n in constant if n not in (conditions or {}))
     if "u" not in rates.names:
         raise SeatrialError(
             f"model {model.name} has no forward speed u among its states, so it has no such operating point; "
@@ -479,12 +492,24 @@ def linearise(
     units = {x.name: x.unit for x in reduced.states} | {i.name: i.unit for i in reduced.inputs}
     units = {n: units[n] for n in (*rates.names, *rates.inputs)}
 
+    # the rates at a heading slightly to port and to starboard
+    turned = {
+        side: Rates(reduced, conditions={**constant, HEADING: constant[HEADING] + side * HEADING_STEP})
+        for side in (-1.0, 1.0)
+        if HEADING in constant
+    }
+
     def about(x: Array, u: Array, values: Array, moved: tuple[LinearModel, ...] = ()) -> LinearModel:
         """Return the linear model about the states x (n,) and inputs u (m,), with these values of the parameters."""
         A, B = (f(x[None], u[None], values)[0] for f in (rates.by_states, rates.by_inputs))
         named = dict(zip(reduced.values, values, strict=True))
         delays = {i: float(named["tau_n"]) for i in rates.inputs if "tau_n" in named and i in rates.delayed}
-        return LinearModel(speed, rates.names, rates.inputs, A, B, x, u, delays, units, moved, constant)
+        by_heading = np.zeros(len(x))
+        for side, beside in turned.items():
+            by_heading += side * beside(x[None], u[None], values)[0] / (2.0 * HEADING_STEP)
+        return LinearModel(
+            speed, rates.names, rates.inputs, A, B, x, u, delays, units, by_heading, moved, constant, assumed
+        )
 
     found = []
     for values in principal_directions(reduced, rates.values, _of_parameters(known, rates.parameters)):

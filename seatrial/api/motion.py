@@ -17,7 +17,7 @@ from seatrial.api.messages import errors_of_users
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError, warn
 from seatrial.daq.log import import_library
-from seatrial.ident.export import Inputs, LinearModel, conditions_text, pole_text, turn_sentence
+from seatrial.ident.export import Inputs, LinearModel, conditions_text, heading_sentence, pole_text, turn_sentence
 from seatrial.ident.model import THRUSTER_FORCE, is_of_thruster
 
 if TYPE_CHECKING:
@@ -53,9 +53,14 @@ class Linearisation(Shown, LinearModel):
         Dead time [s] of each input that the model delays. The matrices do not contain it; all responses do.
     units : dict of str to str
         Unit of each state and input by name; empty for a number without unit.
+    by_heading : Array (n,)
+        Derivatives of the rates by the heading, which A does not contain. They are zero unless the model depends on
+        the heading, as by wind. `lqr` uses them.
     conditions : dict of str to float
         Conditions that the model takes as constant: time ``t`` [s] since the start of a run, ``work`` of the thrusters,
         place ``x`` and ``y`` [m], heading ``psi`` [rad]. Empty if the model depends on none of them.
+    assumed : tuple of str
+        Names of the conditions whose value is a default, because ``at`` did not have them.
     """
 
     def to_pandas(self) -> Any:
@@ -193,6 +198,8 @@ class Linearisation(Shown, LinearModel):
         answer = f"Linear model at {self.speed:g} m/s ({at}), {how}."
         if self.conditions:
             answer += f" Taken as constant: {conditions_text(self.conditions)}."
+        if words := heading_sentence(self.conditions):
+            answer += f" {words}"
         return Content(answer, (), ("pole [1/s]", "time constant [s]", "s.e. [s]"), rows)
 
 
@@ -325,7 +332,8 @@ def linearise(
     """Linearise a fitted model about straight motion at a constant forward speed, without current.
 
     Effects may depend on the time since the start of a run (a payload that shifts), the work of the thrusters, the
-    place or the heading. They are no inputs: the linear model takes them as constant, and shows their values.
+    place or the heading. They are no inputs: the linear model takes them as constant, and shows their values. In wind
+    the inputs ``u0`` that hold a course change with the heading: give the heading that you steer as ``at``.
 
     Parameters
     ----------
@@ -368,7 +376,8 @@ def linearise(
             f"{speed:g} m/s is outside the speeds of the fitted data, {low:.3g} to {high:.3g} m/s; choose one of these"
         )
         warn(text)
-    return Linearisation(**vars(found))
+    assumed = tuple(n for n in found.conditions if n not in (at or {}))
+    return Linearisation(**{**vars(found), "assumed": assumed})
 
 
 def steady(

@@ -333,6 +333,19 @@ def test_steady_motion_in_wind_is_that_of_a_heading(fit: st.FittedVehicle, tmp_p
     assert "psi = 0 rad" in against.plot().title
 
 
+def test_linear_model_in_wind_asks_for_its_heading(fit: st.FittedVehicle, tmp_path: Path) -> None:
+    model = in_wind(fit, tmp_path / "fit")
+    north, chosen = st.linearise(model, 0.5), st.load(model).linearise(0.5, at={"psi": 1.0})
+    assert (north.assumed, chosen.assumed) == (("psi",), ())
+    assert "hold near psi = 0 rad" in north._content().answer
+    with pytest.warns(SeatrialWarning, match="is linearised at psi = 0 rad"):
+        north.lqr({"u": 4.0, "r": 1.0, "psi": 4.0})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        north.lqr({"u": 4.0, "r": 1.0}) if north.stable else None
+        chosen.lqr({"u": 4.0, "r": 1.0, "psi": 4.0})
+
+
 def test_steady_motion_is_that_of_a_long_simulation(fit: st.FittedVehicle, tmp_path: Path) -> None:
     steady, saved = fit.steady(means=(0.5,), points=21), st.load(fit.save(tmp_path / "fit"))
     assert steady.straight is not None
