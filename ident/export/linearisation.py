@@ -47,6 +47,9 @@ class Bode(NamedTuple):
         Standard error of the gain relative to it, from the errors of the estimates; NaN if they are unknown.
     phase_sd : Array (n,)
         Standard error of the phase [rad]; NaN if unknown.
+    start : float
+        Phase [rad] from which a lag is counted: that of slow inputs, a whole number of half turns. If an unstable pole
+        dominates the response to slow inputs, it is half a turn above, as that of the same boat without this pole.
     """
 
     frequency: Array
@@ -54,6 +57,7 @@ class Bode(NamedTuple):
     phase: Array
     gain_sd: Array
     phase_sd: Array
+    start: float = 0.0
 
     @property
     def bandwidth(self) -> float:
@@ -62,12 +66,39 @@ class Bode(NamedTuple):
 
     @property
     def lag_90(self) -> float:
-        """Lowest frequency [Hz] at which the state lags by 90 deg more than at the lowest one; NaN if there is none.
+        """Lowest frequency [Hz] at which the phase falls to 90 deg below `start`; NaN if there is none.
 
-        The motion is in phase with the inputs, or opposite to them, at low frequencies.
+        An unstable pole turns the slow response around. The phase then begins half a turn below `start`, and the
+        frequency is the one at which it falls again after its rise. `no_lag_90` is the reason of NaN.
         """
-        start = np.pi * np.round(self.phase[0] / np.pi)
-        return _first_crossing(self.frequency, self.phase - start, -0.5 * np.pi)
+        first = self._first_in_phase
+        if first is None:
+            return float("nan")
+        return _first_crossing(self.frequency[first:], self.phase[first:] - self.start, -0.5 * np.pi)
+
+    @property
+    def no_lag_90(self) -> str:
+        """Reason why `lag_90` is NaN, in sentences; empty if it is a number."""
+        first, low, high = self._first_in_phase, self.frequency[0], self.frequency[-1]
+        if np.isfinite(self.lag_90):
+            return ""
+        if first is None:
+            return (
+                f"The state lags by more than 90 deg at all frequencies from {low:.3g} to {high:.3g} Hz. If a pole is "
+                "unstable, lag and dead time are too large for a heading controller without a yaw-rate term."
+            )
+        rises = f"An unstable pole makes the phase rise to -90 deg at {self.frequency[first]:.3g} Hz. " if first else ""
+        return (
+            f"{rises}The state {'then ' if first else ''}never lags by 90 deg up to {high:.3g} Hz. A model with shaft "
+            "speeds or forces as inputs has neither the lag nor the dead time of the thrusters; one with commands has "
+            "both (horizontal:command)."
+        )
+
+    @property
+    def _first_in_phase(self) -> int | None:
+        """Index of the lowest frequency at which the state lags by less than 90 deg; None if there is none."""
+        found = np.flatnonzero(self.phase - self.start > -0.5 * np.pi)
+        return int(found[0]) if found.size else None
 
 
 def _first_crossing(frequency: Array, value: Array, level: float) -> float:
@@ -292,8 +323,26 @@ class LinearModel:
             sd_gain, sd_phase = (
                 self.error_of(none, part) for part in ([c.real for c in change], [c.imag for c in change])
             )
-            bodes[name] = Bode(f, np.abs(h), np.unwrap(np.angle(h)), sd_gain, sd_phase)
+            phase = np.unwrap(np.angle(h))
+            bodes[name] = Bode(f, np.abs(h), phase, sd_gain, sd_phase, self._lag_start(inputs, name, float(phase[0])))
         return bodes
+
+    def _lag_start(self, inputs: Inputs, state: str, first: float) -> float:
+        """Return the phase [rad] from which the lag of a state is counted, given that at the lowest frequency.
+
+        It is a whole number of half turns, such that ``first`` is at most a quarter of a turn above it and less than
+        three quarters below.
+        """
+        row = self.states.index(state)
+        slow = self.frequency_response(inputs, self.frequencies[:1])[state][0]
+        poles, right = self._modes
+        b = sum((w * self.B[:, self.inputs.index(n)] for n, w in self._weights(inputs).items()), np.zeros(len(poles)))
+        part = right[row] * (np.linalg.pinv(right) @ b)  # of each pole in the response
+        turned = any(
+            p.real > 0.0 and p.imag == 0.0 and abs(c / p) > 0.5 * abs(slow) for p, c in zip(poles, part, strict=True)
+        )
+        start = 0.0 if (slow.real >= 0.0) is not turned else np.pi
+        return float(start + 2.0 * np.pi * np.ceil((first - start - 0.5 * np.pi) / (2.0 * np.pi)))
 
     def error_of(self, value: Array, moved: Sequence[Array]) -> Array:
         """Return the standard errors of a quantity of this model; NaN if the errors of the estimates are unknown.

@@ -786,7 +786,11 @@ class FrequencyResponse(Part, frozen=True, kw_only=True):
         Meta(description="frequency at which the gain is 3 dB below that of slow commands [Hz]; null: unknown"),
     ] = None
     lag_90: Annotated[
-        float | None, Meta(description="frequency at which the state lags 90 deg behind the command [Hz]; null: none")
+        float | None,
+        Meta(
+            description="frequency at which the state lags 90 deg behind the command [Hz], of an unstable model beyond "
+            "the unstable pole; null: none"
+        ),
     ] = None
 
     def __post_init__(self) -> None:

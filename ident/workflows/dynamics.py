@@ -286,7 +286,7 @@ def _responses(linear: LinearModel, drives: Drives) -> list[FrequencyResponse]:
 
     A model without two sides has only the response of speed. The bandwidth is left out if the gain of slow commands,
     with which it is compared, has a standard error above 3 dB: a boat that hardly holds its course turns so slowly to
-    its steady rate that the data do not contain it. Of turns of an unstable boat, bandwidth and lag are left out.
+    its steady rate that the data do not contain it. Of turns of an unstable boat, the bandwidth is left out.
     """
     found = []
     for motion, (quantity, *_), weights in _motions(linear, drives):
@@ -301,7 +301,7 @@ def _responses(linear: LinearModel, drives: Drives) -> list[FrequencyResponse]:
                 speed=linear.speed, motion=motion, quantity=quantity, unit=f"{unit}/{command}" if command else unit,
                 stable=linear.stable, frequency=bode.frequency, gain=bode.gain, gain_sd=bode.gain_sd, phase=bode.phase,
                 phase_sd=bode.phase_sd, bandwidth=finite(bode.bandwidth) if settles and slow_gain_is_known else None,
-                lag_90=finite(bode.lag_90) if settles else None,
+                lag_90=finite(bode.lag_90),
             )
         )  # fmt: skip
     return found
