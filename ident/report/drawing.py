@@ -224,6 +224,42 @@ def line_trace(
     return _scatter(*_with_gaps_at_jumps(x[at], y[at], turn), name, mode="lines", line=style, connectgaps=False)
 
 
+def trusted_lines(
+    x: Array, y: Array, name: str, limit: int, trusted: tuple[float, float] | None, *, color: str = MODEL
+) -> list[Trace]:
+    """Return the traces of a line that is solid where y is within the data, and dotted beyond.
+
+    The dotted trace is named ``name, beyond the data``.
+
+    Parameters
+    ----------
+    x, y
+        Coordinates (n,) of the points.
+    name
+        Text in the legend and on hover.
+    limit
+        Largest number of points of a trace.
+    trusted
+        Smallest and largest y of the data; None: the line is solid.
+    color
+        Colour, for example ``#0072B2``.
+
+    Returns
+    -------
+    list of Trace
+        One trace, or two if a part of the line is beyond. Both parts share the points at which they meet.
+    """
+    low, high = trusted or (-np.inf, np.inf)
+    outside = (y < low) | (y > high)
+    if not outside.any():
+        return [line_trace(x, y, name, limit, color=color)]
+    beside = outside | np.append(outside[1:], False) | np.append(False, outside[:-1])
+    return [
+        line_trace(x, np.where(outside, np.nan, y), name, limit, color=color),
+        line_trace(x, np.where(beside, y, np.nan), f"{name}, beyond the data", limit, color=color, dash="dot"),
+    ]
+
+
 def _indices_after_jumps(y: Array, turn: float | None) -> Index:
     """Return the indices of the points just after a jump of a wrapped angle y (n,) by more than half a turn.
 

@@ -831,6 +831,10 @@ class Dynamics(Part, frozen=True, kw_only=True):
         dict[str, float],
         Meta(description="conditions taken as constant: time `t` [s], `work`, place `x`, `y` [m], heading `psi` [rad]"),
     ] = msgspec.field(default_factory=dict)
+    speeds: Annotated[
+        tuple[float, float] | None,
+        Meta(description="smallest and largest forward speed in the data of the fit [m/s]; null: unknown"),
+    ] = None
     course: Annotated[
         CourseStability | None, Meta(description="stability of a straight course; null: no pole of sway and yaw")
     ] = None

@@ -75,7 +75,7 @@ def dynamics_of(fitted: FittedModel) -> Dynamics | None:
         course = _course_stability(model, linear, ranges.get("u"), known, conditions)
     return Dynamics(
         steady=tuple(curves), points=tuple(_point(x) for x in linear), steps=tuple(steps), responses=tuple(responses),
-        delays=dict(linear[0].delays) if linear else {}, conditions=conditions, course=course,
+        delays=dict(linear[0].delays) if linear else {}, conditions=conditions, speeds=ranges.get("u"), course=course,
     )  # fmt: skip
 
 

@@ -214,10 +214,13 @@ class Steady(Shown):
         (`seatrial.ident.results.SteadyCurve`): ``command``, ``value`` and its standard error ``sd``.
     conditions : dict of str to float
         Conditions that the motions take as constant, as those of a `Linearisation`.
+    speeds : tuple of float or None
+        Smallest and largest forward speed [m/s] in the data of the fit; None if unknown.
     """
 
     curves: tuple[SteadyCurve, ...]
     conditions: Mapping[str, float] = field(default_factory=dict)
+    speeds: tuple[float, float] | None = None
 
     @property
     def straight(self) -> SteadyCurve | None:
@@ -236,7 +239,8 @@ class Steady(Shown):
     def answer(self) -> str:
         """Largest steady speed and turn rate within the commands of the data, and the conditions, in sentences.
 
-        A sentence says why a model that depends on heading or place has no steady turn rate.
+        A speed beyond those of the data is marked. A sentence says why a model that depends on heading or place has no
+        steady turn rate.
         """
         words = {"u": ("speed", 1.0, "m/s"), "r": ("turn rate", np.degrees(1.0), "deg/s")}
         found = []
@@ -253,8 +257,11 @@ class Steady(Shown):
                 )
                 sd = factor * curve.sd[k]
                 error = "" if np.isnan(sd) else f" ± {number(1.96 * sd, 2)}"
+                beyond = ""
+                if quantity == "u" and self.speeds is not None and value > self.speeds[1]:
+                    beyond = f", beyond the speeds of the data (up to {number(self.speeds[1], 2)} m/s)"
                 found.append(
-                    f"The largest steady {name} is {number(value, 3)}{error} {unit}, at a command of {command}."
+                    f"The largest steady {name} is {number(value, 3)}{error} {unit}, at a command of {command}{beyond}."
                 )
         if not self.turns and any(len(c.inputs) > 1 for c in self.curves) and (why := turn_sentence(self.conditions)):
             found.append(why)
@@ -284,8 +291,11 @@ class Steady(Shown):
         return pandas.concat(frames, ignore_index=True)
 
     def plot(self) -> Figure:
-        """Return a figure of the steady speed and the steady turn rates over the command, with 95 % bands."""
-        from seatrial.ident.report import DASHES, LINES, Panel, band, degrees_for, line_trace, stacked
+        """Return a figure of the steady speed and the steady turn rates over the command, with 95 % bands.
+
+        The line of the speed is dotted beyond the speeds of the data.
+        """
+        from seatrial.ident.report import DASHES, LINES, Panel, band, degrees_for, line_trace, stacked, trusted_lines
 
         panels: dict[str, Panel] = {}
         for c in self.curves:
@@ -298,8 +308,12 @@ class Steady(Shown):
             if np.isfinite(c.sd).any():
                 area = band(c.command, factor * c.value, 1.96 * factor * c.sd, POINTS, color=color, gaps=True)
                 panel.traces.append({**area, "showlegend": False})
-            line = line_trace(c.command, factor * c.value, name, POINTS, color=color, dash=DASHES[k % len(DASHES)])
-            panel.traces.append({**line, "showlegend": c.motion == "turn"})
+            if c.motion == "straight":
+                lines = trusted_lines(c.command, c.value, name, POINTS, self.speeds, color=color)
+                panel.traces += [{**line, "showlegend": len(lines) > 1} for line in lines]
+            else:
+                dash = DASHES[k % len(DASHES)]
+                panel.traces.append(line_trace(c.command, factor * c.value, name, POINTS, color=color, dash=dash))
         unit = "N" if is_of_thruster(self.curves[0].inputs[0], THRUSTER_FORCE) else "part of full"
         figure, height = stacked(list(panels.values()), f"command [{unit}]", panel_height=220)
         words = f"Steady motion at {conditions_text(self.conditions)}" if self.conditions else "Steady motion"
@@ -439,7 +453,7 @@ def steady(
             f"model {structure.name} has no steady motion: it needs a speed u or turn rate r, and commands whose range "
             "in the fitted data is known; use a model of a boat, such as horizontal"
         )
-    return Steady(tuple(curves), conditions)
+    return Steady(tuple(curves), conditions, ranges.get("u"))
 
 
 def _estimates(

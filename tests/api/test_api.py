@@ -12,6 +12,7 @@ import sys
 import tomllib
 import warnings
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -363,7 +364,15 @@ def test_steady_motion_is_that_of_a_long_simulation(fit: st.FittedVehicle, tmp_p
     assert turn.sd[k] > 0.0
     assert np.all(np.diff(steady.straight.value) > 0.0)
     assert "The largest steady turn rate is" in steady.answer
-    assert {trace["name"] for trace in steady.plot().data} == {"", "speed", f"mean command {turn.mean:.2g}"}
+    names = {"", "speed", "speed, beyond the data", f"mean command {turn.mean:.2g}"}
+    assert {trace["name"] for trace in steady.plot().data} == names
+    assert {trace["name"] for trace in replace(steady, speeds=None).plot().data} == names - {"speed, beyond the data"}
+    fastest = steady.straight.value[-1]
+    slow = replace(steady, speeds=(-0.2, 0.5 * fastest))
+    assert f"beyond the speeds of the data (up to {0.5 * fastest:.2g} m/s)." in slow.answer
+    assert steady.speeds == pytest.approx(tomllib.loads(text)["validity"]["u"], rel=1e-3)
+    line = next(trace for trace in slow.plot().data if trace["name"] == "speed, beyond the data")
+    assert line["line"]["dash"] == "dot"
     frame = steady.to_pandas()
     assert len(frame) == steady.straight.command.size + turn.command.size
     with pytest.raises(SeatrialError, match="means 2: give parts of the largest command"):

@@ -38,7 +38,7 @@ def section(canvas: Canvas, dynamics: Dynamics | None) -> Section:
     """
     if dynamics is None:
         return Section("dynamics", "", [])
-    curves = [_straight_plot(canvas, c) for c in dynamics.steady if c.motion == "straight"]
+    curves = [_straight_plot(canvas, c, dynamics.speeds) for c in dynamics.steady if c.motion == "straight"]
     turns = [c for c in dynamics.steady if c.motion == "turn"]
     curves += [_turn_plot(canvas, turns)] if turns else []
     blocks: list[Any] = [Grid(curves, 320)] if curves else []
@@ -65,14 +65,19 @@ def _command(curve: SteadyCurve) -> str:
     return f"command of {'both sides' if len(curve.inputs) > 1 else 'the drive'}{names}"
 
 
-def _straight_plot(canvas: Canvas, curve: SteadyCurve) -> Plot:
-    """Return the plot of the steady speed on a straight course over the command."""
+def _straight_plot(canvas: Canvas, curve: SteadyCurve, speeds: tuple[float, float] | None) -> Plot:
+    """Return the plot of the steady speed on a straight course over the command.
+
+    ``speeds`` are the smallest and the largest speed of the data [m/s]; the line is dotted beyond. None: unknown.
+    """
     traces = [
         drawing.band(curve.command, curve.value, drawing.Z95 * np.nan_to_num(curve.sd), POINTS, gaps=True),
-        drawing.line_trace(curve.command, curve.value, "speed", POINTS),
+        *drawing.trusted_lines(curve.command, curve.value, "speed", POINTS, speeds),
     ]
+    beyond = len(traces) > 2
     figure = drawing.single(traces, _command(curve), "speed [m/s]", hovermode="closest")
-    return canvas.plot(figure, 320, "Steady speed against command", "Steady speed on a straight course")
+    title = "Steady speed on a straight course" + ("; dotted: beyond the speeds of the data" if beyond else "")
+    return canvas.plot(figure, 320, "Steady speed against command", title)
 
 
 def _turn_plot(canvas: Canvas, curves: Sequence[SteadyCurve]) -> Plot:
