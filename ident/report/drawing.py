@@ -33,6 +33,7 @@ MODEL, BEFORE, MEASURED, GREEN, PURPLE, SKY, AMBER = (
 INK, GRID, FAINT = "#1c2430", "#e6e9ee", "#8a93a0"
 LINES = (MODEL, AMBER, GREEN, PURPLE, SKY, BEFORE)
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "solid")
+CUT = "The vertical range is limited: part of an interval or curve is outside. Double-click to show all of it."
 Z95 = 1.96  # half width of a 95 % interval of the normal distribution, in standard deviations
 LARGEST = float(np.finfo(np.float32).max)  # figures store 32-bit floats
 # Colours of the figures on a dark page. Text has a contrast of at least 4.5 to the page, lines of at least 3.
@@ -407,6 +408,11 @@ class Panel:
     y: dict[str, Any] = field(default_factory=dict)
 
 
+def cut(panels: Sequence[Panel]) -> bool:
+    """Return whether the vertical range of a panel is limited. Panels of angles, which have ticks, do not count."""
+    return any("range" in p.y and "dtick" not in p.y for p in panels)
+
+
 def stacked(panels: Sequence[Panel], x_title: str, *, panel_height: int = 132) -> tuple[Figure, int]:
     """Return a figure of panels above each other with a common horizontal axis, and its height [px].
 
@@ -445,6 +451,31 @@ def stacked(panels: Sequence[Panel], x_title: str, *, panel_height: int = 132) -
         data += [{**trace, "xaxis": "x", "yaxis": f"y{axis}"} for trace in panel.traces]
         layout["annotations"].append(heading(panel.title, high))
     return {"data": data, "layout": layout}, inner + top + bottom
+
+
+def axis_limits(shown: Sequence[Array | None], wide: Sequence[Array | None]) -> list[float] | None:
+    """Return limits of the vertical axis that keep the curves ``shown`` readable; None if no limits are needed.
+
+    Limits are needed if the curves ``wide`` are beyond ``shown``, above or below, by more than the height of ``shown``.
+    They are then half of that height above and below ``shown``, or less if no curve reaches that far. A curve may be
+    None. No limits are needed if ``shown`` has no finite values or no height.
+    """
+    least, most = _finite_span(shown)
+    margin = 0.5 * (most - least)
+    low, high = _finite_span([*shown, *wide])
+    if not margin > 0.0 or (low >= least - 2.0 * margin and high <= most + 2.0 * margin):
+        return None
+    return [max(low, least - margin), min(high, most + margin)]
+
+
+def _finite_span(curves: Sequence[Array | None]) -> tuple[float, float]:
+    """Return the smallest and the largest finite value of several curves; both are NaN if there is no finite value.
+
+    A curve of None is left out.
+    """
+    finite = [curve[np.isfinite(curve)] for curve in curves if curve is not None]
+    every = np.concatenate(finite) if finite else np.empty(0)
+    return (float(every.min()), float(every.max())) if every.size else (np.nan, np.nan)
 
 
 def heading(title: str, y: float) -> dict[str, Any]:

@@ -157,6 +157,21 @@ def test_wide_interval_has_a_place_and_a_reason() -> None:
     assert "disturbance forces" in why
 
 
+def test_interval_that_says_nothing_has_no_number() -> None:
+    """A heading is unknown beyond half a turn, and a position beyond a few times the size of the track."""
+    row = trace()
+    sd = 0.1 * row.t
+    where, why = wide_band(row, row.t, sd, None) or ("", "")
+    assert where == "position north x (no useful interval after 26 s)"  # 2 * 1.96 * 0.1 t > 5 * 2 m
+    assert "integral of the velocity" in why
+    where, _ = wide_band(row, row.t, sd, 10.0) or ("", "")
+    assert where == "position north x (no useful interval 10 s ahead, at 100 s)"
+    turn = trace(channel="psi", unit="rad", angle=True)
+    where, _ = wide_band(turn, row.t, 0.0201 * row.t, None) or ("", "")
+    assert where == "heading ψ (no useful interval after 80 s)"  # 1.96 * 0.0201 t > pi
+    assert wide_band(turn, row.t, 0.016 * row.t, None) is None
+
+
 def test_equal_reasons_and_warnings_are_stated_once() -> None:
     content = KINDS["diagnosis"]()
     same = {"logs": ["a"], "code": "not-in-model", "reason": "the model does not use it"}
