@@ -1,6 +1,9 @@
 from .codegen import prefix as prefix
 from .conditions import chosen_conditions as chosen_conditions
 from .conditions import conditions_text as conditions_text
+from .conditions import frame_words as frame_words
+from .conditions import heading_sentence as heading_sentence
+from .conditions import turn_sentence as turn_sentence
 from .formats import export as export
 from .formats import file_name as file_name
 from .linearisation import Bode as Bode

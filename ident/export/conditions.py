@@ -80,6 +80,48 @@ def late_values(model: Model, ranges: Mapping[str, tuple[float, float]] | None =
     return late | {n: known[1] for n, known in (ranges or {}).items() if n in COMPUTED}
 
 
+def frame_words(conditions: Mapping[str, float]) -> str:
+    """Describe where steady and linear motions hold: in still water, or at the place and heading of their effects.
+
+    ``conditions`` are those of `chosen_conditions`. Without place and heading the text is ``for still water, without
+    disturbances``. With them it is, for example, ``at psi = 0 rad, with the effects that depend on it (such as wind),
+    without current and disturbance forces``.
+    """
+    pose = {n: v for n, v in conditions.items() if n in POSE}
+    if not pose:
+        return "for still water, without disturbances"
+    example = " (such as wind)" if "psi" in pose else ""
+    what = f"with the effects that depend on it{example}, without current and disturbance forces"
+    return f"at {conditions_text(pose)}, {what}"
+
+
+def heading_sentence(conditions: Mapping[str, float]) -> str:
+    """State that a linear model holds near one heading, if its rates depend on it; otherwise the text is empty."""
+    if "psi" not in conditions:
+        return ""
+    at = conditions_text({"psi": conditions["psi"]})
+    return (
+        f"The model depends on the heading (as wind does, for example): matrices and inputs hold near {at}; "
+        "at={'psi': ...} gives those of the heading that you steer."
+    )
+
+
+def turn_sentence(conditions: Mapping[str, float]) -> str:
+    """State why a model has no steady turn: its rates depend on heading or place, which a turn changes.
+
+    ``conditions`` are those of `chosen_conditions`. The text is empty if they have neither heading nor place.
+    """
+    words = {"psi": "the heading", "x": "the place", "y": "the place"}
+    found = [words[n] for n in ("psi", "x", "y") if n in conditions]
+    if not found:
+        return ""
+    names = " and ".join(dict.fromkeys(found))
+    return (
+        f"There is no steady turn: the model depends on {names} (as wind does, for example), which a turning boat "
+        "changes, so that its turn rate never stays the same; simulate the model for its mean."
+    )
+
+
 def conditions_text(conditions: Mapping[str, float]) -> str:
     """Format conditions as text, for example ``t = 240 s, x = 0 m``. The text of no conditions is empty."""
     return ", ".join(f"{n} = {v:.4g} {UNITS[n]}".rstrip() for n, v in conditions.items())

@@ -12,14 +12,15 @@ from numpy.typing import NDArray
 from seatrial.daq.errors import SeatrialError, closest_name
 from seatrial.ident.estimation import PARAMETER_STEP, ParameterCovariance, principal_directions
 from seatrial.ident.export.codegen import without_nuisance
-from seatrial.ident.export.conditions import chosen_conditions, conditions_text
+from seatrial.ident.export.conditions import chosen_conditions, conditions_text, heading_sentence
 from seatrial.ident.export.rates import Rates
-from seatrial.ident.export.state_feedback import StateFeedback, lqr
+from seatrial.ident.export.state_feedback import HEADING, StateFeedback, lqr
 from seatrial.ident.model import COMMAND, SHAFT_SPEED, THRUSTER_FORCE, Model, is_of_thruster
 from seatrial.ident.numerics import Array
 
 BALANCED = 1e-6  # largest rate at the operating point, in the unit of each state per second
 TRIALS = (0.1, 0.4, 0.8)  # initial values of the inputs: at zero the thrust has no slope
+HEADING_STEP = 1e-5  # step of the central difference by the heading [rad]
 CORRECTIONS = 6  # steps of the search for the operating point of moved estimates
 CONSTANTS, LONGEST_S, TIMES = 4.0, 60.0, 200  # length of a response in time constants and in s, and its points
 DECADE, FREQUENCIES = 10.0, 300  # reach of a frequency response beyond the poles, as a factor, and its points
@@ -46,6 +47,9 @@ class Bode(NamedTuple):
         Standard error of the gain relative to it, from the errors of the estimates; NaN if they are unknown.
     phase_sd : Array (n,)
         Standard error of the phase [rad]; NaN if unknown.
+    start : float
+        Phase [rad] from which a lag is counted: that of slow inputs, a whole number of half turns. If an unstable pole
+        dominates the response to slow inputs, it is half a turn above, as that of the same boat without this pole.
     """
 
     frequency: Array
@@ -53,6 +57,7 @@ class Bode(NamedTuple):
     phase: Array
     gain_sd: Array
     phase_sd: Array
+    start: float = 0.0
 
     @property
     def bandwidth(self) -> float:
@@ -61,12 +66,39 @@ class Bode(NamedTuple):
 
     @property
     def lag_90(self) -> float:
-        """Lowest frequency [Hz] at which the state lags by 90 deg more than at the lowest one; NaN if there is none.
+        """Lowest frequency [Hz] at which the phase falls to 90 deg below `start`; NaN if there is none.
 
-        The motion is in phase with the inputs, or opposite to them, at low frequencies.
+        An unstable pole turns the slow response around. The phase then begins half a turn below `start`, and the
+        frequency is the one at which it falls again after its rise. `no_lag_90` is the reason of NaN.
         """
-        start = np.pi * np.round(self.phase[0] / np.pi)
-        return _first_crossing(self.frequency, self.phase - start, -0.5 * np.pi)
+        first = self._first_in_phase
+        if first is None:
+            return float("nan")
+        return _first_crossing(self.frequency[first:], self.phase[first:] - self.start, -0.5 * np.pi)
+
+    @property
+    def no_lag_90(self) -> str:
+        """Reason why `lag_90` is NaN, in sentences; empty if it is a number."""
+        first, low, high = self._first_in_phase, self.frequency[0], self.frequency[-1]
+        if np.isfinite(self.lag_90):
+            return ""
+        if first is None:
+            return (
+                f"The state lags by more than 90 deg at all frequencies from {low:.3g} to {high:.3g} Hz. If a pole is "
+                "unstable, lag and dead time are too large for a heading controller without a yaw-rate term."
+            )
+        rises = f"An unstable pole makes the phase rise to -90 deg at {self.frequency[first]:.3g} Hz. " if first else ""
+        return (
+            f"{rises}The state {'then ' if first else ''}never lags by 90 deg up to {high:.3g} Hz. A model with shaft "
+            "speeds or forces as inputs has neither the lag nor the dead time of the thrusters; one with commands has "
+            "both (horizontal:command)."
+        )
+
+    @property
+    def _first_in_phase(self) -> int | None:
+        """Index of the lowest frequency at which the state lags by less than 90 deg; None if there is none."""
+        found = np.flatnonzero(self.phase - self.start > -0.5 * np.pi)
+        return int(found[0]) if found.size else None
 
 
 def _first_crossing(frequency: Array, value: Array, level: float) -> float:
@@ -104,12 +136,17 @@ class LinearModel:
         Dead time [s] of each input that the model delays. The matrices do not contain it.
     units : dict of str to str
         Unit of each state and input by name; empty for a number without unit.
+    by_heading : Array (n,)
+        Derivatives of the rates by the heading [unit of the state per s and rad], which A does not contain. They are
+        zero unless the model depends on the heading, as by wind.
     moved : tuple of LinearModel
         Linear models with moved estimates: by 0.05 standard errors along each principal direction of their covariance.
         Standard errors are computed from them. Empty if the covariance is unknown.
     conditions : dict of str to float
         Conditions on which the model depends, and which the linear model takes as constant: time ``t`` [s] since the
         start of a run, ``work`` of the thrusters, place ``x`` and ``y`` [m], heading ``psi`` [rad]. Often empty.
+    assumed : tuple of str
+        Names of the conditions whose value is a default, because none was chosen.
     """
 
     speed: float
@@ -121,8 +158,10 @@ class LinearModel:
     u0: Array
     delays: Mapping[str, float]
     units: Mapping[str, str]
+    by_heading: Array
     moved: tuple[LinearModel, ...] = ()
     conditions: Mapping[str, float] = field(default_factory=dict)
+    assumed: tuple[str, ...] = ()
 
     @property
     def poles(self) -> Complex:
@@ -284,8 +323,26 @@ class LinearModel:
             sd_gain, sd_phase = (
                 self.error_of(none, part) for part in ([c.real for c in change], [c.imag for c in change])
             )
-            bodes[name] = Bode(f, np.abs(h), np.unwrap(np.angle(h)), sd_gain, sd_phase)
+            phase = np.unwrap(np.angle(h))
+            bodes[name] = Bode(f, np.abs(h), phase, sd_gain, sd_phase, self._lag_start(inputs, name, float(phase[0])))
         return bodes
+
+    def _lag_start(self, inputs: Inputs, state: str, first: float) -> float:
+        """Return the phase [rad] from which the lag of a state is counted, given that at the lowest frequency.
+
+        It is a whole number of half turns, such that ``first`` is at most a quarter of a turn above it and less than
+        three quarters below.
+        """
+        row = self.states.index(state)
+        slow = self.frequency_response(inputs, self.frequencies[:1])[state][0]
+        poles, right = self._modes
+        b = sum((w * self.B[:, self.inputs.index(n)] for n, w in self._weights(inputs).items()), np.zeros(len(poles)))
+        part = right[row] * (np.linalg.pinv(right) @ b)  # of each pole in the response
+        turned = any(
+            p.real > 0.0 and p.imag == 0.0 and abs(c / p) > 0.5 * abs(slow) for p, c in zip(poles, part, strict=True)
+        )
+        start = 0.0 if (slow.real >= 0.0) is not turned else np.pi
+        return float(start + 2.0 * np.pi * np.ceil((first - start - 0.5 * np.pi) / (2.0 * np.pi)))
 
     def error_of(self, value: Array, moved: Sequence[Array]) -> Array:
         """Return the standard errors of a quantity of this model; NaN if the errors of the estimates are unknown.
@@ -307,6 +364,8 @@ class LinearModel:
 
         The feedback minimises the integral of ``sum of Q e^2 + sum of R (u - u0)^2`` over time, with the errors ``e``
         of the states. The dead time of the inputs is not part of the design: choose poles that are slow beside it.
+        If the rates depend on the heading, as by wind, `by_heading` is part of the design. The inputs ``u0`` then hold
+        the course at one heading alone. A `SeatrialWarning` says so if that heading was not chosen (``at``).
 
         Parameters
         ----------
@@ -382,6 +441,8 @@ class LinearModel:
         lines.append(f"inputs {', '.join(self.inputs)}")
         if self.conditions:
             lines.append(f"taken as constant: {conditions_text(self.conditions)}")
+        if words := heading_sentence(self.conditions):
+            lines.append(words)
         for pole, constant in zip(self.poles, self.time_constants, strict=True):
             lines.append(f"pole {pole_text(pole)} 1/s, time constant {constant:.4g} s")
         return "\n".join(lines)
@@ -439,7 +500,7 @@ def linearise(
     The operating point is found first: the inputs, the sway speed and the shafts for which speed and yaw rate (zero)
     stay. If one thruster is weaker, the inputs differ. Disturbance forces and sensor errors are left out. Delayed
     copies of an input count as the input itself. Time, work of the thrusters, place and heading are no inputs: they are
-    constant.
+    constant. The derivatives by the heading are in `LinearModel.by_heading`, not in A.
 
     Parameters
     ----------
@@ -463,6 +524,7 @@ def linearise(
     reduced, _ = without_nuisance(model)
     constant = chosen_conditions(reduced, at=conditions)
     rates = Rates(reduced, conditions=constant)
+    assumed = tuple(n for n in constant if n not in (conditions or {}))
     if "u" not in rates.names:
         raise SeatrialError(
             f"model {model.name} has no forward speed u among its states, so it has no such operating point; "
@@ -479,12 +541,24 @@ def linearise(
     units = {x.name: x.unit for x in reduced.states} | {i.name: i.unit for i in reduced.inputs}
     units = {n: units[n] for n in (*rates.names, *rates.inputs)}
 
+    # the rates at a heading slightly to port and to starboard
+    turned = {
+        side: Rates(reduced, conditions={**constant, HEADING: constant[HEADING] + side * HEADING_STEP})
+        for side in (-1.0, 1.0)
+        if HEADING in constant
+    }
+
     def about(x: Array, u: Array, values: Array, moved: tuple[LinearModel, ...] = ()) -> LinearModel:
         """Return the linear model about the states x (n,) and inputs u (m,), with these values of the parameters."""
         A, B = (f(x[None], u[None], values)[0] for f in (rates.by_states, rates.by_inputs))
         named = dict(zip(reduced.values, values, strict=True))
         delays = {i: float(named["tau_n"]) for i in rates.inputs if "tau_n" in named and i in rates.delayed}
-        return LinearModel(speed, rates.names, rates.inputs, A, B, x, u, delays, units, moved, constant)
+        by_heading = np.zeros(len(x))
+        for side, beside in turned.items():
+            by_heading += side * beside(x[None], u[None], values)[0] / (2.0 * HEADING_STEP)
+        return LinearModel(
+            speed, rates.names, rates.inputs, A, B, x, u, delays, units, by_heading, moved, constant, assumed
+        )
 
     found = []
     for values in principal_directions(reduced, rates.values, _of_parameters(known, rates.parameters)):

@@ -9,7 +9,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from seatrial.daq.errors import SeatrialError, closest_name
+from seatrial.daq.errors import SeatrialError, closest_name, warn
+from seatrial.ident.export.conditions import conditions_text
 from seatrial.ident.model import COMMAND, SHAFT_SPEED, is_of_thruster
 from seatrial.ident.numerics import Array
 
@@ -27,7 +28,7 @@ class StateFeedback:
     gain : Array (m, n)
         Change of each input for a change of each state.
     x0 : Array (n,)
-        States of the operating point; the heading is zero.
+        States of the operating point. The heading is that of the linear model, and zero if this depends on none.
     u0 : Array (m,)
         Inputs of the operating point.
     poles : array of complex numbers (n,)
@@ -102,6 +103,18 @@ class LinearSystem(Protocol):
         """Derivatives (n, m) of the rates by the inputs."""
 
     @property
+    def by_heading(self) -> Array:
+        """Derivatives (n,) of the rates by the heading."""
+
+    @property
+    def conditions(self) -> Mapping[str, float]:
+        """Conditions that the system takes as constant, among them the heading ``psi`` if the rates depend on it."""
+
+    @property
+    def assumed(self) -> tuple[str, ...]:
+        """Names of the conditions whose value is a default."""
+
+    @property
     def x0(self) -> Array:
         """States (n,) of the operating point."""
 
@@ -113,6 +126,7 @@ class LinearSystem(Protocol):
 def lqr(linear: LinearSystem, Q: Mapping[str, float], R: Mapping[str, float]) -> StateFeedback:
     """Return the linear quadratic regulator of a linear system, with weights of states and inputs by name.
 
+    A `SeatrialWarning` is issued if the heading is controlled, and the rates depend on it, and nobody chose its value.
     Weights that are missing, the heading and the errors are those of
     `seatrial.ident.export.linearisation.LinearModel.lqr`.
     """
@@ -133,6 +147,14 @@ def lqr(linear: LinearSystem, Q: Mapping[str, float], R: Mapping[str, float]) ->
     A[:n, :n], B[:n] = linear.A, linear.B
     if steered:
         A[n, linear.states.index("r")] = 1.0
+        A[:n, n] = linear.by_heading
+        if HEADING in linear.assumed:
+            at = conditions_text({HEADING: linear.conditions[HEADING]})
+            warn(
+                f"the model depends on the heading (as wind does, for example) and is linearised at {at}: linearise "
+                "with at={'psi': ...} [rad] for the heading that you steer, as the inputs u0 that hold the course "
+                "change with it"
+            )
     weights, costs = np.diag([Q.get(s, 0.0) for s in states]), np.diag([R.get(i, 1.0) for i in linear.inputs])
     failure = "no feedback with these weights makes the motion stable: give weights to u, r and psi"
     try:
@@ -143,7 +165,7 @@ def lqr(linear: LinearSystem, Q: Mapping[str, float], R: Mapping[str, float]) ->
     if not (poles.real < 0.0).all():
         raise SeatrialError(failure)
     poles = poles[np.argsort(np.abs(poles.real), kind="stable")]
-    x0 = np.append(linear.x0, np.zeros(len(states) - n))
+    x0 = np.append(linear.x0, np.full(len(states) - n, linear.conditions.get(HEADING, 0.0)))
     return StateFeedback(states, linear.inputs, gain, x0, linear.u0, poles)
 
 

@@ -11,6 +11,7 @@ from .drawing import band as band
 from .drawing import dots as dots
 from .drawing import line_trace as line_trace
 from .drawing import stacked as stacked
+from .drawing import trusted_lines as trusted_lines
 from .formatting import GRAMS_PER_NEWTON as GRAMS_PER_NEWTON
 from .formatting import degrees_for as degrees_for
 from .formatting import typeset_unit as typeset_unit

@@ -33,6 +33,7 @@ MODEL, BEFORE, MEASURED, GREEN, PURPLE, SKY, AMBER = (
 INK, GRID, FAINT = "#1c2430", "#e6e9ee", "#8a93a0"
 LINES = (MODEL, AMBER, GREEN, PURPLE, SKY, BEFORE)
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "solid")
+CUT = "The vertical range is limited: part of an interval or curve is outside. Double-click to show all of it."
 Z95 = 1.96  # half width of a 95 % interval of the normal distribution, in standard deviations
 LARGEST = float(np.finfo(np.float32).max)  # figures store 32-bit floats
 # Colours of the figures on a dark page. Text has a contrast of at least 4.5 to the page, lines of at least 3.
@@ -224,6 +225,42 @@ def line_trace(
     return _scatter(*_with_gaps_at_jumps(x[at], y[at], turn), name, mode="lines", line=style, connectgaps=False)
 
 
+def trusted_lines(
+    x: Array, y: Array, name: str, limit: int, trusted: tuple[float, float] | None, *, color: str = MODEL
+) -> list[Trace]:
+    """Return the traces of a line that is solid where y is within the data, and dotted beyond.
+
+    The dotted trace is named ``name, beyond the data``.
+
+    Parameters
+    ----------
+    x, y
+        Coordinates (n,) of the points.
+    name
+        Text in the legend and on hover.
+    limit
+        Largest number of points of a trace.
+    trusted
+        Smallest and largest y of the data; None: the line is solid.
+    color
+        Colour, for example ``#0072B2``.
+
+    Returns
+    -------
+    list of Trace
+        One trace, or two if a part of the line is beyond. Both parts share the points at which they meet.
+    """
+    low, high = trusted or (-np.inf, np.inf)
+    outside = (y < low) | (y > high)
+    if not outside.any():
+        return [line_trace(x, y, name, limit, color=color)]
+    beside = outside | np.append(outside[1:], False) | np.append(False, outside[:-1])
+    return [
+        line_trace(x, np.where(outside, np.nan, y), name, limit, color=color),
+        line_trace(x, np.where(beside, y, np.nan), f"{name}, beyond the data", limit, color=color, dash="dot"),
+    ]
+
+
 def _indices_after_jumps(y: Array, turn: float | None) -> Index:
     """Return the indices of the points just after a jump of a wrapped angle y (n,) by more than half a turn.
 
@@ -371,6 +408,11 @@ class Panel:
     y: dict[str, Any] = field(default_factory=dict)
 
 
+def cut(panels: Sequence[Panel]) -> bool:
+    """Return whether the vertical range of a panel is limited. Panels of angles, which have ticks, do not count."""
+    return any("range" in p.y and "dtick" not in p.y for p in panels)
+
+
 def stacked(panels: Sequence[Panel], x_title: str, *, panel_height: int = 132) -> tuple[Figure, int]:
     """Return a figure of panels above each other with a common horizontal axis, and its height [px].
 
@@ -409,6 +451,31 @@ def stacked(panels: Sequence[Panel], x_title: str, *, panel_height: int = 132) -
         data += [{**trace, "xaxis": "x", "yaxis": f"y{axis}"} for trace in panel.traces]
         layout["annotations"].append(heading(panel.title, high))
     return {"data": data, "layout": layout}, inner + top + bottom
+
+
+def axis_limits(shown: Sequence[Array | None], wide: Sequence[Array | None]) -> list[float] | None:
+    """Return limits of the vertical axis that keep the curves ``shown`` readable; None if no limits are needed.
+
+    Limits are needed if the curves ``wide`` are beyond ``shown``, above or below, by more than the height of ``shown``.
+    They are then half of that height above and below ``shown``, or less if no curve reaches that far. A curve may be
+    None. No limits are needed if ``shown`` has no finite values or no height.
+    """
+    least, most = _finite_span(shown)
+    margin = 0.5 * (most - least)
+    low, high = _finite_span([*shown, *wide])
+    if not margin > 0.0 or (low >= least - 2.0 * margin and high <= most + 2.0 * margin):
+        return None
+    return [max(low, least - margin), min(high, most + margin)]
+
+
+def _finite_span(curves: Sequence[Array | None]) -> tuple[float, float]:
+    """Return the smallest and the largest finite value of several curves; both are NaN if there is no finite value.
+
+    A curve of None is left out.
+    """
+    finite = [curve[np.isfinite(curve)] for curve in curves if curve is not None]
+    every = np.concatenate(finite) if finite else np.empty(0)
+    return (float(every.min()), float(every.max())) if every.size else (np.nan, np.nan)
 
 
 def heading(title: str, y: float) -> dict[str, Any]:

@@ -786,7 +786,11 @@ class FrequencyResponse(Part, frozen=True, kw_only=True):
         Meta(description="frequency at which the gain is 3 dB below that of slow commands [Hz]; null: unknown"),
     ] = None
     lag_90: Annotated[
-        float | None, Meta(description="frequency at which the state lags 90 deg behind the command [Hz]; null: none")
+        float | None,
+        Meta(
+            description="frequency at which the state lags 90 deg behind the command [Hz], of an unstable model beyond "
+            "the unstable pole; null: none"
+        ),
     ] = None
 
     def __post_init__(self) -> None:
@@ -827,6 +831,10 @@ class Dynamics(Part, frozen=True, kw_only=True):
         dict[str, float],
         Meta(description="conditions taken as constant: time `t` [s], `work`, place `x`, `y` [m], heading `psi` [rad]"),
     ] = msgspec.field(default_factory=dict)
+    speeds: Annotated[
+        tuple[float, float] | None,
+        Meta(description="smallest and largest forward speed in the data of the fit [m/s]; null: unknown"),
+    ] = None
     course: Annotated[
         CourseStability | None, Meta(description="stability of a straight course; null: no pole of sway and yaw")
     ] = None

@@ -10,7 +10,14 @@ import numpy as np
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.data import TIME_INPUT, WORK_INPUT
 from seatrial.ident.estimation import Fit, FittedModel, ParameterCovariance
-from seatrial.ident.export import LinearModel, chosen_conditions, linearise, side_inputs, steady_motion
+from seatrial.ident.export import (
+    LinearModel,
+    chosen_conditions,
+    linearise,
+    side_inputs,
+    steady_motion,
+    turn_sentence,
+)
 from seatrial.ident.model import COMMAND, SHAFT_SPEED, Model, ModelKind, is_of_thruster
 from seatrial.ident.numerics import Array
 from seatrial.ident.results import (
@@ -68,8 +75,7 @@ def dynamics_of(fitted: FittedModel) -> Dynamics | None:
         course = _course_stability(model, linear, ranges.get("u"), known, conditions)
     return Dynamics(
         steady=tuple(curves), points=tuple(_point(x) for x in linear), steps=tuple(steps), responses=tuple(responses),
-        delays=dict(linear[0].delays) if linear else {}, conditions=dict(linear[0].conditions) if linear else {},
-        course=course,
+        delays=dict(linear[0].delays) if linear else {}, conditions=conditions, speeds=ranges.get("u"), course=course,
     )  # fmt: skip
 
 
@@ -148,8 +154,9 @@ def steady_curves(
     -------
     list of SteadyCurve
         The curve of the speed, then one of the turn rate for each mean. A curve with fewer than three steady motions is
-        left out. The list is empty without a range of the commands, and if the rates of a user-defined model are not
-        defined at them.
+        left out. A model that depends on heading or place has no curve of the turn rate, as a turning boat keeps
+        neither of them. The list is empty without a range of the commands, and if the rates of a user-defined model are
+        not defined at them.
     """
     states, drives = {s.name for s in model.states}, Drives(model, ranges)
     if not drives.names:
@@ -159,7 +166,7 @@ def steady_curves(
         held = chosen_conditions(model, ranges) if conditions is None else conditions
         if "u" in states:
             curves.append(_straight(model, known, drives, points, held))
-        if "r" in states and drives.two_sided:
+        if "r" in states and drives.two_sided and not turn_sentence(held):
             curves += [_turn(model, known, drives, mean * drives.high, points, held) for mean in means]
     except (ArithmeticError, np.linalg.LinAlgError, TypeError, ValueError):
         return []
@@ -279,7 +286,7 @@ def _responses(linear: LinearModel, drives: Drives) -> list[FrequencyResponse]:
 
     A model without two sides has only the response of speed. The bandwidth is left out if the gain of slow commands,
     with which it is compared, has a standard error above 3 dB: a boat that hardly holds its course turns so slowly to
-    its steady rate that the data do not contain it. Of turns of an unstable boat, bandwidth and lag are left out.
+    its steady rate that the data do not contain it. Of turns of an unstable boat, the bandwidth is left out.
     """
     found = []
     for motion, (quantity, *_), weights in _motions(linear, drives):
@@ -294,7 +301,7 @@ def _responses(linear: LinearModel, drives: Drives) -> list[FrequencyResponse]:
                 speed=linear.speed, motion=motion, quantity=quantity, unit=f"{unit}/{command}" if command else unit,
                 stable=linear.stable, frequency=bode.frequency, gain=bode.gain, gain_sd=bode.gain_sd, phase=bode.phase,
                 phase_sd=bode.phase_sd, bandwidth=finite(bode.bandwidth) if settles and slow_gain_is_known else None,
-                lag_90=finite(bode.lag_90) if settles else None,
+                lag_90=finite(bode.lag_90),
             )
         )  # fmt: skip
     return found

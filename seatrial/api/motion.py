@@ -17,7 +17,7 @@ from seatrial.api.messages import errors_of_users
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError, warn
 from seatrial.daq.log import import_library
-from seatrial.ident.export import Inputs, LinearModel, conditions_text, pole_text
+from seatrial.ident.export import Inputs, LinearModel, conditions_text, heading_sentence, pole_text, turn_sentence
 from seatrial.ident.model import THRUSTER_FORCE, is_of_thruster
 
 if TYPE_CHECKING:
@@ -53,9 +53,14 @@ class Linearisation(Shown, LinearModel):
         Dead time [s] of each input that the model delays. The matrices do not contain it; all responses do.
     units : dict of str to str
         Unit of each state and input by name; empty for a number without unit.
+    by_heading : Array (n,)
+        Derivatives of the rates by the heading, which A does not contain. They are zero unless the model depends on
+        the heading, as by wind. `lqr` uses them.
     conditions : dict of str to float
         Conditions that the model takes as constant: time ``t`` [s] since the start of a run, ``work`` of the thrusters,
         place ``x`` and ``y`` [m], heading ``psi`` [rad]. Empty if the model depends on none of them.
+    assumed : tuple of str
+        Names of the conditions whose value is a default, because ``at`` did not have them.
     """
 
     def to_pandas(self) -> Any:
@@ -193,12 +198,14 @@ class Linearisation(Shown, LinearModel):
         answer = f"Linear model at {self.speed:g} m/s ({at}), {how}."
         if self.conditions:
             answer += f" Taken as constant: {conditions_text(self.conditions)}."
+        if words := heading_sentence(self.conditions):
+            answer += f" {words}"
         return Content(answer, (), ("pole [1/s]", "time constant [s]", "s.e. [s]"), rows)
 
 
 @dataclass(frozen=True, repr=False)
 class Steady(Shown):
-    """Steady speed and turn rate of a boat in still water over constant commands. `steady` returns it.
+    """Steady speed and turn rate of a boat without current over constant commands. `steady` returns it.
 
     Attributes
     ----------
@@ -207,10 +214,13 @@ class Steady(Shown):
         (`seatrial.ident.results.SteadyCurve`): ``command``, ``value`` and its standard error ``sd``.
     conditions : dict of str to float
         Conditions that the motions take as constant, as those of a `Linearisation`.
+    speeds : tuple of float or None
+        Smallest and largest forward speed [m/s] in the data of the fit; None if unknown.
     """
 
     curves: tuple[SteadyCurve, ...]
     conditions: Mapping[str, float] = field(default_factory=dict)
+    speeds: tuple[float, float] | None = None
 
     @property
     def straight(self) -> SteadyCurve | None:
@@ -221,13 +231,17 @@ class Steady(Shown):
     def turns(self) -> tuple[SteadyCurve, ...]:
         """Steady turn rates [rad/s] over half the difference of left and right command, one for each mean command.
 
-        Empty if the model has no turn rate or no thrusters of two sides.
+        Empty if the model has no turn rate or no thrusters of two sides, or if it depends on heading or place.
         """
         return tuple(c for c in self.curves if c.motion == "turn")
 
     @property
     def answer(self) -> str:
-        """Largest steady speed and turn rate within the commands of the data, and the conditions, in sentences."""
+        """Largest steady speed and turn rate within the commands of the data, and the conditions, in sentences.
+
+        A speed beyond those of the data is marked. A sentence says why a model that depends on heading or place has no
+        steady turn rate.
+        """
         words = {"u": ("speed", 1.0, "m/s"), "r": ("turn rate", np.degrees(1.0), "deg/s")}
         found = []
         for quantity, (name, factor, unit) in words.items():
@@ -243,9 +257,14 @@ class Steady(Shown):
                 )
                 sd = factor * curve.sd[k]
                 error = "" if np.isnan(sd) else f" ± {number(1.96 * sd, 2)}"
+                beyond = ""
+                if quantity == "u" and self.speeds is not None and value > self.speeds[1]:
+                    beyond = f", beyond the speeds of the data (up to {number(self.speeds[1], 2)} m/s)"
                 found.append(
-                    f"The largest steady {name} is {number(value, 3)}{error} {unit}, at a command of {command}."
+                    f"The largest steady {name} is {number(value, 3)}{error} {unit}, at a command of {command}{beyond}."
                 )
+        if not self.turns and any(len(c.inputs) > 1 for c in self.curves) and (why := turn_sentence(self.conditions)):
+            found.append(why)
         if self.conditions:
             found.append(f"Taken as constant: {conditions_text(self.conditions)}.")
         return " ".join(found)
@@ -272,8 +291,11 @@ class Steady(Shown):
         return pandas.concat(frames, ignore_index=True)
 
     def plot(self) -> Figure:
-        """Return a figure of the steady speed and the steady turn rates over the command, with 95 % bands."""
-        from seatrial.ident.report import DASHES, LINES, Panel, band, degrees_for, line_trace, stacked
+        """Return a figure of the steady speed and the steady turn rates over the command, with 95 % bands.
+
+        The line of the speed is dotted beyond the speeds of the data.
+        """
+        from seatrial.ident.report import DASHES, LINES, Panel, band, degrees_for, line_trace, stacked, trusted_lines
 
         panels: dict[str, Panel] = {}
         for c in self.curves:
@@ -286,11 +308,16 @@ class Steady(Shown):
             if np.isfinite(c.sd).any():
                 area = band(c.command, factor * c.value, 1.96 * factor * c.sd, POINTS, color=color, gaps=True)
                 panel.traces.append({**area, "showlegend": False})
-            line = line_trace(c.command, factor * c.value, name, POINTS, color=color, dash=DASHES[k % len(DASHES)])
-            panel.traces.append({**line, "showlegend": c.motion == "turn"})
+            if c.motion == "straight":
+                lines = trusted_lines(c.command, c.value, name, POINTS, self.speeds, color=color)
+                panel.traces += [{**line, "showlegend": len(lines) > 1} for line in lines]
+            else:
+                dash = DASHES[k % len(DASHES)]
+                panel.traces.append(line_trace(c.command, factor * c.value, name, POINTS, color=color, dash=dash))
         unit = "N" if is_of_thruster(self.curves[0].inputs[0], THRUSTER_FORCE) else "part of full"
         figure, height = stacked(list(panels.values()), f"command [{unit}]", panel_height=220)
-        return Figure("Steady motion in still water", figure["data"], _legend_below(figure["layout"], height))
+        words = f"Steady motion at {conditions_text(self.conditions)}" if self.conditions else "Steady motion"
+        return Figure(words, figure["data"], _legend_below(figure["layout"], height))
 
     def _content(self) -> Content:
         """Return the answer, and a table of about ten commands of each curve."""
@@ -319,7 +346,8 @@ def linearise(
     """Linearise a fitted model about straight motion at a constant forward speed, without current.
 
     Effects may depend on the time since the start of a run (a payload that shifts), the work of the thrusters, the
-    place or the heading. They are no inputs: the linear model takes them as constant, and shows their values.
+    place or the heading. They are no inputs: the linear model takes them as constant, and shows their values. In wind
+    the inputs ``u0`` that hold a course change with the heading: give the heading that you steer as ``at``.
 
     Parameters
     ----------
@@ -362,7 +390,8 @@ def linearise(
             f"{speed:g} m/s is outside the speeds of the fitted data, {low:.3g} to {high:.3g} m/s; choose one of these"
         )
         warn(text)
-    return Linearisation(**vars(found))
+    assumed = tuple(n for n in found.conditions if n not in (at or {}))
+    return Linearisation(**{**vars(found), "assumed": assumed})
 
 
 def steady(
@@ -371,10 +400,11 @@ def steady(
     points: int = 41,
     at: Mapping[str, float] | None = None,
 ) -> Steady:
-    """Compute the steady speed and the steady turn rate of a fitted model over constant commands, in still water.
+    """Compute the steady speed and the steady turn rate of a fitted model over constant commands, without current.
 
     The commands are those of the fitted data. Disturbance forces and the current are left out. Speed and turn rate at a
-    command without a stable steady motion are NaN.
+    command without a stable steady motion are NaN. A model that depends on the heading or the place, as by wind, has a
+    steady speed for one heading and place (``at``), and no steady turn rate: a turning boat keeps neither of them.
 
     Parameters
     ----------
@@ -416,12 +446,14 @@ def steady(
         structure, ranges, known = _estimates(model)
         conditions = chosen_conditions(structure, ranges, at)
         curves = steady_curves(structure, ranges, known, means, points, conditions)
+    if not curves and (why := turn_sentence(conditions)):
+        raise SeatrialError(f"model {structure.name} has no steady motion. {why}")
     if not curves:
         raise SeatrialError(
             f"model {structure.name} has no steady motion: it needs a speed u or turn rate r, and commands whose range "
             "in the fitted data is known; use a model of a boat, such as horizontal"
         )
-    return Steady(tuple(curves), conditions)
+    return Steady(tuple(curves), conditions, ranges.get("u"))
 
 
 def _estimates(

@@ -12,6 +12,7 @@ import sys
 import tomllib
 import warnings
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -309,6 +310,43 @@ def test_conditions_of_effects_are_stated_and_can_be_chosen(fit: st.FittedVehicl
     assert "constant" not in st.steady(fit, points=5).answer
 
 
+def in_wind(fit: st.FittedVehicle, folder: Path, north: float = -3.0) -> Path:
+    """Return the model.toml of a fit with a steady wind force to the north [N]."""
+    model = fit.save(folder) / "model.toml"
+    values = {"F_wx": north, "F_wy": 0.5, "w_x": 0.5, "w_n": 0.1, "w_nn": 0.0, "k_air": 0.28}
+    rows = "".join(f'[[parameter]]\nname = "{n}"\nvalue = {v}\nfree = false\n' for n, v in values.items())
+    text = re.sub(r"^effects = \[", 'effects = ["wind", ', model.read_text(), flags=re.MULTILINE)
+    model.write_text(text + rows)
+    return model
+
+
+def test_steady_motion_in_wind_is_that_of_a_heading(fit: st.FittedVehicle, tmp_path: Path) -> None:
+    """The speed differs between both directions of the wind, and no turn is steady."""
+    model = in_wind(fit, tmp_path / "fit")
+    against, before = st.steady(model, points=5), st.steady(model, points=5, at={"psi": np.pi})
+    assert against.straight is not None
+    assert before.straight is not None
+    assert against.straight.value[-1] < before.straight.value[-1] - 0.01
+    assert against.turns == ()
+    assert "largest steady turn rate" not in against.answer
+    assert "There is no steady turn: the model depends on the heading" in against.answer
+    assert before.answer.endswith("Taken as constant: psi = 3.142 rad.")
+    assert "psi = 0 rad" in against.plot().title
+
+
+def test_linear_model_in_wind_asks_for_its_heading(fit: st.FittedVehicle, tmp_path: Path) -> None:
+    model = in_wind(fit, tmp_path / "fit")
+    north, chosen = st.linearise(model, 0.5), st.load(model).linearise(0.5, at={"psi": 1.0})
+    assert (north.assumed, chosen.assumed) == (("psi",), ())
+    assert "hold near psi = 0 rad" in north._content().answer
+    with pytest.warns(SeatrialWarning, match="is linearised at psi = 0 rad"):
+        north.lqr({"u": 4.0, "r": 1.0, "psi": 4.0})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        north.lqr({"u": 4.0, "r": 1.0}) if north.stable else None
+        chosen.lqr({"u": 4.0, "r": 1.0, "psi": 4.0})
+
+
 def test_steady_motion_is_that_of_a_long_simulation(fit: st.FittedVehicle, tmp_path: Path) -> None:
     steady, saved = fit.steady(means=(0.5,), points=21), st.load(fit.save(tmp_path / "fit"))
     assert steady.straight is not None
@@ -326,7 +364,15 @@ def test_steady_motion_is_that_of_a_long_simulation(fit: st.FittedVehicle, tmp_p
     assert turn.sd[k] > 0.0
     assert np.all(np.diff(steady.straight.value) > 0.0)
     assert "The largest steady turn rate is" in steady.answer
-    assert {trace["name"] for trace in steady.plot().data} == {"", "speed", f"mean command {turn.mean:.2g}"}
+    names = {"", "speed", "speed, beyond the data", f"mean command {turn.mean:.2g}"}
+    assert {trace["name"] for trace in steady.plot().data} == names
+    assert {trace["name"] for trace in replace(steady, speeds=None).plot().data} == names - {"speed, beyond the data"}
+    fastest = steady.straight.value[-1]
+    slow = replace(steady, speeds=(-0.2, 0.5 * fastest))
+    assert f"beyond the speeds of the data (up to {0.5 * fastest:.2g} m/s)." in slow.answer
+    assert steady.speeds == pytest.approx(tomllib.loads(text)["validity"]["u"], rel=1e-3)
+    line = next(trace for trace in slow.plot().data if trace["name"] == "speed, beyond the data")
+    assert line["line"]["dash"] == "dot"
     frame = steady.to_pandas()
     assert len(frame) == steady.straight.command.size + turn.command.size
     with pytest.raises(SeatrialError, match="means 2: give parts of the largest command"):

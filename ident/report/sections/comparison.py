@@ -270,6 +270,7 @@ def overlay_section(canvas: Canvas, result: ComparisonResult) -> Section:
                 figure, height = with_legend(*drawing.stacked(panels, TIME), 1)
                 label = f"Measured and predicted: {kind_title(*kind)}, {tab.title}"
                 blocks += [Heading(kind_title(*kind)), Grid([canvas.plot(figure, height, label)], 320)]
+                blocks += [Prose(drawing.CUT, "caption")] if drawing.cut(panels) else []
         tabs.append((tab.title, blocks))
     names = ", ".join(f"({m.label}) {m.name}" for m in result.models)
     lead = (
@@ -337,12 +338,13 @@ def overlay_panels(
         factor, unit = formatting.degrees_for(row.unit)
         turn = 360.0 if row.angle else None
         measured = drawing.dots(row.t, _turned(factor * row.measured, turn), "measured", limit, turn=turn)
-        traces = [_in_legend(measured, "measured", named)]
+        traces, edges = [_in_legend(measured, "measured", named)], list[Array]()
         for p in own:
             k = letters.index(p.model)
             color, dash = drawing.LINES[k % len(drawing.LINES)], drawing.DASHES[k % len(drawing.DASHES)]
             y = _turned(factor * p.predicted, turn)
             half = drawing.Z95 * factor * p.sd
+            edges += [y - half, y + half]
             shade = drawing.band(p.t, y, half, limit, color=color, opacity=BAND, turn=turn)
             traces.append(shade | {"legendgroup": p.model, "showlegend": False})
             line = drawing.line_trace(p.t, y, names[p.model], limit, color=color, dash=dash, turn=turn)
@@ -352,7 +354,7 @@ def overlay_panels(
         axis: dict[str, Any] = {}
         if turn:
             axis = {"range": [-turn / 2, turn / 2], "tick0": 0, "dtick": turn / 4}
-        elif (frame := _frame(factor * row.measured, [factor * p.predicted for p in own])) is not None:
+        elif (frame := _frame(factor * row.measured, [factor * p.predicted for p in own], edges)) is not None:
             axis = {"range": frame}
         panels.append(drawing.Panel(title, traces, axis))
     return panels
@@ -379,16 +381,22 @@ def _fit_words(row: ComparedChannel | None) -> str:
     return f" · fit {', '.join(fits)}" if fits else ""
 
 
-def _frame(measured: Array, predicted: Sequence[Array]) -> list[float] | None:
+def _frame(measured: Array, predicted: Sequence[Array], edges: Sequence[Array]) -> list[float] | None:
     """Return limits of the vertical axis within which the samples can be read; None if none are needed.
 
-    They are needed if a prediction is farther from the samples than their range, as that of a model that diverges.
+    Parameters
+    ----------
+    measured : Array (n,)
+        The samples.
+    predicted : sequence of Array
+        Predictions of each model. A prediction farther from the samples than their range, as that of a model that
+        diverges, is outside the limits.
+    edges : sequence of Array
+        Lower and upper ends of the 95 % bands, for which the limits are those of `drawing.axis_limits`.
     """
     finite = measured[np.isfinite(measured)]
-    every = np.concatenate([finite, *(p[np.isfinite(p)] for p in predicted)])
     if not finite.size or not np.ptp(finite) > 0.0:
         return None
     low, high, reach = float(finite.min()), float(finite.max()), float(np.ptp(finite))
-    if every.min() >= low - reach and every.max() <= high + reach:
-        return None
-    return [max(low - reach, float(every.min())), min(high + reach, float(every.max()))]
+    near = [np.clip(p, low - 0.5 * reach, high + 0.5 * reach) for p in predicted]
+    return drawing.axis_limits([measured, *near], [*predicted, *edges])

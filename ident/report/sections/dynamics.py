@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from seatrial.ident.export import conditions_text
+from seatrial.ident.export import conditions_text, frame_words, turn_sentence
 from seatrial.ident.model import THRUSTER_FORCE, is_of_thruster
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Canvas, Cell, Grid, Heading, Plot, Prose, Section, Table
@@ -38,14 +38,17 @@ def section(canvas: Canvas, dynamics: Dynamics | None) -> Section:
     """
     if dynamics is None:
         return Section("dynamics", "", [])
-    curves = [_straight_plot(canvas, c) for c in dynamics.steady if c.motion == "straight"]
+    curves = [_straight_plot(canvas, c, dynamics.speeds) for c in dynamics.steady if c.motion == "straight"]
     turns = [c for c in dynamics.steady if c.motion == "turn"]
     curves += [_turn_plot(canvas, turns)] if turns else []
     blocks: list[Any] = [Grid(curves, 320)] if curves else []
+    two_sided = any(len(c.inputs) > 1 for c in dynamics.steady)
+    if two_sided and not turns and (why := turn_sentence(dynamics.conditions)):
+        blocks.append(Prose(why, "caption"))
     blocks += _pole_blocks(dynamics.points, dynamics.course) + _step_blocks(canvas, dynamics)
     blocks += _bode_blocks(canvas, dynamics)
     lead = (
-        "Computed from the model for still water, without disturbances and within the commands of the data. Bands are "
+        f"Computed from the model {frame_words(dynamics.conditions)}, and within the commands of the data. Bands are "
         "95 % intervals from the standard errors of the parameters."
     )
     if dynamics.conditions:
@@ -62,14 +65,19 @@ def _command(curve: SteadyCurve) -> str:
     return f"command of {'both sides' if len(curve.inputs) > 1 else 'the drive'}{names}"
 
 
-def _straight_plot(canvas: Canvas, curve: SteadyCurve) -> Plot:
-    """Return the plot of the steady speed on a straight course over the command."""
+def _straight_plot(canvas: Canvas, curve: SteadyCurve, speeds: tuple[float, float] | None) -> Plot:
+    """Return the plot of the steady speed on a straight course over the command.
+
+    ``speeds`` are the smallest and the largest speed of the data [m/s]; the line is dotted beyond. None: unknown.
+    """
     traces = [
         drawing.band(curve.command, curve.value, drawing.Z95 * np.nan_to_num(curve.sd), POINTS, gaps=True),
-        drawing.line_trace(curve.command, curve.value, "speed", POINTS),
+        *drawing.trusted_lines(curve.command, curve.value, "speed", POINTS, speeds),
     ]
+    beyond = len(traces) > 2
     figure = drawing.single(traces, _command(curve), "speed [m/s]", hovermode="closest")
-    return canvas.plot(figure, 320, "Steady speed against command", "Steady speed on a straight course")
+    title = "Steady speed on a straight course" + ("; dotted: beyond the speeds of the data" if beyond else "")
+    return canvas.plot(figure, 320, "Steady speed against command", title)
 
 
 def _turn_plot(canvas: Canvas, curves: Sequence[SteadyCurve]) -> Plot:

@@ -232,6 +232,7 @@ REASONS = {
     "vy": "an error of the heading turns the velocity over ground",
 }
 WIDE = 0.5  # an interval is wide if half of its width exceeds this part of the range of the measured values
+USELESS = 5.0  # an interval is useless if its width exceeds so many ranges of the measured values, or a full turn
 GAP = 5.0  # a gap is longer than this many median intervals of the samples
 
 
@@ -250,6 +251,10 @@ def _wide_bands(found: Sequence[tuple[Trace, Array, Array]], horizon: float | No
 
 def wide_band(row: Trace, t: Array, sd: Array, horizon: float | None) -> tuple[str, str] | None:
     """Return where and why the 95 % interval of a channel is wide, as two texts; None if it is nowhere wide.
+
+    The width of an interval that is wider than five ranges of the measured values, or than a full turn of an angle, is
+    not stated: it says no more than that nothing is known. The time from which on there is no useful interval stands in
+    its place.
 
     Parameters
     ----------
@@ -282,8 +287,15 @@ def wide_band(row: Trace, t: Array, sd: Array, horizon: float | None) -> tuple[s
         last = float(before[-1]) if before.size else float(samples[0])
         if start - last > GAP * float(np.median(np.diff(samples))):
             why = f"the channel has no samples from {last:.0f} to {start:.0f} s"
-    width = formatting.plain(float(factor * half[k]), 2)
-    return f"{formatting.named(row.channel)} (widest at {t[k]:.0f} s, ± {width} {unit})", why
+    useless = np.flatnonzero(half > (np.pi if row.angle else 0.5 * USELESS * spread))
+    if not useless.size:
+        width = formatting.plain(float(factor * half[k]), 2)
+        where = f"widest at {t[k]:.0f} s, ± {width} {unit}"
+    elif horizon is None:
+        where = f"no useful interval after {t[useless[0]]:.0f} s"
+    else:
+        where = f"no useful interval {horizon:g} s ahead, at {t[k]:.0f} s"
+    return f"{formatting.named(row.channel)} ({where})", why
 
 
 def _predicted_track(canvas: Canvas, result: FitResult, rows: Sequence[Trace], tab: RecordTab) -> list[Any]:
@@ -342,9 +354,7 @@ def _stacked(canvas: Canvas, panels: Sequence[drawing.Panel], label: str) -> lis
         return []
     figure, height = drawing.stacked(panels, TIME)
     plots = [Grid([canvas.plot(figure, height, label)], 320)]
-    cut = "The vertical range is limited: part of an interval or curve is outside. Double-click to show all of it."
-    # panels of angles have a fixed range and ticks
-    return [*plots, Prose(cut, "caption")] if any("range" in p.y and "dtick" not in p.y for p in panels) else plots
+    return [*plots, Prose(drawing.CUT, "caption")] if drawing.cut(panels) else plots
 
 
 def _channel_panel(canvas: Canvas, row: Trace, curves: _Curves, note: str) -> drawing.Panel | None:
@@ -383,7 +393,7 @@ def _channel_panel(canvas: Canvas, row: Trace, curves: _Curves, note: str) -> dr
     if not traces:
         return None
     edges = [] if model is None or sd is None else [model - drawing.Z95 * sd, model + drawing.Z95 * sd]
-    frame = _axis_limits([measured, model], [before, *edges])
+    frame = drawing.axis_limits([measured, model], [before, *edges])
     axis: dict[str, Any] = {"range": frame} if frame else {}
     if turn:
         axis = {"range": [-turn / 2, turn / 2], "tick0": 0, "dtick": turn / 4}
@@ -398,31 +408,6 @@ def _wrapped_angle(angle: Array | None, turn: float | None) -> Array | None:
     no angles.
     """
     return angle if angle is None or turn is None else np.mod(angle + turn / 2, turn) - turn / 2
-
-
-def _axis_limits(shown: list[Array | None], wide: list[Array | None]) -> list[float] | None:
-    """Return limits of the vertical axis that keep the curves ``shown`` readable; None if no limits are needed.
-
-    Limits are needed if the curves ``wide`` are beyond ``shown``, above or below, by more than the height of ``shown``.
-    They are then half of that height above and below ``shown``, or less if no curve reaches that far. A curve may be
-    None. No limits are needed if ``shown`` has no finite values or no height.
-    """
-    least, most = _finite_span(shown)
-    margin = 0.5 * (most - least)
-    low, high = _finite_span([*shown, *wide])
-    if not margin > 0.0 or (low >= least - 2.0 * margin and high <= most + 2.0 * margin):
-        return None
-    return [max(low, least - margin), min(high, most + margin)]
-
-
-def _finite_span(curves: list[Array | None]) -> tuple[float, float]:
-    """Return the smallest and the largest finite value of several curves; both are NaN if there is no finite value.
-
-    A curve of None is left out.
-    """
-    finite = [curve[np.isfinite(curve)] for curve in curves if curve is not None]
-    every = np.concatenate(finite) if finite else np.empty(0)
-    return (float(every.min()), float(every.max())) if every.size else (np.nan, np.nan)
 
 
 def _track_blocks(canvas: Canvas, result: FitResult, tab: RecordTab) -> list[Any]:

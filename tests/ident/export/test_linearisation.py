@@ -11,6 +11,7 @@ import warnings
 import numpy as np
 import pytest
 from scipy import signal
+from scipy.interpolate import pade
 from scipy.linalg import expm
 
 from seatrial.daq.errors import SeatrialError
@@ -178,6 +179,52 @@ def test_bandwidth_and_lag_of_a_shaft() -> None:
     w = 2 * np.pi * shaft.lag_90
     assert np.arctan(0.2 * w) + 0.3 * w == pytest.approx(np.pi / 2, rel=1e-3)
     assert np.isnan(shaft.gain_sd).all()
+
+
+def growth(linear: LinearModel, k: float) -> float:
+    """Return the largest real part of the poles with ``command of the turn = -k psi``, the dead time by Pade."""
+    n, tau = len(linear.A), linear.delays["n_cmd_left"]
+    ahead, behind = pade([(-tau) ** i / math.factorial(i) for i in range(9)], 4)
+    late = signal.TransferFunction(ahead.coeffs, behind.coeffs).to_ss()
+    m = len(late.A)
+    whole = np.zeros((n + 1 + m, n + 1 + m))  # states, heading, dead time
+    b = linear.B @ [1.0, -1.0]
+    whole[:n, :n], whole[n, linear.states.index("r")] = linear.A, 1.0
+    whole[:n, n] = -k * late.D[0, 0] * b
+    whole[:n, n + 1 :] = np.outer(b, late.C[0])
+    whole[n + 1 :, n + 1 :], whole[n + 1 :, n] = late.A, -k * late.B[:, 0]
+    return float(np.linalg.eigvals(whole).real.max())
+
+
+def test_lag_of_an_unstable_boat_is_that_beyond_its_unstable_pole() -> None:
+    """At this frequency the yaw rate lags by 90 deg, not by 270, and a feedback of the heading is at its limit."""
+    values = {"d_r": 6.0, "d_v": 5.0, "m_v": 47.0, "tau_n": 0.05, "T_n": 0.1}
+    found = linearise(saved(horizontal_model("command"), values), 0.7)
+    assert not found.stable
+    turn = found.bode("turn")["r"]
+    p = found.poles.real.max()
+    assert turn.no_lag_90 == ""
+    assert turn.lag_90 > 2.0 * p / np.pi
+    h = found.frequency_response("turn", np.array([turn.lag_90]))["r"][0]
+    assert np.degrees(np.angle(h)) == pytest.approx(-90.0, abs=0.5)
+    k = 2 * np.pi * turn.lag_90 / abs(h)  # gain of the heading at which the crossover is there
+    assert growth(found, 0.9 * k) < 0.0 < growth(found, 1.1 * k)
+    slow = linearise(saved(horizontal_model("command"), values | {"tau_n": 0.1, "T_n": 0.8}), 0.7)
+    assert min(growth(slow, g) for g in k * np.geomspace(1e-3, 1e2, 60)) > 0.0  # no feedback of the heading alone
+    late = slow.bode("turn")["r"]
+    assert np.isnan(late.lag_90)
+    assert late.no_lag_90.startswith("The state lags by more than 90 deg at all frequencies")
+    # shaft speeds: no lag, no dead time
+    shaft = linearise(saved(horizontal_model("shaft"), {k: values[k] for k in ("d_r", "d_v", "m_v")}), 0.7)
+    turn = shaft.bode("turn")["r"]
+    assert np.isnan(turn.lag_90)
+    assert turn.no_lag_90.startswith("An unstable pole makes the phase rise to -90 deg at ")
+    assert "never lags by 90 deg up to" in turn.no_lag_90
+    own = shaft.bode("turn", np.geomspace(1.0, 2.0, 5))["r"]  # frequencies beyond the rise count from the same phase
+    np.testing.assert_allclose(own.phase - own.start, np.interp(own.frequency, *turn[:3:2]) - turn.start, atol=0.01)
+    stable = linearise(saved(horizontal_model("shaft")), 0.7).bode("straight")["u"]
+    assert np.isnan(stable.lag_90)
+    assert stable.no_lag_90.startswith("The state never lags by 90 deg up to")
 
 
 def test_standard_errors_follow_from_those_of_the_estimates() -> None:

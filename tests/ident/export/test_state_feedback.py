@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.linalg import solve_continuous_are
 
-from seatrial.daq.errors import SeatrialError
+from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.export.formats import export
 from seatrial.ident.export.linearisation import LinearModel, linearise
+from seatrial.ident.model.structure import Model
 from seatrial.ident.models.horizontal import horizontal_model
 from tests.ident.export.test_linearisation import VALUES, saved
 from tests.ident.exported import saved as saved_model
@@ -45,8 +48,7 @@ def test_feedback_steers_the_exported_boat(propulsion: Any) -> None:
     """The same lines work for both kinds of input: the shaft states have no weight."""
     model = saved(horizontal_model(propulsion), {"V_x": 0.0, "V_y": 0.0})
     control = linearise(model, 0.7).lqr(Q)
-    space: dict[str, Any] = {"__name__": "boat"}
-    exec(compile(str(export(saved_model(model), "python")), "boat.py", "exec"), space)
+    space = exported(model)
     simulation = space["Simulation"](0.1, hold="zero")
     for _ in range(500):
         commands = control(dict(zip(space["STATES"], simulation.x, strict=True)), psi=np.radians(200.0), u=0.6)
@@ -56,6 +58,45 @@ def test_feedback_steers_the_exported_boat(propulsion: Any) -> None:
     assert np.degrees(x["psi"]) % 360.0 == pytest.approx(200.0, abs=0.1)
     assert x["psi"] < 0.0  # the shorter turn is to port
     assert 0.6 <= x["u"] < 0.68  # without an integral the speed stays between the wanted one and that of u0
+
+
+def exported(model: Model) -> dict[str, Any]:
+    """Return the names of the exported Python file of a model."""
+    space: dict[str, Any] = {"__name__": "boat"}
+    exec(compile(str(export(saved_model(model), "python")), "boat.py", "exec"), space)
+    return space
+
+
+def test_feedback_in_wind_is_that_of_the_boat_and_its_heading() -> None:
+    """The boat has a stiffness by the heading in wind, and other inputs that keep its course, at each heading."""
+    wind = {"F_wx": -6.0, "F_wy": 4.0, "w_n": 0.4, "V_x": 0.0, "V_y": 0.0}
+    model = saved(horizontal_model("shaft") + catalogue()["wind"], wind)
+    at = linearise(model, 0.6, conditions={"psi": 0.7})
+    boat = exported(model)
+
+    def rates(z: np.ndarray) -> np.ndarray:
+        """Return the rates of u, v, r and psi at these states, with the inputs of the feedback."""
+        x = dict.fromkeys(boat["STATES"], 0.0) | dict(zip(("u", "v", "r", "psi"), z, strict=True))
+        simulation = boat["Simulation"](1e-4, hold="zero")
+        simulation.x[:] = [x[n] for n in boat["STATES"]]
+        simulation.step(control(x))
+        end = dict(zip(boat["STATES"], simulation.x, strict=True))
+        return np.array([(end[n] - x[n]) / 1e-4 for n in ("u", "v", "r", "psi")])
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # the heading was chosen
+        control = at.lqr(Q)
+    assert control.x0[-1] == 0.7
+    np.testing.assert_allclose(rates(control.x0), 0.0, atol=1e-4)
+    slope = np.stack([(rates(control.x0 + d) - rates(control.x0 - d)) / 2e-3 for d in 1e-3 * np.eye(4)], axis=1)
+    np.testing.assert_allclose(np.sort(np.linalg.eigvals(slope).real), np.sort(control.poles.real), rtol=0.01)
+    assert abs(at.by_heading[2]) > 0.05
+    assert not linearise(saved(horizontal_model("shaft")), 0.6).by_heading.any()
+    north = linearise(model, 0.6)
+    assert np.abs(north.u0 - at.u0).max() > 0.01
+    assert "The model depends on the heading" in repr(north)
+    with pytest.warns(SeatrialWarning, match=r"linearised at psi = 0 rad: linearise with at=\{'psi': ...\}"):
+        north.lqr(Q)
 
 
 def test_wrong_weights_and_names_are_refused(linear: LinearModel) -> None:

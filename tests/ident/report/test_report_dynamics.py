@@ -46,7 +46,7 @@ def dynamics() -> Dynamics:
     )  # fmt: skip
     return Dynamics(
         steady=steady, points=points, steps=(step,), responses=(response,), delays={"n_left": 0.12},
-        conditions={"t": 240.0}, course=CourseStability(speed=1.0, pole=0.1, low=0.05, high=0.2),
+        conditions={"t": 240.0}, speeds=(-2.0, 0.61), course=CourseStability(speed=1.0, pole=0.1, low=0.05, high=0.2),
     )  # fmt: skip
 
 
@@ -58,8 +58,12 @@ def shown() -> Page:
 
 def test_steady_curves_have_their_units_and_bands(shown: Page) -> None:
     place = next(a for _, a in shown.tags if a.get("aria-label") == "Steady speed against command")
-    band, speed = shown.figures()[str(place["id"])]["data"]
-    np.testing.assert_allclose(numbers(speed["y"]), np.linspace(-1.0, 1.0, 81), atol=1e-3)
+    band, speed, beyond = shown.figures()[str(place["id"])]["data"]
+    y = np.linspace(-1.0, 1.0, 81)
+    np.testing.assert_allclose(numbers(speed["y"]), np.where(y < 0.61, y, np.nan), atol=1e-3)
+    np.testing.assert_allclose(numbers(beyond["y"]), np.where(y > 0.59, y, np.nan), atol=1e-3)
+    assert beyond["line"]["dash"] == "dot"
+    assert "dotted: beyond the speeds of the data" in shown.words
     assert np.nanmax(numbers(band["y"])) == pytest.approx(1.0 + 0.196, abs=1e-3)
     place = next(a for _, a in shown.tags if str(a.get("aria-label")).startswith("Steady turn rate"))
     assert np.nanmax(numbers(shown.figures()[str(place["id"])]["data"][1]["y"])) == pytest.approx(
@@ -151,6 +155,21 @@ def test_wide_interval_has_a_place_and_a_reason() -> None:
     assert why == "the channel has no samples from 40 to 52 s"
     _, why = wide_band(trace(channel="u"), row.t, row.sd, None) or ("", "")
     assert "disturbance forces" in why
+
+
+def test_interval_that_says_nothing_has_no_number() -> None:
+    """A heading is unknown beyond half a turn, and a position beyond a few times the size of the track."""
+    row = trace()
+    sd = 0.1 * row.t
+    where, why = wide_band(row, row.t, sd, None) or ("", "")
+    assert where == "position north x (no useful interval after 26 s)"  # 2 * 1.96 * 0.1 t > 5 * 2 m
+    assert "integral of the velocity" in why
+    where, _ = wide_band(row, row.t, sd, 10.0) or ("", "")
+    assert where == "position north x (no useful interval 10 s ahead, at 100 s)"
+    turn = trace(channel="psi", unit="rad", angle=True)
+    where, _ = wide_band(turn, row.t, 0.0201 * row.t, None) or ("", "")
+    assert where == "heading ψ (no useful interval after 80 s)"  # 1.96 * 0.0201 t > pi
+    assert wide_band(turn, row.t, 0.016 * row.t, None) is None
 
 
 def test_equal_reasons_and_warnings_are_stated_once() -> None:

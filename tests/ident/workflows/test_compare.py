@@ -29,7 +29,8 @@ from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.models.surge import surge_model
 from seatrial.ident.parallel import Workers
 from seatrial.ident.report.blocks import Cell
-from seatrial.ident.report.sections.comparison import _best_cell, _error_cells
+from seatrial.ident.report.page import render
+from seatrial.ident.report.sections.comparison import _best_cell, _error_cells, overlay_panels
 from seatrial.ident.report.terminal import compared_tables
 from seatrial.ident.results import ComparisonResult, LogScore
 from seatrial.ident.results.result_file import read_result
@@ -279,6 +280,24 @@ def test_figure_has_each_model_in_its_own_colour_and_dash(compared: ComparisonRe
     assert titles[0].startswith("Heading ψ [deg] · fit (a) ")
     assert titles[0].endswith("run2")
     assert len(titles) == 4
+
+
+def test_bands_do_not_flatten_the_curves(compared: ComparisonResult) -> None:
+    """The vertical range is limited as in the report of a fit, and a caption says so."""
+    (row,) = (t for t in compared.traces if t.channel == "r" and t.record == compared.traces[0].record)
+    wide = tuple(msgspec.structs.replace(p, sd=p.sd + np.linspace(0.0, 50.0, p.sd.size)) for p in row.predictions)
+    names = {m.label: m.label for m in compared.models}
+    kind = (row.predictions[-1].kind, row.predictions[-1].seconds)
+    for predictions, limited in ((wide, True), (row.predictions, False)):
+        changed = msgspec.structs.replace(row, predictions=predictions)
+        (panel,) = overlay_panels(compared, [changed], kind, 500, names)
+        assert ("range" in panel.y) == limited
+        if limited:
+            low, high = panel.y["range"]
+            size = np.degrees(np.ptp(row.measured[np.isfinite(row.measured)]))
+            assert size <= high - low < 4.0 * size
+        page = render(msgspec.structs.replace(compared, traces=(changed,)))
+        assert ("The vertical range is limited" in page) == limited
 
 
 def test_more_models_than_fit_into_a_row_get_several_tables(compared: ComparisonResult) -> None:

@@ -14,10 +14,12 @@ from seatrial.ident.data.record import LogSegment
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.fitted_model import FittedModel, fit_nominal_model
 from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.report.blocks import Budget, Canvas
+from seatrial.ident.report.sections.dynamics import section
 from seatrial.ident.report.terminal import print_result
 from seatrial.ident.results.answers import course_sentence
 from seatrial.ident.results.commands import FitContext, vehicle_result
-from seatrial.ident.results.parts import Provenance
+from seatrial.ident.results.parts import Dynamics, Provenance
 from seatrial.ident.results.result_file import to_json
 from seatrial.ident.validation.evaluation import evaluate
 from seatrial.ident.workflows import dynamics
@@ -120,3 +122,29 @@ def test_conditions_of_the_end_of_the_data_are_in_the_result(fitted: FittedModel
     without = dynamics_of(fitted)
     assert without is not None
     assert without.conditions == {}
+
+
+def words_of(found: Dynamics) -> str:
+    """Return the lead and the blocks of the section of a report as text."""
+    shown = section(Canvas(Budget(200)), found)
+    return " ".join(map(str, (shown.lead, *shown.blocks)))
+
+
+def test_boat_in_wind_has_no_steady_turn(fitted: FittedModel) -> None:
+    """A turning boat changes its heading, and with it the wind on the hull: no turn rate stays the same."""
+    model = (fitted.fit.model + catalogue()["wind"]).with_values({"F_wx": -4.0, "F_wy": 2.0})
+    found = dynamics_of(replace(fitted, fit=replace(fitted.fit, model=model)))
+    still = dynamics_of(fitted)
+    assert found is not None
+    assert still is not None
+    assert found.conditions == {"psi": 0.0}
+    (straight,) = found.steady
+    assert straight.motion == "straight"
+    assert straight.value[-1] < still.steady[0].value[-1]  # against the wind from the north
+    words = words_of(found)
+    assert "Computed from the model at psi = 0 rad, with the effects that depend on it (such as wind)" in words
+    assert "There is no steady turn: the model depends on the heading" in words
+    assert "still water" not in words
+    words = words_of(still)
+    assert "Computed from the model for still water, without disturbances, and within" in words
+    assert "no steady turn" not in words
