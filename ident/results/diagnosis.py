@@ -247,7 +247,7 @@ def _missing_effects_sentence(diagnosis: Diagnosis, prediction: parts.Prediction
     smallest p value, above 1e-6, may be by chance; no candidate explains the residuals.
     """
     if diagnosis.effects:
-        return f"{what_is_lacking(diagnosis, fell=prediction is not None and prediction.verdict == 'fell')}."
+        return f"{what_is_lacking(diagnosis, fell=_fell_enough(diagnosis, prediction))}."
     if diagnosis.mismatches:
         quiet = (
             ""
@@ -377,6 +377,17 @@ def _passed_candidates(last: Round) -> str:
     return names[0] if len(names) == 1 else f"{len(names)} candidates"
 
 
+def _fell_enough(diagnosis: Diagnosis, prediction: parts.PredictionChangeRow | None) -> bool:
+    """Return whether the error over the horizon fell significantly, and by as much as an identified effect has to.
+
+    False without a ``prediction``. Beside the common errors, the error without the effects has to be 15 % larger
+    (``policy.min_identified_ratio`` of the diagnosis).
+    """
+    if prediction is None or prediction.verdict != "fell":
+        return False
+    return 1.0 / prediction.ratio >= diagnosis.policy.min_identified_ratio
+
+
 def what_is_lacking(diagnosis: Diagnosis, *, fell: bool) -> str:
     """Return the beginning of the answer, ``The model lacks ...``, with the titles of the effects, without a full stop.
 
@@ -389,7 +400,7 @@ def what_is_lacking(diagnosis: Diagnosis, *, fell: bool) -> str:
     diagnosis : Diagnosis
         Findings of the search for missing effects.
     fell : bool
-        Whether the prediction error over the horizon fell. If it did not fall and a nonparametric effect comes first,
+        Whether the prediction error over the horizon fell enough. If not, and if a nonparametric effect comes first,
         the text is "The missing effect resembles ...", because a better prediction is the only evidence for a curve.
     """
     titles: dict[str, list[str]] = {"identified": [], "ambiguous": [], "nonparametric": []}

@@ -232,6 +232,8 @@ def test_curve_without_a_better_prediction_is_described_as_a_resemblance(fell: b
     answer = diagnosis_answer(found, change, 10.0)
     assert answer.startswith("The model lacks a curve" if fell else "The missing effect resembles a curve")
     assert ("falls" in answer) is fell
+    beside = replace(found, policy=replace(found.policy, min_identified_ratio=1.15))
+    assert diagnosis_answer(beside, change, 10.0).startswith("The missing effect resembles a curve")
     support = "their log-likelihood rises with a curve: the force X depends on u by 41 (t = 5.3)."
     assert answer.endswith(f"One step ahead the validation data support them; {support}") is not fell
 
