@@ -197,11 +197,11 @@ def guess_map(
 
 
 def _not_measured_lines(table: Table) -> list[str]:
-    """Return a comment line for each part of a ROS Imu that is not measured; none for other tables."""
+    """Return a comment line for each part of a ROS Imu that is not measured and left out; none for other tables."""
     return [
         f"# not measured: {part} of {table.topic}, whose covariance begins with -1"
-        + ("; its values change: if the driver measures it, use its lines below" if changes else "")
         for part, changes in unmeasured_parts(table).items()
+        if not changes
     ]
 
 

@@ -347,8 +347,8 @@ def message_candidates(table: Table) -> list[Candidate]:
     list of Candidate
         Candidates whose columns are all in the table and have values; empty for an unknown type. All candidates of a
         type have its caveat. Candidates of a topic of set-points or of a simulator's ground truth get a rank with which
-        they are not chosen, and so do parts of an Imu that are marked as not measured although their values change
-        (`unmeasured_parts`). Such parts with constant values are left out.
+        they are not chosen. Parts of an Imu that are marked as not measured (`unmeasured_parts`) are left out if their
+        values are constant, and have a caveat if they change.
     """
     kind = table.kind.rpartition("/")[2]
     if table.kind.startswith("px4_msgs/"):
@@ -369,8 +369,10 @@ def message_candidates(table: Table) -> list[Candidate]:
             continue
         known = [np.isfinite(table.columns[c]).any() for s in signals for c in s.columns if c in table.columns]
         if len(known) == sum(len(s.columns) for s in signals) and all(known):
-            behind = UNCHOSEN_RANK if SETPOINT.search(table.topic) or part in unmeasured else 0
-            caveat = "marked as not measured" if part in unmeasured else CAVEATS.get(kind, "")
+            behind = UNCHOSEN_RANK if SETPOINT.search(table.topic) else 0
+            caveat = CAVEATS.get(kind, "")
+            if part in unmeasured:
+                caveat = f"its covariance begins with -1 (not measured), but the values of {part} change"
             found.append(Candidate(group, rank + behind, table, signals, caveat))
     return found
 
