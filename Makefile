@@ -17,7 +17,7 @@ SEED_OPTION = $(if $(SEED),--seed $(SEED))
 WORKERS ?= 3
 PYTHONS := $(or $(PYTHON),python3.13 python3.12 python3.11 python3)
 
-.PHONY: help demo test pytest compiled bench study docs dist lint lock clean
+.PHONY: help demo test compiled bench study docs dist lint lock clean
 
 help:
 	@echo "make demo    the whole loop on mock devices, to a report"
@@ -55,16 +55,12 @@ help:
 demo: .venv/ready
 	@$(BIN)/seatrial demo $(SEED_OPTION)
 
-# The checks without pytest run beside it: mypy takes one core for half a minute, at the least priority, because some tests
-# have deadlines.
 test: .venv/ready
-	@$(MAKE) -j 2 lint pytest NICE="nice -n 19"
-
-pytest: compiled
+	@$(MAKE) -j 2 lint compiled
 	@echo "pytest"
 	@$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup
 
-# What the tests import is compiled once: the workers begin together and would each do all of it.
+# What the tests import is compiled once, beside mypy: the workers begin together and would each do all of it.
 compiled: .venv/ready
 	@$(BIN)/python -m pytest --collect-only -qq >/dev/null 2>&1 || true
 
@@ -73,9 +69,9 @@ lint: .venv/ready
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check --quiet . || { echo "run: $(BIN)/ruff format ." >&2; exit 1; }
 	@echo "mypy"
-	@$(NICE) $(BIN)/mypy
+	@$(BIN)/mypy
 	@echo "import contracts"
-	@$(NICE) $(BIN)/lint-imports --no-logo
+	@$(BIN)/lint-imports --no-logo
 
 bench: .venv/ready
 	@$(BIN)/python -m benchmarks $(SEED_OPTION)
