@@ -435,9 +435,7 @@ def _no_better_prediction_reasons(
         horizon = "" if weight.prediction is None else f" {weight.prediction.horizon:g} s ahead"
         return [f"the prediction{horizon} is no better with this effect"]
     ratios = [weight.error_ratio, *([] if weight.prediction is None else [1.0 / weight.prediction.ratio])]
-    least = policy.min_identified_ratio
-    if name in HULL_FORM:
-        least = max(least, policy.min_identified_ratio_beside)
+    least = policy.min_identified_ratio_beside if name in HULL_FORM else policy.min_identified_ratio
     if max(ratios) >= least:
         return []
     return [

@@ -281,7 +281,7 @@ def separation(model_a: Model, model_b: Model, problem: DesignProblem, command: 
 
 
 def _ignore(phase: str) -> None:
-    """Ignore the name of a phase: nobody asked for progress."""
+    """Accept the name of a phase and do nothing, because no progress is reported."""
 
 
 def discriminate(

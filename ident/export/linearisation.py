@@ -96,7 +96,10 @@ class Bode(NamedTuple):
 
     @property
     def _first_in_phase(self) -> int | None:
-        """Index of the lowest frequency at which the state lags by less than 90 deg; None if there is none."""
+        """Return the index of the lowest frequency at which the state lags by less than 90 deg.
+
+        The result is None if the state lags by 90 deg or more at all frequencies.
+        """
         found = np.flatnonzero(self.phase - self.start > -0.5 * np.pi)
         return int(found[0]) if found.size else None
 

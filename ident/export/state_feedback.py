@@ -84,7 +84,7 @@ class StateFeedback:
 
 
 class LinearSystem(Protocol):
-    """Linear system about an operating point, such as `seatrial.ident.export.linearisation.LinearModel`."""
+    """Interface of a linear system about an operating point, which `LinearModel` implements."""
 
     @property
     def states(self) -> tuple[str, ...]:

@@ -108,7 +108,7 @@ class Budget:
 
 
 def drawable(y: Array | None) -> Array | None:
-    """Return the curve ``y`` if it has a finite value, and None otherwise. The result is None for None, too."""
+    """Return the curve ``y``, or None if it is None or has no finite value."""
     return y if y is not None and np.isfinite(y).any() else None
 
 

@@ -62,7 +62,7 @@ NO_PREDICTION = HorizonPrediction(*(np.zeros(0),) * 3)  # empty: of a channel wi
 
 
 def finite(value: float | None) -> float | None:
-    """Convert a number for result.json, which has no NaN and no infinity: these become None, and so does None."""
+    """Return a number for result.json; NaN, infinity and None become None, because JSON lacks such numbers."""
     return None if value is None or not math.isfinite(value) else float(value)
 
 

@@ -644,10 +644,7 @@ def _hypothesis(known: SavedModel | Model, name: str, other: str) -> EffectHypot
 
 
 def refit_without(refits: Sequence[RefittedEffect], name: str, other: str) -> RefittedEffect | None:
-    """Find the last refit of the effect ``name`` whose model does not contain the effect ``other``.
-
-    The result is None if there is no such refit.
-    """
+    """Return the last refit of the effect ``name`` in a model without the effect ``other``; None if it is missing."""
     return next((r for r in reversed(refits) if r.name == name and other not in r.beside), None)
 
 

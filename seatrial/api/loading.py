@@ -68,7 +68,7 @@ class ExportOptions(TypedDict, total=False):
 
 @dataclass(frozen=True, repr=False)
 class Saved(MotionMethods, Shown):
-    """Saved fit: the content of the files of a fit. The function `load` reads them and returns this object.
+    """Content of the files of a fit. The function `load` reads them and returns this object.
 
     Attributes
     ----------

@@ -143,19 +143,26 @@ def test_positions_of_odometry_and_of_fixes_are_imported(bag: Path, tmp_path: Pa
         np.testing.assert_allclose(log.table(Scalar, "y")["value"], 0.0, atol=1e-9)
 
 
-def test_quantities_that_an_imu_does_not_measure_are_left_out(tmp_path: Path) -> None:
-    """Covariance -1 with default values means no orientation. With other values only the covariance is unknown."""
-    path, kind, unknown = tmp_path / "bag", "sensor_msgs/msg/Imu", np.array([-1.0] + [0.0] * 8)
+UNKNOWN = np.array([-1.0] + [0.0] * 8)  # covariance of a part of an Imu that is not measured, or is not known
+
+
+def imu_bag(path: Path, **fields: Any) -> Path:
+    """Write a bag with the messages `imu` on /imu, in which the given fields are replaced; return its path."""
+    kind = "sensor_msgs/msg/Imu"
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         connection = writer.add_connection("/imu", kind, typestore=STORE)
         for k in range(N):
-            message = replace(
-                imu(k),
-                angular_velocity_covariance=unknown,
-                orientation_covariance=unknown,
-                orientation=STORE.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),
-            )
+            message = replace(imu(k), **fields)
             writer.write(connection, round((T0 + 0.05 * k) * 1e9), STORE.serialize_cdr(message, kind))
+    return path
+
+
+def test_quantities_that_an_imu_does_not_measure_are_left_out(tmp_path: Path) -> None:
+    """Covariance -1 with default values means no orientation. With other values only the covariance is unknown."""
+    level = STORE.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    path = imu_bag(
+        tmp_path / "bag", angular_velocity_covariance=UNKNOWN, orientation_covariance=UNKNOWN, orientation=level
+    )
     (table,) = read_bag(path, SourceOptions())
     assert not [name for name in table.names if name.startswith("orientation.")]
     np.testing.assert_allclose(table.columns["angular_velocity.z"], 0.3 + np.arange(N))
@@ -164,17 +171,12 @@ def test_quantities_that_an_imu_does_not_measure_are_left_out(tmp_path: Path) ->
 
 def test_a_covariance_of_minus_one_means_not_measured_in_a_guessed_map(tmp_path: Path) -> None:
     """The acceleration here has gravity alone, and the driver of the angular velocity does not know its covariance."""
-    path, kind, unknown = tmp_path / "bag", "sensor_msgs/msg/Imu", np.array([-1.0] + [0.0] * 8)
-    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        connection = writer.add_connection("/imu", kind, typestore=STORE)
-        for k in range(N):
-            message = replace(
-                imu(k),
-                orientation_covariance=np.zeros(9),
-                angular_velocity_covariance=unknown,
-                linear_acceleration_covariance=unknown,
-            )
-            writer.write(connection, round((T0 + 0.05 * k) * 1e9), STORE.serialize_cdr(message, kind))
+    path = imu_bag(
+        tmp_path / "bag",
+        orientation_covariance=np.zeros(9),
+        angular_velocity_covariance=UNKNOWN,
+        linear_acceleration_covariance=UNKNOWN,
+    )
     text = guess_map(path).text
     assert [s["name"] for s in tomllib.loads(text)["signal"]] == ["psi", "r"]
     assert "\n# not measured: linear_acceleration of /imu, whose covariance begins with -1\n" in text
