@@ -423,7 +423,8 @@ def _no_better_prediction_reasons(
     ``name`` is the name of the effect, with its importance in ``importance``. The list is empty if the prediction is
     better (`improves_prediction`) and the error without the effect is at least ``policy.min_identified_ratio`` times
     that with it, by inputs alone or over the horizon. For the form of the hull (`HULL_FORM`), which is never exactly
-    that of the model, the limit is ``policy.min_identified_ratio_beside``. The list is also empty if the importance is
+    that of the model, the limit is ``policy.min_identified_ratio_beside``; beside common errors (if both limits are
+    equal) the error over the horizon also has to fall significantly. The list is also empty if the importance is
     missing.
     """
     weight = importance.get(name)
@@ -431,11 +432,14 @@ def _no_better_prediction_reasons(
         return [f"the prediction without this effect could not be tested: {weight.untested}"]
     if weight is None:
         return []
-    if not improves_prediction(weight, policy):
+    hull = name in HULL_FORM
+    beside = policy.min_identified_ratio >= policy.min_identified_ratio_beside
+    same = weight.prediction is not None and weight.prediction.verdict != "fell"
+    if (hull and beside and same) or not improves_prediction(weight, policy):
         horizon = "" if weight.prediction is None else f" {weight.prediction.horizon:g} s ahead"
         return [f"the prediction{horizon} is no better with this effect"]
     ratios = [weight.error_ratio, *([] if weight.prediction is None else [1.0 / weight.prediction.ratio])]
-    least = policy.min_identified_ratio_beside if name in HULL_FORM else policy.min_identified_ratio
+    least = policy.min_identified_ratio_beside if hull else policy.min_identified_ratio
     if max(ratios) >= least:
         return []
     return [

@@ -605,23 +605,34 @@ def _candidate_score(
         If the fitted parameters explain every column of the candidate: zero statistics for a named effect that acts on
         the data, None otherwise. The statistics are also zero if a one-sided candidate has a negative estimate of
         its first parameter that can be tested. A column that is explained to 1e-8 is left out; so are combinations of
-        columns that depend on others.
+        columns that depend on others. For a difference between runs, only deviations from the mean are tested.
     """
     candidate, names, index = placed.columns, np.array(placed.names), np.asarray(placed.at)
     # a column that the fitted parameters explain to 1e-8 cannot be tested
     alive = np.diag(information)[index] > 1e-8 * before[index]
-    if not alive.any():
+    is_difference = candidate.kind is EffectKind.BETWEEN_RUNS
+    if alive.sum() < 1 + is_difference:
         # a catalogue effect gets a score of zero, so that it can be reported as explained by the fitted parameters
         report = candidate.kind is EffectKind.CATALOGUE and bool(np.any(before[index] > 0))
         return Score(candidate.name, 0.0, index.size, 0.0, {}, candidate.scan, blocks=len(blocks)) if report else None
     index, names = index[alive], names[alive]
-    info, s = information[np.ix_(index, index)], score[index]
+    info, s, by_block = information[np.ix_(index, index)], score[index], blocks[:, index]
+    center = np.eye(index.size)
+    if is_difference:  # it has one parameter
+        # A change of all runs together is no difference between them. For the thrust it would be the scale of all
+        # forces, which filter gains that are held fixed describe badly: its statistic was 289, its refit gained 1.
+        shared = info.sum(axis=0)
+        if shared.sum() > 1e-9 * np.trace(info):
+            gain = shared / shared.sum()
+            info, s = info - np.outer(shared, gain), s - gain * s.sum()
+            by_block = by_block - np.outer(by_block.sum(axis=1), gain)
+        center -= 1.0 / index.size
     w, V, size = scaled_eigen(info)
     keep = w > 1e-6
     z = (V.T @ (s / size))[keep]
     lm, df = float(np.sum(z * z / w[keep])), int(keep.sum())
-    step = (V[:, keep] @ (z / w[keep])) / size
-    B = blocks[:, index] / size @ V[:, keep]
+    step = center @ ((V[:, keep] @ (z / w[keep])) / size)
+    B = by_block / size @ V[:, keep]
     C = B.T @ B
     lm_block = float(z @ np.linalg.solve(C + 1e-9 * np.trace(C) * np.eye(df), z))
     if candidate.one_sided and step[0] < 0:

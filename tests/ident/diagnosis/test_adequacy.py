@@ -281,6 +281,18 @@ def test_form_of_the_hull_is_identified_only_if_the_prediction_is_much_better(er
     assert found.attribution == attribution
 
 
+@pytest.mark.parametrize(("high", "attribution"), [(1.24, "ambiguous"), (0.98, "identified")])
+def test_form_of_the_hull_beside_common_errors_has_to_improve_the_prediction(high: float, attribution: str) -> None:
+    """By inputs alone the error is 20 % larger without the effect, but over the horizon it may be the same."""
+    beside = replace(DEFAULT_POLICY, min_identified_ratio=DEFAULT_POLICY.min_identified_ratio_beside)
+    weight = EffectImportance("lift", 200.0, 1.2, 90.0, 5.0, PredictionChange(0.85, 0.7, high, 10.0, {}))
+    evidence = AttributionEvidence((), N, importances=[weight])
+    (found,) = assess_alternatives([one_round(refit("lift", 800.0))], evidence, beside)
+    assert found.attribution == attribution
+    if found.reasons:
+        assert found.reasons == ("the prediction 10 s ahead is no better with this effect",)
+
+
 def test_effect_with_unknown_importance_is_ambiguous() -> None:
     weight = EffectImportance("wind", float("nan"), float("nan"), untested="x0")
     (found,) = assess_alternatives([one_round(refit("wind", 800.0))], AttributionEvidence((), N, importances=[weight]))

@@ -18,6 +18,7 @@ from seatrial.ident.diagnosis.score_test import (
     ColumnIndex,
     NormalEquations,
     PriorTerms,
+    Score,
     SensitivityColumns,
     SensitivityFilter,
     assign_columns,
@@ -32,7 +33,7 @@ from seatrial.ident.estimation.fitted_model import fit_and_evaluate
 from seatrial.ident.estimation.likelihood import FilterResult, Likelihood
 from seatrial.ident.estimation.maximum_likelihood import SearchSettings, fit
 from seatrial.ident.model.parameter import Parameter
-from seatrial.ident.model.structure import Effect, Signals, State
+from seatrial.ident.model.structure import Effect, EffectKind, Signals, State
 from tests.ident.sliders import (
     CUBE,
     DRAG,
@@ -343,3 +344,48 @@ def test_per_record_effect_may_have_opposite_signs() -> None:
     assert separate.p < 1e-20
     assert separate.step["k@0"] == pytest.approx(0.5, abs=0.2)
     assert separate.step["k@1"] == pytest.approx(-0.5, abs=0.2)
+
+
+def test_difference_between_runs_is_tested_as_deviation_from_the_mean() -> None:
+    """A push that all runs share is no difference between them. The refit of a difference cannot explain it either."""
+    rng = np.random.default_rng(4)
+    g = [rng.normal(size=(400, 1)) for _ in range(3)]
+
+    def tested(pushes: list[float]) -> tuple[Score, Score]:
+        """Return the scores of a push per record and of a difference between the records."""
+        kinds = (EffectKind.CATALOGUE, EffectKind.BETWEEN_RUNS)
+        columns = [SensitivityColumns(k.value, np.zeros((1, 1, 1)), ("k",), kind=k, per_record=True) for k in kinds]
+        places, total = assign_columns(columns, 0, 3)
+        normal = NormalEquations([str(k) for k in range(total)])
+        noise = np.random.default_rng(5)
+        for i, push in enumerate(pushes):
+            at = [k for p in places for k in p.of_record(i)]
+            e = noise.normal(size=400) - push * g[i][:, 0]
+            normal.add(at, np.column_stack([g[i], g[i]]), e, block_index(np.arange(400) * 0.1))
+        each, difference = score_tests(normal, no_priors(0), places)
+        return each, difference
+
+    each, difference = tested([0.5, 0.5, 0.5])
+    assert each.p < 1e-20
+    assert difference.df == 2
+    assert difference.p > 0.01
+    each, difference = tested([0.8, 0.5, 0.2])
+    assert difference.p < 1e-8
+    assert [difference.step[f"k@{i}"] for i in range(3)] == pytest.approx([0.3, 0.0, -0.3], abs=0.15)
+    assert sum(difference.step.values()) == pytest.approx(0.0, abs=1e-12)
+    # A likelihood-ratio test of the same hypothesis: least squares with one push per record against a common push.
+    weight = np.array([float(x[:, 0] @ x[:, 0]) for x in g])
+    push = np.array([each.step[f"k@{i}"] for i in range(3)])
+    ratio = float(weight @ (push - weight @ push / weight.sum()) ** 2)
+    assert difference.lm == pytest.approx(ratio, rel=0.1)
+
+
+def test_difference_needs_two_runs_that_show_it() -> None:
+    """A difference cannot be tested if the columns of all runs but one are zero."""
+    columns = SensitivityColumns("d", np.zeros((1, 1, 1)), ("k",), kind=EffectKind.BETWEEN_RUNS, per_record=True)
+    places, total = assign_columns([columns], 0, 2)
+    normal = NormalEquations([str(k) for k in range(total)])
+    g, e = np.random.default_rng(6).normal(size=(2, 200))
+    for i, share in enumerate((1.0, 0.0)):
+        normal.add(places[0].of_record(i), share * g[:, None], e, block_index(np.arange(200) * 0.1))
+    assert score_tests(normal, no_priors(0), places) == []
