@@ -237,7 +237,8 @@ def _undetermined_size_reasons(effect: Effect, fitted: FittedModel, policy: Sear
     if not sizes or _distance_from_zero(fit, sizes) >= policy.min_significance:
         return []
     name, value, error, unit = _reported_estimate(fit, of_effect[sizes[0]])
-    return [f"the data do not determine its size: {name} = {value:.3g} ± {error:.3g} {unit}".rstrip()]
+    in_degrees = f" ({math.degrees(value):.2g} ± {math.degrees(error):.2g} deg)" if unit == "rad" else ""
+    return [f"the data do not determine its size: {name} = {value:.3g} ± {error:.2g} {unit}".rstrip() + in_degrees]
 
 
 def _reported_estimate(fit: Fit, p: Parameter) -> tuple[str, float, float, str]:

@@ -616,7 +616,11 @@ def _child(command: Command, box: Path, cache: Path) -> None:
         os.environ |= {"HOME": str(box / "home"), "SEATRIAL_CACHE": str(cache), "TMPDIR": str(box / "home")}
         tempfile.tempdir = None
         sys.argv = ["seatrial", *command.words]
-        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+        # This process has loaded the libraries of all commands, or of all tests. The memory of the command itself counts,
+        # with a usual size of libraries.
+        loaded = resource.getpagesize() * int(Path("/proc/self/statm").read_bytes().split()[0])
+        beyond = max(loaded - OWN_LIBRARIES, 0)
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY + beyond, MEMORY + beyond))
         resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS + 1))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         allowed = (f"{box}/", f"{cache}/", "/dev/null", "/dev/pts/", "/dev/tty", "/dev/ptmx")
@@ -635,10 +639,7 @@ def _child(command: Command, box: Path, cache: Path) -> None:
                 os.write(report, text.encode(errors="replace") + b"\n")
 
         sys.addaudithook(watch)
-        # This process has loaded the libraries of all commands. The memory of the command itself counts, with a usual
-        # size of libraries.
-        loaded = resource.getpagesize() * int(Path("/proc/self/statm").read_bytes().split()[0])
-        bounds.MEMORY_BYTES += max(loaded - OWN_LIBRARIES, 0)
+        bounds.MEMORY_BYTES += beyond
         bounds.enable()
         status = _main(command.words)
         sys.stdout.flush()
