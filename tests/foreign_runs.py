@@ -40,7 +40,7 @@ class Run(NamedTuple):
     columns: dict[str, np.ndarray]
 
 
-def run(seed: int, seconds: float = 100.0) -> Run:
+def run(seed: int, seconds: float = 70.0) -> Run:
     """Return a run with random steps of both thrusters, at 10 Hz."""
     return Run(*simulated_run(BOAT, seed, seconds))
 

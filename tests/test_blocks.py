@@ -179,7 +179,7 @@ def offline(text: str) -> str:
 
 
 SEED = 2
-MISSIONS = (("estimation", 100.0, 101), ("validation", 250.0, 102))
+MISSIONS = (("estimation", 100.0, 101), ("validation", 190.0, 102))
 
 
 @pytest.fixture(scope="module")
@@ -251,7 +251,7 @@ def test_the_tables_of_the_devices_page(demo: Path, tmp_path: Path, monkeypatch:
     edits = {"logs/run.mcap": "validation.mcap", "600.0": "60.0", "1200.0": "120.0"}
     found = run_python(edited(block("docs/how-to/devices.md", "python"), edits), "devices.md")
     frame, part = found["frame"], found["ten_minutes"]
-    assert len(frame) == pytest.approx(250 * 20, rel=0.05)
+    assert len(frame) == pytest.approx(190 * 20, rel=0.05)
     assert set(frame.attrs["units"]) == set(frame.columns)
     assert set(found["data"].data_vars) >= set(frame.columns) - {"t"}
     assert (part.index[-1] - part.index[0]).total_seconds() == pytest.approx(60.0, abs=1.0)

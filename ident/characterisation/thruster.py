@@ -17,7 +17,7 @@ from seatrial.daq.errors import SeatrialError
 from seatrial.ident.characterisation.thrust_curve import MIN_SAMPLES, REVERSED_LOAD_CELL, clearly_falls
 from seatrial.ident.checks import check_shafts, invalidates_fit
 from seatrial.ident.data import Channel, LoadedLog, LogSegment, Record
-from seatrial.ident.estimation import EstimationOptions, Fit, Likelihood, fit
+from seatrial.ident.estimation import EstimationOptions, Fit, Likelihood, SearchSettings, fit
 from seatrial.ident.model import Model, command_of, commanded_thrusters, shaft_speed_of
 from seatrial.ident.models import START_POLES, delay_step, delayed_channels, pace_with_copy_at, thruster_model
 from seatrial.ident.numerics import Array, LagData, fit_first_order_lag
@@ -28,6 +28,7 @@ MAX_DELAY = 4.8  # s, largest delay in the grid search
 DEAD_ZONES = tuple(0.0025 * k for k in range(81))  # of full command: values of d in the grid search
 WAYS = (1.0, -1.0)  # directions of a shaft: forward, reverse
 LEAST_SPEED = 0.05  # of full speed; smaller speeds may be noise
+WITHOUT_ERRORS = SearchSettings(robust_errors=False)  # for fits that another fit follows
 N_SEARCHES = 3  # searches over the dead zone, each with the other parameters of the fit before
 
 
@@ -62,15 +63,16 @@ def fit_with_delay_on_grid(
     its maximum.
     """
     plain = replace(options, reml=False)
-    fitted = fit_thruster(model, records, plain)
+    fitted = fit_thruster(model, records, plain, WITHOUT_ERRORS)
     step = pace_with_copy_at(fitted.model.values["tau"], delay_step(model))
     if step:
         exact = thruster_model(step, force="thrust" in model.provides)
         records = make_records(exact)
         values = {n: v for n, v in fitted.model.values.items() if n in exact.values}
         kept = [fitted.model.parameter(n) for n in ("d", "c2") if n in values]  # d was freed, c2 may be fixed
-        fitted = fit(exact.with_values(values).replace_parameters(*kept), records, plain)
-    fitted = _fit_restricted(fitted, records) if options.reml else fitted
+        model = exact.with_values(values).replace_parameters(*kept)
+        fitted = fit(model, records, plain, WITHOUT_ERRORS if options.reml else None)
+    fitted = _fit_restricted(fitted, records) if options.reml else fitted if step else fit(fitted.model, records, plain)
     return replace(fitted, options=options), records
 
 
@@ -90,7 +92,9 @@ def _fit_restricted(plain: Fit, records: Sequence[Record]) -> Fit:
     )
 
 
-def fit_thruster(model: Model, records: Sequence[Record], options: EstimationOptions) -> Fit:
+def fit_thruster(
+    model: Model, records: Sequence[Record], options: EstimationOptions, settings: SearchSettings | None = None
+) -> Fit:
     """Fit a thruster model from least-squares initial values, with a grid search of the end ``d`` of the dead zone.
 
     Only samples with commands near ``d`` inform the likelihood about it, so that a gradient search may not find it. The
@@ -105,6 +109,8 @@ def fit_thruster(model: Model, records: Sequence[Record], options: EstimationOpt
         Records of the bench runs.
     options
         Options of the first fit. Later fits, after a grid search, have default options (no REML).
+    settings
+        Settings of all fits; by default those of a single fit.
 
     Returns
     -------
@@ -115,7 +121,7 @@ def fit_thruster(model: Model, records: Sequence[Record], options: EstimationOpt
         model = model.replace_parameters(model.parameter("c2").at(0.0).fixed())
     guess = first_guess(records, model)
     guess["tau"] = min(guess["tau"], 0.95 * model.parameter("tau").bounds[1])
-    fitted = fit(model, records, options, start=guess)
+    fitted = fit(model, records, options, settings, start=guess)
     at, found = [p.name for p in model.parameters].index("d"), -1.0
     for _ in range(N_SEARCHES):
         likelihood, values = Likelihood(fitted.model), fitted.record_values
@@ -132,7 +138,8 @@ def fit_thruster(model: Model, records: Sequence[Record], options: EstimationOpt
         before, found = found, max(DEAD_ZONES, key=log_likelihood)
         if abs(found - before) < 2 * DEAD_ZONES[1]:
             break
-        fitted = fit(fitted.model.replace_parameters(fitted.model.parameter("d").at(found).freed()), records)
+        model = fitted.model.replace_parameters(fitted.model.parameter("d").at(found).freed())
+        fitted = fit(model, records, settings=settings)
     return fitted
 
 

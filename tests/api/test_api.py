@@ -384,7 +384,7 @@ def test_steady_motion_is_that_of_a_long_simulation(fit: st.FittedVehicle, tmp_p
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> st.FittedThruster:
     path = tmp_path_factory.mktemp("bench") / "bench.mcap"
-    bench_log(path, draw_bench(4), chirp_s=5.0, count=4)
+    bench_log(path, draw_bench(4), chirp_s=3.0, count=2)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SeatrialWarning)
         found = st.thruster(path)
@@ -551,7 +551,7 @@ def test_the_page_runs_as_written(
 ) -> None:
     for log in logs:
         shutil.copy(log, tmp_path)
-    bench_log(tmp_path / "bench.mcap", draw_bench(4), chirp_s=5.0, count=4)
+    bench_log(tmp_path / "bench.mcap", draw_bench(4), chirp_s=3.0, count=2)
     t = np.arange(0.0, 60.0, 0.1)
     columns = {
         "t": t,
