@@ -616,8 +616,8 @@ def _child(command: Command, box: Path, cache: Path) -> None:
         os.environ |= {"HOME": str(box / "home"), "SEATRIAL_CACHE": str(cache), "TMPDIR": str(box / "home")}
         tempfile.tempdir = None
         sys.argv = ["seatrial", *command.words]
-        # This process has loaded the libraries of all commands, or of all tests. The memory of the command itself counts,
-        # with a usual size of libraries.
+        # This process has loaded the libraries of all commands, or of all tests. The memory of the command itself
+        # counts, with a usual size of libraries.
         loaded = resource.getpagesize() * int(Path("/proc/self/statm").read_bytes().split()[0])
         beyond = max(loaded - OWN_LIBRARIES, 0)
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY + beyond, MEMORY + beyond))
