@@ -177,7 +177,12 @@ class RawLog:
                 raise SeatrialError(
                     f"{self.path}: the file is empty, so there is nothing to read or recover; give another log"
                 )
-            raise SeatrialError(f"{self.path}: not an MCAP log; use `seatrial import` for logs of other formats")
+            advice = (
+                "a TOML file and not a log; check the order of the arguments"
+                if Path(self.path).suffix.lower() == ".toml"
+                else "not an MCAP log; use `seatrial import` for logs of other formats"
+            )
+            raise SeatrialError(f"{self.path}: {advice}")
         return fd, size, (about.st_dev, about.st_ino)
 
     def _read(self, start: int, stop: int) -> bytes:

@@ -123,7 +123,8 @@ def check_ranges(c: Channels) -> Iterator[Finding]:
             # All thrusters get one scale, so that equal speeds stay equal.
             top = max(n for other, n in largest.items() if _quantity_of(other) == _quantity_of(name))
             value = c[name].value
-            pulses = float(np.median(value)) > 700.0 and float(value.max()) < 2600.0  # microseconds of a servo output
+            # microseconds of a servo output, 0 without a pulse
+            pulses = float(np.median(value)) > 700.0 and value.min() >= 0.0 and float(value.max()) < 2600.0
             unit = "a pulse width in us" if pulses else "percent" if top <= 110.0 else "rev/min, or a wrong offset"
             fix = "scale = 0.0025, offset = -3.75" if pulses else f"scale = {0.01 if top <= 110.0 else 1.0 / top:.3g}"
             guess = (
@@ -471,7 +472,7 @@ def check_smoothing(c: Channels, known_noise: Collection[str] = ()) -> Iterator[
     if smooth:
         text = "a filter has smoothed the signal: it lacks the noise of a sensor, and its errors last for seconds"
         advice = (
-            "log the raw sensor, or give its noise to the fit (such as --fix e_psi=0.03 for 0.03 rad); otherwise the "
+            "log the raw sensor, or give its noise to the fit (such as --fix e_psi=0.01 for 0.6 deg); otherwise the "
             "fit assumes at least the noise of usual sensors"
         )
         yield Finding("warning", "channel-smoothed", "noise", ", ".join(smooth), text, advice)

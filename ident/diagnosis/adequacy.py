@@ -198,7 +198,14 @@ def _remaining_alternative_reasons(alternatives: Sequence[str]) -> list[str]:
     """
     if not alternatives:
         return []
-    return [f"with this effect the score test of '{alternatives[0]}', one of its alternatives, is still significant"]
+    found = _titled(alternatives[0])
+    return [f"with this effect the score test of {found}, one of its alternatives, is still significant"]
+
+
+def _titled(name: str) -> str:
+    """Return title and name of an effect of the catalogue for a sentence; the name alone if it is unknown."""
+    effect = catalogue().get(name)
+    return f"'{name}'" if effect is None else f"{effect.title} ('{name}')"
 
 
 def _form_correction_reasons(chosen: Sequence[Refit], refit: Refit, policy: SearchPolicy) -> list[str]:
@@ -386,7 +393,7 @@ def _untested_alternative_reasons(effect: Effect, untested: Collection[str]) -> 
     were not tested. The list is empty if no alternative is among them.
     """
     lost = [name for name in effect.alternatives if name in untested]
-    return [f"its alternative {name} could not be tested on these data" for name in lost]
+    return [f"its alternative, {_titled(name)}, could not be tested on these data" for name in lost]
 
 
 def _explained_by_parameters_reasons(effect: Effect, explained: Collection[str]) -> list[str]:
@@ -401,7 +408,8 @@ def _explained_by_parameters_reasons(effect: Effect, explained: Collection[str])
         return ["the model's estimated parameters explain nearly all of this effect"]
     names = [name for name in effect.alternatives if name in explained]
     return [
-        f"the model's estimated parameters explain nearly all of '{name}', one of its alternatives" for name in names
+        f"the model's estimated parameters explain nearly all of {_titled(name)}, one of its alternatives"
+        for name in names
     ]
 
 

@@ -37,11 +37,13 @@ def effect_importance(
     records: Sequence[Record],
     validation_data: ValidationData,
     policy: SearchPolicy = DEFAULT_POLICY,
+    settings: SearchSettings = ROUGH_SEARCH,
+    fits: dict[frozenset[str], FittedModel] | None = None,
 ) -> tuple[EffectImportance, ...]:
     """Compute the importance of each chosen effect; the most important comes first (`by_importance`).
 
     Each effect is left out in turn, and the other effects are fitted again by a rough search. If a refit of the search
-    has the same effects, it is used instead. A chosen nonparametric curve of which the catalogue
+    or a fit in ``fits`` has the same effects, it is used instead. A chosen nonparametric curve of which the catalogue
     declares the effect to be one form is left out together with the effect (`left_out_with`).
 
     Parameters
@@ -58,6 +60,11 @@ def effect_importance(
         Validation records, or blocks in time of the estimation data.
     policy
         Thresholds of the comparison.
+    settings
+        Settings of the rough search.
+    fits
+        Fits by the names of the added effects, from an earlier call with the same ``before`` and records. The fits of
+        this call are added in place.
 
     Returns
     -------
@@ -72,15 +79,17 @@ def effect_importance(
     refits = [q for r in rounds for q in r.refits if shared <= {e.name for e in q.fitted.fit.model.effects}]
     known_fits = {frozenset(_added_effect_names(before, q.fitted)): q.fitted for q in refits}
     known_fits |= {frozenset[str](): before}
+    fits = {} if fits is None else fits
     added = _added_effect_names(before, after)
     found = []
     for refit in chosen:
         left_out = left_out_with(refit.effect, chosen)
         kept = [c for c in chosen if c.effect.name not in left_out]
         try:
-            fitted = known_fits.get(frozenset(added - left_out)) or _fit_with_effects(
-                kept, after, before, records, validation_data
-            )
+            names = frozenset(added - left_out)
+            fitted = known_fits.get(names) or fits.get(names)
+            if fitted is None:
+                fitted = fits[names] = _fit_with_effects(kept, after, before, records, validation_data, settings)
             found.append(_importance(refit, fitted, after, policy, alone=len(left_out) == 1))
         except FIT_ERRORS as problem:
             unknown = float("nan")
@@ -241,7 +250,7 @@ def _fit_with_effects(
     before: FittedModel,
     records: Sequence[Record],
     validation_data: ValidationData,
-    settings: SearchSettings | None = ROUGH_SEARCH,
+    settings: SearchSettings | None,
 ) -> FittedModel:
     """Fit the model of ``before`` with only the kept effects added, starting at the values of ``after``.
 
@@ -256,7 +265,7 @@ def _fit_with_effects(
     validation_data
         Validation records, or blocks in time of the estimation data.
     settings
-        Settings of the search; by default a rough search. None for the settings of an exact fit.
+        Settings of the search. None for the settings of an exact fit.
 
     Raises
     ------
@@ -269,7 +278,7 @@ def _fit_with_effects(
         model = model + refit.effect
     model = model.with_values({n: last.values[n] for n in model.values if n in last.values})
     start = after.fit.start_values(model)
-    if settings is not ROUGH_SEARCH:
+    if settings is None or settings.robust_errors:
         return fit_and_evaluate(model, records, validation_data, settings=settings, start=start)
     with quick_compilation(sum(r.n_rows for r in records)):
-        return fit_and_evaluate(model, records, validation_data, settings=ROUGH_SEARCH, start=start)
+        return fit_and_evaluate(model, records, validation_data, settings=settings, start=start)

@@ -801,8 +801,9 @@ class _Search:
                 self.untried = tried
                 return current, passed
             self.reporter.progress(
-                f"round {len(self.rounds) + 1}: {len(passed)} of {len(scores)} candidates pass"
-                f"{f', {len(tried)} by enough to matter' * (len(tried) < len(passed))}, best {tried[0].name}"
+                f"round {len(self.rounds) + 1}: {len(tried)} of {len(scores)} candidates pass"
+                f"{f' ({len(passed) - len(tried)} others by too little to matter)' * (len(tried) < len(passed))}, "
+                f"best {tried[0].name}"
             )
             found = self._run_round(current, scores, tried)
             pair = self._look_ahead(current, found, max_effects) if found.chosen is None else None
@@ -1089,11 +1090,12 @@ class _Search:
         """
         removed: list[RemovedEffect] = []
         stuck: dict[str, str] = {}
+        fits: dict[frozenset[str], FittedModel] = {}
         while True:
             gone = {r.effect.name for r in removed}
             chosen = [r.chosen for r in self.rounds if r.chosen is not None and r.chosen.effect.name not in gone]
             weights = effect_importance(
-                base, current, chosen, self.rounds, self.records, self.validation_data, self.policy
+                base, current, chosen, self.rounds, self.records, self.validation_data, self.policy, self.rough, fits
             )
             weights = tuple(replace(w, untested=stuck.get(w.effect, w.untested)) for w in weights)
             tested = [w for w in weights if w.untested is None]
@@ -1116,8 +1118,9 @@ class _Search:
             self.reporter.progress(f"fitting without {effect.title}, which is not worth its parameters")
             kept = [c for c in chosen if c.effect is not effect]
             try:
+                rough = fits.get(frozenset(c.effect.name for c in kept), current)
                 current = self._exact_fit_with(kept) or fit_without(
-                    base, current, chosen, effect, self.records, self.validation_data, self.exact
+                    base, rough, chosen, effect, self.records, self.validation_data, self.exact
                 )
             except FIT_ERRORS as problem:
                 stuck[idle.effect] = str(problem)

@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+from seatrial.daq.errors import counted
 from seatrial.ident.data import Record
 from seatrial.ident.estimation.fisher_scoring import Iterations, Optimum, Problem, maximise, refine_lbfgsb
 from seatrial.ident.estimation.likelihood import Likelihood
@@ -581,9 +582,9 @@ def _assembled_fit(
     inflation = np.where(np.isfinite(plain), np.fmax(known.errors / plain, 1.0), 1.0)
     converged = abs(optimum.gain_left) < max(LARGEST_GAIN_LEFT, settings.tolerance)
     message = (
-        f"converged in {optimum.iterations} iterations"
+        f"converged in {counted(optimum.iterations, 'iteration')}"
         if converged
-        else f"stopped after {optimum.iterations} iterations; "
+        else f"stopped after {counted(optimum.iterations, 'iteration')}; "
         f"its estimates can still move by {distance_from_maximum(optimum.gain_left):.2g} standard errors"
     )
     return Fit(

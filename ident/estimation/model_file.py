@@ -94,7 +94,7 @@ class SavedModel:
         Model with the values of the file.
     errors
         Standard errors by parameter, in the parameters' units; NaN if there is none. For a per-record parameter, it is
-        that of the first record.
+        that of its mean over the records.
     validity
         Least and largest value of each signal in the fitted data, by name, in SI units.
     provenance
@@ -345,10 +345,13 @@ def _copy_beside_model(path: Path, file: Path) -> Path:
 def _parameter_table(p: Parameter, fit: Fit, *, with_prior: bool) -> dict[str, Any]:
     """Return the table of a parameter in model.toml: value, unit, standard error, prior and so on, where they apply.
 
-    A per-record parameter is written with its value in the model, the mean over the records, and with its standard
-    error in the first record. ``with_prior`` is whether to write the prior of the parameter.
+    A per-record parameter is written with its value in the model, the mean over the records, and with the standard
+    error of this mean. ``with_prior`` is whether to write the prior of the parameter.
     """
     value, error = fit.estimate(p.name)
+    if p.per_record:
+        each = [k for k, q in enumerate(fit.parameters) if q.name == p.name]
+        error = np.sqrt(fit.covariance[np.ix_(each, each)].sum()) / len(each) if each else np.nan
     row: dict[str, Any] = {
         "name": p.name,
         "value": float(value if not p.per_record else p.value),

@@ -24,6 +24,7 @@ from seatrial.ident.models import (
 
 GNSS = {"x", "y", "vx", "vy"}
 ARMS = ("y_left", "y_right", "y_arm")  # positions of the thrusters to starboard
+LONGEST_ARM_M = 5.0  # m, of a boat of a lab; a larger number is probably in centimetres
 
 
 def apply_rig_geometry(
@@ -128,6 +129,15 @@ def _moved_from_zero(p: Parameter) -> Parameter:
     return p.at(min(p.step, p.bounds[1])) if p.free and p.value == 0.0 else p
 
 
+def _meant(name: str, possible: Mapping[str, Effect]) -> str:
+    """Return a question which effects a wrong name means (a misspelling, or a word of the title); "" if none is."""
+    near = closest_name(name, possible)
+    word = name.lower().replace("-", " ")
+    found = [near] if near else [n for n, e in possible.items() if word in e.title.lower()]
+    questions = [f"{n} ({possible[n].title})" for n in found[:3]]
+    return f"did you mean {' or '.join(questions)}? " if questions else ""
+
+
 def _effect_form_for_model(model: Model, name: str) -> Effect:
     """Return the effect of the catalogue with this name, in the form that the model accepts.
 
@@ -139,7 +149,9 @@ def _effect_form_for_model(model: Model, name: str) -> Effect:
     possible = {e.name: e for e in known.values() if model.accepts(e)}
     can = ", ".join(possible) or "none"
     if name not in known:
-        raise SeatrialError(f"--effect {name}: there is no such effect; model {model.name} can have {can}")
+        raise SeatrialError(
+            f"--effect {name}: there is no such effect; {_meant(name, possible)}model {model.name} can have {can}"
+        )
     size = known[name].parameters[0].name  # all forms of an effect share their first parameter
     if size in model.values:
         raise SeatrialError(f"--effect {name}: model {model.name} has it already")
@@ -170,7 +182,8 @@ def fix_parameters(model: Model, thruster: Path | None, given: Mapping[str, floa
     model
         Model with these parameters.
     notes
-        A sentence about the coefficient c2 if the bench test did not measure it; otherwise empty.
+        A sentence about the coefficient c2 if the bench test did not measure it, and one about each thruster that is
+        more than 5 m from the middle.
 
     Raises
     ------
@@ -199,6 +212,8 @@ def fix_parameters(model: Model, thruster: Path | None, given: Mapping[str, floa
             known[name] = model.parameter(name).known(value, 0.0, ParameterOrigin.GIVEN)
         except ValueError as problem:
             raise SeatrialError(f"--fix {name}={value:g}: {problem}") from problem
+        if name in ARMS and abs(value) > LONGEST_ARM_M:
+            notes.append(f"{name} = {value:g} m is a long way from the middle of a boat: is it in centimetres?")
     return model.replace_parameters(*known.values()), notes
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import product
+from numbers import Real
 from typing import NamedTuple
 
 import numpy as np
@@ -240,13 +242,14 @@ class LinearModel:
         ----------
         inputs : str, or dict of str to float
             Name of an input or of one of the `motions`, or a weight for each of several inputs.
-        t : Array (n_times,), optional
-            Times [s], at least 0. None: `times`.
+        t : Array (n_times,) or float, optional
+            Times [s], at least 0. None: `times`. One number is the end of 200 equidistant times from 0 on.
 
         Returns
         -------
         dict of str to Array (n_times,)
-            Change of each state from the operating point, for a step of one unit of the inputs.
+            Change of each state from the operating point, for a step of one unit of the inputs, in SI units and
+            radians.
 
         Raises
         ------
@@ -254,6 +257,7 @@ class LinearModel:
             If the model has no such input.
         """
         at = np.asarray(self.times if t is None else t, dtype=float)
+        at = np.linspace(0.0, float(at), TIMES) if at.ndim == 0 else at
         columns: dict[float, Array] = {}  # inputs with the same dead time have one column of B
         for name, weight in self._weights(inputs).items():
             delay = self.delays.get(name, 0.0)
@@ -381,8 +385,8 @@ class LinearModel:
         Raises
         ------
         SeatrialError
-            If there is no state or input of a name, if a weight is not allowed, or if no feedback with these weights
-            makes the motion stable.
+            If the weights are not given by name, if there is no state or input of a name, if a weight is not allowed,
+            or if no feedback with these weights makes the motion stable.
         """
         return lqr(self, Q, R or {})
 
@@ -417,7 +421,7 @@ class LinearModel:
     @property
     def _modes(self) -> tuple[Complex, Complex]:
         """Eigenvalues (n,) of A in the order of `poles`, and their eigenvectors (n, n) as columns."""
-        found, vectors = np.linalg.eig(self.A.astype(np.complex128))
+        found, vectors = (a.astype(np.complex128) for a in np.linalg.eig(self.A))
         order = np.argsort(np.abs(found.real), kind="stable")
         return found[order], vectors[:, order]
 
@@ -533,8 +537,8 @@ def linearise(
             f"model {model.name} has no forward speed u among its states, so it has no such operating point; "
             "use a model with u, such as horizontal"
         )
-    if not np.isfinite(speed) or speed == 0.0:
-        raise SeatrialError(f"speed {speed:g} m/s: give a speed other than zero, at which the model has a slope")
+    if not isinstance(speed, Real) or not np.isfinite(speed) or speed == 0.0:
+        raise SeatrialError(f"speed {speed} m/s: give a number other than zero, where the model has a slope")
     x0, u0 = _operating_point(rates, speed)
     for name, value in zip(rates.inputs, u0, strict=True):
         if is_of_thruster(name, COMMAND, SHAFT_SPEED) and abs(value) > 1.0:
@@ -634,15 +638,19 @@ def _operating_point(rates: Rates, speed: float) -> tuple[Array, Array]:
 
     best: Array | None = None
     smallest = np.inf
-    for size in TRIALS:
-        start = np.concatenate([np.zeros(len(free)), np.full(m, np.copysign(size, speed))])
+    # The search starts with all free states at zero, then at their initial means: a towed line at zero is slack, and a
+    # small change of it changes no rate.
+    begins = [np.zeros(len(free)), *([rates.initial[free]] if rates.initial[free].any() else [])]
+    for begin, size in product(begins, TRIALS):
+        start = np.concatenate([begin, np.full(m, np.copysign(size, speed))])
         start[: len(free)] += [start[-1] if is_of_thruster(rates.names[k], SHAFT_SPEED) else 0.0 for k in free]
         found = least_squares(residuals, start, xtol=1e-14, ftol=1e-14, gtol=1e-14)
         if np.abs(found.fun).max(initial=0.0) < smallest:
             smallest, best = float(np.abs(found.fun).max(initial=0.0)), found.x
     if best is None or smallest > BALANCED:
+        unbalanced = "a state" if best is None else rates.names[int(np.argmax(np.abs(residuals(best))))]
         raise SeatrialError(
-            f"no inputs keep straight motion at {speed:g} m/s: a rate of {smallest:.2g} per second remains; "
-            "choose another speed"
+            f"no inputs keep straight motion at {speed:g} m/s: the rate of {unbalanced} is still {smallest:.2g} per "
+            "second; choose another speed"
         )
     return unpacked(best)

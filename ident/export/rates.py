@@ -33,6 +33,8 @@ class Rates:
         Names of the parameters, without the current.
     values : Array (n_parameters,)
         Values of all parameters in the order of the model, with a current of zero.
+    initial : Array (n,)
+        Initial means of the dynamic states in the model.
     """
 
     def __init__(self, model: Model, held: tuple[str, ...] = (), conditions: Mapping[str, float] | None = None) -> None:
@@ -53,6 +55,7 @@ class Rates:
         self._constant = np.array([fixed.get(i.name, 0.0) if i.name in COMPUTED else 0.0 for i in model.inputs])
         self._all = list(model.values)
         self.values = np.array([0.0 if n in CURRENT else v for n, v in model.values.items()])
+        self.initial = np.array([model.values[s.x0] if isinstance(s.x0, str) else s.x0 for s in model.states])[self._at]
         self._rowwise = VectorisedModel(model)
 
     def __call__(self, x: Array, u: Array, values: Array | None = None) -> Array:

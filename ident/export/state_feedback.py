@@ -75,9 +75,9 @@ class StateFeedback:
     def __repr__(self) -> str:
         """Return the gain as a table with a line for each input, and the poles."""
         size = max(map(len, self.inputs), default=0)
-        rows = [" " * size + "".join(f"{n:>10}" for n in self.states)]
+        rows = [" " * size + "".join(f"{n:>12}" for n in self.states)]
         rows += [
-            f"{n:<{size}}" + "".join(f"{v:10.4g}" for v in row) for n, row in zip(self.inputs, self.gain, strict=True)
+            f"{n:<{size}}" + "".join(f"{v:12.4g}" for v in row) for n, row in zip(self.inputs, self.gain, strict=True)
         ]
         poles = ", ".join(f"{p.real:.3g}" + (f" {p.imag:+.3g}j" if p.imag else "") for p in self.poles)
         return "\n".join([f"<StateFeedback: gain of {len(self.inputs)} inputs>", *rows, f"poles {poles} 1/s"])
@@ -132,6 +132,10 @@ def lqr(linear: LinearSystem, Q: Mapping[str, float], R: Mapping[str, float]) ->
     """
     from scipy.linalg import solve_continuous_are  # imported here, as it takes 0.3 s
 
+    for what, given in (("Q", Q), ("R", R)):
+        if not isinstance(given, Mapping):
+            example = {"u": 4.0, "r": 1.0} if what == "Q" else dict.fromkeys(linear.inputs[:1], 2.0)
+            raise SeatrialError(f"{what}: give the weights by name, such as {example}, and not {given!r}")
     known = (*linear.states, *((HEADING,) if "r" in linear.states else ()))
     _check_names("state", Q, known)
     _check_names("input", R, linear.inputs)

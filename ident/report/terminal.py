@@ -385,7 +385,7 @@ def _likelihood_sentences(m: ComparedModel) -> list[str]:
     kind = "cross-validated log score" if m.score.held_out else "log score"
     found = [f"The {kind} is {signed(m.score.gain)} {words}."]
     if m.criteria is None:
-        return [*found, f"No AIC, BIC and likelihood ratio: {m.no_criteria}."]
+        return [*found, f"No AIC, BIC or likelihood ratio: {m.no_criteria}."]
     c = m.criteria
     found.append(f"ΔAIC {signed(c.aic)}, ΔBIC {signed(c.bic)}.")
     if c.p is not None:
@@ -530,7 +530,8 @@ def _candidates_table(result: DiagnosisResult) -> Table | None:
     every, removed = found[0].candidates, {row.name for row in result.removed_effects}
     chosen = {row.chosen for row in found} - removed
     shown = every[:MAX_CANDIDATES]
-    title = f"First round: {found[0].passed} of {found[0].tested} candidates passed the score test, {len(shown)} best"
+    passed = f"{found[0].passed} of {found[0].tested} candidates passed"
+    title = f"First round: {passed}; the {len(shown)} best per degree of freedom"
     table = titled_table(title)
     legend = ["✓ added to the model", *["− added and removed again"] * bool(removed), "· passed", "(blank) not passed"]
     table.caption, table.caption_justify = "   ".join(legend), "left"

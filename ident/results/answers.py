@@ -119,7 +119,7 @@ def _first_names(channels: Sequence[str], most: int = MOST_NAMES) -> str:
 
 def _percent(share: float) -> str:
     """Return a share (1: all) as text in whole per cent: 0.34 -> ``34 %``. It may be negative: ``-5 %``."""
-    return f"{100 * share:.0f} %"
+    return f"{100 * share:z.0f} %"
 
 
 def vehicle_answer(
@@ -171,7 +171,7 @@ def _fit_sentence(prediction: PredictionFit, errors: Errors, horizon: float) -> 
         )
     each = {n: 1 - (row.after or 0.0) / row.spread for n, row in table.horizon.items() if row.spread}
     low, high, largest = prediction.low, prediction.high, prediction.largest_errors
-    interval = "" if low is None or high is None else f" (95 % interval: {100 * low:.0f} to {100 * high:.0f} %)"
+    interval = "" if low is None or high is None else f" (95 % interval: {100 * low:z.0f} to {100 * high:z.0f} %)"
     if low is not None and high is not None and high - low > WIDE_INTERVAL and largest is not None:
         interval = (
             f" (without a useful 95 % interval: {_percent(largest.share)} of the squared errors are from "

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
+from seatrial.api import tables
 from seatrial.api.fits import FitOptions, Logs, vehicle_request
 from seatrial.api.fleet import common_window
 from seatrial.api.logs import PathLike, as_paths
@@ -36,7 +37,7 @@ class CampaignComparison(Shown):
     @property
     def answer(self) -> str:
         """Changed parameters with their sizes, and the prediction errors with and without the changes."""
-        return self.result.answer
+        return tables.conclusion(self.result)
 
     @property
     def changed(self) -> list[str]:

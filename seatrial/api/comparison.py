@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
 
+from seatrial.api import tables
 from seatrial.api.figures import Figure
 from seatrial.api.fits import FittedResult, Logs, model_path, python_call, window_of
 from seatrial.api.logs import PathLike, as_paths
@@ -45,7 +46,7 @@ class Comparison(Shown):
     @property
     def answer(self) -> str:
         """Best model over the first horizon, and its error over all channels against that of the first model."""
-        return self.result.answer
+        return tables.conclusion(self.result)
 
     @property
     def best(self) -> str:

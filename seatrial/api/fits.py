@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import atexit
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
+from numbers import Real
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, Unpack, cast
@@ -193,7 +195,7 @@ class FitReport(Shown):
     @property
     def warnings(self) -> list[str]:
         """Warnings of the fit, one text for each. The list is empty if the fit has no warnings."""
-        return [w.text for w in self.result.warnings]
+        return tables.warning_texts(self.result)
 
     @property
     def converged(self) -> bool:
@@ -364,11 +366,17 @@ class FittedResult(FitReport):
         Raises
         ------
         SeatrialError
-            If ``on`` is ``validation`` and the fit has no validation data.
+            If ``on`` is ``validation`` and the fit has no validation data, or if the horizon is no time above zero or
+            longer than every record.
         """
         seconds = self.result.horizon_seconds if horizon is None else horizon
+        if isinstance(seconds, bool) or not isinstance(seconds, Real) or not 0.0 < seconds < math.inf:
+            raise SeatrialError(f"horizon {seconds!r}: give a time above zero [s]")
+        longest = max(float(view.record.t[-1] - view.record.t[0]) for view in self._views(on))
+        if seconds >= longest:
+            raise SeatrialError(f"horizon {seconds:g}: the longest record lasts {longest:.1f} s; give a shorter time")
         found = {}
-        for predicted in self._evaluated(on, seconds):
+        for predicted in self._evaluated(on, float(seconds)):
             record, sd = predicted.record, {name: far.sd for name, far in predicted.horizon.items()}
             found[record.name] = {n: _prediction(record, n, e.t, e.e, sd[n]) for n, e in predicted.errors.items()}
         return found
@@ -449,8 +457,10 @@ class FittedResult(FitReport):
         """Return the evaluated records (with model, filter run and parameter values) of estimation or validation data.
 
         With None these are the validation data if there are any, otherwise the estimation data. SeatrialError is raised
-        if `on` is "validation" and there are no validation data.
+        if `on` is another word, or if it is "validation" and there are no validation data.
         """
+        if on not in (None, "estimation", "validation"):
+            raise SeatrialError(f"on: {on!r} names no data; give 'estimation' or 'validation'")
         if on == "validation" and not self.fitted.validation:
             raise SeatrialError("this fit has no validation data; fit again with logs as the argument `validate`")
         return self.fitted.validation if on != "estimation" and self.fitted.validation else self.fitted.estimation

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
+from seatrial.api import tables
 from seatrial.api.fits import FitOptions, Logs, vehicle_request, window_of
 from seatrial.api.logs import PathLike, as_paths
 from seatrial.api.messages import Messages, errors_of_users, text_of
@@ -37,7 +38,7 @@ class FittedFleet(Shown):
     @property
     def answer(self) -> str:
         """Number of fits, and the parameters that differ between the logs, in one or two sentences."""
-        return self.result.answer
+        return tables.conclusion(self.result)
 
     @property
     def failed(self) -> dict[str, str]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from seatrial.api import tables
 from seatrial.api.findings import DiagnosisFindings
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from seatrial.ident.model import Model, Parameter
 
 MODEL, RESULT, ESTIMATES = "model.toml", "result.json", "fits.parquet"
+NEED_LOGS = ("residuals", "predict", "simulate", "plot_residuals", "fitted")  # attributes of a fit of this process
 MODEL_COLUMNS = ("value", "se", "unit", "meaning")  # of the table of a model without its result
 
 
@@ -108,6 +109,40 @@ class Saved(MotionMethods, Shown):
             If no model.toml was loaded.
         """
         return dict(self.saved_model().errors)
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Names of the n estimated parameters with a standard error that all records share, in the order of `cov`.
+
+        Raises
+        ------
+        SeatrialError
+            If no model.toml was loaded.
+        """
+        return self.saved_model().covariance().names
+
+    @property
+    def cov(self) -> NDArray[np.float64]:
+        """Covariance of the estimates (n, n), in the order of `free` and in the units of `params`.
+
+        Unlike that of a fit of this process, it has no parameters with their own value in each record.
+
+        Raises
+        ------
+        SeatrialError
+            If no model.toml was loaded.
+        """
+        found = self.saved_model().covariance().covariance
+        return np.zeros((0, 0)) if found is None else np.asarray(found)
+
+    def __getattr__(self, name: str) -> Any:
+        """Raise AttributeError; for what a fit has and a loaded result lacks, the message says how to get it."""
+        if name in NEED_LOGS:
+            raise AttributeError(
+                f"a loaded result has no {name}, which needs the logs: fit them again with st.fit or st.diagnose, or "
+                "evaluate the model on logs with st.compare"
+            )
+        raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
     @property
     def answer(self) -> str:
@@ -250,7 +285,7 @@ class Saved(MotionMethods, Shown):
         if computed is not None:
             content: Content = computed._content()
             return content
-        notes = [] if self.result is None else [w.text for w in self.result.warnings]
+        notes = [] if self.result is None else tables.warning_texts(self.result)
         if self.model is None:
             return Content(self.answer, notes)
         errors = self.standard_errors

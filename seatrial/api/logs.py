@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ from seatrial.api.figures import Figure
 from seatrial.api.messages import errors_of_users
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.checks import FAULT, WARNING, Finding, findings_lines, findings_summary, worst_first
-from seatrial.daq.errors import SeatrialError, counted
+from seatrial.daq.errors import SeatrialError, counted, warn
 from seatrial.daq.log import import_library
 
 if TYPE_CHECKING:
@@ -197,8 +198,8 @@ def import_log(
         Files: text tables, bags of ROS, DataFlash, ULog, MATLAB and others.
     map_path : path, optional
         Import map, which assigns columns to signals. None: a map is guessed for each file; a scale that is guessed from
-        numbers is the same for all files. Look at a guessed map before you rely on it (``seatrial import --guess
-        FILE``).
+        numbers is the same for all files. The caveats of a guessed map are a `SeatrialWarning`. Look at the map before
+        you rely on it (``seatrial import --guess FILE``).
     out_dir : path
         Folder of the logs, which is created. A log has the name of its file; if the map merges files, that of the map.
     force : bool
@@ -231,6 +232,11 @@ def import_log(
             return import_files(Path(map_path), sources, out_dir=folder, force=force)
         for source, guess in zip(sources, guess_maps(sources), strict=True):
             with TemporaryDirectory() as scratch:
+                if caveats := dict.fromkeys(re.findall(r"# caveat: (.+)", guess.text)):
+                    warn(
+                        f"{source.name}: the import map is a guess ({'; '.join(caveats)}); correct the map of "
+                        f"`seatrial import --guess {source.name}` and give it as map_path"
+                    )
                 guessed = Path(scratch) / f"{source.stem}.toml"
                 guessed.write_text(guess.text, encoding="utf-8")
                 made += import_files(guessed, [source], out_dir=folder, force=force)

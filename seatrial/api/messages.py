@@ -25,13 +25,30 @@ ARGUMENTS = {
     "--from": "start of st.open_log", "--to": "end of st.open_log", "--out-dir": "out_dir",
 }  # fmt: skip
 
+# Functions of `seatrial` by the command that calls them, in a text between backticks.
+FUNCTIONS = {
+    "seatrial check": "st.check", "seatrial ident changes": "st.compare_campaigns",
+    "seatrial ident compare": "st.compare", "seatrial ident diagnose": "st.diagnose",
+    "seatrial ident export": "st.export", "seatrial ident fleet": "st.fit_many",
+    "seatrial ident navigate": "st.navigate", "seatrial ident thruster": "st.thruster",
+    "seatrial ident vehicle": "st.fit", "seatrial mission design": "st.design",
+}  # fmt: skip
+
 
 def in_python(text: str) -> str:
-    """Return a message with the command-line options replaced by the arguments of the Python interface.
+    """Return a message with commands and their options replaced by functions and arguments of the Python interface.
 
-    For example, ``--fix e_psi=0.03`` becomes ``fixed e_psi=0.03``. Options without an entry in the table stay.
+    For example, ``--fix e_psi=0.03`` becomes ``fixed e_psi=0.03``, and a command without arguments between backticks
+    becomes the function that it calls. Options without an entry in the tables stay. So does a command with arguments,
+    which can be run as it is.
     """
-    return re.sub(r"--[a-z]+(?:-[a-z]+)*", lambda found: ARGUMENTS.get(found.group(), found.group()), text)
+    parts = text.split("`")
+    for i, part in enumerate(parts):
+        if i % 2 == 0:  # outside of backticks
+            parts[i] = re.sub(r"--[a-z]+(?:-[a-z]+)*", lambda found: ARGUMENTS.get(found.group(), found.group()), part)
+        elif not part.startswith("seatrial ") or part in FUNCTIONS:
+            parts[i] = FUNCTIONS.get(part) or ARGUMENTS.get(part, part)
+    return "`".join(parts)
 
 
 class Messages:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict, TypeVar, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
+from seatrial.api import tables
 from seatrial.api.fits import (
     FittedDiagnosis,
     FittedResult,
@@ -136,12 +137,12 @@ class WrittenResult(Shown):
     @property
     def answer(self) -> str:
         """Main conclusion of the result in one or two sentences, as in its report."""
-        return str(self.result.answer)
+        return tables.conclusion(self.result)
 
     @property
     def warnings(self) -> list[str]:
         """Warnings of the result, as sentences; empty if there are none."""
-        return [w.text for w in self.result.warnings]
+        return tables.warning_texts(self.result)
 
     def _content(self) -> Content:
         """Return answer and warnings."""

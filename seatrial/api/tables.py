@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from seatrial.api.messages import in_python
 from seatrial.api.shown import Content
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import import_library
@@ -14,6 +16,7 @@ if TYPE_CHECKING:
     from seatrial.ident.results import FitResult, ParameterRow, Result
 
 NORMAL_95 = 1.959964  # standard deviations of a normal distribution on each side of its 95 % interval
+WIDTH = 100  # columns of a summary
 COLUMNS = ("", "estimate", "s.e.", "2.5 %", "97.5 %", "t", "unit", "origin")
 
 
@@ -75,8 +78,16 @@ def statistics(row: ParameterRow) -> Statistics:
 
 
 def conclusion(result: Result) -> str:
-    """Return the main conclusion of a result, followed by its caveat, which only a diagnosis may have."""
-    return " ".join(filter(None, (result.answer, getattr(result, "caveat", None))))
+    """Return the main conclusion of a result, followed by its caveat, which only a diagnosis may have.
+
+    Commands and their options are replaced by functions and arguments of the Python interface.
+    """
+    return in_python(" ".join(filter(None, (result.answer, getattr(result, "caveat", None)))))
+
+
+def warning_texts(result: Result) -> list[str]:
+    """Return the warnings of a result in the words of the Python interface; empty if there are none."""
+    return [in_python(w.text) for w in result.warnings]
 
 
 def summary(result: FitResult) -> str:
@@ -90,7 +101,7 @@ def summary(result: FitResult) -> str:
         f"{fit.model}: {fit.method}{', REML' if fit.restricted else ''}, {fit.message}",
         f"log-likelihood {fit.log_likelihood:.2f}" if fit.log_likelihood is not None else "log-likelihood not finite",
         "",
-        conclusion(result),
+        textwrap.fill(conclusion(result), WIDTH),
         "",
     ]
     rows = [statistics(row) for row in fit.parameters]
@@ -108,18 +119,20 @@ def summary(result: FitResult) -> str:
     lines += [rule] if len(table) > 1 else []
     lines += [f"  {row.name}: {row.flag}" for row in rows if row.free and row.flag]
     fixed = [f"{row.name} = {row.value:.6g} {row.unit}".strip() + f" ({row.origin})" for row in rows if not row.free]
-    lines += ["", f"fixed: {', '.join(fixed)}"] if fixed else []
-    lines += ["", *(f"warning: {w.text}" for w in result.warnings)] if result.warnings else []
+    lines += ["", textwrap.fill(f"fixed: {', '.join(fixed)}", WIDTH)] if fixed else []
+    lines += (
+        ["", *(textwrap.fill(f"warning: {text}", WIDTH) for text in warning_texts(result))] if result.warnings else []
+    )
     return "\n".join(lines)
 
 
 def content(result: FitResult) -> Content:
-    """Return what a notebook shows of a fit: its `answer`, its warnings and the table of the estimates.
+    """Return what a notebook shows of a fit: its `conclusion`, its warnings and the table of the estimates.
 
     Fixed parameters, and the flags of estimates, are left out.
     """
     rows = [_cells(row) for row in map(statistics, result.fit.parameters) if row.free]
-    return Content(result.answer, [w.text for w in result.warnings], COLUMNS, rows)
+    return Content(conclusion(result), warning_texts(result), COLUMNS, rows)
 
 
 def frame(result: FitResult) -> Any:

@@ -8,7 +8,11 @@ import numpy as np
 
 from seatrial.ident.model import INF, Effect, Parameter, Signals, State
 
-STRETCH = 0.03  # of the length; over this stretch the line becomes taut, because a filter needs a smooth tension
+STRETCH = 0.02  # of the length; over this stretch the line becomes taut, because a filter needs a smooth tension
+# Largest speed of the end of the line, relative to that of the tow point. A line of exactly its length is drawn with
+# the speed of the tow point. With a largest speed of 1, the line would stretch without limit: it became a third longer,
+# and the linear model had a time constant of days.
+LARGEST = 1.05
 SHORT_M = 0.05  # distance [m] below which the direction of the line is rounded
 
 
@@ -23,7 +27,7 @@ def drawn(s: Signals) -> tuple[Any, Any, Any]:
     distance = np.sqrt(x.line_x * x.line_x + x.line_y * x.line_y + SHORT_M * SHORT_M)
     forward, starboard = x.line_x / distance, x.line_y / distance
     along = x.u * forward + (x.v + p.x_line * x.r) * starboard
-    taut = 1 / (1 + np.exp(np.minimum((1 - distance / p.l_line) / STRETCH, 50.0)))
+    taut = LARGEST / (1 + (LARGEST - 1) * np.exp(np.minimum((1 - distance / p.l_line) / STRETCH, 50.0)))
     return taut * (along + np.sqrt(along * along + 1e-4)) / 2, forward, starboard
 
 

@@ -153,7 +153,7 @@ def _error_cells(channel: str, row: ErrorComparison) -> list[Cell | str]:
         formatting.named(channel),
         Cell(error_words(error if error is None else factor * error), "num"),
         Cell(unit, "nowrap"),
-        Cell("–" if fit is None else f"{100 * fit:.0f} %", "num"),
+        Cell("–" if fit is None else f"{100 * fit:z.0f} %", "num"),
     ]
 
 

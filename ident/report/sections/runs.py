@@ -341,7 +341,7 @@ def _fit_note(row: ErrorComparison | None) -> str:
     if row is None or not row.spread:
         return ""
     errors = (row.after,) if row.before is None else (row.before, row.after)
-    return "fit " + " → ".join("diverged" if e is None else f"{100 * (1 - e / row.spread):.0f} %" for e in errors)
+    return "fit " + " → ".join("diverged" if e is None else f"{100 * (1 - e / row.spread):z.0f} %" for e in errors)
 
 
 def _stacked(canvas: Canvas, panels: Sequence[drawing.Panel], label: str) -> list[Any]:

@@ -189,7 +189,8 @@ def test_states_of_a_towed_line_equal_an_independent_integration() -> None:
         distance = float(np.sqrt(z @ z + 0.05**2))
         e = z / distance
         along = surge * e[0] - 0.6 * turn * e[1]
-        speed = (along + np.sqrt(along**2 + 1e-4)) / 2 / (1 + np.exp(min((1 - distance / 3.0) / 0.03, 50.0)))
+        taut = 1.05 / (1 + 0.05 * np.exp(min((1 - distance / 3.0) / 0.02, 50.0)))
+        speed = (along + np.sqrt(along**2 + 1e-4)) / 2 * taut
         return [surge + turn * z[1] - speed * e[0], -0.6 * turn - turn * z[0] - speed * e[1]]
 
     wanted = solve_ivp(rate, (0.0, t[-1]), [3.0, 0.0], t_eval=t, rtol=1e-9, atol=1e-10).y.T

@@ -14,6 +14,7 @@ from seatrial.ident.effects.environment.waves import WAVES
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.engine.vectorised_model import VectorisedModel
 from seatrial.ident.estimation.fitted_model import fit_and_evaluate, fit_nominal_model, nominal_model
+from seatrial.ident.export.linearisation import linearise
 from seatrial.ident.model.structure import Model
 from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
@@ -116,15 +117,15 @@ def test_towed_line_pulls_only_if_it_is_taut_and_drawn() -> None:
         return {n: with_it[n] - plain[n] for n in "uvr"} | {n: with_it[n] for n in ("line_x", "line_y")}
 
     m = model_with("towed-line").values
-    straight = added(u=1.0, line_x=6.0)
+    straight = added(u=1.0, line_x=5.0)
     assert straight["u"] == pytest.approx(-6.0 / m["m_u"], rel=5e-3)
     assert (straight["v"], straight["r"], straight["line_x"]) == pytest.approx((0.0, 0.0, 0.0), abs=5e-3)
     c, s = np.cos(0.3), np.sin(0.3)
-    aside = added(u=1.0, line_x=6.0 * c, line_y=6.0 * s)
+    aside = added(u=1.0, line_x=5.0 * c, line_y=5.0 * s)
     assert aside["v"] == pytest.approx(-6.0 * c * c * s / m["m_v"], rel=5e-3)
     assert aside["r"] == pytest.approx(0.6 * 6.0 * c * c * s / m["m_r"], rel=5e-3)
     assert (aside["line_x"], aside["line_y"]) == pytest.approx((1.0 - c * c, -c * s), abs=5e-3)
-    for x in ({"u": 1.0, "line_x": 4.0}, {"u": -1.0, "line_x": 6.0}):  # slack, and pushed
+    for x in ({"u": 1.0, "line_x": 4.0}, {"u": -1.0, "line_x": 5.0}):  # slack, and pushed
         loose = added(**x)
         assert [loose[n] for n in "uvr"] == pytest.approx([0.0] * 3, abs=1e-4)
         assert loose["line_x"] == pytest.approx(x["u"], abs=0.01)
@@ -202,3 +203,14 @@ def test_every_vehicle_effect_names_its_alternatives() -> None:
         if "bench" not in effect.requires:
             assert effect.alternatives, name
             assert name not in effect.alternatives
+
+
+def test_towed_line_keeps_its_length_on_a_straight_tow() -> None:
+    """A boat tows at a steady speed: the line has its length, and the time constants of the linear model are short."""
+    model = model_with("towed-line", k_line=6.0, l_line=5.0, x_line=-0.6)
+    for speed in (0.3, 1.0):
+        linear = linearise(model, speed)
+        at = dict(zip(linear.states, linear.x0, strict=True))
+        assert np.hypot(at["line_x"], at["line_y"]) == pytest.approx(5.0, rel=0.01)
+        assert np.abs(linear.poles).min() > 1e-3  # no creeping length
+        assert (linear.poles.real < 0.0).all()

@@ -101,7 +101,7 @@ def test_weaker_side_and_the_shafts_of_a_command_model() -> None:
 def test_speed_beyond_full_thrust_is_refused() -> None:
     with pytest.raises(SeatrialError, match=r"3 m/s needs n_left = 1\.\d\d, more than full"):
         linearise(saved(horizontal_model("shaft")), 3.0)
-    with pytest.raises(SeatrialError, match="give a speed other than zero"):
+    with pytest.raises(SeatrialError, match="give a number other than zero"):
         linearise(saved(horizontal_model("shaft")), 0.0)
     with pytest.raises(SeatrialError, match="has no forward speed u among its states"):
         linearise(yaw_model(), 0.5)

@@ -1,0 +1,21 @@
+"""Tests of messages in the words of the Python interface."""
+
+from __future__ import annotations
+
+import pytest
+
+from seatrial.api.messages import in_python
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("give another --max-effects; --fix e_psi=0.03", "give another max_effects; fixed e_psi=0.03"),
+        ("run `seatrial ident diagnose` to see", "run `st.diagnose` to see"),
+        ("the option `--model`", "the option `model`"),
+        ("`seatrial mission design MODEL --model x -o m.toml`", "`seatrial mission design MODEL --model x -o m.toml`"),
+        ("an option --unknown stays", "an option --unknown stays"),
+    ],
+)
+def test_commands_and_options_become_functions_and_arguments(text: str, expected: str) -> None:
+    assert in_python(text) == expected
