@@ -177,12 +177,9 @@ class RawLog:
                 raise SeatrialError(
                     f"{self.path}: the file is empty, so there is nothing to read or recover; give another log"
                 )
-            advice = (
-                "a TOML file and not a log; check the order of the arguments"
-                if Path(self.path).suffix.lower() == ".toml"
-                else "not an MCAP log; use `seatrial import` for logs of other formats"
-            )
-            raise SeatrialError(f"{self.path}: {advice}")
+            if Path(self.path).suffix.lower() == ".toml":
+                raise SeatrialError(f"{self.path}: a TOML file and not a log; check the order of the arguments")
+            raise SeatrialError(f"{self.path}: not an MCAP log; use `seatrial import` for logs of other formats")
         return fd, size, (about.st_dev, about.st_ino)
 
     def _read(self, start: int, stop: int) -> bytes:

@@ -10,6 +10,7 @@ turn, the other effects are fitted again, and the prediction over three seconds 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -29,6 +30,22 @@ from seatrial.ident.estimation import (
 from seatrial.ident.model import Effect, Model
 
 
+@dataclass(frozen=True)
+class RoughFits:
+    """Fits of models with some of the chosen effects, by which the importance of the others is measured.
+
+    Attributes
+    ----------
+    settings
+        Settings of the searches.
+    fits
+        Fitted models by the names of their added effects.
+    """
+
+    settings: SearchSettings = ROUGH_SEARCH
+    fits: dict[frozenset[str], FittedModel] = field(default_factory=dict)
+
+
 def effect_importance(
     before: FittedModel,
     after: FittedModel,
@@ -37,13 +54,12 @@ def effect_importance(
     records: Sequence[Record],
     validation_data: ValidationData,
     policy: SearchPolicy = DEFAULT_POLICY,
-    settings: SearchSettings = ROUGH_SEARCH,
-    fits: dict[frozenset[str], FittedModel] | None = None,
+    rough: RoughFits | None = None,
 ) -> tuple[EffectImportance, ...]:
     """Compute the importance of each chosen effect; the most important comes first (`by_importance`).
 
     Each effect is left out in turn, and the other effects are fitted again by a rough search. If a refit of the search
-    or a fit in ``fits`` has the same effects, it is used instead. A chosen nonparametric curve of which the catalogue
+    or a fit in ``rough`` has the same effects, it is used instead. A chosen nonparametric curve of which the catalogue
     declares the effect to be one form is left out together with the effect (`left_out_with`).
 
     Parameters
@@ -60,11 +76,9 @@ def effect_importance(
         Validation records, or blocks in time of the estimation data.
     policy
         Thresholds of the comparison.
-    settings
-        Settings of the rough search.
-    fits
-        Fits by the names of the added effects, from an earlier call with the same ``before`` and records. The fits of
-        this call are added in place.
+    rough
+        Rough fits of earlier calls with the same ``before`` and records, and their settings. The fits of this call are
+        added in place. None: no such fits, and the settings of `RoughFits`.
 
     Returns
     -------
@@ -79,7 +93,7 @@ def effect_importance(
     refits = [q for r in rounds for q in r.refits if shared <= {e.name for e in q.fitted.fit.model.effects}]
     known_fits = {frozenset(_added_effect_names(before, q.fitted)): q.fitted for q in refits}
     known_fits |= {frozenset[str](): before}
-    fits = {} if fits is None else fits
+    rough = rough or RoughFits()
     added = _added_effect_names(before, after)
     found = []
     for refit in chosen:
@@ -87,9 +101,10 @@ def effect_importance(
         kept = [c for c in chosen if c.effect.name not in left_out]
         try:
             names = frozenset(added - left_out)
-            fitted = known_fits.get(names) or fits.get(names)
+            fitted = known_fits.get(names) or rough.fits.get(names)
             if fitted is None:
-                fitted = fits[names] = _fit_with_effects(kept, after, before, records, validation_data, settings)
+                fitted = _fit_with_effects(kept, after, before, records, validation_data, rough.settings)
+                rough.fits[names] = fitted
             found.append(_importance(refit, fitted, after, policy, alone=len(left_out) == 1))
         except FIT_ERRORS as problem:
             unknown = float("nan")

@@ -59,7 +59,7 @@ from seatrial.ident.diagnosis.findings import (
     ShortData,
     UntestedCandidate,
 )
-from seatrial.ident.diagnosis.importance import by_importance, effect_importance, fit_without
+from seatrial.ident.diagnosis.importance import RoughFits, by_importance, effect_importance, fit_without
 from seatrial.ident.diagnosis.model_uncertainty import model_uncertainty, with_model_uncertainty
 from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
 from seatrial.ident.diagnosis.score_test import (
@@ -1090,12 +1090,12 @@ class _Search:
         """
         removed: list[RemovedEffect] = []
         stuck: dict[str, str] = {}
-        fits: dict[frozenset[str], FittedModel] = {}
+        without = RoughFits(self.rough)
         while True:
             gone = {r.effect.name for r in removed}
             chosen = [r.chosen for r in self.rounds if r.chosen is not None and r.chosen.effect.name not in gone]
             weights = effect_importance(
-                base, current, chosen, self.rounds, self.records, self.validation_data, self.policy, self.rough, fits
+                base, current, chosen, self.rounds, self.records, self.validation_data, self.policy, without
             )
             weights = tuple(replace(w, untested=stuck.get(w.effect, w.untested)) for w in weights)
             tested = [w for w in weights if w.untested is None]
@@ -1118,7 +1118,7 @@ class _Search:
             self.reporter.progress(f"fitting without {effect.title}, which is not worth its parameters")
             kept = [c for c in chosen if c.effect is not effect]
             try:
-                rough = fits.get(frozenset(c.effect.name for c in kept), current)
+                rough = without.fits.get(frozenset(c.effect.name for c in kept), current)
                 current = self._exact_fit_with(kept) or fit_without(
                     base, rough, chosen, effect, self.records, self.validation_data, self.exact
                 )

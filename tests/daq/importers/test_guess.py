@@ -307,7 +307,7 @@ def test_files_that_share_a_map_share_its_guessed_scale(tmp_path: Path) -> None:
     words = ["--guess", *map(str, paths), "-o", str(tmp_path / "both.toml")]
     CliRunner().invoke(cli.import_, words, catch_exceptions=False)
     assert (tmp_path / "both.toml").read_text(encoding="utf-8") == maps[0].text
-    with pytest.warns(SeatrialWarning, match=r"(one|two)\.csv: the import map is a guess \(.*1 / 1000"):
+    with pytest.warns(SeatrialWarning, match=r"(one|two)\.csv: the import map is a guess \(.* 1000, is assumed to"):
         logs = st.import_log(paths, out_dir=tmp_path / "logs")
     assert [np.abs(values(log, "n_left")[1]).max() for log in logs] == pytest.approx([0.4, 1.0])
 

@@ -122,7 +122,8 @@ def test_effect_that_keeps_its_size_stays_identified_despite_remaining_scores() 
     # An alternative that was not fitted beside the effect may still be there in its place.
     (first, _) = assess_alternatives(rounds, replace(evidence, beside=frozenset({"other-0"})))
     assert first.reasons == (
-        "with this effect the score test of 'yaw-bias', one of its alternatives, is still significant",
+        "with this effect the score test of a constant or speed-dependent yaw moment ('yaw-bias'), one of its "
+        "alternatives, is still significant",
     )
 
 
@@ -195,7 +196,10 @@ def test_alternative_that_the_fitted_parameters_imitate_is_not_excluded() -> Non
     hidden = replace(score("reverse-thrust", 5.0), tolerance=4e-4)
     (found,) = assess_alternatives([one_round(linear)], AttributionEvidence((), N, nominal=[hidden]))
     assert (found.attribution, found.not_excluded) == ("ambiguous", ("reverse-thrust",))
-    why = "the model's estimated parameters explain nearly all of 'reverse-thrust', one of its alternatives"
+    why = (
+        "the model's estimated parameters explain nearly all of the loss of thrust in reverse ('reverse-thrust'), "
+        "one of its alternatives"
+    )
     assert found.reasons == (why,)
     (itself,) = assess_alternatives(
         [one_round(refit("reverse-thrust", 90.0))], AttributionEvidence((), N, nominal=[hidden])
