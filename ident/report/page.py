@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import re
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.metadata import version
@@ -141,6 +142,7 @@ def compose(
     warnings : sequence of str
         Sentences shown above the headline.
     """
+    headline, more = _first_sentence(formatting.tied(answer))
     scripts = [_template_file(PLOTLY), _template_file("report.js")] if figures else [_template_file("report.js")]
     return (
         _environment()
@@ -148,6 +150,8 @@ def compose(
         .render(
             kind=kind,
             answer=formatting.tied(answer),
+            headline=headline,
+            more=more,
             warnings=warnings,
             created=formatting.moment(created),
             version=version,
@@ -191,6 +195,12 @@ def _count_traces(result: Result) -> int:
     if isinstance(result, ComparisonResult):
         count = sum(1 + 2 * len(row.predictions) for row in result.traces)
     return count
+
+
+def _first_sentence(text: str) -> tuple[str, str]:
+    """Return the first sentence of a text, and the rest; the rest is empty if there is one sentence only."""
+    first, *rest = re.split(r"(?<=[.!?]) (?=[A-Z`])", text, maxsplit=1)
+    return first, "".join(rest)
 
 
 def _script_safe_json(value: Any) -> str:
