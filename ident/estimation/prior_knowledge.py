@@ -130,7 +130,10 @@ def _moved_from_zero(p: Parameter) -> Parameter:
 
 
 def _meant(name: str, possible: Mapping[str, Effect]) -> str:
-    """Return a question which effects a wrong name means (a misspelling, or a word of the title); "" if none is."""
+    """Return a question that suggests effects in place of an unknown name; the question is empty if none is similar.
+
+    A name is similar if it is a misspelling of the effect's name, or a part of its title.
+    """
     near = closest_name(name, possible)
     word = name.lower().replace("-", " ")
     found = [near] if near else [n for n, e in possible.items() if word in e.title.lower()]

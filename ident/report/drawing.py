@@ -108,7 +108,7 @@ class Budget:
 
 
 def drawable(y: Array | None) -> Array | None:
-    """Return the curve ``y``, or None if it is None or has no finite value."""
+    """Return the curve ``y``. The result is None if there is no curve, or if none of its values is finite."""
     return y if y is not None and np.isfinite(y).any() else None
 
 

@@ -136,7 +136,7 @@ class Saved(MotionMethods, Shown):
         return np.zeros((0, 0)) if found is None else np.asarray(found)
 
     def __getattr__(self, name: str) -> Any:
-        """Raise AttributeError; for what a fit has and a loaded result lacks, the message says how to get it."""
+        """Raise AttributeError. If a fit has an attribute of this name, the message says how to obtain it."""
         if name in NEED_LOGS:
             raise AttributeError(
                 f"a loaded result has no {name}, which needs the logs: fit them again with st.fit or st.diagnose, or "

@@ -42,13 +42,14 @@ def in_python(text: str) -> str:
     becomes the function that it calls. Options without an entry in the tables stay. So does a command with arguments,
     which can be run as it is.
     """
-    parts = text.split("`")
-    for i, part in enumerate(parts):
-        if i % 2 == 0:  # outside of backticks
-            parts[i] = re.sub(r"--[a-z]+(?:-[a-z]+)*", lambda found: ARGUMENTS.get(found.group(), found.group()), part)
-        elif not part.startswith("seatrial ") or part in FUNCTIONS:
-            parts[i] = FUNCTIONS.get(part) or ARGUMENTS.get(part, part)
-    return "`".join(parts)
+
+    def replaced(part: str, between_backticks: bool) -> str:
+        """Return a part of the message, between two backticks or outside of them, in the words of Python."""
+        if between_backticks and part.startswith("seatrial "):
+            return FUNCTIONS.get(part, part)
+        return re.sub(r"--[a-z]+(?:-[a-z]+)*", lambda found: ARGUMENTS.get(found.group(), found.group()), part)
+
+    return "`".join(replaced(part, i % 2 == 1) for i, part in enumerate(text.split("`")))
 
 
 class Messages:

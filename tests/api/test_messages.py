@@ -13,6 +13,7 @@ from seatrial.api.messages import in_python
         ("give another --max-effects; --fix e_psi=0.03", "give another max_effects; fixed e_psi=0.03"),
         ("run `seatrial ident diagnose` to see", "run `st.diagnose` to see"),
         ("the option `--model`", "the option `model`"),
+        ("give `--fix c1=40` and --validate", "give `fixed c1=40` and validate"),
         ("`seatrial mission design MODEL --model x -o m.toml`", "`seatrial mission design MODEL --model x -o m.toml`"),
         ("an option --unknown stays", "an option --unknown stays"),
     ],
