@@ -17,6 +17,7 @@ from seatrial.daq.bounds import bounded
 from seatrial.daq.checks import (
     FAULT,
     OK,
+    UNKNOWN,
     WARNING,
     CheckReport,
     Finding,
@@ -36,7 +37,12 @@ if TYPE_CHECKING:
 
 FILE = click.Path(path_type=Path)
 # Colours of the levels on a terminal. Elsewhere click leaves them out; the level is also printed as a word.
-STYLES: dict[str, dict[str, Any]] = {FAULT: {"fg": "red", "bold": True}, WARNING: {"fg": "yellow"}, OK: {"fg": "green"}}
+STYLES: dict[str, dict[str, Any]] = {
+    FAULT: {"fg": "red", "bold": True},
+    WARNING: {"fg": "yellow"},
+    UNKNOWN: {"fg": "cyan"},
+    OK: {"fg": "green"},
+}
 
 
 @click.command(

@@ -4,6 +4,7 @@ from .check_report import PredictedTrack as PredictedTrack
 from .device_checks import check_devices as check_devices
 from .findings import FAULT as FAULT
 from .findings import OK as OK
+from .findings import UNKNOWN as UNKNOWN
 from .findings import WARNING as WARNING
 from .findings import Finding as Finding
 from .findings import findings_lines as findings_lines

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from seatrial.daq.errors import counted
 
-OK, WARNING, FAULT = "ok", "warning", "fault"
+OK, UNKNOWN, WARNING, FAULT = "ok", "unknown", "warning", "fault"
 LEVEL = 8  # width of the column of the level, in characters
 
 
@@ -18,7 +18,8 @@ class Finding(NamedTuple):
     Attributes
     ----------
     level : str
-        Severity: `OK`, `WARNING` (needs attention) or `FAULT` (makes a run or a fit meaningless).
+        Severity: `OK`, `UNKNOWN` (the data do not decide), `WARNING` (needs attention) or `FAULT` (makes a run or a fit
+        meaningless).
     code : str
         Kind of the finding in kebab-case, such as "clock-jumps", for programs. It stays the same if the text changes.
     check : str
@@ -38,13 +39,18 @@ class Finding(NamedTuple):
     text: str
     advice: str = ""
 
+    @property
+    def is_problem(self) -> bool:
+        """Whether the finding is a warning or a fault."""
+        return self.level in (WARNING, FAULT)
+
 
 def worst_first(findings: Iterable[Finding]) -> list[Finding]:
-    """Return the findings of a check sorted by severity: faults, then warnings, then those in order (`OK`).
+    """Return the findings of a check sorted by severity: faults, warnings, unknown, and those in order (`OK`).
 
     Findings of the same severity keep their order. The result is a new list.
     """
-    order = (FAULT, WARNING, OK)
+    order = (FAULT, WARNING, UNKNOWN, OK)
     return sorted(findings, key=lambda f: order.index(f.level))
 
 
@@ -101,7 +107,9 @@ def _line_beginnings(findings: Sequence[Finding]) -> list[str]:
 def findings_summary(findings: Sequence[Finding]) -> str:
     """Return the numbers of findings in words, such as "1 fault, 2 warnings, 5 in order".
 
-    All three numbers are in the text, also if they are 0.
+    These three numbers are in the text, also if they are 0. A number of unknown findings, such as "1 unknown", is in
+    the text only if there are any.
     """
-    count = {level: sum(f.level == level for f in findings) for level in (FAULT, WARNING, OK)}
-    return f"{counted(count[FAULT], 'fault')}, {counted(count[WARNING], 'warning')}, {count[OK]} in order"
+    count = {level: sum(f.level == level for f in findings) for level in (FAULT, WARNING, OK, UNKNOWN)}
+    unknown = f", {count[UNKNOWN]} unknown" if count[UNKNOWN] else ""
+    return f"{counted(count[FAULT], 'fault')}, {counted(count[WARNING], 'warning')}, {count[OK]} in order{unknown}"

@@ -29,7 +29,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from seatrial.daq.checks import OK, Finding
+from seatrial.daq.checks import OK, UNKNOWN, Finding
 from seatrial.ident.checks.sensors import (
     DELAY_FAULT,
     DELAY_WARNING,
@@ -118,13 +118,13 @@ def _attitude_velocity_delay(
 ) -> Iterator[Finding]:
     """Yield one finding on the delay between attitude and velocity: the difference of their delays behind the thrust.
 
-    It is ``sensor-late`` (warning or fault), ``sensors-in-time`` (ok), or ``delay-unknown`` (ok) if one of the two
+    It is ``sensor-late`` (warning or fault), ``sensors-in-time`` (ok), or ``delay-unknown`` (unknown) if one of the two
     delays is not well estimated. ``attitude``, ``velocity``: delays of the yaw rate and of the surge speed behind the
     thrust, None if unknown. ``turned``, ``moved``: names of the sensors of both, for the finding.
     """
     if not _is_well_estimated(attitude) or not _is_well_estimated(velocity):
         text = f"the delay between {ATTITUDE} and {VELOCITY} is not known: the thrust explains too little of them"
-        yield Finding(OK, "delay-unknown", "late", turned, text)
+        yield Finding(UNKNOWN, "delay-unknown", "late", turned, text)
         return
     assert attitude is not None
     assert velocity is not None
@@ -155,12 +155,12 @@ def _motion_thrust_delay(
     forces. Severities are those of `_level_of_delay`. For commands and given forces, ``thrust-late`` is a fault from
     0.4 s on instead of 0.6 s, since the lag of the shafts hides a part of it. ``attitude``, ``velocity``: delays of yaw
     rate and surge speed, None if unknown. The one of smaller size is judged. If their signs differ, the finding is
-    ``thrust-in-time`` (ok). If none is well estimated, it is ``delay-unknown`` (ok).
+    ``thrust-in-time`` (ok). If none is well estimated, it is ``delay-unknown`` (unknown).
     """
     found = [estimate for estimate in (attitude, velocity) if estimate is not None and _is_well_estimated(estimate)]
     if not found:
         yield Finding(
-            OK,
+            UNKNOWN,
             "delay-unknown",
             "late",
             push.where,

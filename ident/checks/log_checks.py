@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from seatrial.daq.checks import FAULT, OK, Finding, check_devices, worst_first
+from seatrial.daq.checks import FAULT, Finding, check_devices, worst_first
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import Log, open_log
 from seatrial.daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar
@@ -500,7 +500,7 @@ def _check_segments(c: Channels, sides: Mapping[str, float], start: float) -> li
         begin, end = (seconds(t - start) for t in _time_span(part))
         for finding in check_signals(part, sides):
             key = finding.check, finding.where
-            if finding.level != OK:
+            if finding.is_problem:
                 finding = finding._replace(text=f"from {begin} to {end} s: {finding.text}")
             if key not in worst or worst_first([worst[key], finding])[0] is not worst[key]:
                 worst[key] = finding
@@ -596,7 +596,7 @@ def check_signals(c: Channels, sides: Mapping[str, float], known_noise: Collecti
     yield from of_motion
     if not of_frames and not any(f.level == FAULT for f in of_motion):
         yield from check_latency(c, sides)
-    if not of_frames and all(f.level == "ok" for f in of_motion):
+    if not of_frames and not any(f.is_problem for f in of_motion):
         yield from check_accelerometer(c, matches.velocity)
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seatrial.daq.checks import FAULT, WARNING, Finding
+from seatrial.daq.checks import FAULT, UNKNOWN, WARNING, Finding
 from seatrial.ident.data import Channel
 from seatrial.ident.numerics import Array, cumulative_integral
 
@@ -484,7 +484,7 @@ def sensor_delay(
     ------
     Finding
         ``sensor-late`` (warning or fault by `delay_level`) for a lag of at least 0.3 s, less half a step of the search
-        (0.025 s), that removes more than 30 % of the squared error. ``delay-unknown`` (ok) for another lag of this
+        (0.025 s), that removes more than 30 % of the squared error. ``delay-unknown`` (unknown) for another lag of this
         size, which may be chance, or if the half interval is wider than 0.3 s. Else ``sensors-in-time`` (ok).
     """
     late, early, late_source = (first, second, first_source) if found.lag > 0 else (second, first, second_source)
@@ -496,7 +496,7 @@ def sensor_delay(
         yield Finding(level, "sensor-late", "late", late_source, text, advice)
     elif found.half > UNKNOWN_DELAY or abs(found.lag) >= DELAY_WARNING - SENSOR_GRID_S / 2:
         text = f"the delay between {first} and {second} is not known ({interval})"
-        yield Finding("ok", "delay-unknown", "late", first_source, text)
+        yield Finding(UNKNOWN, "delay-unknown", "late", first_source, text)
     else:
         text = f"{first} and {second} are {abs(found.lag):.2f} s apart ({interval})"
         yield Finding("ok", "sensors-in-time", "late", first_source, text)

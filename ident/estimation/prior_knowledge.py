@@ -186,7 +186,7 @@ def fix_parameters(model: Model, thruster: Path | None, given: Mapping[str, floa
         Model with these parameters.
     notes
         A sentence about the coefficient c2 if the bench test did not measure it, and one about each thruster that is
-        more than 5 m from the middle.
+        more than 5 m from the middle by any source (option, log or rig).
 
     Raises
     ------
@@ -215,9 +215,11 @@ def fix_parameters(model: Model, thruster: Path | None, given: Mapping[str, floa
             known[name] = model.parameter(name).known(value, 0.0, ParameterOrigin.GIVEN)
         except ValueError as problem:
             raise SeatrialError(f"--fix {name}={value:g}: {problem}") from problem
-        if name in ARMS and abs(value) > LONGEST_ARM_M:
+    model = model.replace_parameters(*known.values())
+    for name in ARMS:
+        if abs(value := model.values.get(name, 0.0)) > LONGEST_ARM_M:
             notes.append(f"{name} = {value:g} m is a long way from the middle of a boat: is it in centimetres?")
-    return model.replace_parameters(*known.values()), notes
+    return model, notes
 
 
 def _no_parameter(model: Model, option: str, name: str) -> SeatrialError:

@@ -61,6 +61,11 @@ class Bode(NamedTuple):
     phase_sd: Array
     start: float = 0.0
 
+    def __repr__(self) -> str:
+        """Return one line with the number and range of the frequencies, and the bandwidth."""
+        f = self.frequency
+        return f"Bode({f.size} frequencies, {f[0]:.3g} to {f[-1]:.3g} Hz, bandwidth {self.bandwidth:.3g} Hz)"
+
     @property
     def bandwidth(self) -> float:
         """Lowest frequency [Hz] at which the gain is 3 dB below that at the lowest frequency; NaN if there is none."""

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from seatrial.daq.checks import CheckReport, DryRun, Finding, PredictedTrack
+from seatrial.daq.checks import UNKNOWN, CheckReport, DryRun, Finding, PredictedTrack
 from seatrial.daq.errors import counted
 from seatrial.daq.files import write_output
 from seatrial.ident.checks import CheckEvidence
@@ -55,7 +55,7 @@ def write_check_page(report: CheckReport, logs: Sequence[CheckEvidence], command
         If ``path`` is a symbolic link, a folder or a special file.
     """
     canvas = Canvas(Budget.for_traces(sum(_trace_count(log) for log in logs), MAX_POINTS))
-    problems = [f for f in report.findings if f.level != "ok"]
+    problems = [f for f in report.findings if f.is_problem]
     opening = Section(
         "top", "", [*([_findings_block(problems)] if problems else []), Facts(_labelled_facts(report, logs))]
     )
@@ -141,14 +141,15 @@ def _labelled_facts(report: CheckReport, logs: Sequence[CheckEvidence]) -> list[
     """Return (label, value) of the facts at the top of the check page.
 
     They are the rig, if the report has one, the duration of each log, and the numbers of faults, of warnings and of
-    findings without a problem, also if a number is 0.
+    findings without a problem, also if a number is 0. If the data do not decide some findings, their number follows.
     """
     levels = [f.level for f in report.findings]
     facts = [] if report.rig is None else [("rig", report.rig)]
     for log in logs:
         label = "recorded" if len(logs) == 1 else f"recorded in {log.name}"
         facts.append((label, formatting.duration(log.duration)))
-    return [*facts, *((word, str(levels.count(level))) for level, word in LEVELS.items())]
+    facts += [(word, str(levels.count(level))) for level, word in LEVELS.items()]
+    return [*facts, *([("unknown", str(levels.count(UNKNOWN)))] if UNKNOWN in levels else [])]
 
 
 def _trace_count(log: CheckEvidence) -> int:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from seatrial.daq.checks import OK, CheckReport, Finding
+from seatrial.daq.checks import CheckReport, Finding
 from seatrial.daq.errors import SeatrialError, counted
 from seatrial.ident.checks import (
     IMPORTED,
@@ -151,7 +151,7 @@ def with_findings(
     -------
     LoadedLog
         Copy of the log. Its findings are those on the devices, on the signals, and ``more``, each as a dictionary;
-        those of the level ``ok`` are left out. Its key ``spoils`` is true if the finding makes a fit meaningless.
+        only warnings and faults are kept. Its key ``spoils`` is true if the finding makes a fit meaningless.
 
     Raises
     ------
@@ -161,7 +161,7 @@ def with_findings(
     name = log.about["path"]
     assert log.device_faults is not None, "logs of a fit are loaded with `device_faults`"
     found = [*log.device_faults, *check_signals(log.own_channels, sides, known_noise), *more]
-    reported = [f for f in found if f.level != OK]
+    reported = [f for f in found if f.is_problem]
     refused = [f for f in reported if invalidates_fit(f, uses_shaft_speeds)]
     if refused and not despite_faults:
         first, where = refused[0], "" if refused[0].where == name else f"{refused[0].where}: "

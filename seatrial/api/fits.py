@@ -22,7 +22,7 @@ from seatrial.api.findings import DiagnosisFindings
 from seatrial.api.logs import Log, PathLike, as_list, as_paths
 from seatrial.api.messages import Messages, errors_of_users
 from seatrial.api.shown import Content, Shown
-from seatrial.daq.errors import SeatrialError, closest_name
+from seatrial.daq.errors import SeatrialError, closest_name, counted
 
 if TYPE_CHECKING:
     from seatrial.api.loading import Saved
@@ -143,6 +143,10 @@ class Series(NamedTuple):
     t: NDArray[np.float64]
     value: NDArray[np.float64]
 
+    def __repr__(self) -> str:
+        """Return one line with the number of values and the times of the first and the last."""
+        return f"Series({_span(self.t)})"
+
 
 class Prediction(NamedTuple):
     """Measured samples of one channel of a record, and their predictions by a model.
@@ -173,6 +177,15 @@ class Prediction(NamedTuple):
         It is infinite if a prediction diverged. Errors of angles are within half a turn.
         """
         return float(np.sqrt(np.mean((self.measured - self.predicted) ** 2)))
+
+    def __repr__(self) -> str:
+        """Return one line with the number of samples, the times of the first and the last, and the RMS error."""
+        return f"Prediction({_span(self.t)}{f', RMS error {self.rms:.3g}' if self.t.size else ''})"
+
+
+def _span(t: NDArray[np.float64]) -> str:
+    """Return the number of samples in words, and the times [s] of the first and the last, if there are any."""
+    return counted(t.size, "sample") + (f", {t[0]:.6g} to {t[-1]:.6g} s" if t.size else "")
 
 
 @dataclass(frozen=True, repr=False)

@@ -246,7 +246,7 @@ def import_log(
 class Findings(Shown, tuple[Finding, ...]):
     """Findings of a check as a tuple, the worst first. `check` returns it.
 
-    Each finding has ``level`` (ok, warning or fault), ``code``, ``check``, ``where``, ``text`` and ``advice``.
+    Each finding has ``level`` (ok, unknown, warning or fault), ``code``, ``check``, ``where``, ``text`` and ``advice``.
     """
 
     __slots__ = ()

@@ -1,0 +1,128 @@
+"""Coverage of 95 % prediction intervals 10 s ahead on a run that was used neither to estimate nor to validate.
+
+    python -m tests.measured.interval_study [--jobs 2] [--out FILE]
+
+The boats are those of `tests.measured.real_boats`. `st.fit` estimates the model from two runs and validates it on the
+third. The validation widens the intervals. The same model then predicts the fourth run, and the study counts the
+samples inside the intervals. Each boat is fitted with the shaft speeds of its logs, and with commands only.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gzip
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+import seatrial as st
+from seatrial.ident.validation import evaluate
+from tests.measured.real_boats import ROOT, folder
+from tests.recovery.cases import code_state
+from tests.recovery.logged import seatrial
+from tests.recovery.resumable import listed, resume
+from tests.recovery.tables import as_text
+
+OUT = ROOT / "docs/data/prediction-intervals.jsonl"
+RUNS = ("run1", "run2", "run3", "run4")  # two to estimate, one to validate, one that is not used
+INPUTS = ("auto", "horizontal:command")
+HORIZON = 10.0  # s
+HALF_WIDTH = 1.959964  # of a 95 % interval, in standard deviations
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class IntervalCase:
+    """A boat by the name of its folder, and the model by the inputs that it uses."""
+
+    boat: str
+    inputs: str
+
+    @property
+    def key(self) -> str:
+        """Return the key of the case in the results."""
+        return f"{self.boat}/{self.inputs}"
+
+
+def run_case(case: IntervalCase) -> Row:
+    """Fit one boat, and return the shares of samples inside the intervals by channel.
+
+    ``plain`` are the intervals of the fitted model, ``widened`` those that the validation has widened.
+    """
+    source = folder() / case.boat
+    row: Row = {"key": case.key, "code": code_state()}
+    try:
+        with TemporaryDirectory() as name:
+            work = Path(name)
+            for run in RUNS:
+                (work / f"{run}.csv").write_bytes(gzip.decompress((source / f"{run}.csv.gz").read_bytes()))
+                seatrial(work, "import", str(source / "map.toml"), f"{run}.csv", "-o", f"{run}.mcap")
+            logs = [work / f"{run}.mcap" for run in RUNS]
+            validated, unused = (
+                st.fit(logs[:2], case.inputs, validate=log, horizon=HORIZON, progress=False) for log in logs[2:]
+            )
+            return row | shares(validated, unused)
+    except Exception as problem:  # The study continues and counts the failure.
+        return row | {"error": f"{type(problem).__name__}: {problem}"}
+
+
+def shares(validated: Any, unused: Any) -> Row:
+    """Return the shares inside the intervals on the unused run, by kind of interval and channel.
+
+    ``validated`` and ``unused`` are the same fit, evaluated on the third and on the fourth run. Only the factors of the
+    third run are used to widen the intervals.
+    """
+    assert np.allclose(list(validated.params.values()), list(unused.params.values()), rtol=1e-6)
+    factors, own = (evaluate(x.fitted, HORIZON).widening for x in (validated, unused))
+    plain, widened = {}, {}
+    (predicted,) = unused.predict(HORIZON).values()
+    for channel, p in predicted.items():
+        z = (p.measured - p.predicted) / p.sd * own[channel]
+        z = z[np.isfinite(z)]
+        plain[channel] = round(float(np.mean(np.abs(z) < HALF_WIDTH)), 4)
+        widened[channel] = round(float(np.mean(np.abs(z) < HALF_WIDTH * factors[channel])), 4)
+    return {"plain": plain, "widened": widened, "factors": {n: round(f, 3) for n, f in factors.items()}}
+
+
+def line(row: Row) -> str:
+    """Return the line of a finished case: its key, and the shares by channel or the error."""
+    return f"{row['key']} {row.get('error') or row['widened']}"
+
+
+def table(rows: Sequence[Row]) -> list[list[str]]:
+    """Return the mean share inside the intervals over the boats, for each model, with its 95 % interval."""
+    lines = [["model", "boats", "plain", "widened by validation", "95 % interval"]]
+    for inputs in INPUTS:
+        some = [r for r in rows if r["key"].endswith(f"/{inputs}") and "error" not in r]
+        if not some:
+            continue
+        plain, widened = (np.array([np.mean(list(r[kind].values())) for r in some]) for kind in ("plain", "widened"))
+        half = 2.0 * widened.std(ddof=1) / np.sqrt(len(some)) if len(some) > 1 else np.nan
+        mean = widened.mean()
+        lines.append(
+            [inputs, str(len(some)), f"{plain.mean():.1%}", f"{mean:.1%}", f"{mean - half:.1%} to {mean + half:.1%}"]
+        )
+    return lines
+
+
+def main() -> int:
+    """Run the study, or continue it, and print its table."""
+    boats = sorted(p.name for p in folder().iterdir() if p.is_dir()) if folder().is_dir() else []
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--boats", type=listed("boat", boats), default=boats)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--out", type=Path, default=OUT)
+    given = parser.parse_args()
+    cases = [IntervalCase(boat, inputs) for boat in given.boats for inputs in INPUTS]
+    rows = resume(cases, run_case, line, given.jobs, given.out)
+    print(as_text(table(rows)))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
