@@ -20,6 +20,7 @@ from seatrial.ident.export.state_feedback import HEADING, StateFeedback, lqr
 from seatrial.ident.model import COMMAND, SHAFT_SPEED, THRUSTER_FORCE, Model, is_of_thruster
 from seatrial.ident.numerics import Array
 
+SOLVED = 1e-10  # the same, below which no other start of the search is tried
 BALANCED = 1e-6  # largest rate at the operating point, in the unit of each state per second
 TRIALS = (0.1, 0.4, 0.8)  # initial values of the inputs: at zero the thrust has no slope
 HEADING_STEP = 1e-5  # step of the central difference by the heading [rad]
@@ -572,13 +573,14 @@ def linearise(
             speed, rates.names, rates.inputs, A, B, x, u, delays, units, by_heading, moved, constant, assumed
         )
 
-    found = []
-    for values in principal_directions(reduced, rates.values, _of_parameters(known, rates.parameters)):
-        at = _moved_operating_point(rates, x0, u0, values)
-        if at is None:
-            return about(x0, u0, rates.values)  # the errors are too large for a linear theory
-        found.append(about(*at, values))
-    return about(x0, u0, rates.values, tuple(found))
+    directions = principal_directions(reduced, rates.values, _of_parameters(known, rates.parameters))
+    if not directions:
+        return about(x0, u0, rates.values)
+    points = _moved_operating_points(rates, x0, u0, np.array(directions))
+    if points is None:
+        return about(x0, u0, rates.values)  # the errors are too large for a linear theory
+    found = tuple(about(x, u, values) for x, u, values in zip(*points, directions, strict=True))
+    return about(x0, u0, rates.values, found)
 
 
 def _of_parameters(known: ParameterCovariance | None, parameters: tuple[str, ...]) -> ParameterCovariance | None:
@@ -589,22 +591,23 @@ def _of_parameters(known: ParameterCovariance | None, parameters: tuple[str, ...
     return ParameterCovariance(tuple(known.names[k] for k in kept), known.covariance[np.ix_(kept, kept)])
 
 
-def _moved_operating_point(rates: Rates, x0: Array, u0: Array, values: Array) -> tuple[Array, Array] | None:
-    """Return states (n,) and inputs (m,) that keep the speed of x0, u0 with slightly other ``values``.
+def _moved_operating_points(rates: Rates, x0: Array, u0: Array, values: Array) -> tuple[Array, Array] | None:
+    """Return states (n_rows, n) and inputs (n_rows, m) that keep the speed of x0 (n,), u0 (m,) with other parameters.
 
-    It is Newton's method from x0 and u0, with the smallest change of inputs and free states if there are more of them
-    than rates. None if a rate above 1e-6 (in the unit of its state per second) remains.
+    Each row of ``values`` (n_rows, n_parameters) has slightly other values of the parameters. It is Newton's method
+    from x0 and u0, with the smallest change of inputs and free states if there are more of them than rates. None if a
+    rate above 1e-6 (in the unit of its state per second) remains.
     """
     free = [k for k, name in enumerate(rates.names) if name not in ("u", "r")]
-    x, u = x0.copy(), u0.copy()
+    x, u = np.tile(x0, (len(values), 1)), np.tile(u0, (len(values), 1))
     for _ in range(CORRECTIONS):
-        slope = np.hstack(
-            [rates.by_states(x[None], u[None], values)[0][:, free], rates.by_inputs(x[None], u[None], values)[0]]
-        )
-        change = np.linalg.lstsq(slope, -rates(x[None], u[None], values)[0], rcond=None)[0]
-        x[free] += change[: len(free)]
-        u += change[len(free) :]
-    remaining = np.abs(rates(x[None], u[None], values)[0])
+        slopes = np.concatenate([rates.by_states(x, u, values)[:, :, free], rates.by_inputs(x, u, values)], axis=2)
+        left = -rates(x, u, values)
+        for k, (slope, rest) in enumerate(zip(slopes, left, strict=True)):
+            change = np.linalg.lstsq(slope, rest, rcond=None)[0]
+            x[k, free] += change[: len(free)]
+            u[k] += change[len(free) :]
+    remaining = np.abs(rates(x, u, values))
     return (x, u) if remaining.max(initial=0.0) < BALANCED else None
 
 
@@ -641,6 +644,11 @@ def _operating_point(rates: Rates, speed: float) -> tuple[Array, Array]:
         found: Array = rates(x[None], u[None])[0]
         return found
 
+    def slopes(z: Array) -> Array:
+        """Return the derivatives (n, n_unknowns) of the rates by the unknowns ``z``."""
+        x, u = unpacked(z)
+        return np.hstack([rates.by_states(x[None], u[None])[0][:, free], rates.by_inputs(x[None], u[None])[0]])
+
     best: Array | None = None
     smallest = np.inf
     # The search starts with all free states at zero, then at their initial means: a towed line at zero is slack, and a
@@ -649,9 +657,11 @@ def _operating_point(rates: Rates, speed: float) -> tuple[Array, Array]:
     for begin, size in product(begins, TRIALS):
         start = np.concatenate([begin, np.full(m, np.copysign(size, speed))])
         start[: len(free)] += [start[-1] if is_of_thruster(rates.names[k], SHAFT_SPEED) else 0.0 for k in free]
-        found = least_squares(residuals, start, xtol=1e-14, ftol=1e-14, gtol=1e-14)
+        found = least_squares(residuals, start, slopes, xtol=1e-14, ftol=1e-14, gtol=1e-14)
         if np.abs(found.fun).max(initial=0.0) < smallest:
             smallest, best = float(np.abs(found.fun).max(initial=0.0)), found.x
+        if smallest < SOLVED:
+            break
     if best is None or smallest > BALANCED:
         unbalanced = "a state" if best is None else rates.names[int(np.argmax(np.abs(residuals(best))))]
         raise SeatrialError(

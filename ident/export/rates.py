@@ -61,23 +61,24 @@ class Rates:
     def __call__(self, x: Array, u: Array, values: Array | None = None) -> Array:
         """Return the rates (n_rows, n) at dynamic states x (n_rows, n) and inputs u (n_rows, m).
 
-        ``values`` (n_parameters,) replace the parameter values of the model.
+        ``values`` replace the parameter values of the model: (n_parameters,), or (n_rows, n_parameters) with values for
+        each row.
         """
         whole, inputs = np.tile(self._rest, (len(x), 1)), np.tile(self._constant, (len(x), 1))
         whole[:, self._at], inputs[:, self._own] = x, u[:, self._source]
-        found: Array = self._rowwise(whole, inputs, self.values if values is None else values)
+        found = self._rowwise.rates(whole, inputs, self.values if values is None else values)
         return found[:, self._at]
 
     def by_states(self, x: Array, u: Array, values: Array | None = None) -> Array:
         """Return the derivatives (n_rows, n, n) of the rates by the dynamic states. ``values`` as in the call."""
         n = x.shape[1]
-        rates = self(_moved_by_each_variable(x), np.tile(u, (2 * n, 1)), values)
+        rates = self(_moved_by_each_variable(x), np.tile(u, (2 * n, 1)), _repeated(values, 2 * n))
         return _central_differences(rates, len(x), n)
 
     def by_inputs(self, x: Array, u: Array, values: Array | None = None) -> Array:
         """Return the derivatives (n_rows, n, m) of the rates by the inputs. ``values`` as in the call."""
         m = u.shape[1]
-        rates = self(np.tile(x, (2 * m, 1)), _moved_by_each_variable(u), values)
+        rates = self(np.tile(x, (2 * m, 1)), _moved_by_each_variable(u), _repeated(values, 2 * m))
         return _central_differences(rates, len(u), m)
 
     def by_parameter(self, x: Array, u: Array, name: str, size: float) -> Array:
@@ -85,6 +86,11 @@ class Rates:
         d = np.zeros(self.values.size)
         d[self._all.index(name)] = size
         return (self(x, u, self.values + d) - self(x, u, self.values - d)) / (2.0 * size)
+
+
+def _repeated(values: Array | None, times: int) -> Array | None:
+    """Return the values of each row (n_rows, n_parameters) as often as the rows are; others are unchanged."""
+    return values if values is None or values.ndim == 1 else np.tile(values, (times, 1))
 
 
 def _moved_by_each_variable(v: Array) -> Array:

@@ -719,14 +719,36 @@ class Model:
         ValueError
             If the number of values is wrong.
         """
+        s = self._begun(x, u, p)
+        for label, stage in self.stages:
+            self._run_stage(label, stage, s)
+        return s
+
+    def rates(self, x: Any, u: Any, p: Any) -> dict[str, Any]:
+        """Evaluate the model up to the stage ``output``, and return the time derivatives of the states by name.
+
+        The arguments are those of `signals`, which takes longer. The derivative of a state is missing if the stage
+        ``output`` computes it.
+        """
+        s = self._begun(x, u, p)
+        self._run_until_output(s)
+        return s.rate
+
+    def _begun(self, x: Any, u: Any, p: Any) -> Signals:
+        """Return the signals before the first stage, with the parameters changed by the hooks of the effects."""
         s = self.bag(x, u, p)
         for effect in self.effects:
             if PARAMETERS in effect.hooks:
                 effect.hooks[PARAMETERS](s)
         s.again = lambda x, u, p: self._until_rates(s, x, u, p)
-        for label, stage in self.stages:
-            self._run_stage(label, stage, s)
         return s
+
+    def _run_until_output(self, s: Signals) -> None:
+        """Run the stages before ``output`` with the hooks of all effects. The signals ``s`` are changed in place."""
+        for label, stage in self.stages:
+            if label == "output":
+                break
+            self._run_stage(label, stage, s)
 
     def _run_stage(self, label: str, stage: ModelFunction, s: Signals) -> None:
         """Run one stage, then the hooks of all effects after this stage and at its ``LATER`` places.
@@ -751,10 +773,7 @@ class Model:
         """
         x, u, p = vars(s.x) | x, vars(s.u) | u, vars(s.p) | p
         changed = Signals(x=States(**x), u=Inputs(**u), p=Parameters(**p), rate={}, y={})
-        for label, stage in self.stages:
-            if label == "output":
-                break
-            self._run_stage(label, stage, changed)
+        self._run_until_output(changed)
         return changed
 
     def with_values(self, values: Mapping[str, float]) -> Model:

@@ -174,6 +174,7 @@ def test_residuals_are_standardised(fit: st.FittedVehicle) -> None:
     for channel in fit.residuals()["run1"].values():
         assert 0.9 < channel.value.std() < 1.1
         assert channel.t.shape == channel.value.shape
+        assert re.fullmatch(r"Series\(\d+ samples, [\d.]+ to [\d.]+ s\)", repr(channel))
 
 
 def test_predictions_have_the_errors_of_the_result(fit: st.FittedVehicle) -> None:
@@ -185,6 +186,7 @@ def test_predictions_have_the_errors_of_the_result(fit: st.FittedVehicle) -> Non
     for name, row in errors.horizon.items():
         assert ahead[name].rms == pytest.approx(row.after, rel=1e-9)
     assert fit.predict(2.0)["run2"]["x"].rms < ahead["x"].rms
+    assert re.fullmatch(r"Prediction\(\d+ samples, [\d.]+ to [\d.]+ s, RMS error [\d.]+\)", repr(ahead["x"]))
     widening = fit.result.calibration.validation
     assert widening is not None
     for name, factor in widening.horizon.items():
@@ -257,6 +259,8 @@ def test_linearisation_is_shown_in_a_few_lines_and_warns_outside_the_data(fit: s
     at = st.linearise(fit, 0.5)
     assert repr(at).startswith("<Linearisation at 0.5 m/s, stable>\nstates u, v, r")
     assert repr(at).count("time constant") == len(at.poles)
+    (bode,) = at.bode("straight").values()
+    assert repr(bode).startswith(f"Bode({bode.frequency.size} frequencies, ")
     with pytest.warns(SeatrialWarning, match=r"1.8 m/s is outside the speeds of the fitted data"):
         st.linearise(fit, 1.8)
 

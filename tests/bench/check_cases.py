@@ -91,4 +91,4 @@ def named(case: Case, found: list[Finding]) -> bool:
 
 def alarms(found: list[Finding]) -> list[Finding]:
     """Return every finding that is a fault or a warning."""
-    return [f for f in found if f.level != "ok"]
+    return [f for f in found if f.is_problem]

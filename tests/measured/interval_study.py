@@ -3,8 +3,8 @@
     python -m tests.measured.interval_study [--jobs 2] [--out FILE]
 
 The boats are those of `tests.measured.real_boats`. `st.fit` estimates the model from two runs and validates it on the
-third. The validation widens the intervals. The same model then predicts the fourth run, and the study counts the
-samples inside the intervals. Each boat is fitted with the shaft speeds of its logs, and with commands only.
+third. The validation widens the intervals. The model then predicts the fourth run, and the study counts the samples
+inside the intervals. Each boat is fitted with the shaft speeds of its logs, and with commands only.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 
 import seatrial as st
-from seatrial.ident.validation import evaluate
+from seatrial.ident.estimation import FittedModel
+from seatrial.ident.validation.calibration import horizon_calibration, horizon_forecasts, pooled_calibration
 from tests.measured.real_boats import ROOT, folder
 from tests.recovery.cases import code_state
 from tests.recovery.logged import seatrial
@@ -63,29 +64,22 @@ def run_case(case: IntervalCase) -> Row:
                 (work / f"{run}.csv").write_bytes(gzip.decompress((source / f"{run}.csv.gz").read_bytes()))
                 seatrial(work, "import", str(source / "map.toml"), f"{run}.csv", "-o", f"{run}.mcap")
             logs = [work / f"{run}.mcap" for run in RUNS]
-            validated, unused = (
-                st.fit(logs[:2], case.inputs, validate=log, horizon=HORIZON, progress=False) for log in logs[2:]
-            )
-            return row | shares(validated, unused)
+            fit = st.fit(logs[:2], case.inputs, validate=logs[2:], horizon=HORIZON, progress=False)
+            return row | shares(fit.fitted)
     except Exception as problem:  # The study continues and counts the failure.
         return row | {"error": f"{type(problem).__name__}: {problem}"}
 
 
-def shares(validated: Any, unused: Any) -> Row:
+def shares(fitted: FittedModel) -> Row:
     """Return the shares inside the intervals on the unused run, by kind of interval and channel.
 
-    ``validated`` and ``unused`` are the same fit, evaluated on the third and on the fourth run. Only the factors of the
-    third run are used to widen the intervals.
+    The first validation record widens the intervals. The second one is the unused run.
     """
-    assert np.allclose(list(validated.params.values()), list(unused.params.values()), rtol=1e-6)
-    factors, own = (evaluate(x.fitted, HORIZON).widening for x in (validated, unused))
-    plain, widened = {}, {}
-    (predicted,) = unused.predict(HORIZON).values()
-    for channel, p in predicted.items():
-        z = (p.measured - p.predicted) / p.sd * own[channel]
-        z = z[np.isfinite(z)]
-        plain[channel] = round(float(np.mean(np.abs(z) < HALF_WIDTH)), 4)
-        widened[channel] = round(float(np.mean(np.abs(z) < HALF_WIDTH * factors[channel])), 4)
+    third, fourth = (horizon_forecasts(fitted.model, v.record, v.values, v.run, HORIZON) for v in fitted.validation)
+    factors = {n: c.widening for n, c in pooled_calibration([horizon_calibration(third)]).items()}
+    z = {n: np.abs(f.e / f.sd) for n, f in fourth.items()}
+    plain = {n: round(float(np.mean(x < HALF_WIDTH)), 4) for n, x in z.items()}
+    widened = {n: round(float(np.mean(x < HALF_WIDTH * factors[n])), 4) for n, x in z.items()}
     return {"plain": plain, "widened": widened, "factors": {n: round(f, 3) for n, f in factors.items()}}
 
 

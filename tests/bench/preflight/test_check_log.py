@@ -137,7 +137,7 @@ def test_units_of_velocity_and_shaft_speed_are_recognised() -> None:
         command = table[f"esc/{node}/command"]
         c[f"n_cmd_{side}"] = Channel(command["t"].copy(), command["n_cmd"].copy())
     sides = {"left": -0.15, "right": 0.15}
-    assert not [f for f in check_signals(c, sides) if f.level != "ok"]
+    assert not [f for f in check_signals(c, sides) if f.is_problem]
     knots = c | {n: Channel(c[n].t, c[n].value / 0.5144) for n in ("vx", "vy")}
     findings = [f for f in check_signals(knots, sides) if f.code == "velocity-unit"]
     assert any("knots" in f.text for f in findings)
@@ -245,3 +245,6 @@ def test_the_findings_are_printed_as_a_table() -> None:
     found = [Finding("ok", "code", "a", "x", "fine"), Finding("fault", "code", "bb", "yy", "bad", "mend it")]
     assert findings_lines(worst_first(found)) == ["fault    yy  bb  bad: mend it", "ok       x   a   fine"]
     assert findings_summary(found) == "1 fault, 0 warnings, 1 in order"
+    undecided = [*found, Finding("unknown", "delay-unknown", "late", "x", "the delay is not known")]
+    assert [f.level for f in worst_first(undecided)] == ["fault", "unknown", "ok"]
+    assert findings_summary(undecided) == "1 fault, 0 warnings, 1 in order, 1 unknown"

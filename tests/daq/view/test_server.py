@@ -177,7 +177,7 @@ def test_data_equal_the_content_of_the_log(served: Served) -> None:
     content = served.json("log?log=1")
     assert (content["name"], content["state"], content["n_events"]) == ("b.mcap", "whole", 2)
     assert served.json("track?track=%2Fgnss%2Fgnss&from=0&to=99&points=100")["east"] == pytest.approx([0.0] * N_ROUNDS)
-    assert {finding["level"] for finding in served.json("check?log=0")} <= {"fault", "warning", "ok"}
+    assert {finding["level"] for finding in served.json("check?log=0")} <= {"fault", "warning", "unknown", "ok"}
     assert served.json("cut?interval=1:2.5")["options"] == "--from 1.000 --to 2.500"
 
 

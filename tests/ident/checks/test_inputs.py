@@ -102,6 +102,6 @@ def test_exchanged_telemetry_is_reported_and_not_swapped_sides() -> None:
     c = log(ATTITUDE, VELOCITY, COMMANDS, SHAFTS)
     assert not faults(c)
     c["n_left"], c["n_right"] = c["n_right"], c["n_left"]
-    (found,) = [f for f in check_signals(c, SIDES) if f.level != "ok"]
+    (found,) = [f for f in check_signals(c, SIDES) if f.is_problem]
     assert found.code == "telemetry-exchanged"
     assert "the shaft speed of left follows the command of right" in found.text

@@ -34,7 +34,7 @@ def log(minutes: float = 0.0, knots: float = 0.0) -> dict[str, Channel]:
 
 @pytest.mark.parametrize(("minutes", "knots"), [(1.0, 0.0), (0.0, 1.0), (1.0, 1.0)])
 def test_coarse_receiver_is_quantised_and_not_stuck(minutes: float, knots: float) -> None:
-    found = [f for f in check_signals(log(minutes, knots), SIDES) if f.level != "ok"]
+    found = [f for f in check_signals(log(minutes, knots), SIDES) if f.is_problem]
     quantised = [f.where for f in found if f.code == "channel-quantised"]
     assert quantised == ["x, y"] * bool(minutes) + ["vx, vy"] * bool(knots)
     assert not [f for f in found if f.check == "stuck"]
