@@ -276,7 +276,11 @@ def with_noise_floors(model: Model, logs: Sequence[LoadedLog]) -> tuple[Model, l
     listed = {o.name: o.noise for o in model.outputs if o.name in smooth and o.noise in estimated_noise}
     bounds = ", ".join(f"{p.name} {p.bounds[0]:g} {p.unit}" for p in floors if p.name in listed.values())
     signals = ", ".join(sorted(listed))
-    line = f"Smoothed signals ({signals}): lower bounds of their estimated noise are {bounds}; --fix sets the noise."
+    first = next(iter(listed.values()), "")
+    line = (
+        f"Smoothed signals ({signals}): lower bounds of their estimated noise are {bounds}; "
+        f"--fix {first}=VALUE sets a noise that you know."
+    )
     return model.replace_parameters(*floors), [line] if bounds else []
 
 

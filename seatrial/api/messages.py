@@ -25,6 +25,9 @@ ARGUMENTS = {
     "--from": "start of st.open_log", "--to": "end of st.open_log", "--out-dir": "out_dir",
 }  # fmt: skip
 
+# An option with the value of a parameter, such as --fix y_left=-0.3 or --initial NAME=VALUE
+VALUE_OF_PARAMETER = re.compile(r"(?P<option>--(?:fix|initial)) (?P<name>\w+)=(?P<value>[-+]?\w+(?:\.\w+)*|\.\.\.)")
+
 # Functions of `seatrial` by the command that calls them, in a text between backticks.
 FUNCTIONS = {
     "seatrial check": "st.check", "seatrial ident changes": "st.compare_campaigns",
@@ -38,18 +41,24 @@ FUNCTIONS = {
 def in_python(text: str) -> str:
     """Return a message with commands and their options replaced by functions and arguments of the Python interface.
 
-    For example, ``--fix e_psi=0.03`` becomes ``fixed e_psi=0.03``, and a command without arguments between backticks
-    becomes the function that it calls. Options without an entry in the tables stay. So does a command with arguments,
-    which can be run as it is.
+    For example, ``--fix e_psi=0.03`` becomes ``fixed={'e_psi': 0.03}``, and a command without arguments between
+    backticks becomes the function that it calls. Options without an entry in the tables stay. So does a command with
+    arguments, which can be run as it is.
     """
 
     def replaced(part: str, between_backticks: bool) -> str:
         """Return a part of the message, between two backticks or outside of them, in the words of Python."""
         if between_backticks and part.startswith("seatrial "):
             return FUNCTIONS.get(part, part)
+        part = VALUE_OF_PARAMETER.sub(_as_dictionary, part)
         return re.sub(r"--[a-z]+(?:-[a-z]+)*", lambda found: ARGUMENTS.get(found.group(), found.group()), part)
 
     return "`".join(replaced(part, i % 2 == 1) for i, part in enumerate(text.split("`")))
+
+
+def _as_dictionary(option: re.Match[str]) -> str:
+    """Return a match of `VALUE_OF_PARAMETER` as an argument of Python, such as ``fixed={'e_psi': 0.03}``."""
+    return f"{ARGUMENTS[option['option']]}={{'{option['name']}': {option['value']}}}"
 
 
 class Messages:

@@ -10,10 +10,11 @@ from seatrial.api.messages import in_python
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("give another --max-effects; --fix e_psi=0.03", "give another max_effects; fixed e_psi=0.03"),
+        ("give another --max-effects; --fix e_psi=0.03.", "give another max_effects; fixed={'e_psi': 0.03}."),
+        ("--fix y_left=... --initial m_u=VALUE, or", "fixed={'y_left': ...} initial={'m_u': VALUE}, or"),
         ("run `seatrial ident diagnose` to see", "run `st.diagnose` to see"),
         ("the option `--model`", "the option `model`"),
-        ("give `--fix c1=40` and --validate", "give `fixed c1=40` and validate"),
+        ("give `--fix c1=40` and --validate", "give `fixed={'c1': 40}` and validate"),
         ("`seatrial mission design MODEL --model x -o m.toml`", "`seatrial mission design MODEL --model x -o m.toml`"),
         ("an option --unknown stays", "an option --unknown stays"),
     ],

@@ -21,6 +21,11 @@ def measured(name: str = "") -> Path:
     return path
 
 
+def realistic_boats() -> Path:
+    """Return the folder of the boats of a realistic plant, by the environment variable SEATRIAL_DATA."""
+    return Path(os.environ.get("SEATRIAL_DATA", "."), "real_boats")
+
+
 def run(*words: str) -> None:
     """Run a command and check that its status is zero."""
     with pytest.raises(SystemExit) as left:

@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import gzip
 import json
-import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,6 +22,8 @@ from typing import Any
 from seatrial.ident.diagnosis.certainty import NAME_RECORDS
 from seatrial.ident.results.parts import DiagnosisResult, VehicleResult
 from seatrial.ident.results.result_file import AnyResult, read_result
+from tests.measured import prediction_intervals
+from tests.measured.data import realistic_boats
 from tests.recovery.cases import code_state
 from tests.recovery.logged import seatrial, spent
 from tests.recovery.resumable import listed, read, resume
@@ -69,6 +70,16 @@ seatrial states a probability with each name: the share of names with this attri
 
 {certainty}
 
+## Prediction intervals on a run that was not used
+
+`st.fit` fits the model to two runs and validates it on the third, which widens the 95 % intervals of predictions 10 s
+ahead. The table has the share of the samples of the fourth run inside them, as the mean over the boats. Each boat is
+fitted with the shaft speeds of its logs, and with its commands only.
+
+    python -m tests.measured.prediction_intervals
+
+{intervals}
+
 ## What a diagnosis does not see here
 
 - Wind, a small difference of the thrusters, waves and a dependence of thrust on speed are in every one of these boats.
@@ -81,11 +92,6 @@ seatrial states a probability with each name: the share of names with this attri
 - An error of a sensor (a gyro scale, an antenna at another place) is estimated with the common errors. It is listed
   there with its size, and not as a missing effect.
 """
-
-
-def folder() -> Path:
-    """Return the folder of the boats, by the environment variable SEATRIAL_DATA."""
-    return Path(os.environ.get("SEATRIAL_DATA", "."), "real_boats")
 
 
 @dataclass(frozen=True)
@@ -102,7 +108,7 @@ class BoatCase:
 
 def run_boat(case: BoatCase) -> Row:
     """Import the logs of a boat, run `ident vehicle` and `ident diagnose`, and return its line."""
-    source = folder() / case.boat
+    source = realistic_boats() / case.boat
     truth = json.loads((source / "truth.json").read_text(encoding="utf-8"))
     row: Row = {"key": case.boat, "hidden": truth["effect"], "code": code_state()}
     try:
@@ -196,14 +202,14 @@ def document(rows: Sequence[Row]) -> str:
     """Return the text of docs/real-boats.md."""
     kept = [z for r in rows if "error" not in r for _, z in r["vehicle"]["masses"].values() if z is not None]
     held = sum(abs(z) <= 3 for z in kept)
-    return TEXT.format(
-        table=as_markdown(table(rows)), certainty=as_markdown(certainty(rows)), held=held, kept=len(kept)
-    )
+    intervals = prediction_intervals.table([*read(prediction_intervals.OUT).values()])
+    tables = {"table": table(rows), "certainty": certainty(rows), "intervals": intervals}
+    return TEXT.format(held=held, kept=len(kept), **{name: as_markdown(lines) for name, lines in tables.items()})
 
 
 def main(words: Sequence[str] | None = None) -> int:
     """Run the missing boats, then print the table."""
-    known = sorted(p.name for p in folder().iterdir() if p.is_dir()) if folder().is_dir() else []
+    known = sorted(p.name for p in realistic_boats().glob("*") if p.is_dir())
     parser = argparse.ArgumentParser(
         "python -m tests.measured.real_boats",
         description="Boats of a realistic plant, through the commands of a user.",
