@@ -343,6 +343,8 @@ def import_map(
         raise click.UsageError(
             "give an import map and one or more source files; --guess writes an import map of a source file"
         )
+    if sources[0].suffix != ".toml" and (maps := [s for s in sources if s.suffix == ".toml"]):
+        raise click.UsageError(f"{sources[0]}: the import map {maps[0]} comes first, then its source files")
     written = run(sources[0], sources[1:], out=out, out_dir=out_dir, force=force)
     if as_json:
         print_json({"format": "seatrial-import 1", "map": sources[0], "sources": sources[1:], "logs": written})

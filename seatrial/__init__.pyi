@@ -33,4 +33,6 @@ from .api.runs import ThrustCurve as ThrustCurve
 from .api.runs import design as design
 from .api.runs import navigate as navigate
 from .api.runs import thruster as thruster
+from .daq.errors import SeatrialError as SeatrialError
+from .daq.errors import SeatrialWarning as SeatrialWarning
 from .ident.export import StateFeedback as StateFeedback

@@ -146,6 +146,18 @@ def test_a_misspelt_command_or_option_names_the_closest_one(capsys, args: tuple[
     assert capsys.readouterr().err.startswith(message)
 
 
+def test_an_import_with_the_map_last_says_that_it_comes_first(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("run.csv", "map.toml"):
+        Path(name).write_text("t\n")
+    with pytest.raises(SystemExit) as leaving:
+        command_line.main(["import", "run.csv", "map.toml"])
+    assert leaving.value.code == 2
+    assert "run.csv: the import map map.toml comes first, then its source files" in capsys.readouterr().err
+
+
 def test_exit_status_comes_from_ctx_exit_and_not_from_a_returned_value(run) -> None:
     assert run(lambda: 7) == (0, "", "")
     assert run(lambda: click.get_current_context().exit(7)) == (7, "", "")

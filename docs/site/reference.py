@@ -29,6 +29,7 @@ SI units and radians. Other modules of the package are internal and may change w
 
 """
 WIDTH = 120  # columns of a line of code
+LISTS = ("Parameters", "Attributes", "Returns", "Raises", "Warns", "Yields")  # sections of a docstring that are lists
 
 
 def main() -> int:
@@ -39,14 +40,16 @@ def main() -> int:
 
 
 def page() -> str:
-    """Return the text of the page: functions, then their options, then classes."""
+    """Return the text of the page: functions, then their options, classes and errors."""
     things = {name: getattr(seatrial, name) for name in sorted(seatrial.__all__)}
     functions = {n: x for n, x in things.items() if inspect.isfunction(x)}
     options = {x.__name__: x for x in OPTIONS}
     classes = {n: x for n, x in things.items() if inspect.isclass(x)}
     parts = [HEAD, "## Functions\n\n", *(entry(f"st.{n}", x) for n, x in functions.items())]
     parts += ["## Options\n\n", *(entry(n, x) for n, x in options.items())]
+    errors = {n: classes.pop(n) for n in tuple(classes) if issubclass(classes[n], Exception)}
     parts += ["## Results\n\n", *(entry(n, x) for n, x in classes.items())]
+    parts += ["## Errors and warnings\n\n", *(entry(f"st.{n}", x) for n, x in errors.items())]
     return "".join(parts).rstrip() + "\n"
 
 
@@ -103,9 +106,7 @@ def docstring(text: str) -> str:
             continue
         if section == "Examples":
             found.append(f"    {line}" if line else "")
-        elif (
-            section in ("Parameters", "Attributes", "Returns", "Raises", "Yields") and line and not line.startswith(" ")
-        ):
+        elif section in LISTS and line and not line.startswith(" "):
             name, colon, kind = line.partition(" : ")
             found.append(f"- `{name}`" + (f" ({kind})" if colon else "") + ":")
         elif section and line.startswith("    "):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 from seatrial.api import tables
 from seatrial.api.figures import Figure
 from seatrial.api.fits import FittedResult, Logs, model_path, python_call, window_of
-from seatrial.api.logs import PathLike, as_paths
+from seatrial.api.logs import Log, PathLike, as_paths
 from seatrial.api.messages import Messages, errors_of_users, text_of
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError
@@ -216,8 +216,8 @@ def compare(
     Raises
     ------
     SeatrialError
-        If there are fewer than two different models or no logs, if a model does not go with the logs, if the logs have
-        faults that make a fit meaningless, or if none is longer than ``horizon``.
+        If there are fewer than two different models or no logs, if a log is given as a model, if a model does not go
+        with the logs, if the logs have faults that make a fit meaningless, or if none is longer than ``horizon``.
 
     Examples
     --------
@@ -229,6 +229,10 @@ def compare(
     from seatrial.ident.workflows.compare import CompareRequest, compare_models
 
     chosen, data = _models_and_logs(models, others, logs)
+    for model in chosen.values() if isinstance(chosen, Mapping) else chosen:
+        if isinstance(model, Log) or str(model).endswith(".mcap"):
+            name = model.path if isinstance(model, Log) else model
+            raise SeatrialError(f"{name}: is a log, not a model; give the models first, then the logs")
     named = chosen if isinstance(chosen, Mapping) else {_name_of(m, k): m for k, m in enumerate(chosen)}
     horizons = () if horizon is None else (horizon,) if isinstance(horizon, int | float) else tuple(horizon)
     with errors_of_users(), ExitStack() as stack:

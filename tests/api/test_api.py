@@ -648,6 +648,7 @@ def test_navigate_returns_and_saves_the_states(logs: list[Path], fit: st.FittedV
         ),
         (lambda logs, fit: st.diagnose("nowhere", logs[0]), "nowhere: no such file"),
         (lambda logs, fit: st.compare([fit], logs[2]), "a comparison needs two models or more"),
+        (lambda logs, fit: st.compare(logs[2], fit), "run3.mcap: is a log, not a model; give the models first"),
         (lambda logs, fit: st.load(logs[0]), r"run1.mcap: is a log, not a model or a result; open it with st.open_log"),
         (lambda logs, fit: st.load(logs[0].parent), "contains neither model.toml nor result.json"),
         (lambda logs, fit: st.thruster(logs[0], stroke=2), "there is no option 'stroke'"),
