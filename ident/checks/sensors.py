@@ -73,8 +73,7 @@ class LagErrors:
         """Divide the rows into blocks. The search has no regression yet."""
         self._lags = lags
         self._edges = np.linspace(0, n_rows, BLOCKS + 1).astype(int)
-        self._whole: list[float] = []
-        self._without: list[list[float]] = []
+        self._products: list[Array] = []  # of each lag, by block: (BLOCKS, k + 1, k + 1)
 
     def add(self, X: Array, y: Array) -> None:
         """Add the regression at the next lag. Call it once for each of the lags, in their order.
@@ -86,29 +85,23 @@ class LagErrors:
         y
             Outputs (n_outputs * n_rows,), in the same order.
         """
-        n_rows = int(self._edges[-1])
         scale = np.maximum(np.sqrt(np.mean(X**2, axis=0)), 1e-300)  # so that the normal matrix is well conditioned
-        k = X.shape[1]
-        A, b, s = np.zeros((BLOCKS, k, k)), np.zeros((BLOCKS, k)), np.zeros(BLOCKS)
-        for start in range(0, y.size, n_rows):
-            for j, (first, last) in enumerate(pairwise((self._edges + start).tolist())):
-                part, y_part = X[first:last] / scale, y[first:last]
-                A[j] += part.T @ part
-                b[j] += part.T @ y_part
-                s[j] += y_part @ y_part
-        errors = _unexplained_share(
-            np.concatenate([A.sum(0)[None], A.sum(0) - A]),
-            np.concatenate([b.sum(0)[None], b.sum(0) - b]),
-            np.append(s.sum(), s.sum() - s),
-        )
-        self._whole.append(float(errors[0]))
-        self._without.append(errors[1:].tolist())
+        columns = np.column_stack([X / scale, y]).reshape(-1, int(self._edges[-1]), X.shape[1] + 1)
+        blocks = [columns[:, first:last].reshape(-1, columns.shape[2]) for first, last in pairwise(self._edges)]
+        self._products.append(np.array([block.T @ block for block in blocks]))
 
     def estimate(self) -> LagEstimate:
         """Return the lag with the least squared error and its standard error, after `add` for all lags."""
-        each = np.array([self._refined_minimum(error) for error in np.array(self._without).T])
+        products = np.array(self._products)  # (n_lags, BLOCKS, k + 1, k + 1)
+        whole = products.sum(axis=1, keepdims=True)
+        k = products.shape[2] - 1
+        all_and_without = np.concatenate([whole, whole - products], axis=1).reshape(-1, k + 1, k + 1)
+        errors = _unexplained_share(
+            all_and_without[:, :k, :k], all_and_without[:, :k, k], all_and_without[:, k, k]
+        ).reshape(len(products), BLOCKS + 1)
+        each = np.array([self._refined_minimum(error) for error in errors.T[1:]])
         se = float(np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((each - each.mean()) ** 2)))
-        whole = np.array(self._whole)
+        whole = errors[:, 0]
         return LagEstimate(self._refined_minimum(whole), se, 1.0 - float(whole.min()))
 
     def _refined_minimum(self, error: Array) -> float:

@@ -257,7 +257,7 @@ class TrajectoryLinearisation:
         found = []
         for z, values, A in zip(begin, all_values, matrices, strict=True):
             assert A is not None
-            drive = np.stack(rowwise.columns(x, u, values)[n : n + m], axis=1)
+            drive = rowwise.rates(x, u, values)[:, n:]
             transition, weight = (each[step_of] for each in _discretised_dynamics(A, steps))
             mean = (drive[:-1] + drive[1:]) / 2
             found.append(_solved_recursion(transition, np.einsum("kij,kj->ki", weight, mean), z))
@@ -316,8 +316,8 @@ def _constant_coefficients(rowwise: VectorisedModel, x: Array, u: Array, values:
     moved = np.tile(start, (m + 1, 1, 1))  # the points themselves, then each state increased by one
     moved[np.arange(1, m + 1), :, np.arange(n - m, n)] += 1.0
     inputs = np.tile(u[rows], (2 * (m + 1), 1))
-    rates = np.stack(rowwise.columns(moved.reshape(-1, n), inputs, values)[n - m : n], axis=1)
-    by_state = rates.reshape(m + 1, len(start), m)
+    rates = rowwise.rates(moved.reshape(-1, n), inputs, values)
+    by_state = rates[:, n - m :].reshape(m + 1, len(start), m)
     slopes = (by_state[1:] - by_state[0]).transpose(1, 2, 0)
     return slopes[0] if np.allclose(slopes, slopes[0], rtol=1e-6, atol=1e-9) else None
 
