@@ -759,10 +759,11 @@ class StepResponse(Part, frozen=True, kw_only=True):
     unit: Annotated[str, Meta(description="unit of `value`, SI and radians")]
     t: Annotated[Array, Meta(description="[s]")]
     value: Annotated[Array, Meta(description="change of the state since the step")]
+    sd: Annotated[Array | None, Meta(description="standard error of `value`; null: unknown")] = None
 
     def __post_init__(self) -> None:
-        """Raise ValueError if times and values of the response differ in length."""
-        same_length(self, "t", "value")
+        """Raise ValueError if the arrays of the response differ in length."""
+        same_length(self, "t", "value", "sd")
 
 
 class FrequencyResponse(Part, frozen=True, kw_only=True):

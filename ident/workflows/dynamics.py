@@ -69,9 +69,8 @@ def dynamics_of(fitted: FittedModel) -> Dynamics | None:
     drives, steps, responses = Drives(model, ranges), list[StepResponse](), list[FrequencyResponse]()
     course = None
     if linear:
-        middle = linear[(len(linear) - 1) // 2]
-        steps = _steps(middle, drives)
-        responses = _responses(linearise(model, middle.speed, known, conditions), drives)
+        middle = linearise(model, linear[(len(linear) - 1) // 2].speed, known, conditions)
+        steps, responses = _steps(middle, drives), _responses(middle, drives)
         course = _course_stability(model, linear, ranges.get("u"), known, conditions)
     return Dynamics(
         steady=tuple(curves), points=tuple(_point(x) for x in linear), steps=tuple(steps), responses=tuple(responses),
@@ -270,12 +269,13 @@ def _steps(linear: LinearModel, drives: Drives) -> list[StepResponse]:
     """
     t, size, found = linear.times, COMMAND_STEP * drives.high, []
     for motion, quantities, weights in _motions(linear, drives):
-        responses = linear.step_response(weights, t)
+        response, moved = linear.step_response(weights, t), [m.step_response(weights, t) for m in linear.moved]
         for quantity in quantities:
+            sd = size * linear.error_of(response[quantity], [m[quantity] for m in moved])
             found.append(
                 StepResponse(
                     speed=linear.speed, motion=motion, step=size, quantity=quantity, unit=UNITS[quantity], t=t,
-                    value=size * responses[quantity],
+                    value=size * response[quantity], sd=sd if linear.moved else None,
                 )
             )  # fmt: skip
     return found

@@ -154,6 +154,7 @@ def _step_blocks(canvas: Canvas, dynamics: Dynamics) -> list[Any]:
         return []
     step = dynamics.steps[0]
     note = f"linear model at {step.speed:g} m/s, step of {formatting.plain(step.step, 2)} of the command"
+    note += "" if step.sd is None else ", with 95 % bands"
     blocks: list[Any] = [Heading("Step responses", note), Grid(plots, 240)]
     if dynamics.delays:
         words = ", ".join(f"{1e3 * v:.0f} ms of {n}" for n, v in dynamics.delays.items())
@@ -162,12 +163,14 @@ def _step_blocks(canvas: Canvas, dynamics: Dynamics) -> list[Any]:
 
 
 def _step_plot(canvas: Canvas, step: StepResponse) -> Plot:
-    """Return the plot of a step response."""
+    """Return the plot of a step response, with its 95 % band if its standard errors are known."""
     factor, unit = formatting.degrees_for(step.unit)
     what = "both sides up" if step.motion == "straight" else "left up, right down"
     title = f"{formatting.titled(step.quantity)} [{unit}] · {what}"
-    trace = drawing.line_trace(step.t, factor * step.value, "response", POINTS)
-    figure = drawing.single([trace], "time [s]", yaxis={"rangemode": "tozero"})
+    traces = [drawing.line_trace(step.t, factor * step.value, "response", POINTS)]
+    if step.sd is not None:
+        traces.insert(0, drawing.band(step.t, factor * step.value, drawing.Z95 * factor * step.sd, POINTS))
+    figure = drawing.single(traces, "time [s]", yaxis={"rangemode": "tozero"})
     return canvas.plot(figure, 220, f"Step response, {title}", title)
 
 

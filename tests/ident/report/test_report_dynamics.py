@@ -38,7 +38,7 @@ def dynamics() -> Dynamics:
         OperatingPoint(speed=0.5, inputs=slow, real=pair, imaginary=np.array([2.0, -2.0]), stable=True),
         OperatingPoint(speed=1.0, inputs=fast, real=rise, imaginary=np.zeros(2), stable=False),
     )
-    step = StepResponse(speed=1.0, motion="turn", step=0.1, quantity="r", unit="rad/s", t=t, value=t)
+    step = StepResponse(speed=1.0, motion="turn", step=0.1, quantity="r", unit="rad/s", t=t, value=t, sd=0.1 + 0 * t)
     f = np.geomspace(0.01, 1.0, 100)
     response = FrequencyResponse(
         speed=1.0, motion="turn", quantity="r", unit="rad/s", stable=False, frequency=f, gain=0.1 / f, phase=-f,
@@ -69,6 +69,14 @@ def test_steady_curves_have_their_units_and_bands(shown: Page) -> None:
     assert np.nanmax(numbers(shown.figures()[str(place["id"])]["data"][1]["y"])) == pytest.approx(
         np.degrees(0.5), abs=0.01
     )
+
+
+def test_step_response_has_its_band(shown: Page) -> None:
+    place = next(a for _, a in shown.tags if str(a.get("aria-label")).startswith("Step response"))
+    band, line = shown.figures()[str(place["id"])]["data"]
+    end = np.nanmax(numbers(line["y"]))
+    assert np.nanmax(numbers(band["y"])) == pytest.approx(end + np.degrees(0.196), rel=1e-3)
+    assert "with 95 % bands" in shown.words
 
 
 def test_poles_are_in_words(shown: Page) -> None:

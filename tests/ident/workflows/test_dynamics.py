@@ -56,6 +56,10 @@ def test_curves_poles_and_steps_agree(fitted: FittedModel) -> None:
     settled = rise.value[-1] / rise.step
     assert settled <= 1.05 * slope
     assert {s.quantity for s in found.steps} == {"u", "r", "v"}
+    # The error of the last value is about that of the gain of slow commands.
+    assert rise.sd is not None
+    assert rise.sd[0] == 0.0
+    assert rise.sd[-1] / rise.value[-1] == pytest.approx(found.responses[0].gain_sd[0], rel=0.5)
     speed, turn = found.responses
     assert (speed.quantity, turn.quantity) == ("u", "r")
     # Slow commands have the gain of the steady curve; its band is that of the parameters.
