@@ -20,6 +20,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -228,11 +229,7 @@ def diagnose(
     search = _Search(records, validation_data, start.candidates, reporter, policy, start.common)
     if given := given_common_errors(before.fit.model, policy):
         search.keep_common_errors(CommonErrorsFit(given, before))
-    current, passed = search.forward(before, max_effects)
-    reporter.progress("computing the importance of the effects found")
-    base, current, weights, removed = search.weighed_effects(before, current)
-    if removed:  # the last scores are those of a larger model
-        passed = search.scored(current)[1]
+    base, current, passed, weights, removed = search.run(before, max_effects)
     unaffected, beside = frozenset[str](), frozenset[str]()
     if search.common_errors is not None:
         unaffected, beside = search.unaffected_by(current, passed)
@@ -652,6 +649,30 @@ class _TestedModel:
     passing: list[Score]
 
 
+class SearchOutcome(NamedTuple):
+    """Outcome of a search for missing effects.
+
+    Attributes
+    ----------
+    base
+        Model without added effects, but with the common errors.
+    model
+        Model with the effects.
+    passing
+        Scores that pass on it, the largest criterion first.
+    importances
+        Importance of each effect, the most important first.
+    removed
+        Effects that were added and removed again.
+    """
+
+    base: FittedModel
+    model: FittedModel
+    passing: list[Score]
+    importances: tuple[EffectImportance, ...]
+    removed: list[RemovedEffect]
+
+
 class _Search:
     """Forward selection and backward elimination of effects on one set of data.
 
@@ -689,6 +710,8 @@ class _Search:
         Scores of all candidates on the last tested model, best first.
     untried
         Scores that passed when the largest number of effects had been added, and were not tried.
+    removed
+        Effects that were added and removed again.
     n
         Number of rows of the estimation data.
     """
@@ -711,6 +734,7 @@ class _Search:
         self.nominal: FittedModel | None = None
         self.scores: list[Score] = []  # of all candidates on the last model
         self.untried: list[Score] = []  # scores that passed when the largest number of effects had been added
+        self.removed: list[RemovedEffect] = []  # by the backward eliminations so far
         self._tested: list[_TestedModel] = []
         self.n = sum(r.n_rows for r in records)
 
@@ -759,13 +783,45 @@ class _Search:
             return None
         return model_uncertainty(self.equations, passing, self.candidates, fit)
 
-    def forward(self, before: FittedModel, max_effects: int) -> tuple[FittedModel, list[Score]]:
+    def run(self, before: FittedModel, max_effects: int) -> SearchOutcome:
+        """Add effects, remove those that are not supported, and add others in place of the removed ones.
+
+        A removed effect does not count among the ``max_effects`` effects, and is not tried again. The search goes on
+        with other effects only if the number of effects had ended it.
+
+        Parameters
+        ----------
+        before
+            Fitted model without added effects.
+        max_effects
+            Largest number of effects.
+        """
+        current, passed = self.forward(before, max_effects)
+        while True:
+            n_removed, n_rounds = len(self.removed), len(self.rounds)
+            is_full = sum(r.chosen is not None for r in self.rounds) >= max_effects + n_removed
+            self.reporter.progress("computing the importance of the effects found")
+            base, current, weights, self.removed = self.weighed_effects(before, current)
+            if len(self.removed) == n_removed:
+                break
+            if not is_full:
+                passed = self.scored(current)[1]  # the last scores are those of a larger model
+                break
+            current, passed = self.forward(before, max_effects + len(self.removed), current)
+            if all(r.chosen is None for r in self.rounds[n_rounds:]):
+                break
+        return SearchOutcome(base, current, passed, weights, self.removed)
+
+    def forward(
+        self, before: FittedModel, max_effects: int, current: FittedModel | None = None
+    ) -> tuple[FittedModel, list[Score]]:
         """Add effects one after the other; return the last model and the scores that pass on it.
 
-        The search ends after ``max_effects`` rounds, after a round without an added effect (unless two effects at once
-        are accepted then: `_look_ahead`), or if no score that passes may be tried. After a nonparametric effect, only
-        parametric effects are tried, with a criterion of the score above ``policy.min_gain_ratio_after_curve`` of the
-        largest criterion of an added effect. The attributes of the search are updated.
+        The search ends after ``max_effects`` rounds in all, after a round without an added effect (unless two effects
+        at once are accepted then: `_look_ahead`), or if no score that passes may be tried. After a nonparametric
+        effect, only parametric effects are tried, with a criterion of the score above
+        ``policy.min_gain_ratio_after_curve`` of the largest criterion of an added effect. The attributes of the search
+        are updated.
 
         Common errors are small errors that every craft has: timing and mounting of its sensors, and hull form. They are
         added together before a round, if no other parametric effect that passes explains more than all of them, and
@@ -777,16 +833,21 @@ class _Search:
         before
             Fitted model without added effects.
         max_effects
-            Largest number of rounds.
+            Largest number of rounds, with those of earlier calls.
+        current
+            Model with the effects of earlier calls that were not removed; None: ``before``.
 
         Returns
         -------
         model
-            The last model; ``before`` itself if nothing was added.
+            The last model; ``current`` itself if nothing was added.
         passing
             The scores that pass on it, also those that were not tried; the largest criterion first.
         """
-        self.nominal, current, unknown = before, before, False
+        gone = {r.effect.name for r in self.removed}
+        self.nominal, current = before, current or before
+        kept = [r.chosen for r in self.rounds if r.chosen is not None and r.chosen.effect.name not in gone]
+        unknown = any(c.nonparametric for c in kept)
         while True:
             scores, passed = self.scored(current)
             if (extended := self.add_common_errors(current, passed)) is not None:
@@ -795,6 +856,7 @@ class _Search:
             largest = max((r.chosen.criterion for r in self.rounds if r.chosen is not None), default=0.0)
             least = self.policy.min_gain_ratio_after_curve * largest
             tried = [s for s in passed if not s.nonparametric and s.criterion(self.n) > least] if unknown else passed
+            tried = [s for s in tried if s.name not in gone]
             if self.common_errors is not None:  # what is left is the difference between a real boat and any model
                 tried = [s for s in tried if s.criterion(self.n) > self.policy.max_remaining_criterion]
             if len(self.rounds) >= max_effects or not tried:
@@ -1055,7 +1117,7 @@ class _Search:
         except FIT_ERRORS as problem:
             unknown, chosen = float("nan"), [r.chosen for r in self.rounds if r.chosen is not None]
             weights = [EffectImportance(c.effect.name, unknown, unknown, untested=str(problem)) for c in chosen]
-            return before, current, by_importance(weights, chosen), []
+            return before, current, by_importance(weights, chosen), self.removed
         return base, *self.backward_elimination(before, base, current)
 
     def backward_elimination(
@@ -1086,9 +1148,9 @@ class _Search:
         importances
             Importance of each remaining effect, the most important first.
         removed
-            Removed effects in the order of their removal.
+            Removed effects in the order of their removal, with those of earlier calls.
         """
-        removed: list[RemovedEffect] = []
+        removed = [*self.removed]
         stuck: dict[str, str] = {}
         without = RoughFits(self.rough)
         while True:

@@ -279,10 +279,12 @@ class EffectCard:
     facts
         Label and value of further entries.
     importance
-        Factor or percentage by which the prediction error changes without the effect, or ``no significant change``;
-        empty if unknown.
+        Percentage by which the effect changes the prediction error; empty if unknown.
     importance_words
         Text after ``importance``; empty if unknown.
+    verdict
+        ``fell``, ``rose`` or ``unchanged`` (not significant): how the effect changes the error, for the colour; empty
+        if unknown.
     kind
         Kind of this piece of the page, by which the template selects its HTML.
     """
@@ -294,6 +296,7 @@ class EffectCard:
     facts: Sequence[tuple[str, str]]
     importance: str
     importance_words: str
+    verdict: str = ""
     kind: str = "effect"
 
 

@@ -93,7 +93,9 @@ def change_sentence(change: PredictionChangeRow, horizon: float) -> str:
     by, least, most = (f"{abs(r):.{places}f}" for r in rounded)
     if change.verdict == "unchanged":
         by, least, most = (f"{r:+.{places}f}" for r in rounded)
-        effect = f"no significant change of the error by the added effects ({by} %; 95 % interval: {least} to {most} %)"
+        effect = (
+            f"no significant change of the error with the added effects ({by} %; 95 % interval: {least} to {most} %)"
+        )
     elif change.verdict == "fell":
         effect = f"with the added effects the error falls by {by} % (95 % interval: {most} to {least} %)"
     elif change.ratio < FACTOR_FROM:

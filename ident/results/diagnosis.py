@@ -213,9 +213,9 @@ def diagnosis_answer(
             "residuals in the report, and at what differs between the runs."
         )
     if diagnosis.effects and prediction is not None:
-        sentences.append(change_sentence(prediction, horizon))
         if prediction.verdict == "unchanged" and (reason := _likelihood_sentence(diagnosis, prediction.role)):
             sentences.append(reason)
+        sentences.append(change_sentence(prediction, horizon))
     if diagnosis.cross_validated:
         sentences.append(
             "Without --validate, the model is validated by blocked cross-validation: each block of time of the "
@@ -235,7 +235,8 @@ def _likelihood_sentence(diagnosis: Diagnosis, role: str) -> str:
         return ""
     titles = {r.effect.name: r.effect.title for r in diagnosis.effects}
     gains = [f"{titles[w.effect]} by {w.validation_gain:.0f} (t = {w.t:.1f})" for w in known]
-    return f"One step ahead the {role} data support them; their log-likelihood rises with {_joined_titles(gains)}."
+    them = "it" if len(gains) == 1 else "them"
+    return f"One step ahead the {role} data support {them}: their log-likelihood rises with {_joined_titles(gains)}."
 
 
 def _missing_effects_sentence(diagnosis: Diagnosis, prediction: parts.PredictionChangeRow | None) -> str:
@@ -461,10 +462,10 @@ def diagnosis_caveat(diagnosis: Diagnosis) -> str | None:
     ]
     if diagnosis.remaining and diagnosis.untried_scores:
         many = counted(sum(search_round.chosen is not None for search_round in diagnosis.rounds), "effect")
-        gone = f" ({len(diagnosis.removed)} of them removed again)" if diagnosis.removed else ""
+        gone = f", and removed {len(diagnosis.removed)} of them again" if diagnosis.removed else ""
         sentences.append(
-            f"The search ended when it had added {many}{gone}, the limit of --max-effects; give a larger one to try "
-            f"the other candidates: {_remaining_names(diagnosis)}."
+            f"The search ended when it had added {many}{gone}: it had reached --max-effects; give a larger number to "
+            f"try the other candidates: {_remaining_names(diagnosis)}."
         )
     return " ".join(sentences) or None
 

@@ -20,7 +20,6 @@ from seatrial.ident.results import (
     PredictionChangeRow,
     Result,
     StaticForce,
-    format_number,
 )
 
 MAX_KEY_PARAMETERS = 9
@@ -154,14 +153,14 @@ def effect_card(effect: EffectRow, horizon: float) -> EffectCard:
         parameters,
         [(label, value) for label, value in facts if value],
         *_importance_in_words(effect.prediction, horizon),
+        verdict="" if effect.prediction is None else effect.prediction.verdict,
     )
 
 
 def _importance_in_words(change: PredictionChangeRow | None, horizon: float) -> tuple[str, str]:
-    """Return how the prediction error changes if an effect is left out, as two texts: number, and words after it.
+    """Return how an effect changes the prediction error, as two texts: percentage, and words after it.
 
-    The number is a factor if it is 2 or more, otherwise a percentage; without a significant change it is ``no
-    significant change``. Both texts are empty if ``change`` is None.
+    The sign of the percentages is that of the answer of the report. Both texts are empty if ``change`` is None.
 
     Parameters
     ----------
@@ -172,17 +171,14 @@ def _importance_in_words(change: PredictionChangeRow | None, horizon: float) -> 
     """
     if change is None:
         return "", ""
-    error = f"prediction error {horizon:g} s ahead without this effect"
-    factor = 1.0 / change.ratio
-    ends = None if change.low is None or change.high is None else (1.0 / change.high, 1.0 / change.low)
-    if change.verdict != "unchanged" and factor >= 2.0:
-        within = "" if ends is None else " (95 %: {} to {} times)".format(*map(format_number, ends))
-        return f"{format_number(factor)} times", f"as large a {error}{within}"
-    within = "" if ends is None else f" (95 %: {100 * ends[0] - 100:+.0f} to {100 * ends[1] - 100:+.0f} %)"
+    error = f"prediction error {horizon:g} s ahead with this effect"
+    shift = 100 * (change.ratio - 1)
+    ends = None if change.low is None or change.high is None else [100 * (r - 1) for r in (change.low, change.high)]
+    within = "" if ends is None else f"95 %: {ends[0]:+.0f} to {ends[1]:+.0f} %"
     if change.verdict == "unchanged":
-        return "no significant change", f"of the {error}{within}"
-    larger = "larger" if factor >= 1.0 else "smaller"
-    return formatting.percent(abs(factor - 1.0)), f"{larger} {error}{within}"
+        reason = "not significant" if ends is not None else "the data are too short for an interval"
+        return f"{shift:+.0f} %", f"change of the {error}, {reason}{f' ({within})' if within else ''}"
+    return f"{abs(shift):.0f} %", f"{'smaller' if shift < 0.0 else 'larger'} {error}{f' ({within})' if within else ''}"
 
 
 def attribution_words(effect: EffectRow) -> str:

@@ -235,7 +235,7 @@ def test_curve_without_a_better_prediction_is_described_as_a_resemblance(fell: b
     beside = replace(found, policy=replace(found.policy, min_identified_ratio=1.15))
     assert diagnosis_answer(beside, change, 10.0).startswith("The missing effect resembles a curve")
     support = "their log-likelihood rises with a curve: the force X depends on u by 41 (t = 5.3)."
-    assert answer.endswith(f"One step ahead the validation data support them; {support}") is not fell
+    assert (f"One step ahead the validation data support it: {support} Prediction" in answer) is not fell
 
 
 def test_round_without_a_significant_score_lists_the_tested_candidates() -> None:
@@ -257,7 +257,7 @@ def test_search_that_reached_its_limit_names_the_untried_candidates(monkeypatch:
     after = blank(fit=blank(flags=()))
     found = Diagnosis(after, after, (Round((), (), (chosen,), chosen),), (score,), (), untried_scores=(score,))
     caveat = (
-        "The search ended when it had added 1 effect, the limit of --max-effects; give a larger one to try "
+        "The search ended when it had added 1 effect: it had reached --max-effects; give a larger number to try "
         "the other candidates: wind."
     )
     assert diagnosis_caveat(found) == caveat  # The caveat is also shown on the screen.
@@ -266,6 +266,26 @@ def test_search_that_reached_its_limit_names_the_untried_candidates(monkeypatch:
     assert (
         diagnosis_caveat(doubted) == f"It is uncertain whether the missing effect is hump: a lag resembles it. {caveat}"
     )
+
+
+def test_a_removed_effect_takes_no_place_of_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of one effect at most, the first is removed again, and the search goes on without trying it again."""
+    mine = a_search(*(Effect(n, n, {}) for n in ("motor", "wind", "hump")))
+    scores = [Score(n, lm, 1, 50.0, {}, {}, threshold=12.0) for n, lm in (("motor", 900.0), ("wind", 90.0))]
+    monkeypatch.setattr(mine, "scored", lambda _fitted: (scores, scores))
+    removed = blank(effect=Effect("motor", "motor", {}))
+
+    def added(_current: Any, _scores: Any, tried: list[Score]) -> Round:
+        chosen = refit(tried[0].name, 900.0)
+        return Round((), (), (chosen,), chosen)
+
+    weighed = [(blank(), blank(name="plain"), (), [removed]), (blank(), blank(name="windy"), (), [removed])]
+    monkeypatch.setattr(mine, "_run_round", added)
+    monkeypatch.setattr(mine, "weighed_effects", lambda *_: weighed.pop(0))
+    found = mine.run(blank(), 1)
+    assert [r.chosen.effect.name for r in mine.rounds if r.chosen is not None] == ["motor", "wind"]
+    assert (found.model.name, found.removed) == ("windy", [removed])
+    assert not weighed
 
 
 def test_removal_never_leaves_effects_that_predict_worse_than_the_nominal_model(

@@ -191,7 +191,7 @@ def test_change_is_reported_with_its_interval_and_channels() -> None:
     assert "rises by 12 % (95 % interval: 5 to 20 %); worse: surge" in change_sentence(rose, 10.0)
     same = msgspec.structs.replace(change, ratio=0.97, low=0.9, high=1.05, verdict="unchanged", better=(), worse=())
     assert (
-        "no significant change of the error by the added effects (-3 %; 95 % interval: -10 to +5 %)."
+        "no significant change of the error with the added effects (-3 %; 95 % interval: -10 to +5 %)."
         in change_sentence(same, 10.0)
     )
     little = msgspec.structs.replace(same, ratio=0.996, low=0.991, high=0.9996, verdict="fell")
