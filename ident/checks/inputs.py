@@ -10,7 +10,7 @@ from itertools import permutations
 
 import numpy as np
 
-from seatrial.daq.checks import FAULT, WARNING, Finding
+from seatrial.daq.checks import FAULT, UNKNOWN, WARNING, Finding
 from seatrial.ident.checks.sensors import SENSOR_GRID_S, Channels
 from seatrial.ident.checks.shafts import Response, response
 from seatrial.ident.data import Channel, sample_and_hold
@@ -18,6 +18,7 @@ from seatrial.ident.model import (
     COMMAND,
     SHAFT_SPEED,
     THRUSTER_FORCE,
+    THRUSTER_QUANTITIES,
     SignalId,
     command_of,
     commanded_thrusters,
@@ -39,6 +40,33 @@ COMMAND_CHANGE = 0.3  # of full command; a load cell must show a change of this 
 FOLLOWS = 0.8  # R2 of a shaft speed by its own command; below it the shaft hardly follows
 FOLLOWS_OTHER = 0.9  # R2 by the command of the other thruster, above which the telemetry may be exchanged
 BETTER = 0.2  # largest error by the other thruster's command over the error by its own command
+
+
+def check_thrust_present(c: Channels) -> Iterator[Finding]:
+    """Yield a finding if the log of a boat has no thruster, or only one of the sides left and right.
+
+    Parameters
+    ----------
+    c
+        Channels (signals) of a log by name. Without a heading, a yaw rate or a velocity there is no finding.
+
+    Yields
+    ------
+    Finding
+        ``no-thrust`` (unknown), or ``one-side`` (warning).
+    """
+    if not {"psi", "r", "u", "vx"} & set(c) or {"X", "N"} & set(c):
+        return
+    driven = {SignalId.parse(n).source for n in c if is_of_thruster(n, *THRUSTER_QUANTITIES)}
+    if not driven:
+        text = "the log has no command, shaft speed or thrust, so the thrusters are not checked"
+        advice = "a model of the boat needs them: import or log them too"
+        yield Finding(UNKNOWN, "no-thrust", "thrusters", "log", text, advice)
+    elif driven in ({"left"}, {"right"}):
+        (side,) = driven
+        text = f"the log has the {side} thruster only"
+        advice = "a boat with two thrusters needs the signals of both: import or log the other one too"
+        yield Finding(WARNING, "one-side", "thrusters", side, text, advice)
 
 
 def check_inputs(c: Channels) -> Iterator[Finding]:

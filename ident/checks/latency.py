@@ -92,7 +92,7 @@ def check_latency(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log (`seatrial.ident.data.channels`). Without a heading there is no finding.
+        Channels of a log (`seatrial.ident.data.channels`). Without a heading or a thrust there is no finding.
     sides
         Position of each thruster to starboard [m]. Only its names are used.
 
@@ -107,7 +107,7 @@ def check_latency(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
         return
     attitude, velocity = (f(c, push) if push else None for f in (_yaw_after_thrust, _speed_after_thrust))
     turned, moved = _first_source(c, ("r", "psi")), _first_source(c, ("vx", "u", "x"))
-    if moved:
+    if moved and push:
         yield from _attitude_velocity_delay(attitude, velocity, turned, moved)
     if push:
         yield from _motion_thrust_delay(attitude, velocity, push)
@@ -119,8 +119,9 @@ def _attitude_velocity_delay(
     """Yield one finding on the delay between attitude and velocity: the difference of their delays behind the thrust.
 
     It is ``sensor-late`` (warning or fault), ``sensors-in-time`` (ok), or ``delay-unknown`` (unknown) if one of the two
-    delays is not well estimated. ``attitude``, ``velocity``: delays of the yaw rate and of the surge speed behind the
-    thrust, None if unknown. ``turned``, ``moved``: names of the sensors of both, for the finding.
+    delays is not well estimated, or if the interval of a long one reaches to short ones. ``attitude``, ``velocity``:
+    delays of the yaw rate and of the surge speed behind the thrust, None if unknown. ``turned``, ``moved``: names of
+    the sensors of both, for the finding.
     """
     if not _is_well_estimated(attitude) or not _is_well_estimated(velocity):
         text = f"the delay between {ATTITUDE} and {VELOCITY} is not known: the thrust explains too little of them"
@@ -131,10 +132,10 @@ def _attitude_velocity_delay(
     lag, half = attitude.lag - velocity.lag, _half_interval(attitude, velocity)
     late, ahead, where = (ATTITUDE, VELOCITY, turned) if lag > 0.0 else (VELOCITY, ATTITUDE, moved)
     level = _level_of_delay(abs(lag), half)
-    if level == OK:
-        apart = f"{abs(lag):.2f} s apart, compared by their response to the thrust"
-        text = f"{ATTITUDE} and {VELOCITY} are {apart} ({delay_interval(abs(lag), half)})"
-        yield Finding(OK, "sensors-in-time", "late", turned, text)
+    if level in (OK, UNKNOWN):
+        apart = f"{'may be' if level == UNKNOWN else 'are'} {abs(lag):.2f} s apart ({delay_interval(abs(lag), half)})"
+        text = f"the responses of {ATTITUDE}, and of {VELOCITY}, to the thrust {apart}"
+        yield Finding(level, "sensors-in-time" if level == OK else "delay-unknown", "late", turned, text)
         return
     come = "comes" if late == VELOCITY else "come"
     text = (
@@ -173,12 +174,18 @@ def _motion_thrust_delay(
     # Commands come before the thrust by the lag of the shafts. This lag hides a part of a delay of their time stamps.
     fault_from = DELAY_FAULT if push.measured else DELAY_FAULT - SHAFT_LAG
     level = _level_of_delay(abs(lag), half, fault_from) if same else OK
-    if level != OK and lag < 0.0:
+    if lag >= 0.0 and not push.measured:
+        level = OK  # the lag of the shafts has no limit
+    if level == UNKNOWN:
+        order = "before" if lag < 0.0 else "after"
+        text = f"the motion may come {abs(lag):.2f} s {order} the thrust ({delay_interval(abs(lag), half)})"
+        yield Finding(UNKNOWN, "delay-unknown", "late", push.where, text)
+    elif level != OK and lag < 0.0:
         before = f"{-lag:.2f} s before the thrust ({delay_interval(-lag, half)})"
         text = f"the motion comes {before}: the thrust is logged late"
         advice = "check time stamps and filters of the shaft speeds or commands"
         yield Finding(level, "thrust-late", "late", push.where, text, advice)
-    elif level != OK and push.measured:
+    elif level != OK:
         text = f"the motion comes {lag:.2f} s after the measured thrust ({delay_interval(lag, half)})"
         advice = "check the time stamps of the shaft speeds, and of all sensors"
         yield Finding(level, "motion-late", "late", push.where, text, advice)
@@ -189,7 +196,7 @@ def _motion_thrust_delay(
 
 
 def _level_of_delay(lag: float, half: float, fault_from: float = DELAY_FAULT) -> str:
-    """Return the severity of a delay for its finding: ``ok``, ``warning`` or ``fault``.
+    """Return the severity of a delay for its finding: ``ok``, ``unknown``, ``warning`` or ``fault``.
 
     Parameters
     ----------
@@ -203,11 +210,13 @@ def _level_of_delay(lag: float, half: float, fault_from: float = DELAY_FAULT) ->
     Returns
     -------
     str
-        ``ok`` if the delay is below the limit of a warning (0.3 s, less half a step of the search), or if the lower end
-        of its interval is below 0.18 s. Else ``fault`` or ``warning`` by `delay_level`.
+        ``ok`` if the delay is below the limit of a warning (0.3 s, less half a step of the search). ``unknown`` if it
+        is not, but the lower end of its interval is below 0.18 s. Else ``fault`` or ``warning`` by `delay_level`.
     """
-    if lag < DELAY_WARNING - SENSOR_GRID_S / 2 or lag - half < MIN_DISTANCE:
+    if lag < DELAY_WARNING - SENSOR_GRID_S / 2:
         return OK
+    if lag - half < MIN_DISTANCE:
+        return UNKNOWN
     return delay_level(lag, half, fault_from)
 
 

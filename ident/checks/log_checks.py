@@ -19,7 +19,13 @@ from seatrial.daq.log import Log, open_log
 from seatrial.daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar
 from seatrial.ident.checks.frames import check_accelerometer, check_frames
 from seatrial.ident.checks.held import check_held, check_held_inputs
-from seatrial.ident.checks.inputs import INPUTS, check_exchanged_telemetry, check_frozen_force, check_inputs
+from seatrial.ident.checks.inputs import (
+    INPUTS,
+    check_exchanged_telemetry,
+    check_frozen_force,
+    check_inputs,
+    check_thrust_present,
+)
 from seatrial.ident.checks.latency import check_latency
 from seatrial.ident.checks.motion import (
     SURGE_LAGS,
@@ -555,6 +561,7 @@ def check_signals(c: Channels, sides: Mapping[str, float], known_noise: Collecti
     wraps = {f.where for f in of_wraps}
     if "r" in wraps:
         c = {name: channel for name, channel in c.items() if name != "r"}
+    yield from check_thrust_present(c)
     of_inputs = [*check_inputs({n: x for n, x in c.items() if n not in wraps}), *check_frozen_force(c)]
     ranges = [*of_wraps, *(f for f in check_ranges(c) if f.where not in wraps), *check_frozen(c)]
     ranges += [*check_alternating(c), *of_inputs]

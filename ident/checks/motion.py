@@ -136,7 +136,7 @@ def check_motion(c: Channels, sides: Mapping[str, float], dead: Collection[str] 
     faults = [f for f in _thruster_faults(found, yaw, surge) if f.where not in dead]
     yield from faults
     if not faults and not dead and ((yaw > 0).any() or found.moment > 0):
-        text = "the boat turns with the thrust difference"
+        text = f"the boat turns with the {'thrust difference' if len(found.names) > 1 else 'thrust'}"
         yield Finding("ok", "thruster-sides-agree", "sides", " and ".join(found.names), text)
 
 

@@ -17,6 +17,7 @@ from .parameter import segment_name as segment_name
 from .signal_id import COMMAND as COMMAND
 from .signal_id import SHAFT_SPEED as SHAFT_SPEED
 from .signal_id import THRUSTER_FORCE as THRUSTER_FORCE
+from .signal_id import THRUSTER_QUANTITIES as THRUSTER_QUANTITIES
 from .signal_id import SignalId as SignalId
 from .signal_id import command_of as command_of
 from .signal_id import commanded_thrusters as commanded_thrusters

@@ -71,8 +71,18 @@ HULL = (
     Parameter("d_rr", TABLE_1["d_rr"], "kg m2", "quadratic yaw damping", bounds=(0, INF), step=0.1),
 )
 THRUST = (
-    Parameter("c1", TABLE_2["c1"], "N", "thrust at full speed, odd part", "log", free=False, origin=BUILT_IN),
-    Parameter("c2", TABLE_2["c2"], "N", "thrust at full speed, even part", free=False, step=0.1, origin=BUILT_IN),
+    Parameter(
+        "c1", TABLE_2["c1"], "N", "thrust at full speed, mean of ahead and astern", "log", free=False, origin=BUILT_IN
+    ),
+    Parameter(
+        "c2",
+        TABLE_2["c2"],
+        "N",
+        "thrust at full speed, half of ahead less astern",
+        free=False,
+        step=0.1,
+        origin=BUILT_IN,
+    ),
 )
 DELAY_STEP, N_DELAYS = 0.05, 17  # s, and number of delayed copies of each command: delays up to 0.8 s
 LONGEST_DELAY = DELAY_STEP * (N_DELAYS - 1)  # s

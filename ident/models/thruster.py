@@ -55,8 +55,8 @@ SHAFT = (
     Parameter("e_n", 0.005, "", "noise of the shaft speed", "log"),
 )
 FORCE = (
-    Parameter("c1", TABLE_2["c1"], "N", "thrust at full speed, odd part", "log"),
-    Parameter("c2", TABLE_2["c2"], "N", "thrust at full speed, even part", step=0.1),
+    Parameter("c1", TABLE_2["c1"], "N", "thrust at full speed, mean of ahead and astern", "log"),
+    Parameter("c2", TABLE_2["c2"], "N", "thrust at full speed, half of ahead less astern", step=0.1),
     Parameter("bias", 0.0, "N", "offset of the load cell", per_record=True, step=0.1),
     Parameter("e_f", 0.5, "N", "noise of the load cell", "log"),
 )

@@ -25,7 +25,7 @@ from seatrial.ident.estimation import (
     thrust_scale_of,
     unexcited_motion,
 )
-from seatrial.ident.model import Model
+from seatrial.ident.model import Model, ParameterOrigin
 from seatrial.ident.results.parts import (
     Calibrations,
     CourseStability,
@@ -64,6 +64,7 @@ MEASURED_INPUTS = {"phi", "theta", "psi", "p", "q", "r"}  # inputs that are sens
 WIDE_INTERVAL = 0.5  # a wider 95 % interval of the fit is replaced by the interval of time that causes it
 NO_DEAD_ZONE = 5e-4  # of full command: a smaller dead zone would be printed as 0.0 %
 RAMP_SHARE = 0.05  # share of the rows, smallest commands first, that may belong to a ramp
+UNEQUAL_THRUST = 0.05  # difference of the thrust ahead from the given mean, relative to it, from which it is reported
 FEWEST_SAMPLES = 10  # equal samples from which a sensor is called stuck
 
 
@@ -318,7 +319,7 @@ def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | Non
     length : float, optional
         Length of the hull [m]. If it is None, the least plausible yaw inertia follows from the thrusters' arms alone.
     """
-    warnings = scale_warnings(thrust_scale_of(fit.model))
+    warnings = [*scale_warnings(thrust_scale_of(fit.model)), *_thrust_ahead_warning(fit)]
     for away in (d for d in prior_distances(fit) if d.contradicts):
         p, value = away.parameter, away.estimate
         mean, sd = p.prior or (math.nan, math.nan)
@@ -332,8 +333,8 @@ def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | Non
             continue
         text = (
             f"The data contradict the prior of {p.full_name}: {mean:.4g} ± {sd:.2g} {p.unit} was given, the estimate "
-            f"is {value:.4g} {p.unit}, {abs(away.distance):.1f} standard deviations away. Check the prior and the "
-            "other given values (thrust, arms, units)."
+            f"is {value:.4g} {p.unit}, and the data alone are {abs(away.distance):.1f} standard deviations of both "
+            "away. Check the prior and the other given values (thrust, arms, units)."
         )
         warnings.append(ResultWarning(code="prior-contradicted", text=text))
     if fit.converged and (left := fit.distance_left) is not None:
@@ -406,7 +407,8 @@ def scale_warnings(scale: ThrustScale) -> list[ResultWarning]:
         text = (
             "The thrust was not given, and motion alone determines only ratios: masses, damping and forces are divided "
             "by T, the full forward thrust of one thruster (c1 + c2). For values in kg and N, multiply them by T, or "
-            "give --thruster MODEL, --fix c1=..., --prior c1=MEAN:SD, or [scale] in the import map."
+            "give --thruster MODEL, --fix c1=..., --prior c1=MEAN:SD, or [scale] in the import map; c1 is the mean of "
+            "the thrust ahead and astern."
         )
         warnings.append(ResultWarning(code="thrust-scale-unknown", text=text))
     if scale.relative_yaw:
@@ -418,6 +420,26 @@ def scale_warnings(scale: ThrustScale) -> list[ResultWarning]:
         )
         warnings.append(ResultWarning(code="arm-unknown", text=text))
     return warnings
+
+
+def _thrust_ahead_warning(fit: Fit) -> list[ResultWarning]:
+    """Return a warning if c1 was given, and the thrust ahead (c1 + c2) differs from it by more than 5 % by the data.
+
+    Many data sheets have the thrust ahead only. Given as c1, it makes all masses wrong. The list is empty if c2 was
+    given too, or if its difference from zero is not significant (two standard errors).
+    """
+    known, given = {p.name: p for p in fit.model.parameters}, {ParameterOrigin.GIVEN, ParameterOrigin.PRIOR}
+    if not {"c1", "c2"} <= set(known) or known["c1"].origin not in given or known["c2"].origin in given:
+        return []
+    (c1, _), (c2, error) = fit.estimate("c1"), fit.estimate("c2")
+    if not abs(c2) > max(UNEQUAL_THRUST * c1, 2.0 * error):
+        return []
+    text = (
+        f"At full speed the thrust is {c1 + c2:.3g} N ahead and {c1 - c2:.3g} N astern by this fit; c1 = {c1:.3g} N, "
+        f"which was given, is the mean of both. If it was measured ahead only, multiply it by {c1 / (c1 + c2):.3f} and "
+        "fit again, or give the thrust astern too (c2 is half of ahead less astern)."
+    )
+    return [ResultWarning(code="thrust-ahead", text=text)]
 
 
 def outlier_lines(residuals: Sequence[ChannelResiduals], model: Model) -> list[str]:

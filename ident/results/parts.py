@@ -129,6 +129,7 @@ WarningCode = Literal[
     "beyond-validity",
     "track-not-predicted",
     "thrust-sides-differ",
+    "thrust-ahead",
     "compared-on-fitted-log",
 ]
 

@@ -164,7 +164,7 @@ def parameters() -> list[dict[str, Any]]:
         parameter("d_r", 4.08, 0.11, "kg m2/s", "linear yaw damping"),
         parameter("d_uu", 25.31, 0.22, "kg/m", "quadratic surge damping"),
         parameter("d_rr", 6.31, 0.19, "kg m2", "quadratic yaw damping"),
-        parameter("c1", 40.05, None, "N", "thrust at full speed, odd part", free=False),
+        parameter("c1", 40.05, None, "N", "thrust at full speed, mean of ahead and astern", free=False),
         parameter("V_x", 0.051, 0.006, "m/s", "current to the north", record="morning", prior_share=0.21),
         parameter("V_y", -0.033, 0.007, "m/s", "current to the east", record="morning", prior_share=0.18),
         parameter("e_psi", 0.01204, 0.00012, "rad", "noise of the heading"),

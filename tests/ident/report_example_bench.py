@@ -19,8 +19,8 @@ def thruster() -> dict[str, Any]:
     rng = np.random.default_rng(5)
     table = [
         parameter("a", 2.794, 0.021, "1/s", "inverse time constant of the shaft"),
-        parameter("c1", 40.05, 0.12, "N", "thrust at full speed, odd part"),
-        parameter("c2", 1.11, 0.09, "N", "thrust at full speed, even part"),
+        parameter("c1", 40.05, 0.12, "N", "thrust at full speed, mean of ahead and astern"),
+        parameter("c2", 1.11, 0.09, "N", "thrust at full speed, half of ahead less astern"),
         parameter("tau", 0.041, 0.003, "s", "delay from command to shaft"),
     ]
     result = base("thruster", "f = 40.05 n|n| + 1.11 n² (N), with a time constant of 0.358 s and a delay of 41 ms.")

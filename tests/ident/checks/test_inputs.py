@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from seatrial.ident.checks import invalidates_fit
-from seatrial.ident.checks.inputs import check_inputs
+from seatrial.ident.checks.inputs import check_inputs, check_thrust_present
 from seatrial.ident.checks.log_checks import check_signals
 from seatrial.ident.data import Channel
 from tests.ident.checks.test_latency import ATTITUDE, COMMANDS, SHAFTS, SIDES, VELOCITY, sailed
@@ -43,6 +43,17 @@ def test_constant_inputs_of_a_moving_boat_are_a_fault(
 @pytest.mark.parametrize("inputs", [COMMANDS, SHAFTS])
 def test_changing_inputs_give_no_finding(inputs: tuple[str, ...]) -> None:
     assert not list(check_inputs(log(ATTITUDE, VELOCITY, inputs)))
+
+
+@pytest.mark.parametrize(
+    ("kept", "found"),
+    [((), ["no-thrust"]), (("n_cmd_left",), ["one-side"]), (COMMANDS, []), (("n_left",), ["one-side"])],
+)
+def test_missing_thrusters_are_reported(kept: tuple[str, ...], found: list[str]) -> None:
+    c = log(ATTITUDE, VELOCITY, COMMANDS, SHAFTS)
+    moving = {n: x for n, x in c.items() if n in kept or not n.startswith("n_")}
+    assert [f.code for f in check_thrust_present(moving)] == found
+    assert not list(check_thrust_present({n: x for n, x in c.items() if n in kept}))  # a bench
 
 
 def test_constant_inputs_are_the_only_fault_of_all_checks() -> None:
