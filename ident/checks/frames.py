@@ -317,7 +317,10 @@ def _mirror_fault(names: tuple[str, ...], courses: Mapping[str, Course | None]) 
         where = ", ".join(MIRRORED[n][1] if n in MIRRORED else n for n in names)
         text = "some of these signals are mirror images of the others; the log does not show which are wrong"
         text += "; north and east may be exchanged" if quarter else ""
-        advice = "check sign and column of each in the import map; axes are north and east, angles clockwise"
+        advice = (
+            "check sign and column of each in the import map, and its frame (a bag of ROS usually has frame = "
+            '"ENU"); axes are north and east, angles clockwise'
+        )
         return Finding("fault", "frames-mirrored", "frame", where, text, advice)
     code, where, text, advice = entry
     if "heading" in names and quarter:

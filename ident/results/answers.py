@@ -319,7 +319,7 @@ def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | Non
     length : float, optional
         Length of the hull [m]. If it is None, the least plausible yaw inertia follows from the thrusters' arms alone.
     """
-    warnings = [*scale_warnings(thrust_scale_of(fit.model)), *_thrust_ahead_warning(fit)]
+    warnings = [*scale_warnings(thrust_scale_of(fit.model)), *thrust_ahead_warnings(fit)]
     for away in (d for d in prior_distances(fit) if d.contradicts):
         p, value = away.parameter, away.estimate
         mean, sd = p.prior or (math.nan, math.nan)
@@ -422,7 +422,7 @@ def scale_warnings(scale: ThrustScale) -> list[ResultWarning]:
     return warnings
 
 
-def _thrust_ahead_warning(fit: Fit) -> list[ResultWarning]:
+def thrust_ahead_warnings(fit: Fit) -> list[ResultWarning]:
     """Return a warning if c1 was given, and the thrust ahead (c1 + c2) differs from it by more than 5 % by the data.
 
     Many data sheets have the thrust ahead only. Given as c1, it makes all masses wrong. The list is empty if c2 was

@@ -307,7 +307,8 @@ def thrust_from(model: Model, loaded: Sequence[LoadedLog]) -> str:
             "for logs without timely shaft speeds (--model horizontal:shaft takes the signals as shaft speeds)"
             f"{renamed}"
         )
-    if any(e.name == TELEMETRY_AGE for e in model.effects):
+    relayed = any(x.propulsion is PropulsionInput.TELEMETRY for x in loaded)
+    if relayed and any(e.name == TELEMETRY_AGE for e in model.effects):
         return (
             "thrust from the shaft speeds that the autopilot relays; their age is estimated, and their sign is that of "
             "the delayed output (--model horizontal:shaft uses them unchanged, horizontal:command uses the outputs)"

@@ -18,6 +18,7 @@ from seatrial.ident.estimation.likelihood import Likelihood
 from seatrial.ident.estimation.maximum_likelihood import fit
 from seatrial.ident.estimation.stochastic_simulation import simulate_stochastic
 from seatrial.ident.model.outlier_density import with_outlier_model
+from seatrial.ident.model.parameter import Parameter, ParameterOrigin
 from seatrial.ident.models import horizontal_model
 from seatrial.ident.results.answers import (
     NAMES,
@@ -31,6 +32,7 @@ from seatrial.ident.results.answers import (
     plus_minus,
     smallest_command,
     stuck_sensors,
+    thrust_ahead_warnings,
     thruster_answer,
     vehicle_answer,
 )
@@ -411,3 +413,26 @@ def test_sentence_on_a_directionally_unstable_boat(
     begin = "At 0.9 m/s the boat is directionally unstable" if sentence else ""
     assert course_sentence(CourseStability(speed=0.9, pole=pole, low=low, high=high)) == begin + sentence
     assert course_sentence(None) == ""
+
+
+@pytest.mark.parametrize(
+    ("origin", "c2", "error", "warned"),
+    [
+        (ParameterOrigin.PRIOR, 0.93, 0.3, True),
+        (ParameterOrigin.GIVEN, -0.93, 0.3, True),
+        (ParameterOrigin.PRIOR, 0.93, 0.6, False),  # not significant
+        (ParameterOrigin.PRIOR, 0.3, 0.01, False),  # less than 5 % of c1
+        (ParameterOrigin.MEASURED, 0.93, 0.3, False),  # the bench test has both directions
+    ],
+)
+def test_thrust_that_may_be_that_ahead_is_reported(
+    origin: ParameterOrigin, c2: float, error: float, warned: bool
+) -> None:
+    estimates = {"c1": (6.84, 0.1), "c2": (c2, error)}
+    parameters = (Parameter("c1", 6.84, "N", origin=origin), Parameter("c2", c2, "N", origin=ParameterOrigin.ESTIMATED))
+    fit: Any = SimpleNamespace(model=SimpleNamespace(parameters=parameters), estimate=estimates.__getitem__)
+    found = thrust_ahead_warnings(fit)
+    assert [w.code for w in found] == ["thrust-ahead"] * warned
+    if warned and c2 > 0.0:
+        assert "is 7.77 N ahead and 5.91 N astern by this fit; c1 = 6.84 N, which was given" in found[0].text
+        assert "multiply it by 0.880" in found[0].text
