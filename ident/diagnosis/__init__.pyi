@@ -1,4 +1,5 @@
 from .acceptance import is_immaterial as is_immaterial
+from .acceptance import removal_reason as removal_reason
 from .adequacy import recommended_experiment as recommended_experiment
 from .certainty import NAME_RECORDS as NAME_RECORDS
 from .common_errors import COMMON_SEARCH as COMMON_SEARCH

@@ -448,6 +448,17 @@ def is_immaterial(removed: RemovedEffect, policy: SearchPolicy = DEFAULT_POLICY)
     return supported and removed.prediction.verdict == "unchanged"
 
 
+def removal_reason(removed: RemovedEffect, policy: SearchPolicy = DEFAULT_POLICY) -> str:
+    """Return as a clause why backward elimination removed an effect again.
+
+    The clause is that the prediction is as good without the effect, by the thresholds of ``policy``; otherwise that the
+    validation data do not support it.
+    """
+    if is_immaterial(removed, policy):
+        return "the prediction is as good without it"
+    return "with the other effects in the model, the validation data do not support it"
+
+
 def validation_mismatches(fitted: FittedModel, policy: SearchPolicy = DEFAULT_POLICY) -> tuple[ValidationMismatch, ...]:
     """Return the validation runs whose one-step prediction errors are larger than the model claims.
 

@@ -32,6 +32,7 @@ from seatrial.ident.diagnosis.acceptance import (
     is_accepted,
     is_validated,
     refit_outcome,
+    removal_reason,
     should_be_removed,
     validation_mismatches,
 )
@@ -1177,7 +1178,8 @@ class _Search:
                 return current, weights, removed
             assert idle.prediction is not None
             effect = next(c.effect for c in chosen if c.effect.name == idle.effect)
-            self.reporter.progress(f"fitting without {effect.title}, which is not worth its parameters")
+            dropped = RemovedEffect(effect, idle.validation_gain, idle.t, idle.prediction)
+            self.reporter.progress(f"fitting without {effect.title}: {removal_reason(dropped, self.policy)}")
             kept = [c for c in chosen if c.effect is not effect]
             try:
                 rough = without.fits.get(frozenset(c.effect.name for c in kept), current)
@@ -1187,7 +1189,7 @@ class _Search:
             except FIT_ERRORS as problem:
                 stuck[idle.effect] = str(problem)
                 continue
-            removed.append(RemovedEffect(effect, idle.validation_gain, idle.t, idle.prediction))
+            removed.append(dropped)
             if (
                 not effect.kind.nonparametric
             ):  # the last score tests include every parametric effect that the model lacks

@@ -15,13 +15,12 @@ from seatrial.ident.diagnosis import (
     Diagnosis,
     DiagnosisEvaluation,
     Refit,
-    RemovedEffect,
     Round,
-    SearchPolicy,
     ValidationMismatch,
     detectable_sizes,
     is_immaterial,
     recommended_experiment,
+    removal_reason,
 )
 from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import FittedModel, ParameterShift, ReportedEstimates
@@ -713,17 +712,6 @@ def _blocks_note(evaluation: DiagnosisEvaluation) -> list[str]:
     ]
 
 
-def _removal_reason(removed: RemovedEffect, policy: SearchPolicy) -> str:
-    """Return as a clause why backward elimination removed an effect again.
-
-    The clause is that the prediction is as good without the effect, by the thresholds of ``policy``; otherwise that the
-    validation data do not support it.
-    """
-    if is_immaterial(removed, policy):
-        return "the prediction is as good without it"
-    return "with the other effects in the model, the validation data do not support it"
-
-
 def _remaining_names(diagnosis: Diagnosis) -> str:
     """Return the names of the best four candidates that still pass the score test, separated by commas.
 
@@ -755,7 +743,7 @@ def _notes(diagnosis: Diagnosis) -> list[str]:
         why = diagnosis.rounds[-1].explanation
         notes.append(f"{why[0].upper()}{why[1:]}.")
     notes += [
-        f"{r.effect.title} was added and removed again: {_removal_reason(r, diagnosis.policy)} "
+        f"{r.effect.title} was added and removed again: {removal_reason(r, diagnosis.policy)} "
         f"(its gain in log-likelihood of the validation data is {r.validation_gain:.0f}, t = {r.t:.1f})."
         for r in diagnosis.removed
     ]

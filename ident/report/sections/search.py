@@ -107,7 +107,7 @@ def _round_blocks(row: RoundRow, removed: Collection[str]) -> list[Any]:
     """
     blocks: list[Any] = [Prose(row.why, "why")] if row.why else []
     if row.chosen in removed:
-        words = "This effect was removed again: with the other effects in the model it adds too little; see the notes."
+        words = "This effect was removed again; the notes have the reason."
         blocks.append(Prose(words, "why"))
     chosen = None if row.chosen in removed else row.chosen
     return blocks + ranking(row, chosen) + _refits_table(row, chosen)
