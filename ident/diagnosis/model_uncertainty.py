@@ -25,6 +25,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from seatrial.ident.diagnosis.common_errors import COMMON_ERRORS, best_columns, nested_in, prior_information
 from seatrial.ident.diagnosis.findings import ModelUncertainty
@@ -33,6 +34,8 @@ from seatrial.ident.estimation import Fit, thrust_scale_of
 from seatrial.ident.model import Effect, Model, ParameterOrigin
 from seatrial.ident.models import force_power
 from seatrial.ident.numerics import Array
+
+CONTAINED = 9.0  # rise of the variance of a size by a curve, relative to it, from which the curve contains the size
 
 
 def model_uncertainty(
@@ -72,7 +75,11 @@ def model_uncertainty(
         weight = prior_information(effects[name], placed.names) if name in effects else [0.0] * at.size
         step = equations.one_step(at, np.array(weight))
         names.append(name)
-        shifts.append(-gain[:, at] @ step)
+        shift = -gain[:, at] @ step
+        curve = placed.columns.curve
+        if curve is not None and curve.force == curve.variable:
+            shift[_replaced_sizes(equations, at, fit)] = 0.0
+        shifts.append(shift)
         steps[name] = dict(zip(placed.names, step.tolist(), strict=True))
     given = has_given_thrust(fit)
     difference = _thrust_difference(passing, effects, steps, fit.model) if given else 0.0
@@ -85,6 +92,23 @@ def model_uncertainty(
     of_common = _error_without(equations, common if incomplete else {})
     of_scale = difference * _force_part(parameters, fit)
     return ModelUncertainty(parameters, tuple(names), shifted, of_common, difference, of_scale)
+
+
+def _replaced_sizes(equations: ScoreEquations, at: NDArray[np.int64], fit: Fit) -> NDArray[np.bool_]:
+    """Return which estimates (n,) are parameters of added effects that the columns ``at`` of a curve contain.
+
+    The curve is the error of a sensor over its own reading. It contains the scale factor of the sensor: with both in
+    the model, their sum stays and either part is arbitrary. A shift of the size from one to the other would not show
+    how well the size is known. A size is contained if the curve would raise its variance by a factor of ten.
+    """
+    sizes = {p.full_name for e in fit.model.effects for p in e.parameters}
+    of_effect = np.array([name in sizes for name in equations.parameters])
+    gain, n = equations.coefficients_on_fitted[:, at], len(equations.parameters)
+    with_curve = np.linalg.pinv(equations.projected[0][np.ix_(at, at)], hermitian=True)
+    alone = np.linalg.pinv(equations.normal.information[:n, :n] + np.diag(equations.prior.information), hermitian=True)
+    added: Array = np.einsum("ij,jk,ik->i", gain, with_curve, gain)
+    contained: NDArray[np.bool_] = np.logical_and(added > CONTAINED * np.diag(alone), of_effect)
+    return contained
 
 
 def _error_without(equations: ScoreEquations, common: Mapping[str, Effect]) -> Array:

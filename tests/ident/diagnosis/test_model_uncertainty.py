@@ -21,7 +21,7 @@ from seatrial.ident.diagnosis.score_test import (
 from seatrial.ident.diagnosis.search import _Search
 from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import Fit
-from seatrial.ident.model import Effect, Parameter, ParameterOrigin
+from seatrial.ident.model import Effect, EffectKind, ForceCurve, Parameter, ParameterOrigin
 from seatrial.ident.models import horizontal_model
 from seatrial.ident.reporter import QUIET
 
@@ -69,6 +69,24 @@ def test_shift_is_the_change_of_the_estimates_by_a_refit_with_the_candidate() ->
     for k, added in enumerate(([2], [3, 4])):
         refitted = np.linalg.lstsq(columns[:, [0, 1, *added]], y, rcond=None)[0][:2]
         np.testing.assert_allclose(found.shifts[k], refitted - without, rtol=1e-8)
+
+
+@pytest.mark.parametrize("variable", ["r", "u"])
+def test_error_of_a_sensor_over_its_own_reading_does_not_shift_its_scale(variable: str) -> None:
+    """A curve r(r) contains the scale of the gyro, and a curve r(u) does not."""
+    rng = np.random.default_rng(1)
+    r = rng.standard_normal(N)
+    columns = np.column_stack([r, rng.standard_normal(N), r + 0.02 * r**3, r**3])  # scale, another, and the curve
+    normal = NormalEquations([str(k) for k in range(4)])
+    normal.add(range(4), -columns, 0.1 * r**3 + rng.standard_normal(N), np.arange(N) // 50)
+    at = SensitivityColumns("curve", np.zeros((0, 0, 2)), ("a", "b"), kind=EffectKind.NONPARAMETRIC)
+    indices = (ColumnIndex(replace(at, curve=ForceCurve("r", variable)), (2, 3)),)
+    equations = ScoreEquations(normal, PriorTerms(np.zeros(2), np.full(2, 1.0)), indices, ("k_gyro", "m_u"))
+    fit = replace(fitted(), model=horizontal_model("shaft") + catalogue()["gyro-scale"])
+    found = model_uncertainty(equations, [passed("curve")], {}, fit)
+    assert found is not None
+    assert (float(found.shifts[0, 0]) == 0.0) is (variable == "r")
+    assert found.shifts[0, 1] != 0.0
 
 
 def test_shifts_for_given_values_are_those_of_a_regression_with_these_values() -> None:
