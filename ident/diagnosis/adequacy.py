@@ -128,7 +128,7 @@ def assess_alternatives(
             *_competing_model_reasons(search_round, policy),
         ]
         reasons += [
-            *_undetermined_size_reasons(search_round.chosen.effect, fitted, policy),
+            *_undetermined_size_reasons(search_round.chosen.effect, chosen, fitted, policy),
             *_undetermined_position_reasons(search_round.chosen.effect, fitted, policy),
         ]
         reasons += [
@@ -221,13 +221,16 @@ def _form_correction_reasons(chosen: Sequence[Refit], refit: Refit, policy: Sear
     return [f"this effect may only correct the formula of {related[0].title}"] if related else []
 
 
-def _undetermined_size_reasons(effect: Effect, fitted: FittedModel, policy: SearchPolicy) -> list[str]:
+def _undetermined_size_reasons(
+    effect: Effect, chosen: Sequence[Refit], fitted: FittedModel, policy: SearchPolicy
+) -> list[str]:
     """Return the reason for ambiguity that a parameter of the effect is at its bound, or its size is not significant.
 
     The size consists of the fitted parameters whose initial value is 0. Their joint distance from zero has to be at
     least ``policy.min_significance`` standard errors. A parameter at its bound is reported first, and then the size is
     not tested. The list has at most one reason. It is empty if no parameter is at its bound and the size is
-    significant, or if no parameter of the size has a standard error.
+    significant, or if no parameter of the size has a standard error. The size is not tested either if a curve that
+    contains the effect (`Effect.nonparametric_of`) is among ``chosen``: only their sum is determined.
     """
     fit = fitted.fit
     by_name = {p.full_name: p for p in effect.parameters if not p.per_record}
@@ -241,6 +244,8 @@ def _undetermined_size_reasons(effect: Effect, fitted: FittedModel, policy: Sear
             name, value, _, unit = _reported_estimate(fit, p)
             return [f"its parameter {name} ({p.meaning}) is at its bound, {value:.3g} {unit}".rstrip()]
     sizes = [i for i, p in of_effect.items() if p.value == 0.0 and fit.errors[i] > 0]
+    if any(c.effect.is_table_of(effect.nonparametric_of) for c in chosen):
+        return []
     if not sizes or _distance_from_zero(fit, sizes) >= policy.min_significance:
         return []
     name, value, error, unit = _reported_estimate(fit, of_effect[sizes[0]])
