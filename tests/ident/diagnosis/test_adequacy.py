@@ -455,6 +455,18 @@ def test_sizes_of_an_effect_are_tested_jointly(
     assert found.attribution == attribution
 
 
+def test_no_size_is_tested_beside_the_curve_that_contains_the_effect() -> None:
+    """Only the sum of the effect and the curve is determined."""
+    fit = a_fit(("N_s",), (0.1,), np.eye(1))
+    own = {"parameters": (Parameter("N_s", 0.0, "N m"),), "nonparametric_of": ForceCurve("N", "psi")}
+    moment = one_round(refit("heading-moment", 800.0, fit=fit, **own))
+    assert attributions_of(moment)[0].attribution == "ambiguous"
+    curve = one_round(refit("unknown N(psi)", 300.0, fit=fit))
+    assert attributions_of(moment, curve)[0].attribution == "identified"
+    another = one_round(refit("unknown Y(psi)", 10.0, fit=fit))
+    assert attributions_of(moment, another)[0].attribution == "ambiguous"
+
+
 def test_size_of_a_per_record_parameter_is_tested_like_a_common_parameter() -> None:
     drift = (Parameter("V_dx", 0.0, "m/s^2", "drift", per_record=True),)
     records = SimpleNamespace(records=("a", "b"))
