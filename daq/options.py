@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, final
+from pathlib import Path
+from typing import Any, TypeVar, final
 
 import click
+
+from seatrial.daq.errors import SeatrialError, closest_name
+
+T = TypeVar("T")
+FEW_CHOICES = 8  # values of an option that an error message lists although it suggests one
 
 
 def output_option(kind: click.ParamType[Any], words: str, **attributes: Any) -> Callable[..., Any]:
@@ -60,6 +66,52 @@ class FiniteRange(click.FloatRange):
         if not math.isfinite(number):
             self.fail(f"{value} is not a finite number", param, ctx)
         return number
+
+
+@final
+class Choice(click.Choice[T]):
+    """Type of an option or argument with a fixed set of values, whose error suggests the most similar value."""
+
+    def get_invalid_choice_message(self, value: Any, ctx: click.Context | None) -> str:
+        """Return the message about an invalid value: all valid ones, and the one that the user probably meant.
+
+        If there is such a value and there are more than `FEW_CHOICES`, the others are not in the message but in the
+        help.
+        """
+        near = closest_name(str(value), map(str, self.choices))
+        if near and len(self.choices) > FEW_CHOICES:
+            return (
+                f"{value!r} is not one of the {len(self.choices)} values; did you mean {near!r}? All are in the help."
+            )
+        return super().get_invalid_choice_message(value, ctx) + (f" Did you mean {near!r}?" if near else "")
+
+
+@final
+class LogPath(click.Path):
+    """Type of an argument that is an existing log: a file, or a folder with one log, whose segments count as one."""
+
+    def __init__(self) -> None:
+        """Make the type of an argument that must be an existing file or folder. Its values become `Path` objects."""
+        super().__init__(exists=True, path_type=Path)
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        """Return the path of the log file to open, from the text of an argument LOG.
+
+        For a file this is the file itself, for a folder the first segment of the only log in it. A path that does not
+        exist, and a folder without a log or with more than one log, are usage errors.
+        """
+        path = Path(super().convert(value, param, ctx))  # type: ignore[arg-type]
+        if not path.is_dir():
+            return path
+        from seatrial.daq.log import log_file  # imported here, because it imports numpy and --help needs none
+
+        try:
+            return log_file(path)
+        except SeatrialError as error:
+            self.fail(str(error), param, ctx)
+
+
+LOG = LogPath()
 
 
 def view_option(command: Callable[..., Any]) -> Callable[..., Any]:

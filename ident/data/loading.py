@@ -99,6 +99,11 @@ class TimeWindow(NamedTuple):
     t_from: float = 0.0
     t_to: float = inf
 
+    def check(self) -> None:
+        """Raise ValueError if the end is not after the start, or if one of them is NaN."""
+        if not self.t_from < self.t_to:
+            raise ValueError(f"--to {self.t_to:g} s is not after --from {self.t_from:g} s; give a later end")
+
 
 WHOLE = TimeWindow()
 TimeWindows = TimeWindow | Sequence[TimeWindow]  # one interval for all logs, or one for each of them, in their order

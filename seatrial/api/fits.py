@@ -23,6 +23,7 @@ from seatrial.api.logs import Log, PathLike, as_list, as_paths
 from seatrial.api.messages import Messages, errors_of_users
 from seatrial.api.shown import Content, Shown
 from seatrial.daq.errors import SeatrialError, closest_name, counted
+from seatrial.daq.log import is_log
 
 if TYPE_CHECKING:
     from seatrial.api.loading import Saved
@@ -729,7 +730,7 @@ def model_path(model: PathLike | FittedResult | Saved) -> Iterator[Path]:
     Raises
     ------
     SeatrialError
-        If the path does not exist.
+        If the path does not exist, or if it is a log.
     """
     if isinstance(model, FittedResult):
         from seatrial.ident.models import is_own_model
@@ -745,7 +746,14 @@ def model_path(model: PathLike | FittedResult | Saved) -> Iterator[Path]:
 
     if isinstance(model, Saved):
         model = model.path.parent if model.path.name == RESULT else model.path
-    path = model_file(Path(str(model)))
+    if isinstance(model, Log) or (isinstance(model, str | Path) and is_log(Path(model))):
+        name = model.path if isinstance(model, Log) else model
+        raise SeatrialError(f"{name}: is a log, not a model; the model is the first argument")
+    if not isinstance(model, str | Path):
+        raise SeatrialError(
+            f"{type(model).__name__}: this is not a model; give a model.toml, a folder with one, or a fitted model"
+        )
+    path = model_file(Path(model))
     if not path.exists():
         raise SeatrialError(f"{path}: no such file; give a model.toml, a folder with one, or a fitted model")
     yield path

@@ -59,6 +59,22 @@ def found(logs: list[Path], fit: st.FittedVehicle) -> st.FittedDiagnosis:
         return st.diagnose(fit, logs[0], validate=logs[1], max_effects=1)
 
 
+def bag_in(folder: Path) -> Path:
+    """Return the folder of a bag of ROS 2, which is made in `folder`."""
+    bag = folder / "bag"
+    bag.mkdir(exist_ok=True)
+    (bag / "metadata.yaml").write_text("rosbag2_bagfile_information:\n  version: 5\n", encoding="utf-8")
+    return bag
+
+
+def model_in(folder: Path) -> Path:
+    """Return the folder of a model, which is made in `folder`."""
+    model = folder / "model"
+    model.mkdir(exist_ok=True)
+    (model / "model.toml").write_text('format = "seatrial-model 1"\n', encoding="utf-8")
+    return model
+
+
 def run(*words: object) -> None:
     with pytest.raises(SystemExit) as left:
         command_line.main([str(w) for w in words])
@@ -647,6 +663,22 @@ def test_navigate_returns_and_saves_the_states(logs: list[Path], fit: st.FittedV
             "validation logs are always used as a whole",
         ),
         (lambda logs, fit: st.diagnose("nowhere", logs[0]), "nowhere: no such file"),
+        (lambda logs, fit: st.open_log(bag_in(logs[0].parent)), "bag is a bag of ROS 2; import it first: seatrial"),
+        (lambda logs, fit: st.fit(bag_in(logs[0].parent)), "bag is a bag of ROS 2; import it first: seatrial import"),
+        (lambda logs, fit: st.check(bag_in(logs[0].parent)), "bag is a bag of ROS 2; import it first: seatrial"),
+        (
+            lambda logs, fit: st.fit(logs[0].parent),
+            "is a folder of 3 logs: name one of run1.mcap, run2.mcap, run3.mcap",
+        ),
+        (lambda logs, fit: st.fit(model_in(logs[0].parent)), "is the folder of a model or a result, not a log; give"),
+        (lambda logs, fit: st.fit(fit), "FittedVehicle: this is not a log; give the path of a log or the result of"),
+        (lambda logs, fit: st.diagnose(logs[0], fit), "run1.mcap: is a log, not a model; the model is the first"),
+        (lambda logs, fit: st.diagnose(st.open_log(logs[0]), fit), "run1.mcap: is a log, not a model; the model is"),
+        (lambda logs, fit: st.navigate(logs[0], fit), "FittedVehicle: this is not a log; give the path of a log"),
+        (lambda logs, fit: st.diagnose(3, logs[0]), "int: this is not a model; give a model.toml, a folder with one"),
+        (lambda logs, fit: st.export(logs[0], "out", "c"), "run1.mcap: is a log, not a model; the model is the first"),
+        (lambda logs, fit: st.open_log(logs[0], 100.0, 90.0), "90 s is not after start of st.open_log 100 s; give a"),
+        (lambda logs, fit: st.open_log(logs[0], 50.0001, 50.0002), "there is no sample from 50.0001 s to 50.0002 s"),
         (lambda logs, fit: st.compare([fit], logs[2]), "a comparison needs two models or more"),
         (lambda logs, fit: st.compare(logs[2], fit), "run3.mcap: is a log, not a model; give the models first"),
         (lambda logs, fit: st.load(logs[0]), r"run1.mcap: is a log, not a model or a result; open it with st.open_log"),
