@@ -20,7 +20,8 @@ import click
 from seatrial.daq.bounds import bounded
 from seatrial.daq.console import make_console
 from seatrial.daq.errors import SeatrialError, closest_name, counted, printable
-from seatrial.daq.options import LOG, Choice, FiniteRange, json_option, output_option, print_json, view_option
+from seatrial.daq.log import LOG
+from seatrial.daq.options import Choice, FiniteRange, json_option, output_option, print_json, view_option
 
 if TYPE_CHECKING:
     from seatrial.daq.tools import DiscoveredDevice

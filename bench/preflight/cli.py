@@ -28,7 +28,8 @@ from seatrial.daq.checks import (
 )
 from seatrial.daq.config import load_rig
 from seatrial.daq.errors import SeatrialError
-from seatrial.daq.options import LOG, FiniteRange, json_option, output_option, print_json
+from seatrial.daq.log import LOG
+from seatrial.daq.options import FiniteRange, json_option, output_option, print_json
 from seatrial.daq.rig import Rig
 
 if TYPE_CHECKING:

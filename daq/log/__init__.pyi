@@ -1,4 +1,5 @@
 from . import schema as schema
+from .argument import LOG as LOG
 from .cdr import NANO as NANO
 from .cdr import cdr_layout as cdr_layout
 from .cdr import full_definition as full_definition

@@ -13,7 +13,8 @@ import click
 
 from seatrial.daq.console import make_console
 from seatrial.daq.errors import SeatrialError
-from seatrial.daq.options import LOG, Choice, FiniteRange, json_option, output_option
+from seatrial.daq.log import LOG
+from seatrial.daq.options import Choice, FiniteRange, json_option, output_option
 from seatrial.ident.cli.options import (
     FILE,
     FOLDER,

@@ -15,7 +15,8 @@ import click
 
 from seatrial.daq.console import make_console
 from seatrial.daq.errors import SeatrialError
-from seatrial.daq.options import LOG, Choice, FiniteRange, output_option, print_json
+from seatrial.daq.log import LOG
+from seatrial.daq.options import Choice, FiniteRange, output_option, print_json
 from seatrial.ident.reporter import Reporter
 
 if TYPE_CHECKING:
