@@ -22,7 +22,7 @@ from seatrial.api.findings import DiagnosisFindings
 from seatrial.api.logs import Log, PathLike, as_list, as_paths
 from seatrial.api.messages import Messages, errors_of_users
 from seatrial.api.shown import Content, Shown
-from seatrial.daq.errors import SeatrialError, closest_name, counted
+from seatrial.daq.errors import NamedValues, SeatrialError, closest_name, counted
 from seatrial.daq.log import is_log
 
 if TYPE_CHECKING:
@@ -226,7 +226,7 @@ class FitReport(Shown):
         In a fit to several records, a parameter with its own value in each record is ``NAME@RECORD``. If the thrust is
         not known in N, forces and masses are ratios to it, with names such as ``m_u/T``.
         """
-        return {tables.full_name(row): row.value for row in self.result.fit.parameters}
+        return NamedValues({tables.full_name(row): row.value for row in self.result.fit.parameters}, "parameter")
 
     @property
     def standard_errors(self) -> dict[str, float]:
@@ -234,11 +234,12 @@ class FitReport(Shown):
 
         NaN stands for a parameter without standard error, for example at a bound. Fixed parameters are left out.
         """
-        return {
+        errors = {
             tables.full_name(row): np.nan if row.se is None else row.se
             for row in self.result.fit.parameters
             if row.free
         }
+        return NamedValues(errors, "estimated parameter")
 
     def summary(self) -> str:
         """Return a table of the estimates as text, with the answer and the warnings.

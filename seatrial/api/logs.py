@@ -15,7 +15,7 @@ from seatrial.api.figures import Figure
 from seatrial.api.messages import errors_of_users
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.checks import FAULT, WARNING, Finding, findings_lines, findings_summary, worst_first
-from seatrial.daq.errors import SeatrialError, counted, warn
+from seatrial.daq.errors import SeatrialError, closest_name, counted, warn
 from seatrial.daq.log import import_library, log_file
 
 if TYPE_CHECKING:
@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
 PathLike = str | Path
 SHOWN = 12  # signals in the short description of a log
+# Signals by the names that other software and textbooks have for them.
+ALIASES = {"yaw": "psi", "heading": "psi", "yaw_rate": "r", "yawrate": "r", "surge": "u", "sway": "v", "roll": "phi",
+           "pitch": "theta", "north": "x", "east": "y", "speed": "u"}  # fmt: skip
 
 
 @dataclass(frozen=True, repr=False)
@@ -90,9 +93,11 @@ class Log(Shown):
         return float(max(s.t[-1] for s in self.signals.values()) - first)
 
     def __getitem__(self, name: str) -> Signal:
-        """Return the signal of this name. KeyError lists the names of all signals if there is none."""
+        """Return the signal of this name. KeyError names the similar signal, or all signals, if there is none."""
         if name not in self.signals:
-            raise KeyError(f"{self.path.name} has no signal {name!r}; it has {', '.join(self.signals)}")
+            near = closest_name(ALIASES.get(name, name), self.signals)
+            hint = f"did you mean {near!r}? It" if near else "it"
+            raise KeyError(f"{self.path.name} has no signal {name!r}; {hint} has {', '.join(self.signals)}")
         return self.signals[name]
 
     def _content(self) -> Content:
