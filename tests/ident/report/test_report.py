@@ -340,6 +340,15 @@ def test_flag_wraps_and_numbers_do_not() -> None:
     assert max(map(len, text.splitlines())) <= 80
 
 
+def test_page_and_terminal_count_the_same_parameters_as_not_shown(tmp_path: Path) -> None:
+    more = copy.deepcopy(KINDS["thruster"]())
+    row = next(r for r in more["fit"]["parameters"] if r["free"] and "noise" not in r["meaning"])
+    more["fit"]["parameters"] += [row | {"name": f"k{i}", "se": None if i % 2 else 1.0} for i in range(12)]
+    (terminal,) = re.findall(r"Parameters \((\d+) more in the report\)", printed(more))
+    (page,) = re.findall(r"(\d+) more below", Page(written(more, tmp_path)).words)
+    assert page == terminal
+
+
 def test_removed_effect_is_not_shown_as_added(small: dict[str, Any], tmp_path: Path) -> None:
     result = copy.deepcopy(small)
     name = result["rounds"][0]["chosen"]
