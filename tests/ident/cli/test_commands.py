@@ -284,6 +284,10 @@ def test_fixed_and_initial_values_are_used(fitted: Path, tmp_path: Path, run: Ru
         ("vehicle {estimation} --fix m_x=3", "--fix m_x: model horizontal has no such parameter; it has m_u"),
         ("vehicle {estimation} --initial m_x=3", "--initial m_x: model horizontal has no such parameter; it has m_u"),
         ("vehicle {estimation} --thruster {rig}", "not 'seatrial-model 1'"),
+        (
+            "vehicle {estimation} --thruster {model}",
+            "is the model horizontal of a boat, not of a thruster; give --thruster the model.toml of",
+        ),
         ("thruster {estimation}", "a shaft speed is needed; the log has left, right; name one with --thruster"),
         ("thruster {bench} --thruster port", "no signal 'n_cmd_port'"),
         ("diagnose {rig} {estimation}", "not 'seatrial-model 1': give a model.toml of seatrial"),
