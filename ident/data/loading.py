@@ -958,7 +958,7 @@ def load_run(path: Path, role: str, window: TimeWindow = WHOLE, device_faults: D
     Raises
     ------
     SeatrialError
-        If the file is not a log, has no signal for an identification, or ends before the window.
+        If the file is not a log, has no signal for an identification, ends before the window, or has no sample in it.
     """
     with open_log(path) as whole:
         log, start = whole, None
@@ -979,6 +979,11 @@ def load_run(path: Path, role: str, window: TimeWindow = WHOLE, device_faults: D
                 f"{path}: has no signal that an identification can use; list its signals with `seatrial info {path}`"
             )
         start = min(c.t[0] for c in found.values()) if start is None else start
+        ends = start + window.t_from, start + window.t_to
+        if not any(((c.t >= ends[0]) & (c.t <= ends[1])).any() for c in found.values()):
+            raise SeatrialError(
+                f"{path}: there is no sample from {window.t_from:g} s to {window.t_to:g} s; choose a longer window"
+            )
         moved = {n: replace(c, t=c.t - start) for n, c in found.items()}
         last = float(max(c.t[-1] for c in moved.values()))
         about = {

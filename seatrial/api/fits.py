@@ -49,8 +49,8 @@ class FitOptions(TypedDict, total=False):
     Attributes
     ----------
     thruster : path
-        File with the thrust from a bench test: model.toml of a thruster model, or of a static curve from command to
-        thrust. Without it the thrust is estimated or unknown.
+        File or folder with the thrust from a bench test: model.toml of a thruster model, or of a static curve from
+        command to thrust. Without it the thrust is estimated or unknown.
     fixed : dict of str to float
         Values of parameters, by name, that are known and not estimated.
     initial : dict of str to float
@@ -642,7 +642,7 @@ def vehicle_request(
     SeatrialError
         If there is no option of a name, or if a prior is no pair of numbers.
     """
-    from seatrial.ident.estimation import EstimationOptions
+    from seatrial.ident.estimation import EstimationOptions, model_file
     from seatrial.ident.workflows.vehicle_model import VehicleRequest
 
     given = known_options(options, FitOptions)
@@ -652,7 +652,7 @@ def vehicle_request(
     progress = given.pop("progress", False)
     estimation = {n: given.pop(n) for n in ("outlier_model", "reml", "mean_order", "horizon") if n in given}
     if "thruster" in given:
-        given["thruster"] = Path(given["thruster"])
+        given["thruster"] = model_file(Path(given["thruster"]))
     how = replace(EstimationOptions(reml=True, mean_order=2), **estimation)
     return VehicleRequest(logs, validation, Path(), how, model, window=window, **given), progress
 

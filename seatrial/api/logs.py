@@ -181,10 +181,7 @@ def open_log(path: PathLike, start: float = 0.0, end: float = np.inf) -> Log:
     window = TimeWindow(start, end)
     with errors_of_users():
         window.check()
-        log = _log_of(load_run(file, "estimation", window), file, window)
-    if not log.signals:
-        raise SeatrialError(f"{file.name}: there is no sample from {start:g} s to {end:g} s; give a longer window")
-    return log
+        return _log_of(load_run(file, "estimation", window), file, window)
 
 
 def _log_of(loaded: LoadedLog, path: Path, window: TimeWindow) -> Log:

@@ -758,6 +758,10 @@ def test_navigate_returns_and_saves_the_states(logs: list[Path], fit: st.FittedV
             lambda logs, fit: st.simulate(fit, [2, 1, 0], {"n_left": [1, 1, 1], "n_right": [1, 1, 1]}),
             "times: 1 s follows 2 s; the times must increase",
         ),
+        (
+            lambda logs, fit: st.fit(logs[0], thruster=fit.save(logs[0].parent / "boat")),
+            "boat/model.toml: is the model horizontal of a boat, not of a thruster; give thruster the model.toml of",
+        ),
         (lambda logs, fit: st.simulate(fit, 3.0, {"n_left": 1.0}), "times: they have the shape (); give a list of two"),
         (lambda logs, fit: st.compare([fit], logs[2]), "a comparison needs two models or more"),
         (lambda logs, fit: st.compare(logs[2], fit), "run3.mcap: is a log, not a model; give the models first"),

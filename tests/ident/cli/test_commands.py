@@ -288,6 +288,10 @@ def test_fixed_and_initial_values_are_used(fitted: Path, tmp_path: Path, run: Ru
             "vehicle {estimation} --thruster {model}",
             "is the model horizontal of a boat, not of a thruster; give --thruster the model.toml of",
         ),
+        (
+            "vehicle {estimation} --from 20.0001 --to 20.0002",
+            "there is no sample from 20.0001 s to 20.0002 s; choose a",
+        ),
         ("thruster {estimation}", "a shaft speed is needed; the log has left, right; name one with --thruster"),
         ("thruster {bench} --thruster port", "no signal 'n_cmd_port'"),
         ("diagnose {rig} {estimation}", "not 'seatrial-model 1': give a model.toml of seatrial"),
