@@ -18,7 +18,7 @@ from seatrial.bench import mission_generators
 from seatrial.bench.mission_text import describe_mission, mission_content
 from seatrial.daq.config import Mission, load_mission, load_rig, save_mission
 from seatrial.daq.errors import SeatrialError, counted
-from seatrial.daq.options import FiniteRange, json_option, output_option, parsed_by, print_json, view_option
+from seatrial.daq.options import Choice, FiniteRange, json_option, output_option, parsed_by, print_json, view_option
 from seatrial.daq.rig import LOAD_CELLS, Rig
 
 if TYPE_CHECKING:
@@ -316,7 +316,7 @@ def _parse_thruster_names(text: str) -> tuple[str, str]:
     short_help="Generate a random mission with the excitation that a diagnosis needs.",
     epilog="Example: seatrial mission generate --kind mixed --seconds 300 --seed 1 -o mission.toml",
 )
-@click.option("--kind", type=click.Choice(mission_generators.MISSION_KINDS), default="mixed", show_default=True)
+@click.option("--kind", type=Choice(mission_generators.MISSION_KINDS), default="mixed", show_default=True)
 @click.option("--seconds", type=FiniteRange(30.0, 7200.0), default=300.0, show_default=True)
 @click.option("--seed", type=click.IntRange(min=0), required=True, help="The same seed makes the same mission.")
 @click.option("--n-max", type=FiniteRange(0, 1, min_open=True), default=1.0, show_default=True)

@@ -13,14 +13,15 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from seatrial.daq.bounds import bounded
 from seatrial.daq.console import make_console
 from seatrial.daq.errors import SeatrialError, closest_name, counted, printable
-from seatrial.daq.options import FiniteRange, json_option, output_option, print_json, view_option
+from seatrial.daq.log import LOG
+from seatrial.daq.options import Choice, FiniteRange, json_option, output_option, print_json, view_option
 
 if TYPE_CHECKING:
     from seatrial.daq.tools import DiscoveredDevice
@@ -29,41 +30,7 @@ _EXISTING = click.Path(exists=True, dir_okay=False, path_type=Path)
 _SOURCE = click.Path(exists=True, path_type=Path)  # a file, or the folder of a ROS 2 bag
 _NEW = click.Path(dir_okay=False, path_type=Path)
 _FOLDER = click.Path(file_okay=False, path_type=Path)
-MAX_NAMED = 8  # logs that an error message names
 ROUTER_S = 1.0  # wall seconds to wait for the router of ROS 2
-
-
-@final
-class LogPath(click.Path):
-    """Type of an argument that is an existing log: a file, or a folder with one log, whose segments count as one."""
-
-    def __init__(self) -> None:
-        """Make the type of an argument that must be an existing file or folder. Its values become `Path` objects."""
-        super().__init__(exists=True, path_type=Path)
-
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> Path:
-        """Return the path of the log file to open, from the text of an argument LOG.
-
-        For a file this is the file itself, for a folder the first segment of the only log in it. A path that does not
-        exist, and a folder without a log or with more than one log, are usage errors.
-        """
-        path = Path(super().convert(value, param, ctx))  # type: ignore[arg-type]
-        if not path.is_dir():
-            return path
-        from seatrial.daq.log import first_segments  # imported here, because it imports numpy and --help needs none
-
-        found = first_segments(path)
-        if not found and (path / "metadata.yaml").exists():
-            self.fail(f"{path} is a bag of ROS 2; import it first: seatrial import --guess {path}", param, ctx)
-        if not found:
-            self.fail(f"{path} is a folder without a log (*.mcap) in it; give the path of a log", param, ctx)
-        if len(found) > 1:
-            names = ", ".join(file.name for file in found[:MAX_NAMED]) + (", ..." if len(found) > MAX_NAMED else "")
-            self.fail(f"{path} is a folder of {len(found)} logs: name one of {names}", param, ctx)
-        return found[0]
-
-
-LOG = LogPath()
 
 
 @contextlib.contextmanager
@@ -450,7 +417,7 @@ def _serial_protocol(context: click.Context, parameter: click.Parameter, name: s
     """
     from seatrial.daq.protocol import serial_protocols
 
-    return str(click.Choice(serial_protocols()).convert(name, parameter, context))
+    return str(Choice(serial_protocols()).convert(name, parameter, context))
 
 
 @import_.command("raw", short_help="Recorded bytes of a device, decoded by its protocol.")
@@ -613,7 +580,7 @@ def replay(log: Path, folder: Path, names: tuple[str, ...], speed: float) -> Non
 
 
 @click.command()
-@click.argument("form", type=click.Choice(["csv", "parquet", "mat", "netcdf", "ros"]))
+@click.argument("form", type=Choice(["csv", "parquet", "mat", "netcdf", "ros"]))
 @click.argument("log", type=LOG)
 @output_option(_FOLDER, "Folder for the files; made if it does not exist.", required=True)
 @click.option("--force", is_flag=True, help="Replace files that exist.")

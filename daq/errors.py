@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import TypeVar
 
 NEAR = 0.75  # similarity of two names by difflib, from which one is probably a misspelling of the other
 OWN_FRAMES = ("seatrial", "contextlib")  # packages whose calls are not shown as the place of a warning
+MAX_NAMES = 12  # names that the hint about an unknown one lists
 SHORTEST_STEM = 3  # characters of a name that may stand for a longer one, such as rate for rate_hz
+
+V = TypeVar("V")
 
 
 class SeatrialError(Exception):
@@ -69,6 +73,41 @@ def closest_name(name: str, known: Iterable[str]) -> str | None:
 
     best = max(((likeness(name, other), other) for other in known), key=lambda pair: pair[0], default=(0.0, ""))
     return best[1] if best[0] >= NEAR else None
+
+
+class NamedValues(dict[str, V]):
+    """Dictionary of values by name, whose KeyError for an unknown name names the most similar one.
+
+    Without a similar name, the message has all names, or the first `MAX_NAMES` of them and the number of the others.
+
+    Parameters
+    ----------
+    values
+        The values by name.
+    what
+        The kind of value, for the message, such as "parameter".
+    """
+
+    def __init__(self, values: Mapping[str, V], what: str) -> None:
+        """Copy the values, and store the kind of value."""
+        super().__init__(values)
+        self._what = what
+
+    def __missing__(self, name: object) -> V:
+        """Raise KeyError with the most similar name."""
+        raise KeyError(f"there is no {self._what} {name!r}; {names_hint(str(name), self)}")
+
+
+def names_hint(name: str, known: Iterable[str]) -> str:
+    """Return a hint for an unknown name: the similar one, as "did you mean 'psi'?", or else the known names.
+
+    Of more than `MAX_NAMES` known names, it has the first ones and the number of the others.
+    """
+    known = list(known)
+    if near := closest_name(name, known):
+        return f"did you mean {near!r}?"
+    more = f" and {len(known) - MAX_NAMES} more" if len(known) > MAX_NAMES else ""
+    return f"the names are {', '.join(known[:MAX_NAMES])}{more}" if known else "there are none"
 
 
 class _EscapeTable(dict[int, str]):

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, final
+from typing import Any, TypeVar, final
 
 import click
+
+from seatrial.daq.errors import closest_name
+
+T = TypeVar("T")
+FEW_CHOICES = 8  # values of an option that an error message lists although it suggests one
 
 
 def output_option(kind: click.ParamType[Any], words: str, **attributes: Any) -> Callable[..., Any]:
@@ -60,6 +65,24 @@ class FiniteRange(click.FloatRange):
         if not math.isfinite(number):
             self.fail(f"{value} is not a finite number", param, ctx)
         return number
+
+
+@final
+class Choice(click.Choice[T]):
+    """Type of an option or argument with a fixed set of values, whose error suggests the most similar value."""
+
+    def get_invalid_choice_message(self, value: Any, ctx: click.Context | None) -> str:
+        """Return the message about an invalid value: all valid ones, and the one that the user probably meant.
+
+        If there is such a value and there are more than `FEW_CHOICES`, the others are not in the message but in the
+        help.
+        """
+        near = closest_name(str(value), map(str, self.choices))
+        if near and len(self.choices) > FEW_CHOICES:
+            return (
+                f"{value!r} is not one of the {len(self.choices)} values; did you mean {near!r}? All are in the help."
+            )
+        return super().get_invalid_choice_message(value, ctx) + (f" Did you mean {near!r}?" if near else "")
 
 
 def view_option(command: Callable[..., Any]) -> Callable[..., Any]:

@@ -16,6 +16,7 @@ import click
 
 from seatrial.daq.config import load_rig
 from seatrial.daq.errors import SeatrialError
+from seatrial.daq.options import Choice
 from seatrial.daq.rig import LoadCellCalibration, Rig, Thruster
 from seatrial.mocks.devices import KINDS, LOOP_HZ, Faults, by_side, make_emulator, parse_fault
 from seatrial.mocks.hidden_effects import bench as bench_effects
@@ -52,7 +53,7 @@ def _shared_options(effects: Sequence[str]) -> Callable[[Command], Command]:
     They are --seed, --run, --effect, --truth-file, --trace, --fault (several times) and --ascii.
     ``effects`` are the names of hidden effects that --effect accepts besides "none" and "draw".
     """
-    choice = click.Choice(["none", "draw", *effects])
+    choice = Choice(["none", "draw", *effects])
 
     def decorate(command: Command) -> Command:
         """Add the argument RIG and the shared options to ``command``, in the order in which the help shows them."""

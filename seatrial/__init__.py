@@ -10,4 +10,21 @@ The names below are the Python interface. Each is imported at its first use, so 
 
 import lazy_loader
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_attribute, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name at its first use.
+
+    The AttributeError of an unknown name names the most similar public one.
+    """
+    try:
+        return _attribute(name)
+    except AttributeError:
+        if name in __all__ or name.startswith("_"):
+            raise
+        from seatrial.daq.errors import closest_name  # imported here, because only this error needs it
+
+        near = closest_name(name, __all__)
+        hint = f"; did you mean {near!r}?" if near else f"; it has {', '.join(__all__)}"
+        raise AttributeError(f"module 'seatrial' has no attribute {name!r}{hint}", name=name, obj=None) from None

@@ -80,6 +80,7 @@ RUN = [
     ("docs/how-to/use-a-model.md", "python", [1], f"{USE}::test_controller_snippet"),
     ("docs/how-to/use-a-model.md", "python", [2, 3], f"{USE}::test_snippets_with_a_model_of_commands"),
     ("docs/how-to/use-a-model.md", "python", [4], f"{USE}::test_fmu_snippet"),
+    ("docs/how-to/use-a-model.md", "python", [5], f"{USE}::test_axes_of_ros"),
     ("docs/how-to/use-a-model.md", "sh", [0], f"{USE}::folder"),
     ("docs/how-to/use-a-model.md", "sh", [1], f"{USE}::test_controller_snippet"),
     ("docs/how-to/use-a-model.md", "sh", [2], f"{USE}::test_c_program"),

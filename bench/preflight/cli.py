@@ -26,9 +26,9 @@ from seatrial.daq.checks import (
     findings_summary,
     worst_first,
 )
-from seatrial.daq.cli import LOG
 from seatrial.daq.config import load_rig
 from seatrial.daq.errors import SeatrialError
+from seatrial.daq.log import LOG
 from seatrial.daq.options import FiniteRange, json_option, output_option, print_json
 from seatrial.daq.rig import Rig
 

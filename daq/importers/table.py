@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.daq.clock import CLOCK_STEP_S
-from seatrial.daq.errors import SeatrialError, counted
+from seatrial.daq.errors import SeatrialError, closest_name, counted
 from seatrial.daq.samples import Event
 
 Column = NDArray[np.float64]
+MAX_NAMED = 10  # columns that an error message lists
 
 
 @dataclass
@@ -113,12 +114,24 @@ class Table:
             shown = "".join(self.texts[column][:1])[:40]
             raise self.error(0, column, f"{shown!r} is text, not a number; name another column in the import map")
         if column not in self.columns:
-            names = ", ".join(self.names) or "none"
+            what = "field" if self.topic else "column"
             raise SeatrialError(
-                f"{self.path}: {self.topic or 'the table'} has no column '{column}'; name one of these in "
-                f"the import map: {names}"
+                f"{self.path}: {self.topic or 'the table'} has no {what} '{column}'; {self._names_hint(column)}"
             )
         return self.columns[column]
+
+    def _names_hint(self, column: str) -> str:
+        """Return advice for an unknown column: the most similar one, or the columns of the table.
+
+        Of many columns, the first ones and the number of the others. Elements of covariances are left out.
+        """
+        names = [name for name in self.names if "covariance" not in name.lower()]
+        # A field of ROS is more often given without the messages that contain it than misspelt: x for pose.position.x.
+        ends = [name for name in names if name.lower().endswith(f".{column.lower()}")]
+        if near := ends[0] if ends else closest_name(column, names):
+            return f"did you mean '{near}'? Name a {'field' if self.topic else 'column'} of the file in the import map"
+        more = f" and {len(names) - MAX_NAMED} more" if len(names) > MAX_NAMED else ""
+        return f"name one of these in the import map: {', '.join(names[:MAX_NAMED]) or 'none'}{more}"
 
     def text(self, column: str) -> list[str]:
         """Return the cells of a column of the table as texts (n,), for times that are not numbers.

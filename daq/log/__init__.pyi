@@ -1,4 +1,5 @@
 from . import schema as schema
+from .argument import LOG as LOG
 from .cdr import NANO as NANO
 from .cdr import cdr_layout as cdr_layout
 from .cdr import full_definition as full_definition
@@ -13,7 +14,8 @@ from .recorder import check_room as check_room
 from .recovery import recover_log as recover_log
 from .schema import NODE_TOPICS as NODE_TOPICS
 from .segments import first_segment_of as first_segment_of
-from .segments import first_segments as first_segments
+from .segments import is_log as is_log
+from .segments import log_file as log_file
 from .segments import segment_path as segment_path
 from .tables import LogTable as LogTable
 from .tables import Resampled as Resampled

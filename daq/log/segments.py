@@ -14,12 +14,16 @@ from pathlib import Path
 
 import numpy as np
 from mcap.records import Attachment, Channel, Metadata, Schema
+from mcap.writer import MCAP0_MAGIC
 
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log.mcap_chunk import Messages
 from seatrial.daq.log.mcap_reader import LAST_NS, MAX_WARNINGS, RawLog
 
 _NUMBER = r"[1-9]\d{0,5}"  # number of a later segment in its name
+MAX_NAMED = 8  # logs that an error message names
+BAG = b"rosbag2_bagfile_information"  # first key of the metadata.yaml of a bag of ROS 2
+RESULT_FILES = ("model.toml", "result.json")  # files of a fit, by which its folder is recognised
 SHARED_METADATA = ("origin", "rig", "host")  # metadata that are equal in all segments of one log
 
 
@@ -38,8 +42,9 @@ def open_raw(path: Path, growing: bool = False) -> RawLog | SegmentedLog:
     Raises
     ------
     SeatrialError
-        If the first file cannot be read or is no MCAP file.
+        If the first file cannot be read or is no MCAP file, or if `path` is not the folder of one log (`log_file`).
     """
+    path = log_file(path)
     later = segments(path)
     try:
         first = RawLog(path, growing and not later)
@@ -251,6 +256,45 @@ def first_segments(folder: Path) -> list[Path]:
     paths = sorted(folder.glob("*.mcap"))
     later = {segment for path in paths for segment in segments(path).values()}
     return [path for path in paths if path not in later]
+
+
+def log_file(path: Path) -> Path:
+    """Return the file to open for the path of a log: the file itself, or the first segment of the only log in a folder.
+
+    A path that is not a folder is returned unchanged, whether it exists or not.
+
+    Raises
+    ------
+    SeatrialError
+        If the path is a folder without a log, with more than one log, of a bag of ROS 2, or of a model without a log.
+    """
+    if not path.is_dir():
+        return path
+    bag = path / "metadata.yaml"
+    if bag.is_file() and BAG in bag.read_bytes():
+        raise SeatrialError(f"{path} is a bag of ROS 2; import it first: seatrial import --guess {path}")
+    found = first_segments(path)
+    if not found and any((path / name).is_file() for name in RESULT_FILES):
+        raise SeatrialError(f"{path} is the folder of a model or a result, not a log; give the path of a log")
+    if not found:
+        raise SeatrialError(f"{path} is a folder without a log (*.mcap) in it; give the path of a log")
+    if len(found) > 1:
+        names = ", ".join(file.name for file in found[:MAX_NAMED]) + (", ..." if len(found) > MAX_NAMED else "")
+        raise SeatrialError(f"{path} is a folder of {len(found)} logs: name one of {names}")
+    return found[0]
+
+
+def is_log(path: Path) -> bool:
+    """Return whether a path is that of a log: a name that ends with .mcap, or a file that begins as MCAP files do."""
+    if path.suffix.lower() == ".mcap":
+        return not path.is_dir()
+    if not path.is_file():
+        return False
+    try:
+        with path.open("rb") as file:
+            return file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
+    except OSError:  # the reader of the file reports it
+        return False
 
 
 def first_segment_of(path: Path) -> Path | None:

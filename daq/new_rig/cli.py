@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from seatrial.daq.errors import counted
-from seatrial.daq.options import FiniteRange, parsed_by
+from seatrial.daq.options import Choice, FiniteRange, parsed_by
 
 if TYPE_CHECKING:
     from seatrial.daq.new_rig.draft import RigDraft
@@ -84,7 +84,7 @@ def _parse_nodes(text: str) -> list[int]:
       seatrial init bench --kind bench --from-found --devices vesc@socketcan:can0 --n-max 0.9"""
 )
 @click.argument("folder", type=click.Path(file_okay=False, path_type=Path), default=Path())
-@click.option("--kind", type=click.Choice(["boat", "bench"]), help="What the rig is [default: boat].")
+@click.option("--kind", type=Choice(["boat", "bench"]), help="What the rig is [default: boat].")
 @click.option("--name", help="Name of the rig [default: that of FOLDER].")
 @click.option(
     "--devices",

@@ -13,13 +13,14 @@ import click
 
 from seatrial.daq.console import make_console
 from seatrial.daq.errors import SeatrialError
-from seatrial.daq.options import FiniteRange, json_option, output_option
+from seatrial.daq.log import LOG
+from seatrial.daq.options import Choice, FiniteRange, json_option, output_option
 from seatrial.ident.cli.options import (
     FILE,
     FOLDER,
-    LOG,
     MODEL,
     MODEL_SOURCE,
+    SOURCE_FILE,
     GatheringCommand,
     LineReporter,
     LiveLine,
@@ -204,7 +205,7 @@ ident.add_command(navigate)
     "--to",
     "--format",
     "target",
-    type=click.Choice(("python", "casadi", "c", "ros2", "fmu", "gazebo", "vrx")),
+    type=Choice(("python", "casadi", "c", "ros2", "fmu", "gazebo", "vrx")),
     required=True,
     help="Target language or format. fmu: FMI 2.0 co-simulation, for Simulink, OpenModelica and others.",
 )
@@ -227,7 +228,7 @@ ident.add_command(navigate)
 )
 @click.option(
     "--thrust-curve",
-    type=click.Choice(("bench", "boat")),
+    type=Choice(("bench", "boat")),
     default="bench",
     show_default=True,
     help="Thrust curve of a model with --thruster.",
@@ -477,7 +478,9 @@ def changes(
 @validate_option
 @window_option
 @horizon_option
-@click.option("--effects", "effects_file", type=LOG, help="FILE.py with EFFECT or EFFECTS: user-defined candidates.")
+@click.option(
+    "--effects", "effects_file", type=SOURCE_FILE, help="FILE.py with EFFECT or EFFECTS: user-defined candidates."
+)
 @click.option(
     "--max-effects",
     type=click.IntRange(1, 6),
@@ -540,7 +543,7 @@ def diagnose(
 @workers_options
 @click.option(
     "--method",
-    type=click.Choice(("pe", "oe")),
+    type=Choice(("pe", "oe")),
     default="pe",
     show_default=True,
     help="Prediction error or output error.",
@@ -629,7 +632,7 @@ def _parse_area(_context: click.Context, _parameter: click.Parameter, text: str 
 @click.option("--min-step", type=FiniteRange(0.2), default=1.0, show_default=True, help="Shortest step [s].")
 @click.option(
     "--criterion",
-    type=click.Choice(("D", "A", "E", "Ds")),
+    type=Choice(("D", "A", "E", "Ds")),
     default="D",
     show_default=True,
     help="Determinant, mean variance, or largest variance of the errors; Ds: D of --parameters.",
@@ -686,7 +689,7 @@ def _parse_area(_context: click.Context, _parameter: click.Parameter, text: str 
 @click.option(
     "--information",
     "form",
-    type=click.Choice(("pe", "oe")),
+    type=Choice(("pe", "oe")),
     default="pe",
     show_default=True,
     help="Fisher information of prediction error, or of output error as in the thesis.",

@@ -15,7 +15,8 @@ import click
 
 from seatrial.daq.console import make_console
 from seatrial.daq.errors import SeatrialError
-from seatrial.daq.options import FiniteRange, output_option, print_json
+from seatrial.daq.log import LOG
+from seatrial.daq.options import Choice, FiniteRange, output_option, print_json
 from seatrial.ident.reporter import Reporter
 
 if TYPE_CHECKING:
@@ -24,9 +25,9 @@ if TYPE_CHECKING:
 
     from seatrial.ident.results import Result
 
-LOG = click.Path(exists=True, dir_okay=False, path_type=Path)
 FOLDER = click.Path(file_okay=False, path_type=Path)
 FILE = click.Path(dir_okay=False, path_type=Path)
+SOURCE_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 
 
 class ModelPath(click.Path):
@@ -36,11 +37,19 @@ class ModelPath(click.Path):
         """Return the path of the model.toml: the path itself, the one in a folder, or the one beside a result.json.
 
         A folder or result.json without a model.toml is returned unchanged, so that the reader of the model reports it.
-        A path that does not exist fails with click.BadParameter.
+        A path that does not exist fails with click.BadParameter. So does a log, with the order of the arguments if the
+        command takes logs too.
         """
+        from seatrial.daq.log import is_log
         from seatrial.ident.estimation import model_file
 
-        return model_file(Path(str(super().convert(value, param, ctx))))
+        path = Path(str(super().convert(value, param, ctx)))
+        if is_log(path):
+            words = [] if ctx is None else [p.name for p in ctx.command.params if isinstance(p, click.Argument)]
+            is_first = param is not None and "logs" in words and param.name in words
+            order = "; the model comes first, then the logs" if is_first else ""
+            self.fail(f"{path} is a log; give a model.toml or the folder of a fit{order}", param, ctx)
+        return model_file(path)
 
 
 MODEL = ModelPath(exists=True, path_type=Path)
@@ -208,7 +217,7 @@ def workers_options(f: Callable[..., Any], jobs: int | None = -1) -> Callable[..
     command = click.option("--scheduler", default="", metavar="ADDRESS", help=where)(command)
     command = click.option(
         "--backend",
-        type=click.Choice(("loky", "dask", "ray")),
+        type=Choice(("loky", "dask", "ray")),
         default="loky",
         show_default=True,
         help="Processes of this computer, or a Dask or Ray cluster.",
@@ -273,7 +282,7 @@ def window_option(f: Callable[..., Any]) -> Callable[..., Any]:
     """Decorate a command with ``--from`` and ``--to`` [s of the log]: the interval of time of the logs to use.
 
     The command receives both as one ``window`` (`TimeWindow`); by default this is the whole log. If the end is not
-    after the start, click.BadParameter is raised, and the command is not called.
+    after the start, click.UsageError is raised, and the command is not called.
     """
 
     @wraps(f)
@@ -281,12 +290,12 @@ def window_option(f: Callable[..., Any]) -> Callable[..., Any]:
         """Call the decorated command with ``window`` in place of ``t_from`` and ``t_to`` [s]; None: to the end."""
         from seatrial.ident.data import TimeWindow
 
-        t_to = math.inf if t_to is None else t_to
-        if not t_from < t_to:
-            raise click.BadParameter(
-                f"{t_to:g} s is not after --from, {t_from:g} s; give a later end", param_hint="--to"
-            )
-        return f(*args, window=TimeWindow(t_from, t_to), **rest)
+        window = TimeWindow(t_from, math.inf if t_to is None else t_to)
+        try:
+            window.check()
+        except ValueError as error:
+            raise click.UsageError(str(error), click.get_current_context()) from None
+        return f(*args, window=window, **rest)
 
     seconds, of = FiniteRange(0.0), "[s of the log] of the interval of LOGS that is used."
     command = click.option("--to", "t_to", type=seconds, help=f"End {of}")(command)

@@ -23,6 +23,7 @@ from .loading import share_frame as share_frame
 from .loading import window_of_each as window_of_each
 from .outliers import position_jumps as position_jumps
 from .outliers import without_outliers as without_outliers
+from .record import SAME_TIME as SAME_TIME
 from .record import TIME_INPUT as TIME_INPUT
 from .record import WORK_INPUT as WORK_INPUT
 from .record import WORK_UNIT as WORK_UNIT

@@ -99,6 +99,11 @@ class TimeWindow(NamedTuple):
     t_from: float = 0.0
     t_to: float = inf
 
+    def check(self) -> None:
+        """Raise ValueError if the end is not after the start, or if one of them is NaN."""
+        if not self.t_from < self.t_to:
+            raise ValueError(f"--to {self.t_to:g} s is not after --from {self.t_from:g} s; give a later end")
+
 
 WHOLE = TimeWindow()
 TimeWindows = TimeWindow | Sequence[TimeWindow]  # one interval for all logs, or one for each of them, in their order
@@ -953,7 +958,7 @@ def load_run(path: Path, role: str, window: TimeWindow = WHOLE, device_faults: D
     Raises
     ------
     SeatrialError
-        If the file is not a log, has no signal for an identification, or ends before the window.
+        If the file is not a log, has no signal for an identification, ends before the window, or has no sample in it.
     """
     with open_log(path) as whole:
         log, start = whole, None
@@ -974,6 +979,11 @@ def load_run(path: Path, role: str, window: TimeWindow = WHOLE, device_faults: D
                 f"{path}: has no signal that an identification can use; list its signals with `seatrial info {path}`"
             )
         start = min(c.t[0] for c in found.values()) if start is None else start
+        ends = start + window.t_from, start + window.t_to
+        if not any(((c.t >= ends[0]) & (c.t <= ends[1])).any() for c in found.values()):
+            raise SeatrialError(
+                f"{path}: there is no sample from {window.t_from:g} s to {window.t_to:g} s; choose a longer window"
+            )
         moved = {n: replace(c, t=c.t - start) for n, c in found.items()}
         last = float(max(c.t[-1] for c in moved.values()))
         about = {

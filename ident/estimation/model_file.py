@@ -14,6 +14,7 @@ import tomlkit
 from seatrial.daq.config import parse_toml, read_text
 from seatrial.daq.errors import SeatrialError, warn
 from seatrial.daq.files import write_output
+from seatrial.daq.log import is_log
 from seatrial.ident.data import FrameOrigin
 from seatrial.ident.effects import catalogue, input_response_effects, nonparametric_effect
 from seatrial.ident.estimation.homogeneity import BETWEEN, between_runs_effect
@@ -397,11 +398,13 @@ def load_model(path: Path) -> SavedModel:
     Raises
     ------
     SeatrialError
-        If the path is a folder, or if the file cannot be read or is not a complete model. The message contains the path
-        and the reason.
+        If the path is a folder or a log, or if the file cannot be read or is not a complete model. The message contains
+        the path and the reason.
     """
     if path.is_dir():
         raise SeatrialError(f"{path}: this folder has no {MODEL}; give the folder of a fit, or its {MODEL}")
+    if is_log(path):
+        raise SeatrialError(f"{path}: is a log; give a {MODEL} or the folder of a fit")
     text = read_text(path)
     if text.lstrip().startswith("{"):
         raise SeatrialError(

@@ -10,7 +10,7 @@ from seatrial.daq.errors import SeatrialError, closest_name
 from seatrial.daq.rig import Rig
 from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation.model_file import SavedModel, load_model
-from seatrial.ident.model import Effect, Model, Parameter, ParameterOrigin
+from seatrial.ident.model import Effect, Model, ModelKind, Parameter, ParameterOrigin
 from seatrial.ident.models import (
     CURRENT_WALK,
     SIDES,
@@ -152,9 +152,9 @@ def _effect_form_for_model(model: Model, name: str) -> Effect:
     possible = {e.name: e for e in known.values() if model.accepts(e)}
     can = ", ".join(possible) or "none"
     if name not in known:
-        raise SeatrialError(
-            f"--effect {name}: there is no such effect; {_meant(name, possible)}model {model.name} can have {can}"
-        )
+        meant = _meant(name, possible)
+        others = "docs/theory/effects.md lists all" if meant else f"model {model.name} can have {can}"
+        raise SeatrialError(f"--effect {name}: there is no such effect; {meant}{others}")
     size = known[name].parameters[0].name  # all forms of an effect share their first parameter
     if size in model.values:
         raise SeatrialError(f"--effect {name}: model {model.name} has it already")
@@ -192,12 +192,17 @@ def fix_parameters(model: Model, thruster: Path | None, given: Mapping[str, floa
     ------
     SeatrialError
         If the model lacks a parameter of ``given`` or cannot have this value of it, if the file of the bench test
-        cannot be read, or if it has no thrust coefficient or does not determine it.
+        cannot be read or is not the model of a thruster, or if it has no thrust coefficient or does not determine it.
     """
     known: dict[str, Parameter] = {}
     notes = []
     if thruster is not None:
         bench = load_model(thruster)
+        if bench.model.kind is not ModelKind.BENCH:
+            raise SeatrialError(
+                f"{thruster}: is the model {bench.model.name} of a boat, not of a thruster; give --thruster the "
+                "model.toml of `seatrial ident thruster`"
+            )
         for name in ("c1", "c2"):
             if name in model.values and name not in given:
                 p = _bench_parameter(bench, name, thruster)

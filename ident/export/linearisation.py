@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from seatrial.daq.errors import SeatrialError, closest_name
+from seatrial.daq.errors import NamedValues, SeatrialError, closest_name
 from seatrial.ident.estimation import PARAMETER_STEP, ParameterCovariance, principal_directions
 from seatrial.ident.export.codegen import without_nuisance
 from seatrial.ident.export.conditions import chosen_conditions, conditions_text, heading_sentence
@@ -27,6 +27,7 @@ HEADING_STEP = 1e-5  # step of the central difference by the heading [rad]
 CORRECTIONS = 6  # steps of the search for the operating point of moved estimates
 CONSTANTS, LONGEST_S, TIMES = 4.0, 60.0, 200  # length of a response in time constants and in s, and its points
 DECADE, FREQUENCIES = 10.0, 300  # reach of a frequency response beyond the poles, as a factor, and its points
+MOTION_WORDS = {"yaw": "turn", "heading": "turn", "surge": "straight", "forward": "straight"}  # to one of the motions
 HALF_POWER = np.sqrt(0.5)  # -3 dB
 EQUAL_STEPS = 1e-13  # of the longest time, by which two steps of time may differ and still count as equal
 STATIC = 1e-6  # poles below this part of the largest one are integrators, which have no corner frequency
@@ -338,7 +339,7 @@ class LinearModel:
             )
             phase = np.unwrap(np.angle(h))
             bodes[name] = Bode(f, np.abs(h), phase, sd_gain, sd_phase, self._lag_start(inputs, name, float(phase[0])))
-        return bodes
+        return NamedValues(bodes, "state that responds")
 
     def _lag_start(self, inputs: Inputs, state: str, first: float) -> float:
         """Return the phase [rad] from which the lag of a state is counted, given that at the lowest frequency.
@@ -437,7 +438,10 @@ class LinearModel:
         chosen = known.get(inputs, {inputs: 1.0}) if isinstance(inputs, str) else dict(inputs)
         for name in chosen:
             if name not in self.inputs:
-                near = closest_name(name, list(known))
+                if name in self.states:
+                    text = f"{name!r} is a state, not an input; name an input, and take the item {name!r} of the result"
+                    raise KeyError(f"{text}; the inputs are {', '.join(known)}")
+                near = closest_name(MOTION_WORDS.get(name, name), list(known))
                 hint = f"did you mean {near!r}? " if near else ""
                 raise KeyError(f"the model has no input {name!r}; {hint}its inputs are {', '.join(known)}")
         return chosen

@@ -50,6 +50,7 @@ from seatrial.ident.results import (
 )
 
 MAX_OUTAGES, MAX_SEGMENTS, MAX_NOISE_CHANNELS = 8, 24, 12  # largest numbers of rows of a table
+LONGEST_FLAG = 48  # characters of a flag in the table of parameters; a longer one stands below it
 MAX_PARAMETERS, MAX_CANDIDATES, MAX_ERROR_CHANNELS = 9, 6, 8
 MOST_WITH_FIT, MOST_COMPARED = 3, 6  # largest numbers of models in a row of a table with their fit, and without it
 MAX_FAILED = 8  # largest number of rows of a table of failed logs
@@ -332,10 +333,10 @@ def compared_tables(result: ComparisonResult) -> list[Table]:
 def _best_words(row: ComparedChannel) -> str:
     """Return the labels of the best models of a channel as text; a dash if there are none.
 
-    If a ratio to the best model has no interval, the text ends with the number of blocks of time: ``a; no interval: 2
-    blocks``.
+    It is ``all`` if there are more than two models and all are equally good. If a ratio to the best model has no
+    interval, the text ends with the number of blocks of time: ``a; no interval: 2 blocks``.
     """
-    words = " ".join(row.not_worse) or "–"
+    words = "all" if row.all_equal else " ".join(row.not_worse) or "–"
     return f"{words}; {verdict_words(row.unproven[0])}" if row.unproven else words
 
 
@@ -461,9 +462,9 @@ def _all_tables(result: Result) -> Sequence[Table | None]:
 def _parameters_table(fit: FitSummary, added: Sequence[EffectRow]) -> Table | None:
     """Return the table of up to nine estimated parameters: those of the added effects first, then those of the model.
 
-    Noise parameters (with the word noise in their meaning) and fixed parameters of the model are left out, and its
-    per-record parameters come last. The result is None if no parameter is left. ``added`` has the effects that a
-    diagnosis added; empty for other fits.
+    Noise parameters (with the word noise in their meaning) and fixed parameters of the model are left out, and its per-
+    record parameters come last. The result is None if no parameter is left. A flag that is a sentence stands below the
+    table. ``added`` has the effects that a diagnosis added; empty for other fits.
     """
     effects = [row for effect in added for row in effect.parameters]
     effect_names = {row.name for row in effects}
@@ -478,14 +479,22 @@ def _parameters_table(fit: FitSummary, added: Sequence[EffectRow]) -> Table | No
     table.add_column("", no_wrap=True)
     table.add_column(error_title(fit.scale), justify="right", no_wrap=True)
     table.add_column("", no_wrap=True)
-    table.add_column("", style="dim", overflow="fold")  # a flag may be a sentence: it wraps, the numbers do not
+    table.add_column("", style="dim", overflow="fold")
+    sentences = []
     for row in shown:
         factor, unit = formatting.degrees_for(row.unit)
         value, se = formatting.scaled(factor, row.value, row.se)
         name = Text(row.name, style="bold green" if row.name in effect_names else "bold")
         flag, record = (row.flag, row.record) if isinstance(row, ParameterRow) else (None, None)
-        words = f"⚠ {flag}" if flag else row.meaning + (f", {record}" if record else "")
+        words = row.meaning + (f", {record}" if record else "")
+        if flag and len(flag) > LONGEST_FLAG:
+            sentences.append(f"⚠ {row.name}: {flag}")
+            words = f"⚠ {words}"
+        elif flag:
+            words = f"⚠ {flag}"
         table.add_row(name, Text(formatting.with_error(value, se)), Text(unit), Text(words))
+    if sentences:
+        table.caption, table.caption_justify = Text("\n".join(sentences)), "left"
     return table
 
 

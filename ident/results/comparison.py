@@ -94,6 +94,11 @@ class ComparedChannel(Part, frozen=True, kw_only=True):
             if e.model == self.best or (e.against_best is not None and e.against_best.verdict == "indistinguishable")
         )
 
+    @property
+    def all_equal(self) -> bool:
+        """Whether there are three models or more, and none is distinguishable from the best one."""
+        return len(self.not_worse) == len(self.errors) > 2
+
 
 class ComparedKind(Part, frozen=True, kw_only=True):
     """Prediction errors of a model over all channels, against those of the first model, for one kind of prediction.

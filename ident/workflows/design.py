@@ -74,11 +74,11 @@ from seatrial.ident.results import (
     provenance,
     write_result,
 )
+from seatrial.ident.workflows.output import VALIDITY_MARGIN
 
 N_SHOWN = 24  # sampled tracks on the page
 NAMED = 3  # parameters in the answer
 STEP_S = 5.0  # s: mean length of a step, unless --steps gives their number
-VALIDITY_MARGIN = 0.1  # of the width of a range of validity, by which signals may leave it without a warning
 LARGEST_SHARE = 0.999  # largest probability that is shown; models are not exact enough for more
 NEGLIGIBLE = 0.02  # of the standard deviation of a prior: a fitted effect below it is taken as not found
 

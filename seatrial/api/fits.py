@@ -22,7 +22,8 @@ from seatrial.api.findings import DiagnosisFindings
 from seatrial.api.logs import Log, PathLike, as_list, as_paths
 from seatrial.api.messages import Messages, errors_of_users
 from seatrial.api.shown import Content, Shown
-from seatrial.daq.errors import SeatrialError, closest_name, counted
+from seatrial.daq.errors import NamedValues, SeatrialError, closest_name, counted
+from seatrial.daq.log import is_log
 
 if TYPE_CHECKING:
     from seatrial.api.loading import Saved
@@ -48,8 +49,8 @@ class FitOptions(TypedDict, total=False):
     Attributes
     ----------
     thruster : path
-        File with the thrust from a bench test: model.toml of a thruster model, or of a static curve from command to
-        thrust. Without it the thrust is estimated or unknown.
+        File or folder with the thrust from a bench test: model.toml of a thruster model, or of a static curve from
+        command to thrust. Without it the thrust is estimated or unknown.
     fixed : dict of str to float
         Values of parameters, by name, that are known and not estimated.
     initial : dict of str to float
@@ -225,7 +226,7 @@ class FitReport(Shown):
         In a fit to several records, a parameter with its own value in each record is ``NAME@RECORD``. If the thrust is
         not known in N, forces and masses are ratios to it, with names such as ``m_u/T``.
         """
-        return {tables.full_name(row): row.value for row in self.result.fit.parameters}
+        return NamedValues({tables.full_name(row): row.value for row in self.result.fit.parameters}, "parameter")
 
     @property
     def standard_errors(self) -> dict[str, float]:
@@ -233,11 +234,12 @@ class FitReport(Shown):
 
         NaN stands for a parameter without standard error, for example at a bound. Fixed parameters are left out.
         """
-        return {
+        errors = {
             tables.full_name(row): np.nan if row.se is None else row.se
             for row in self.result.fit.parameters
             if row.free
         }
+        return NamedValues(errors, "estimated parameter")
 
     def summary(self) -> str:
         """Return a table of the estimates as text, with the answer and the warnings.
@@ -640,7 +642,7 @@ def vehicle_request(
     SeatrialError
         If there is no option of a name, or if a prior is no pair of numbers.
     """
-    from seatrial.ident.estimation import EstimationOptions
+    from seatrial.ident.estimation import EstimationOptions, model_file
     from seatrial.ident.workflows.vehicle_model import VehicleRequest
 
     given = known_options(options, FitOptions)
@@ -650,7 +652,7 @@ def vehicle_request(
     progress = given.pop("progress", False)
     estimation = {n: given.pop(n) for n in ("outlier_model", "reml", "mean_order", "horizon") if n in given}
     if "thruster" in given:
-        given["thruster"] = Path(given["thruster"])
+        given["thruster"] = model_file(Path(given["thruster"]))
     how = replace(EstimationOptions(reml=True, mean_order=2), **estimation)
     return VehicleRequest(logs, validation, Path(), how, model, window=window, **given), progress
 
@@ -729,7 +731,7 @@ def model_path(model: PathLike | FittedResult | Saved) -> Iterator[Path]:
     Raises
     ------
     SeatrialError
-        If the path does not exist.
+        If the path does not exist, or if it is a log.
     """
     if isinstance(model, FittedResult):
         from seatrial.ident.models import is_own_model
@@ -745,7 +747,14 @@ def model_path(model: PathLike | FittedResult | Saved) -> Iterator[Path]:
 
     if isinstance(model, Saved):
         model = model.path.parent if model.path.name == RESULT else model.path
-    path = model_file(Path(str(model)))
+    if isinstance(model, Log) or (isinstance(model, str | Path) and is_log(Path(model))):
+        name = model.path if isinstance(model, Log) else model
+        raise SeatrialError(f"{name}: is a log, not a model; the model is the first argument")
+    if not isinstance(model, str | Path):
+        raise SeatrialError(
+            f"{type(model).__name__}: this is not a model; give a model.toml, a folder with one, or a fitted model"
+        )
+    path = model_file(Path(model))
     if not path.exists():
         raise SeatrialError(f"{path}: no such file; give a model.toml, a folder with one, or a fitted model")
     yield path

@@ -17,7 +17,7 @@ from seatrial.api.logs import PathLike
 from seatrial.api.messages import errors_of_users, text_of
 from seatrial.api.plots import comparison_figure, prediction_figure
 from seatrial.api.shown import Content, Shown, number
-from seatrial.daq.errors import SeatrialError
+from seatrial.daq.errors import NamedValues, SeatrialError, closest_name, counted, warn
 from seatrial.daq.log import import_library
 
 if TYPE_CHECKING:
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 MODEL, RESULT, ESTIMATES = "model.toml", "result.json", "fits.parquet"
 NEED_LOGS = ("residuals", "predict", "simulate", "plot_residuals", "fitted")  # attributes of a fit of this process
+SHORTEST_STEP = 1e-5  # s between two times of a simulation; closer ones would be one row
+ROWS_PER_SAMPLE = 10.0  # of a simulation, for the rate above which a sensor would be averaged
 MODEL_COLUMNS = ("value", "se", "unit", "meaning")  # of the table of a model without its result
 
 
@@ -97,7 +99,7 @@ class Saved(MotionMethods, Shown):
         SeatrialError
             If no model.toml was loaded.
         """
-        return dict(self.saved_model().model.values)
+        return NamedValues(self.saved_model().model.values, "parameter")
 
     @property
     def standard_errors(self) -> dict[str, float]:
@@ -108,7 +110,7 @@ class Saved(MotionMethods, Shown):
         SeatrialError
             If no model.toml was loaded.
         """
-        return dict(self.saved_model().errors)
+        return NamedValues(self.saved_model().errors, "estimated parameter")
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -352,6 +354,9 @@ def simulate(
 ) -> dict[str, Series]:
     """Simulate a fitted model for given inputs, without process noise and without measurement noise.
 
+    An input that leaves its range in the fitted data by more than a tenth of this range gives a `SeatrialWarning`: the
+    motion is then extrapolated.
+
     Parameters
     ----------
     model : path, `Saved`, `FittedVehicle`, `FittedDiagnosis` or `FittedThruster`
@@ -367,14 +372,14 @@ def simulate(
     Returns
     -------
     dict of str to Series
-        States and outputs by name, in SI units and radians. Where a state and an output have one name, it is the state.
-        They begin at ``t[0]``.
+        States and outputs by name, in SI units and radians, with a value at each of the times ``t``. Where a state and
+        an output have one name, it is the state.
 
     Raises
     ------
     SeatrialError
-        If an input of the model is missing, if a state or input is unknown, or if an input has another length than
-        ``t``.
+        If an input of the model is missing, if a state or input is unknown, if an input has another length than ``t``
+        or a value that is not finite, or if the times do not increase.
 
     Examples
     --------
@@ -382,33 +387,25 @@ def simulate(
     >>> motion = st.simulate("vehicle", t, {"n_left": 0.5 + 0 * t, "n_right": 0.4 + 0 * t})
     >>> motion["r"].value[-1]
     """
-    from seatrial.ident.data import Channel, build_record
+    from seatrial.ident.data import SAME_TIME, Channel, build_record
     from seatrial.ident.estimation import simulate as integrate
     from seatrial.ident.model import ModelKind
     from seatrial.ident.models import delay_step, delayed_channels
 
-    structure, times = _structure(model), np.asarray(t, dtype=float)
-    named = {name: np.asarray(values, dtype=float) for name, values in inputs.items()}
-    for name, values in named.items():
-        if values.shape != times.shape:
-            raise SeatrialError(
-                f"input {name}: it has the shape {values.shape}, but the times have {times.shape}; give one value for "
-                "each time"
-            )
-    known = {i.tap_of or i.name for i in structure.inputs}
-    if unknown := [n for n in named if n not in known]:
-        raise SeatrialError(f"the model has no input {unknown[0]!r}; its inputs are {', '.join(sorted(known))}")
+    structure, ranges = _structure(model)
+    times = _checked_times(t)
+    named = _checked_inputs(structure, times, inputs, ranges)
     channels = {name: Channel(times, values) for name, values in named.items()}
     if structure.kind is ModelKind.BENCH:
         (command,) = {i.tap_of for i in structure.inputs if i.tap_of}  # the model has delayed copies of it as inputs
-        if command not in channels:
-            raise SeatrialError(f"input {command}: give its value at each time, such as {{{command!r}: 0.5 + 0 * t}}")
         channels |= delayed_channels(channels[command], delay_step(structure))
     # A record needs samples of a sensor. They only define the rows: the simulation does not use their values.
     sensor = structure.sensors[0]
     channels |= {o.name: Channel(times, np.zeros(times.size)) for o in sensor.outputs}
     with errors_of_users():
-        record = build_record(structure, channels)
+        # At this rate no sample is averaged over several, so that the times `t` are rows. There are more rows if the
+        # times are far apart, or if a delayed input changes between them.
+        record = build_record(structure, channels, rate=ROWS_PER_SAMPLE / float(np.diff(times).min()))
         first = integrate(structure, record).x[0]
         states = [s.name for s in structure.states]
         for name, value in (start or {}).items():
@@ -416,8 +413,64 @@ def simulate(
                 raise SeatrialError(f"the model has no state {name!r}; its states are {', '.join(states)}")
             first[states.index(name)] = value
         run = integrate(structure, record, x0=first)
-    found = {o.name: Series(times[0] + run.t, run.y[:, j]) for j, o in enumerate(structure.outputs)}
-    return found | {name: Series(times[0] + run.t, run.x[:, j]) for j, name in enumerate(states)}
+    at = np.searchsorted(run.t, times - times[0] - SAME_TIME)
+    found = {o.name: Series(times, run.y[at, j]) for j, o in enumerate(structure.outputs)}
+    return found | {name: Series(times, run.x[at, j]) for j, name in enumerate(states)}
+
+
+def _checked_times(t: ArrayLike) -> NDArray[np.float64]:
+    """Return the times of a simulation as an array. SeatrialError if they are not two or more that increase."""
+    times = np.array(t, dtype=float)
+    if times.ndim != 1 or times.size < 2 or not np.isfinite(times).all():
+        raise SeatrialError(f"times: they have the shape {times.shape}; give a list of two or more finite times [s]")
+    if (steps := np.diff(times)).min() < SHORTEST_STEP:
+        k = int(np.argmax(steps < SHORTEST_STEP))
+        raise SeatrialError(f"times: {times[k + 1]:g} s follows {times[k]:g} s; the times must increase")
+    return times
+
+
+def _checked_inputs(
+    structure: Model, times: NDArray[np.float64], inputs: Any, ranges: Mapping[str, tuple[float, float]]
+) -> dict[str, NDArray[np.float64]]:
+    """Return the input signals of a simulation as arrays by name.
+
+    `ranges` are those of the fitted data by signal. An input that leaves its range gives a warning. SeatrialError is
+    raised if the inputs are not those of the model, or if they do not have one finite value for each time.
+    """
+    from seatrial.ident.data import TIME_INPUT, WORK_INPUT
+    from seatrial.ident.workflows.output import VALIDITY_MARGIN
+
+    known = list(dict.fromkeys(i.tap_of or i.name for i in structure.inputs))
+    needed = [n for n in known if n not in (TIME_INPUT, WORK_INPUT)]  # those are computed
+    form = "{" + ", ".join(f"{n!r}: 0.5 + 0 * t" for n in needed) + "}"
+    if not hasattr(inputs, "items"):
+        raise SeatrialError(f"inputs: give a dict with the values of each input by name, such as {form}")
+    named = {str(name): np.asarray(values, dtype=float) for name, values in inputs.items()}
+    for name, values in named.items():
+        if name not in known:
+            near = closest_name(name, needed)
+            hint = f"did you mean {near!r}? Its" if near else "its"
+            raise SeatrialError(f"the model has no input {name!r}; {hint} inputs are {', '.join(needed)}")
+        if values.shape != times.shape:
+            raise SeatrialError(
+                f"input {name}: it has the shape {values.shape}, but the times have {times.shape}; give one value for "
+                "each time"
+            )
+        if bad := int(np.sum(~np.isfinite(values))):
+            raise SeatrialError(
+                f"input {name}: {bad} of {counted(values.size, 'sample')} are not finite numbers; give finite ones"
+            )
+    if missing := [n for n in needed if n not in named]:
+        raise SeatrialError(f"input {missing[0]}: it is missing; give the inputs by name, such as {form}")
+    for name, values in named.items():
+        low, high = ranges.get(name, (-np.inf, np.inf))
+        least, most, room = float(values.min()), float(values.max()), VALIDITY_MARGIN * (high - low)
+        if np.isfinite(room) and (least < low - room or most > high + room):
+            warn(
+                f"input {name}: {least:.3g} to {most:.3g} is outside its range in the fitted data, {low:.3g} to "
+                f"{high:.3g}, so that the motion is extrapolated"
+            )
+    return named
 
 
 def export(
@@ -482,12 +535,14 @@ def export(
     return file
 
 
-def _structure(model: PathLike | Saved | FittedResult) -> Model:
-    """Return the model (equations, parameters, sensors) with its estimates as the values of the parameters.
+def _structure(model: PathLike | Saved | FittedResult) -> tuple[Model, Mapping[str, tuple[float, float]]]:
+    """Return a model with its estimates as the values of the parameters, and the ranges of its data by signal.
 
     `model` is a file, a folder, a loaded or a fitted model. SeatrialError is raised if there is no model.toml.
     """
     if isinstance(model, FittedResult):
-        return model.fitted.fit.model
-    saved = model if isinstance(model, Saved) else load(model)
-    return saved.saved_model().model
+        from seatrial.ident.workflows.output import validity
+
+        return model.fitted.fit.model, validity(model.fitted)
+    saved = (model if isinstance(model, Saved) else load(model)).saved_model()
+    return saved.model, saved.validity

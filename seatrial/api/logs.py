@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,14 +15,17 @@ from seatrial.api.figures import Figure
 from seatrial.api.messages import errors_of_users
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.checks import FAULT, WARNING, Finding, findings_lines, findings_summary, worst_first
-from seatrial.daq.errors import SeatrialError, counted, warn
-from seatrial.daq.log import import_library
+from seatrial.daq.errors import SeatrialError, closest_name, counted, warn
+from seatrial.daq.log import import_library, log_file
 
 if TYPE_CHECKING:
     from seatrial.ident.data import LoadedLog, TimeWindow
 
 PathLike = str | Path
 SHOWN = 12  # signals in the short description of a log
+# Signals by the names that other software and textbooks have for them.
+ALIASES = {"yaw": "psi", "heading": "psi", "yaw_rate": "r", "yawrate": "r", "surge": "u", "sway": "v", "roll": "phi",
+           "pitch": "theta", "north": "x", "east": "y", "speed": "u"}  # fmt: skip
 
 
 @dataclass(frozen=True, repr=False)
@@ -90,9 +93,11 @@ class Log(Shown):
         return float(max(s.t[-1] for s in self.signals.values()) - first)
 
     def __getitem__(self, name: str) -> Signal:
-        """Return the signal of this name. KeyError lists the names of all signals if there is none."""
+        """Return the signal of this name. KeyError names the similar signal, or all signals, if there is none."""
         if name not in self.signals:
-            raise KeyError(f"{self.path.name} has no signal {name!r}; it has {', '.join(self.signals)}")
+            near = closest_name(ALIASES.get(name, name), self.signals)
+            hint = f"did you mean {near!r}? It" if near else "it"
+            raise KeyError(f"{self.path.name} has no signal {name!r}; {hint} has {', '.join(self.signals)}")
         return self.signals[name]
 
     def _content(self) -> Content:
@@ -149,7 +154,7 @@ def open_log(path: PathLike, start: float = 0.0, end: float = np.inf) -> Log:
     Parameters
     ----------
     path : str or Path
-        Log: a .mcap file, or the first of its segments.
+        Log: a .mcap file, the first of its segments, or a folder with this log alone.
     start, end : float
         Window of time to read, ``start <= t < end`` [s], from the first sample of the log. By default the whole log.
 
@@ -162,7 +167,8 @@ def open_log(path: PathLike, start: float = 0.0, end: float = np.inf) -> Log:
     Raises
     ------
     SeatrialError
-        If the file is not a log, has no signal for an identification, or ends before ``start``.
+        If the file is not a log, has no signal for an identification, ends before ``start``, or has no sample in the
+        window; if ``end`` is not after ``start``.
 
     Examples
     --------
@@ -171,7 +177,11 @@ def open_log(path: PathLike, start: float = 0.0, end: float = np.inf) -> Log:
     """
     from seatrial.ident.data import TimeWindow, load_run
 
-    return _log_of(load_run(Path(path), "estimation", TimeWindow(start, end)), Path(path), TimeWindow(start, end))
+    (file,) = as_paths(path)
+    window = TimeWindow(start, end)
+    with errors_of_users():
+        window.check()
+        return _log_of(load_run(file, "estimation", window), file, window)
 
 
 def _log_of(loaded: LoadedLog, path: Path, window: TimeWindow) -> Log:
@@ -224,7 +234,7 @@ def import_log(
     from seatrial.daq.importers.guess import guess_maps
     from seatrial.daq.importers.import_files import import_files
 
-    sources, folder = as_paths(files), Path(out_dir)
+    sources, folder = as_paths(files, folders=False), Path(out_dir)
     folder.mkdir(parents=True, exist_ok=True)
     made: list[Path] = []
     with errors_of_users():
@@ -311,25 +321,36 @@ def check(logs: PathLike | Sequence[PathLike]) -> Findings:
 
 
 def as_list(logs: PathLike | Log | Sequence[PathLike | Log]) -> list[PathLike | Log]:
-    """Return one log or several logs as a list, in their order."""
-    return [logs] if isinstance(logs, str | Path | Log) else list(logs)
+    """Return one log or several logs as a list, in their order. One object of another class is a list of one, too."""
+    return list(logs) if isinstance(logs, Iterable) and not isinstance(logs, str) else [logs]
 
 
-def as_paths(logs: PathLike | Log | Sequence[PathLike | Log], existing: bool = True) -> list[Path]:
+def as_paths(
+    logs: PathLike | Log | Sequence[PathLike | Log], existing: bool = True, folders: bool = True
+) -> list[Path]:
     """Return the paths of one log or of several logs, given as paths or as `Log`. The window of a `Log` is not used.
 
-    The order is kept, and a log that is given twice is returned twice. Only its existence is checked, with
-    ``existing``.
+    The order is kept, and a log that is given twice is returned twice. With ``existing``, a path must exist. With
+    ``folders`` too, a folder stands for the only log in it. The content of a file is not read.
 
     Raises
     ------
     SeatrialError
-        If a log does not exist, or if none is given.
+        If a log does not exist, if a folder is not that of one log, if a model is given, or if nothing is given.
     """
-    paths = [x.path if isinstance(x, Log) else Path(x) for x in as_list(logs)]
+    paths = []
+    for log in as_list(logs):
+        if not isinstance(log, Log | str | Path):
+            raise SeatrialError(
+                f"{type(log).__name__}: this is not a log; give the path of a log or the result of st.open_log"
+                + ("; the model comes first, then the logs" if hasattr(log, "params") else "")
+            )
+        paths.append(log.path if isinstance(log, Log) else Path(log))
     if not paths:
         raise SeatrialError("no log was given; give at least one path")
+    if not existing:
+        return paths
     for path in paths:
-        if existing and not path.exists():
+        if not path.exists():
             raise SeatrialError(f"{path}: no such file or folder; give the path of a log")
-    return paths
+    return [log_file(path) for path in paths] if folders else paths

@@ -364,7 +364,8 @@ def linearise(
     -------
     Linearisation
         Matrices A and B with their states and inputs, the operating point, poles, time constants, and responses to
-        steps and over the frequency. A speed outside those of the fitted data gives a `SeatrialWarning`.
+        steps and over the frequency. A speed outside those of the fitted data, and a heading of more than one turn,
+        give a `SeatrialWarning`.
 
     Raises
     ------
@@ -381,6 +382,7 @@ def linearise(
     from seatrial.ident.export import chosen_conditions
     from seatrial.ident.export import linearise as about_speed
 
+    _warn_of_degrees(at)
     with errors_of_users():
         structure, ranges, known = _estimates(model)
         found = about_speed(structure, speed, known, chosen_conditions(structure, ranges, at))
@@ -442,6 +444,7 @@ def steady(
         raise SeatrialError(f"points {points}: give at least 3")
     if bad := [m for m in means if not 0.0 <= m <= 1.0]:
         raise SeatrialError(f"means {bad[0]:g}: give parts of the largest command, from 0 to 1")
+    _warn_of_degrees(at)
     with errors_of_users():
         structure, ranges, known = _estimates(model)
         conditions = chosen_conditions(structure, ranges, at)
@@ -454,6 +457,13 @@ def steady(
             "in the fitted data is known; use a model of a boat, such as horizontal"
         )
     return Steady(tuple(curves), conditions, ranges.get("u"))
+
+
+def _warn_of_degrees(at: Mapping[str, float] | None) -> None:
+    """Warn if the heading of the conditions `at` is more than one turn: its unit is then probably the degree."""
+    psi = (at or {}).get("psi", 0.0)
+    if 2.0 * np.pi < abs(psi) < np.inf:
+        warn(f"psi = {psi:g} rad; if these are degrees, give np.radians({psi:g})")
 
 
 def _estimates(

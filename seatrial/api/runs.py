@@ -396,9 +396,10 @@ def navigate(
     --------
     >>> st.navigate(fit, "run3.mcap", gnss_outages=[(60.0, 90.0)]).answer
     """
+    from seatrial.ident.estimation import model_file
     from seatrial.ident.workflows.navigate import NavigationRequest, navigate_logs
 
-    paths, curve = as_paths(logs), None if thruster is None else Path(thruster)
+    paths, curve = as_paths(logs), None if thruster is None else model_file(Path(thruster))
 
     def work(out: Path) -> Any:
         """Estimate the states, write the files of the command to the folder `out`, and return the result."""

@@ -59,6 +59,22 @@ def found(logs: list[Path], fit: st.FittedVehicle) -> st.FittedDiagnosis:
         return st.diagnose(fit, logs[0], validate=logs[1], max_effects=1)
 
 
+def bag_in(folder: Path) -> Path:
+    """Return the folder of a bag of ROS 2, which is made in `folder`."""
+    bag = folder / "bag"
+    bag.mkdir(exist_ok=True)
+    (bag / "metadata.yaml").write_text("rosbag2_bagfile_information:\n  version: 5\n", encoding="utf-8")
+    return bag
+
+
+def model_in(folder: Path) -> Path:
+    """Return the folder of a model, which is made in `folder`."""
+    model = folder / "model"
+    model.mkdir(exist_ok=True)
+    (model / "model.toml").write_text('format = "seatrial-model 1"\n', encoding="utf-8")
+    return model
+
+
 def run(*words: object) -> None:
     with pytest.raises(SystemExit) as left:
         command_line.main([str(w) for w in words])
@@ -99,7 +115,7 @@ def test_signals_of_a_log(logs: list[Path]) -> None:
     inside = (log["psi"].t >= 20.0) & (log["psi"].t < 30.0)
     np.testing.assert_array_equal(part["psi"].value, log["psi"].value[inside])
     assert part.duration == pytest.approx(10.0, abs=0.1)
-    with pytest.raises(KeyError, match="has no signal 'yaw'; it has x, y"):
+    with pytest.raises(KeyError, match=r"has no signal 'yaw'; did you mean 'psi'\? It has x, y"):
         log["yaw"]
 
 
@@ -223,14 +239,81 @@ def test_simulation_of_given_inputs(fit: st.FittedVehicle) -> None:
     later = st.simulate(fit, t[:9] + 7.0, {n: np.full(9, 0.5) for n in ("n_left", "n_right")})
     assert later["u"].t == pytest.approx(t[:9] + 7.0)
     assert p["d_u"] * u[-1] + p["d_uu"] * u[-1] ** 2 == pytest.approx(2 * 0.25 * (p["c1"] + p["c2"]), rel=0.01)
-    with pytest.raises(SeatrialError, match=r"the model has no input 'n_l'; its inputs are n_left, n_right$"):
+    with pytest.raises(SeatrialError, match=r"no input 'n_l'; did you mean 'n_left'\? Its inputs are n_left, n_right$"):
         st.simulate(fit, t, {"n_l": t})
     with pytest.raises(SeatrialError, match="the model has no state 'speed'"):
         st.simulate(fit, t, {"n_left": t, "n_right": t}, {"speed": 1.0})
-    with pytest.raises(SeatrialError, match="n_right"):
+    with pytest.raises(SeatrialError, match=r"input n_right: it is missing; .* such as {'n_left': 0.5 \+ 0 \* t, 'n_r"):
         st.simulate(fit, t, {"n_left": t})
     with pytest.raises(SeatrialError, match=r"n_left: it has the shape \(3,\), but the times have \(1200,\)"):
         st.simulate(fit, t, {"n_left": [1.0, 2.0, 3.0]})
+
+
+@pytest.mark.parametrize("step", [0.2, 0.013, 1.7])
+def test_a_simulation_has_a_value_at_each_given_time(fit: st.FittedVehicle, step: float) -> None:
+    t = np.cumsum(np.random.default_rng(3).uniform(0.5 * step, 1.5 * step, 40))
+    n = np.where(t < t[20], 0.4, 0.7)
+    motion = st.simulate(fit, t, {"n_left": n, "n_right": 0.9 * n})
+    assert all(np.array_equal(series.t, t) and series.value.shape == t.shape for series in motion.values())
+    fine = np.unique(np.concatenate([t, np.arange(t[0], t[-1], 0.01)]))
+    between = np.interp(fine, t, n)  # this model takes the shaft speed as linear between its samples
+    finer = st.simulate(fit, fine, {"n_left": between, "n_right": 0.9 * between})
+    assert motion["u"].value == pytest.approx(finer["u"].value[np.isin(fine, t)], abs=2e-4)
+
+
+def test_delayed_copies_are_neither_rows_nor_inputs_of_a_simulation() -> None:
+    from seatrial.api.loading import Saved
+    from seatrial.ident.estimation import SavedModel
+    from seatrial.ident.models import make_model
+
+    model = make_model("horizontal:command")
+    assert any(i.tap_of for i in model.inputs)
+    saved = Saved(Path("model.toml"), SavedModel(model, {}, {}), None)
+    t = np.linspace(0.0, 20.0, 100)
+    motion = st.simulate(saved, t, {"n_cmd_left": 0.5 + 0 * t, "n_cmd_right": np.where(t > 5.0, 0.5, 0.1)})
+    assert np.array_equal(motion["r"].t, t)
+    assert np.ptp(motion["r"].value) > 0.0
+    with pytest.raises(SeatrialError) as raised:
+        st.simulate(saved, t, {"n_cmd_left": 0.5 + 0 * t})
+    assert str(raised.value).startswith("input n_cmd_right: it is missing; give the inputs by name, such as")
+    assert "~" not in str(raised.value)
+
+
+def test_an_input_far_outside_the_fitted_data_gives_a_warning(fit: st.FittedVehicle, tmp_path: Path) -> None:
+    t = np.arange(0.0, 5.0, 0.1)
+    for model in (fit, fit.save(tmp_path / "fit")):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", SeatrialWarning)
+            st.simulate(model, t, {"n_left": 0.5 + 0 * t, "n_right": 0.5 + 0 * t})
+        with pytest.warns(SeatrialWarning, match="input n_right: 0.5 to 50 is outside its range in the fitted data, -"):
+            st.simulate(model, t, {"n_left": 0.5 + 0 * t, "n_right": np.linspace(0.5, 50.0, t.size)})
+
+
+def test_an_unknown_name_gives_the_similar_one(logs: list[Path], fit: st.FittedVehicle) -> None:
+    for call, message in (
+        (lambda: fit.params["mu"], "there is no parameter 'mu'; did you mean 'm_u'?"),
+        (lambda: fit.standard_errors["mu"], "there is no estimated parameter 'mu'; did you mean 'm_u'?"),
+        (lambda: st.open_log(logs[0])["yaw"], "run1.mcap has no signal 'yaw'; did you mean 'psi'? It has x, y"),
+        (lambda: fit.linearise(0.5).bode("yaw"), "no input 'yaw'; did you mean 'turn'?"),
+        (lambda: fit.linearise(0.5).bode("r"), "'r' is a state, not an input; name an input, and take the item 'r'"),
+        (lambda: fit.linearise(0.5).bode("turn")["yaw"], "there is no state that responds 'yaw'; the names are v, r"),
+    ):
+        with pytest.raises(KeyError) as raised:
+            call()
+        assert message in raised.value.args[0]
+    with pytest.raises(
+        AttributeError, match="module 'seatrial' has no attribute 'linearize'; did you mean 'linearise'"
+    ):
+        st.linearize  # noqa: B018
+    assert fit.params.get("mu") is None
+    assert dict(fit.params) == {**fit.params}
+
+
+def test_a_heading_in_degrees_gives_a_warning(fit: st.FittedVehicle) -> None:
+    with pytest.warns(SeatrialWarning, match=r"psi = 40 rad; if these are degrees, give np\.radians\(40\)"):
+        fit.linearise(0.5, at={"psi": 40})
+    with pytest.warns(SeatrialWarning, match="psi = -90 rad"):
+        fit.steady(points=3, at={"psi": -90.0})
 
 
 def test_each_log_of_a_fit_has_its_own_window(logs: list[Path]) -> None:
@@ -412,7 +495,7 @@ def test_thruster_is_a_fitted_model_like_a_boat(bench: st.FittedThruster, tmp_pa
     motions = [st.simulate(model, t, {"n_cmd": np.full(t.size, 0.5)}) for model in (bench, saved)]
     assert motions[0]["force"].value[-1] == pytest.approx(motions[1]["force"].value[-1], rel=1e-6)
     assert motions[0]["n"].value[-1] > 0.3
-    with pytest.raises(SeatrialError, match=r"input n_cmd: give its value at each time"):
+    with pytest.raises(SeatrialError, match=r"input n_cmd: it is missing; give the inputs by name, such as {'n_cmd': "):
         st.simulate(bench, t, {})
     with pytest.raises(SeatrialError, match="has no forward speed u"):
         saved.linearise(0.5)
@@ -647,6 +730,39 @@ def test_navigate_returns_and_saves_the_states(logs: list[Path], fit: st.FittedV
             "validation logs are always used as a whole",
         ),
         (lambda logs, fit: st.diagnose("nowhere", logs[0]), "nowhere: no such file"),
+        (lambda logs, fit: st.open_log(bag_in(logs[0].parent)), "bag is a bag of ROS 2; import it first: seatrial"),
+        (lambda logs, fit: st.fit(bag_in(logs[0].parent)), "bag is a bag of ROS 2; import it first: seatrial import"),
+        (lambda logs, fit: st.check(bag_in(logs[0].parent)), "bag is a bag of ROS 2; import it first: seatrial"),
+        (
+            lambda logs, fit: st.fit(logs[0].parent),
+            "is a folder of 3 logs: name one of run1.mcap, run2.mcap, run3.mcap",
+        ),
+        (lambda logs, fit: st.fit(model_in(logs[0].parent)), "is the folder of a model or a result, not a log; give"),
+        (lambda logs, fit: st.fit(fit), "FittedVehicle: this is not a log; give the path of a log or the result of"),
+        (lambda logs, fit: st.diagnose(logs[0], fit), "run1.mcap: is a log, not a model; the model is the first"),
+        (lambda logs, fit: st.diagnose(st.open_log(logs[0]), fit), "run1.mcap: is a log, not a model; the model is"),
+        (lambda logs, fit: st.navigate(logs[0], fit), "FittedVehicle: this is not a log; give the path of a log"),
+        (lambda logs, fit: st.diagnose(3, logs[0]), "int: this is not a model; give a model.toml, a folder with one"),
+        (lambda logs, fit: st.export(logs[0], "out", "c"), "run1.mcap: is a log, not a model; the model is the first"),
+        (lambda logs, fit: st.open_log(logs[0], 100.0, 90.0), "90 s is not after start of st.open_log 100 s; give a"),
+        (lambda logs, fit: st.open_log(logs[0], 50.0001, 50.0002), "there is no sample from 50.0001 s to 50.0002 s"),
+        (
+            lambda logs, fit: st.simulate(fit, np.arange(100) / 10, np.zeros((100, 2))),
+            "inputs: give a dict with the values of each input by name, such as {'n_left': 0.5 + 0 * t, 'n_right': 0.5",
+        ),
+        (
+            lambda logs, fit: st.simulate(fit, [0, 1, 2], {"n_left": [1, np.nan, 1], "n_right": [1, 1, 1]}),
+            "input n_left: 1 of 3 samples are not finite numbers",
+        ),
+        (
+            lambda logs, fit: st.simulate(fit, [2, 1, 0], {"n_left": [1, 1, 1], "n_right": [1, 1, 1]}),
+            "times: 1 s follows 2 s; the times must increase",
+        ),
+        (
+            lambda logs, fit: st.fit(logs[0], thruster=fit.save(logs[0].parent / "boat")),
+            "boat/model.toml: is the model horizontal of a boat, not of a thruster; give thruster the model.toml of",
+        ),
+        (lambda logs, fit: st.simulate(fit, 3.0, {"n_left": 1.0}), "times: they have the shape (); give a list of two"),
         (lambda logs, fit: st.compare([fit], logs[2]), "a comparison needs two models or more"),
         (lambda logs, fit: st.compare(logs[2], fit), "run3.mcap: is a log, not a model; give the models first"),
         (lambda logs, fit: st.load(logs[0]), r"run1.mcap: is a log, not a model or a result; open it with st.open_log"),

@@ -206,9 +206,11 @@ def attribution_words(effect: EffectRow) -> str:
 def key_parameters(fit: FitSummary) -> list[Any]:
     """Return the first nine estimated parameters of a fit, with standard errors, as labelled values, and a caption.
 
-    The caption has the number of the others. Noise parameters (with the word noise in their meaning), per-record
-    parameters, and parameters without a standard error are left out. The list is empty if no parameter is left.
+    The caption has the number of the other estimated parameters, as the table for the terminal has. Noise parameters
+    (with the word noise in their meaning), per-record parameters, and parameters without a standard error are left out.
+    The list is empty if no parameter is left.
     """
+    estimated = sum(row.free and "noise" not in row.meaning for row in fit.parameters)
     found = []
     for row in fit.parameters:
         value, se = row.value, row.se
@@ -221,8 +223,9 @@ def key_parameters(fit: FitSummary) -> list[Any]:
     if not found:
         return []
     caption = ["± one standard error" + (", statistical only" if fit.scale.statistical_only else "")]
-    caption += [f"{len(found) - MAX_KEY_PARAMETERS} more below"] if len(found) > MAX_KEY_PARAMETERS else []
-    return [Facts(found[:MAX_KEY_PARAMETERS], "cards"), Prose("; ".join(caption), "caption")]
+    shown = found[:MAX_KEY_PARAMETERS]
+    caption += [f"{estimated - len(shown)} more below"] if estimated > len(shown) else []
+    return [Facts(shown, "cards"), Prose("; ".join(caption), "caption")]
 
 
 def _symbol_and_value(row: ParameterRow, value: float, se: float, unit: str) -> str:

@@ -132,15 +132,28 @@ def best_section(result: ComparisonResult) -> Section:
     return Section("best", "Which model is better", [Table(columns, rows)] if rows else [], lead)
 
 
+def _best_words(row: ComparedChannel) -> str:
+    """Return the labels of the best models of a channel in words, as ``(a) or (b)``; ``all`` of three models or more.
+
+    Without a best model the text is a dash.
+    """
+    if row.best is None:
+        return "–"
+    best = [row.best, *(label for label in row.not_worse if label != row.best)]
+    return "all" if row.all_equal else " or ".join(f"({label})" for label in best)
+
+
 def _best_cell(row: ComparedChannel | None) -> Cell:
-    """Return the table cell with the labels of the best models of a channel; a dash if there are none."""
+    """Return the table cell with the labels of the best models of a channel; a dash if there are none.
+
+    It is ``all`` if there are more than two models and all are equally good.
+    """
     if row is None or row.best is None:
         return Cell("–")
-    others = [label for label in row.not_worse if label != row.best]
-    words = f"({row.best})" + "".join(f" or ({label})" for label in others)
+    words = _best_words(row)
     if row.unproven:
         return Cell(f"{words}; {verdict_words(row.unproven[0])}")
-    return Cell(words, "" if others or len(row.errors) == 1 else "strong")
+    return Cell(words, "strong" if row.not_worse == (row.best,) and len(row.errors) > 1 else "")
 
 
 def errors_section(result: ComparisonResult) -> Section:

@@ -343,8 +343,19 @@ def test_errors_of_a_bag_import_are_one_line_each(bag: Path, tmp_path: Path) -> 
         SeatrialError, match="no topic /gps; name one of its topics in the import map: /fix, /imu/data, /name"
     ):
         signals(bag, tmp_path, '{ name = "x", topic = "/gps", field = "x", unit = "m" }')
-    with pytest.raises(SeatrialError, match="/rpm has no column 'rpm'; name one of these in the import map: data"):
+    with pytest.raises(SeatrialError, match="/rpm has no field 'rpm'; name one of these in the import map: data"):
         signals(bag, tmp_path, '{ name = "x", topic = "/rpm", field = "rpm", unit = "m" }')
+    with pytest.raises(
+        SeatrialError, match=r"/fix has no field 'lattitude'; did you mean 'latitude'\? Name a field of"
+    ):
+        signals(bag, tmp_path, '{ name = "x", topic = "/fix", field = "lattitude", unit = "m" }')
+    with pytest.raises(
+        SeatrialError, match=r"no field 'z'; did you mean '(orientation|angular_velocity|linear_a.*)\.z'"
+    ):
+        signals(bag, tmp_path, '{ name = "x", topic = "/imu/data", field = "z", unit = "m" }')
+    with pytest.raises(SeatrialError, match="no field 'heading_of_boat'; name one of these") as raised:
+        signals(bag, tmp_path, '{ name = "x", topic = "/imu/data", field = "heading_of_boat", unit = "m" }')
+    assert "covariance" not in str(raised.value)
     with pytest.raises(SeatrialError, match=r"signal\[1\]\.field: missing"):
         signals(bag, tmp_path, '{ name = "x", topic = "/rpm", column = "data", unit = "m" }')
     (tmp_path / "bad.mcap").write_bytes(b"\x89MCAP0\r\n, and nothing more")

@@ -284,10 +284,17 @@ def test_fixed_and_initial_values_are_used(fitted: Path, tmp_path: Path, run: Ru
         ("vehicle {estimation} --fix m_x=3", "--fix m_x: model horizontal has no such parameter; it has m_u"),
         ("vehicle {estimation} --initial m_x=3", "--initial m_x: model horizontal has no such parameter; it has m_u"),
         ("vehicle {estimation} --thruster {rig}", "not 'seatrial-model 1'"),
+        (
+            "vehicle {estimation} --thruster {model}",
+            "is the model horizontal of a boat, not of a thruster; give --thruster the model.toml of",
+        ),
+        (
+            "vehicle {estimation} --from 20.0001 --to 20.0002",
+            "there is no sample from 20.0001 s to 20.0002 s; choose a",
+        ),
         ("thruster {estimation}", "a shaft speed is needed; the log has left, right; name one with --thruster"),
         ("thruster {bench} --thruster port", "no signal 'n_cmd_port'"),
         ("diagnose {rig} {estimation}", "not 'seatrial-model 1': give a model.toml of seatrial"),
-        ("diagnose {estimation} {estimation}", "estimation.mcap: not a text file; give a TOML file"),
         ("diagnose {model} {bench}", "none of the sensors of"),
         ("vehicle {rig}", "rig.toml"),
     ],
@@ -310,6 +317,61 @@ def test_impossible_request_gives_a_one_line_error(
     assert err.count("\n") == 1
     assert "internal error" not in err
     assert not (out / "model.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        *(
+            (words, "bag is a bag of ROS 2; import it first: seatrial import --guess ")
+            for words in (
+                "vehicle {bag}",
+                "vehicle {log} --validate {bag}",
+                "diagnose {folder} {bag}",
+                "compare {folder} {folder} --on {bag}",
+                "thruster {bag}",
+                "noise {bag}",
+                "navigate {folder} {bag}",
+                "information {folder} {bag}",
+                "changes --before {bag} --after {log}",
+            )
+        ),
+        ("vehicle {folder}", "is the folder of a model or a result, not a log; give the path of a log"),
+        ("vehicle {empty}", "empty is a folder without a log (*.mcap) in it; give the path of a log"),
+        ("diagnose {log} {folder}", "is a log; give a model.toml or the folder of a fit; the model comes first, then"),
+        ("navigate {log} {log}", "is a log; give a model.toml or the folder of a fit; the model comes first, then"),
+        ("export {log} --to c", "estimation.mcap is a log; give a model.toml or the folder of a fit; `seatrial"),
+        (
+            "export {folder} --to ros",
+            "'ros' is not one of 'python', 'casadi', 'c', 'ros2', 'fmu', 'gazebo', 'vrx'. Did",
+        ),
+        ("vehicle {log} --from 100 --to 90", "--to 90 s is not after --from 100 s; give a later end"),
+    ],
+)
+def test_wrong_kind_of_file_or_value_says_what_it_is(
+    logs: Path, tmp_path: Path, run: Run, words: str, message: str
+) -> None:
+    bag, folder, empty = (tmp_path / name for name in ("bag", "fit", "empty"))
+    for path in (bag, folder, empty):
+        path.mkdir()
+    (bag / "metadata.yaml").write_text("rosbag2_bagfile_information:\n  version: 5\n", encoding="utf-8")
+    (bag / "bag_0.mcap").touch()
+    (folder / "model.toml").write_text('format = "seatrial-model 1"\n', encoding="utf-8")
+    places = {"log": logs / "estimation.mcap", "bag": bag, "folder": folder, "empty": empty}
+    more = () if words.startswith("export") else ("--out", tmp_path / "out")
+    status, _, err = run("ident", *(w.format(**places) for w in words.split()), *more)
+    assert status == 2
+    assert message in err
+    assert err.count("\n") == 1
+
+
+def test_a_fleet_names_a_bag_among_its_logs(logs: Path, tmp_path: Path, run: Run) -> None:
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    (bag / "metadata.yaml").write_text("rosbag2_bagfile_information:\n  version: 5\n", encoding="utf-8")
+    status, out, _ = run("ident", "fleet", bag, "--jobs", 1, "--out", tmp_path / "out")
+    assert status == 1
+    assert "is a bag of ROS 2; import it first" in " ".join(out.split())
 
 
 @pytest.mark.parametrize("words", ["vehicle nowhere.mcap", "vehicle", "diagnose {log}", "vehicle {log} --fix m_u"])

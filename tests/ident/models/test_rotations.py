@@ -157,6 +157,11 @@ def test_choice_between_two_antennas_is_reported() -> None:
             "sail",
             "--effect sail: there is no such effect; model horizontal can have accelerometer-scale",
         ),
+        (
+            "horizontal:shaft",
+            "winds",
+            "--effect winds: there is no such effect; did you mean wind (steady wind)? docs/theory/effects.md lists",
+        ),
         ("surge", "mount", "--effect mount: model surge has no place for this effect; it can have none"),
         (
             "horizontal:shaft:random-walk-current",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import copy
 import hashlib
+import io
 import json
 import re
 from pathlib import Path
@@ -13,9 +14,11 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from rich.console import Console
 
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.sections.answer import effect_card
+from seatrial.ident.report.terminal import print_result
 from tests.ident.pages import HOSTILE, KINDS, Page, loaded, numbers, printed, shortened, written
 
 MEGABYTE = 1_000_000
@@ -350,6 +353,21 @@ def test_flag_wraps_and_numbers_do_not() -> None:
     assert "0.450 ± 0.031" in text
     assert flag in " ".join(re.sub(r"c1 +0.450 ± 0.031 +m", "", text).split())
     assert max(map(len, text.splitlines())) <= 80
+    wide = io.StringIO()  # a pipe or a file has no limit of width
+    print_result(loaded(result), Console(file=wide, width=10_000, color_system=None))
+    (heading,) = (k for k, line in enumerate(wide.getvalue().splitlines()) if line.strip().startswith("Parameters"))
+    table = [line.rstrip() for line in wide.getvalue().splitlines()[heading : heading + 6]]
+    assert "c1" in " ".join(table)
+    assert max(map(len, table)) <= 100
+
+
+def test_page_and_terminal_count_the_same_parameters_as_not_shown(tmp_path: Path) -> None:
+    more = copy.deepcopy(KINDS["thruster"]())
+    row = next(r for r in more["fit"]["parameters"] if r["free"] and "noise" not in r["meaning"])
+    more["fit"]["parameters"] += [row | {"name": f"k{i}", "se": None if i % 2 else 1.0} for i in range(12)]
+    (terminal,) = re.findall(r"Parameters \((\d+) more in the report\)", printed(more))
+    (page,) = re.findall(r"(\d+) more below", Page(written(more, tmp_path)).words)
+    assert page == terminal
 
 
 def test_removed_effect_is_not_shown_as_added(small: dict[str, Any], tmp_path: Path) -> None:

@@ -340,6 +340,16 @@ def test_rows_name_the_best_model_and_those_not_distinguishable_from_it() -> Non
     assert (row.n, row.block) == (2000, 10.0)
 
 
+def test_models_that_are_all_equally_good_are_all_the_best(compared: ComparisonResult) -> None:
+    rng, t = np.random.default_rng(1), np.arange(0.0, 200.0, 0.1)
+    own = [{"run": {"r": errors(t, rng.normal(size=t.size))}} for _ in range(3)]
+    (row,) = channel_rows(ONE_STEP, own, labels(3), {"r": "rad/s"}, {"r": 10.0})
+    assert len(row.not_worse) == 3
+    (table,) = compared_tables(msgspec.structs.replace(compared, channels=(row,)))
+    assert [str(cell) for cell in table.columns[-1].cells] == ["all"]
+    assert (_best_cell(row).words, _best_cell(row).style) == ("all", "")
+
+
 def test_too_few_blocks_give_no_interval_and_no_verdict(compared: ComparisonResult) -> None:
     """Errors of 29.5 m against 0.05 m are not "not distinguishable" if the log has two independent blocks."""
     t = np.arange(0.0, 20.0, 0.1)

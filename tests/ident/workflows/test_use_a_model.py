@@ -8,11 +8,16 @@ import shlex
 import shutil
 import subprocess
 import sys
+from collections import defaultdict
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from seatrial.daq.tools.ros_frames import pose_messages
 from seatrial.ident.cli.commands import ident
 from tests.ident.exported import KNOWN_SCALE
 from tests.test_docs import ROOT, blocks, how_to
@@ -135,6 +140,27 @@ def test_fmu_snippet(joined_folder: Path) -> None:
     code = blocks(PAGE, "python")[4]
     assert run(code, joined_folder) == after(code)
     assert {"plant.py", "two.fmu", "boat.sdf", "boat_vrx.sdf"} < {p.name for p in joined_folder.iterdir()}
+
+
+def test_axes_of_ros(folder: Path) -> None:
+    """The state equals that of the pose which the export of logs to ROS writes, at any heading."""
+    code = blocks(PAGE, "python")[5]
+    assert run(code, folder) == after(code)
+    space: dict[str, Any] = {}
+    functions = code[: code.index("# East of the origin")].replace("import boat\n", "")
+    exec(compile(functions, "use-a-model.md", "exec"), space)
+    types = defaultdict(lambda: SimpleNamespace)
+    state = {"x": 3.0, "y": 12.0, "u": 0.8, "v": -0.05, "r": 0.1}
+    for psi in np.linspace(-3.0, 3.0, 13):
+        position = np.array([state["x"], state["y"], 0.0])
+        twist = np.array([state["u"], state["v"], 0.0, 0.0, 0.0, state["r"]])
+        angles = (float(psi), 0.05, -0.02)
+        odometry = next(pose_messages(0.0, position, angles, twist, (np.zeros((6, 6)),) * 2, types)).message
+        assert space["state_of"](odometry) == pytest.approx(state | {"psi": psi})
+        back, sent = space["velocity_command"](0.8, -0.05, 0.1), odometry.twist.twist
+        assert back == pytest.approx(
+            {"linear.x": sent.linear.x, "linear.y": sent.linear.y, "angular.z": sent.angular.z}
+        )
 
 
 def test_ros_node_parameters(folder: Path) -> None:
