@@ -12,7 +12,7 @@ def test_long_warning_does_not_break_the_numbers() -> None:
     rows[0]["flag"] = "its error is 2.3 times as large because the other may leave its bound"
     text = printed(result)
     assert "2.794 ± 0.021" in text
-    assert "⚠ its error is 2.3 times as large" in text
+    assert "⚠ a: its error is 2.3 times as large" in text
     assert max(map(len, text.splitlines())) <= 80
 
 
