@@ -157,12 +157,12 @@ def vehicle_answer(
 
 
 def _fit_sentence(prediction: PredictionFit, errors: Errors, horizon: float) -> str:
-    """Return the sentence on the fit (per cent) of all channels over the horizon [s], with the best and worst channel.
+    """Return sentences on the fit (per cent) over the horizon [s]: of all channels, and of the best and the worst one.
 
     The fits of the channels are those on the validation data, or on the estimation data if there are no others. The
     best and worst are left out if fewer than two channels have a fit. If the prediction of some channels diverges, the
-    sentence names only them. A 95 % interval wider than 50 per cent points is replaced by the interval of time with the
-    largest errors, if that is known.
+    sentence names only them. A 95 % interval wider than 50 per cent points is left out, and a further sentence gives
+    the interval of time with the largest errors, if that is known.
     """
     begin = f"Prediction {horizon:g} s ahead on {prediction.role} data, all channels: "
     table = errors.estimation if errors.validation is None else errors.validation
@@ -175,14 +175,16 @@ def _fit_sentence(prediction: PredictionFit, errors: Errors, horizon: float) -> 
     each = {n: 1 - (row.after or 0.0) / row.spread for n, row in table.horizon.items() if row.spread}
     low, high, largest = prediction.low, prediction.high, prediction.largest_errors
     interval = "" if low is None or high is None else f" (95 % interval: {100 * low:z.0f} to {100 * high:z.0f} %)"
+    cause = ""
     if low is not None and high is not None and high - low > WIDE_INTERVAL and largest is not None:
-        interval = (
-            f" (without a useful 95 % interval: {_percent(largest.share)} of the squared errors are from "
-            f"{largest.begin:.0f} to {largest.end:.0f} s of {largest.record}; look at the signals there)"
+        interval = " (without a useful 95 % interval)"
+        cause = (
+            f" {_percent(largest.share)} of the squared errors are from {largest.begin:.0f} to {largest.end:.0f} s of "
+            f"{largest.record}; look there for outliers, gaps, or a motion that the other logs lack."
         )
     ends = [f"{_percent(each[n])} ({NAMES.get(n, n)})" for n in sorted(each, key=lambda n: -each[n])]
-    span = f", best channel {ends[0]}, worst channel {ends[-1]}" if len(ends) > 1 else ""
-    return f"{begin}fit {_percent(prediction.fit)}{interval}{span}."
+    span = f" Best channel: {ends[0]}; worst: {ends[-1]}." if len(ends) > 1 else ""
+    return f"{begin}fit {_percent(prediction.fit)}{interval}.{cause}{span}"
 
 
 def poor_channel(errors: Errors) -> tuple[str, float] | None:

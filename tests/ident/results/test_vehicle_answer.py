@@ -233,13 +233,13 @@ def test_fit_of_all_channels_comes_first(horizon: float, words: str) -> None:
     fitted = PredictionFit(role="estimation", fit=0.905, low=0.88, high=0.92)
     answer = vehicle_answer(fitted, errors, horizon, [], [], searchable=True)
     assert answer.startswith(
-        f"Prediction {words} ahead on estimation data, all channels: fit 90 % (95 % interval: 88 to 92 %), best "
-        "channel 99 % (north), worst channel 10 % (surge specific force). "
+        f"Prediction {words} ahead on estimation data, all channels: fit 90 % (95 % interval: 88 to 92 %). Best "
+        "channel: 99 % (north); worst: 10 % (surge specific force). "
     )
     worst = LargestErrorsRow(record="morning", begin=20.0, end=40.0, share=0.61)
     wide = PredictionFit(role="estimation", fit=0.78, low=-17.65, high=1.0, largest_errors=worst)
     assert (
-        "fit 78 % (without a useful 95 % interval: 61 % of the squared errors are from 20 to 40 s of morning; look "
+        "fit 78 % (without a useful 95 % interval). 61 % of the squared errors are from 20 to 40 s of morning; look "
         in (vehicle_answer(wide, errors, horizon, [], [], searchable=True))
     )
     far["ax"] = ErrorComparison(after=None, unit="", spread=1.0)
