@@ -64,6 +64,7 @@ MEASURED_INPUTS = {"phi", "theta", "psi", "p", "q", "r"}  # inputs that are sens
 WIDE_INTERVAL = 0.5  # a wider 95 % interval of the fit is replaced by the interval of time that causes it
 NO_DEAD_ZONE = 5e-4  # of full command: a smaller dead zone would be printed as 0.0 %
 RAMP_SHARE = 0.05  # share of the rows, smallest commands first, that may belong to a ramp
+UNUSUAL = 3.0  # standard deviations of its prior, from which an estimate is far from its usual size
 UNEQUAL_THRUST = 0.05  # difference of the thrust ahead from the given mean, relative to it, from which it is reported
 FEWEST_SAMPLES = 10  # equal samples from which a sensor is called stuck
 
@@ -321,7 +322,7 @@ def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | Non
     length : float, optional
         Length of the hull [m]. If it is None, the least plausible yaw inertia follows from the thrusters' arms alone.
     """
-    warnings = [*scale_warnings(thrust_scale_of(fit.model)), *thrust_ahead_warnings(fit)]
+    warnings = [*scale_warnings(thrust_scale_of(fit.model)), *thrust_ahead_warnings(fit), *unusual_estimates(fit)]
     for away in (d for d in prior_distances(fit) if d.contradicts):
         p, value = away.parameter, away.estimate
         mean, sd = p.prior or (math.nan, math.nan)
@@ -442,6 +443,29 @@ def thrust_ahead_warnings(fit: Fit) -> list[ResultWarning]:
         "fit again, or give the thrust astern too (c2 is half of ahead less astern)."
     )
     return [ResultWarning(code="thrust-ahead", text=text)]
+
+
+def unusual_estimates(fit: Fit) -> list[ResultWarning]:
+    """Return a warning for each parameter of an effect whose estimate is far from its usual size.
+
+    Only positive parameters with a prior on a log scale are tested, because a usual size of zero has no factor. The
+    limit is three standard deviations of the prior.
+    """
+    of_effects = {p.name for e in fit.model.effects for p in e.parameters if p.transform == "log"}
+    warnings = []
+    for p, value in zip(fit.parameters, fit.values.tolist(), strict=True):
+        prior = p.free_prior()
+        if p.name not in of_effects or prior is None or p.origin is ParameterOrigin.PRIOR or value <= 0.0:
+            continue
+        if abs(p.to_free(value) - prior[0]) > UNUSUAL * prior[1]:
+            usual, factor = math.exp(prior[0]), math.exp(prior[1])
+            text = (
+                f"{p.full_name} = {value:.2g} {p.unit} ({p.meaning}) is far from its usual size, {usual:.2g} {p.unit} "
+                f"within a factor of {factor:.2g}: the effect may stand for another one. Give --prior {p.name}=MEAN:SD "
+                "if you know it."
+            )
+            warnings.append(ResultWarning(code="unusual-estimate", text=text))
+    return warnings
 
 
 def outlier_lines(residuals: Sequence[ChannelResiduals], model: Model) -> list[str]:

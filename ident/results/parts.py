@@ -130,6 +130,7 @@ WarningCode = Literal[
     "track-not-predicted",
     "thrust-sides-differ",
     "thrust-ahead",
+    "unusual-estimate",
     "compared-on-fitted-log",
 ]
 

@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from seatrial.ident.data.record import Record
+from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation.likelihood import Likelihood
 from seatrial.ident.estimation.maximum_likelihood import fit
 from seatrial.ident.estimation.stochastic_simulation import simulate_stochastic
@@ -34,6 +35,7 @@ from seatrial.ident.results.answers import (
     stuck_sensors,
     thrust_ahead_warnings,
     thruster_answer,
+    unusual_estimates,
     vehicle_answer,
 )
 from seatrial.ident.results.parts import (
@@ -436,3 +438,17 @@ def test_thrust_that_may_be_that_ahead_is_reported(
     if warned and c2 > 0.0:
         assert "is 7.77 N ahead and 5.91 N astern by this fit; c1 = 6.84 N, which was given" in found[0].text
         assert "multiply it by 0.880" in found[0].text
+
+
+@pytest.mark.parametrize(("value", "warned"), [(4.1, True), (0.5, False), (0.02, True)])
+def test_estimate_far_from_its_usual_size_is_reported(value: float, warned: bool) -> None:
+    k_air = next(p for p in catalogue()["wind"].parameters if p.name == "k_air")
+    fit: Any = SimpleNamespace(
+        model=SimpleNamespace(effects=(catalogue()["wind"],)), parameters=(k_air,), values=np.array([value])
+    )
+    found = unusual_estimates(fit)
+    assert [w.code for w in found] == ["unusual-estimate"] * warned
+    if value == 4.1:
+        assert "k_air = 4.1 N s2/m2" in found[0].text
+    fit.parameters = (replace(k_air, origin=ParameterOrigin.PRIOR),)
+    assert not unusual_estimates(fit)
