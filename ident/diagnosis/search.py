@@ -846,7 +846,7 @@ class _Search:
             The scores that pass on it, also those that were not tried; the largest criterion first.
         """
         gone = {r.effect.name for r in self.removed}
-        self.nominal, current = before, current or before
+        self.nominal, current, self.untried = before, current or before, []
         kept = [r.chosen for r in self.rounds if r.chosen is not None and r.chosen.effect.name not in gone]
         unknown = any(c.nonparametric for c in kept)
         while True:

@@ -22,6 +22,7 @@ from seatrial.ident.numerics import Array
 
 SOLVED = 1e-10  # the same, below which no other start of the search is tried
 BALANCED = 1e-6  # largest rate at the operating point, in the unit of each state per second
+DRIFTS = (0.1, -0.1, 0.3, -0.3)  # initial sway speeds, as parts of the forward speed
 TRIALS = (0.1, 0.4, 0.8)  # initial values of the inputs: at zero the thrust has no slope
 HEADING_STEP = 1e-5  # step of the central difference by the heading [rad]
 CORRECTIONS = 6  # steps of the search for the operating point of moved estimates
@@ -656,8 +657,10 @@ def _operating_point(rates: Rates, speed: float) -> tuple[Array, Array]:
     best: Array | None = None
     smallest = np.inf
     # The search starts with all free states at zero, then at their initial means: a towed line at zero is slack, and a
-    # small change of it changes no rate.
+    # small change of it changes no rate. With wind, the boat may drift to a side.
     begins = [np.zeros(len(free)), *([rates.initial[free]] if rates.initial[free].any() else [])]
+    drifting = np.array([rates.names[k] == "v" for k in free], dtype=float)
+    begins += [part * abs(speed) * drifting for part in DRIFTS] if drifting.any() else []
     for begin, size in product(begins, TRIALS):
         start = np.concatenate([begin, np.full(m, np.copysign(size, speed))])
         start[: len(free)] += [start[-1] if is_of_thruster(rates.names[k], SHAFT_SPEED) else 0.0 for k in free]
@@ -670,6 +673,6 @@ def _operating_point(rates: Rates, speed: float) -> tuple[Array, Array]:
         unbalanced = "a state" if best is None else rates.names[int(np.argmax(np.abs(residuals(best))))]
         raise SeatrialError(
             f"no inputs keep straight motion at {speed:g} m/s: the rate of {unbalanced} is still {smallest:.2g} per "
-            "second; choose another speed"
+            "second; choose another speed, or another heading if the model depends on it (at={'psi': ...})"
         )
     return unpacked(best)

@@ -14,6 +14,7 @@ from seatrial.ident.export.conditions import conditions_text
 from seatrial.ident.model import COMMAND, SHAFT_SPEED, is_of_thruster
 from seatrial.ident.numerics import Array
 
+UNSTABLE = 0.05  # 1/s: poles below it grow by a factor of e in more than 20 s, which any feedback holds
 HEADING = "psi"  # further state of the feedback: the integral of the yaw rate
 
 
@@ -159,6 +160,12 @@ def lqr(linear: LinearSystem, Q: Mapping[str, float], R: Mapping[str, float]) ->
                 "with at={'psi': ...} [rad] for the heading that you steer, as the inputs u0 that hold the course "
                 "change with it"
             )
+    if (growth := float(np.linalg.eigvals(linear.A).real.max(initial=0.0))) > UNSTABLE:
+        warn(
+            f"the model is unstable at this speed (a pole at {growth:.2g} 1/s), and the inputs are limited: the "
+            "feedback holds the boat near this motion, and may not bring it there from rest; test it with the exported "
+            "model, and ramp the speed"
+        )
     weights, costs = np.diag([Q.get(s, 0.0) for s in states]), np.diag([R.get(i, 1.0) for i in linear.inputs])
     failure = "no feedback with these weights makes the motion stable: give weights to u, r and psi"
     try:

@@ -64,6 +64,7 @@ MEASURED_INPUTS = {"phi", "theta", "psi", "p", "q", "r"}  # inputs that are sens
 WIDE_INTERVAL = 0.5  # a wider 95 % interval of the fit is replaced by the interval of time that causes it
 NO_DEAD_ZONE = 5e-4  # of full command: a smaller dead zone would be printed as 0.0 %
 RAMP_SHARE = 0.05  # share of the rows, smallest commands first, that may belong to a ramp
+FAR_FROM_MAXIMUM = 0.5  # standard errors by which a fit can still move; less does not matter beside the errors
 UNUSUAL = 3.0  # standard deviations of its prior, from which an estimate is far from its usual size
 UNEQUAL_THRUST = 0.05  # difference of the thrust ahead from the given mean, relative to it, from which it is reported
 FEWEST_SAMPLES = 10  # equal samples from which a sensor is called stuck
@@ -340,7 +341,7 @@ def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | Non
             "away. Check the prior and the other given values (thrust, arms, units)."
         )
         warnings.append(ResultWarning(code="prior-contradicted", text=text))
-    if fit.converged and (left := fit.distance_left) is not None:
+    if fit.converged and (left := fit.distance_left) is not None and left > FAR_FROM_MAXIMUM:
         text = (
             f"The fit stopped close to its maximum: its estimates can still move by {left:.2g} standard errors. If "
             "this matters to you, use a model with fewer free parameters, or more data."

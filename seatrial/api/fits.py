@@ -40,6 +40,7 @@ Logs = PathLike | Log | Sequence[PathLike | Log]
 Role = Literal["estimation", "validation"]
 
 
+ARGUMENTS = ("validate", "model", "logs")  # arguments that are no options, for the hint about an unknown option
 LISTS = ("effects", "profiles", "homogeneity")  # options with a list of names, for which one name may be given
 
 
@@ -810,7 +811,7 @@ def known_options(given: Mapping[str, Any], options: type) -> dict[str, Any]:
     known = sorted(options.__annotations__)
     for name in given:
         if name not in known:
-            similar = closest_name(name, known)
+            similar = closest_name(name, (*known, *ARGUMENTS))
             hint = f"did you mean {similar!r}? The options are" if similar else "the options are"
             raise SeatrialError(f"there is no option {name!r}; {hint} {', '.join(known)}")
     if (horizon := given.get("horizon")) is not None and not horizon > 0.0:

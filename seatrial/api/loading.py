@@ -420,7 +420,10 @@ def simulate(
 
 def _checked_times(t: ArrayLike) -> NDArray[np.float64]:
     """Return the times of a simulation as an array. SeatrialError if they are not two or more that increase."""
-    times = np.array(t, dtype=float)
+    try:
+        times = np.array(t, dtype=float)
+    except (TypeError, ValueError):
+        raise SeatrialError("times: give numbers [s]; the call is st.simulate(model, t, inputs)") from None
     if times.ndim != 1 or times.size < 2 or not np.isfinite(times).all():
         raise SeatrialError(f"times: they have the shape {times.shape}; give a list of two or more finite times [s]")
     if (steps := np.diff(times)).min() < SHORTEST_STEP:

@@ -723,6 +723,8 @@ def test_navigate_returns_and_saves_the_states(logs: list[Path], fit: st.FittedV
         (lambda logs, fit: st.fit(logs[0], fixed={"c7": 1.0}), "fixed c7"),
         (lambda logs, fit: st.fit(logs[0], priors={"m_u": 30.0}), "priors: m_u: give a pair of mean and standard"),
         (lambda logs, fit: st.fit(logs[0], horizon=-5.0), "horizon -5: give a time above zero"),
+        (lambda logs, fit: st.fit(logs[0], validation=logs[1]), "no option 'validation'; did you mean 'validate'?"),
+        (lambda logs, fit: st.simulate(fit, {"n_left": [0.5]}, [0.0, 1.0]), "times: give numbers"),
         (lambda logs, fit: st.fit(logs[0], model="boat"), "boat"),
         (lambda logs, fit: st.fit(logs[0], validate=logs[0]), "for the fit and for the validation"),
         (

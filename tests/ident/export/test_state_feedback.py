@@ -43,6 +43,13 @@ def test_gain_is_that_of_the_riccati_equation(linear: LinearModel) -> None:
     assert linear.inputs[1] in repr(found)
 
 
+def test_feedback_of_an_unstable_boat_warns_of_motions_far_away() -> None:
+    unstable = linearise(saved(horizontal_model("shaft"), {"d_r": 3.0, "d_v": 5.0}), 0.7)
+    assert unstable.poles.real.max() > 0.05
+    with pytest.warns(SeatrialWarning, match=r"unstable at this speed \(a pole at .* may not bring it there from rest"):
+        unstable.lqr(Q)
+
+
 @pytest.mark.parametrize("propulsion", ["shaft", "command"])
 def test_feedback_steers_the_exported_boat(propulsion: Any) -> None:
     """The same lines work for both kinds of input: the shaft states have no weight."""

@@ -375,9 +375,11 @@ def test_answer_states_that_the_fit_stopped_close_to_its_maximum() -> None:
     records = [turning_record(n_rows=300)]
     found = fit(turning().with_free(("m", "d")), records, start={"m": 15.0})
     assert not [w for w in estimation_warnings(found, records) if w.code == "nearly-converged"]
-    warning = estimation_warnings(replace(found, gain_left=0.045), records)[-1]
+    near = estimation_warnings(replace(found, gain_left=0.045), records)  # 0.3 standard errors
+    assert not [w for w in near if w.code == "nearly-converged"]
+    warning = estimation_warnings(replace(found, gain_left=0.18), records)[-1]
     assert warning.code == "nearly-converged"
-    assert "can still move by 0.3 standard errors" in warning.text
+    assert "can still move by 0.6 standard errors" in warning.text
 
 
 @pytest.mark.parametrize(
