@@ -831,9 +831,18 @@ def course_sentence(course: CourseStability | None) -> str:
     """Return the sentence on a boat that is directionally unstable, with the time constant and its 95 % interval.
 
     If the interval of the pole contains zero, the sentence says that the boat is not distinguishable from a stable one.
-    The text is empty for a stable estimate and for None.
+    If the estimated damping of sway is negative, there is no statement on the stability, but one on the hull form. The
+    text is empty for a stable estimate and for None.
     """
-    if course is None or not course.unstable:
+    if course is None:
+        return ""
+    if course.sway is not None and course.sway > 0.0:
+        return (
+            f"At {course.speed:.3g} m/s the estimated damping of sway is negative, which no hull has: the data do not "
+            "determine the form of the hull there (lift, cross-flow). Do not design a controller with this model at "
+            "that speed; record turns at it."
+        )
+    if not course.unstable:
         return ""
     begin = f"At {course.speed:.3g} m/s the boat is directionally unstable"
     grows = f"without a controller a small yaw rate grows by a factor of e in {1.0 / course.pole:.3g} s"

@@ -808,6 +808,13 @@ class CourseStability(Part, frozen=True, kw_only=True):
     pole: Annotated[float, Meta(description="real part of the pole [1/s]; above zero: directionally unstable")]
     low: Annotated[float | None, Meta(description="lower end of the 95 % interval of `pole` [1/s]; null: unknown")]
     high: Annotated[float | None, Meta(description="upper end of the 95 % interval of `pole` [1/s]; null: unknown")]
+    sway: Annotated[
+        float | None,
+        Meta(
+            description="derivative of the rate of sway by the sway speed [1/s]; above zero: the damping of sway is "
+            "negative, which no hull has; null: no sway"
+        ),
+    ] = None
 
     @property
     def unstable(self) -> bool:

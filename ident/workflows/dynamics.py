@@ -115,7 +115,9 @@ def _course_stability(
     if k is None:
         return None
     real, half = float(at.poles[k].real), Z95 * float(at.pole_errors[k])
-    return CourseStability(speed=at.speed, pole=real, low=finite(real - half), high=finite(real + half))
+    v = at.states.index("v") if "v" in at.states else None
+    sway = None if v is None else float(at.A[v, v])
+    return CourseStability(speed=at.speed, pole=real, low=finite(real - half), high=finite(real + half), sway=sway)
 
 
 def covariance_of(fit: Fit) -> ParameterCovariance:

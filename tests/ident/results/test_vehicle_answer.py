@@ -417,6 +417,9 @@ def test_sentence_on_a_directionally_unstable_boat(
     begin = "At 0.9 m/s the boat is directionally unstable" if sentence else ""
     assert course_sentence(CourseStability(speed=0.9, pole=pole, low=low, high=high)) == begin + sentence
     assert course_sentence(None) == ""
+    negative = CourseStability(speed=0.9, pole=pole, low=low, high=high, sway=0.02)
+    assert course_sentence(negative).startswith("At 0.9 m/s the estimated damping of sway is negative, which no hull")
+    assert course_sentence(CourseStability(speed=0.9, pole=pole, low=low, high=high, sway=-0.02)) == begin + sentence
 
 
 @pytest.mark.parametrize(

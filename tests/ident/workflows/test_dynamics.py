@@ -100,6 +100,8 @@ def test_unstable_boat_is_named_with_its_time_constant() -> None:
     assert course.high is not None
     assert course.low < pole < course.high
     assert course.unstable
+    assert course.sway is not None
+    assert course.sway < 0.0
     result = vehicle_result(
         fitted, evaluate(fitted), Provenance(created="2026-01-01", seatrial="0", command="seatrial"), [], [],
         FitContext(fitted.fit.model.values, dynamics=found),
