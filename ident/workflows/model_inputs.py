@@ -34,7 +34,16 @@ from seatrial.ident.data import (
     share_frame,
 )
 from seatrial.ident.estimation import SavedModel, model_file
-from seatrial.ident.model import COMMAND, SHAFT_SPEED, Model, ModelKind, SignalId, segment_name
+from seatrial.ident.model import (
+    COMMAND,
+    SHAFT_SPEED,
+    Model,
+    ModelKind,
+    SignalId,
+    command_of,
+    is_of_thruster,
+    segment_name,
+)
 from seatrial.ident.models import KNOWN_SIGNALS, SENSORS, TELEMETRY_AGE, make_model, telemetry_age
 from seatrial.ident.results import ResultWarning, UnusedSignal, frame_warnings
 
@@ -484,6 +493,14 @@ def hold_lines(saved: SavedModel, logs: Sequence[LoadedLog]) -> list[str]:
             n: inputs[n].held(log.holds.get(n, "")).hold or ""
             for n in saved.holds
             if n in inputs and n in log.run.channels
+        }
+        # Without shaft speeds, the commands of the log take their place.
+        kinds |= {
+            n: "zero"
+            for n in saved.holds
+            if n not in log.run.channels
+            and is_of_thruster(n, SHAFT_SPEED)
+            and command_of(SignalId.parse(n).source) in log.run.channels
         }
         other = [n for n, kind in kinds.items() if kind and kind != saved.holds[n]]
         if other:

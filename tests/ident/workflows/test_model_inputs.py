@@ -51,3 +51,13 @@ def test_log_with_another_kind_of_input_is_named(
     lines = hold_lines(saved, [log])
     assert bool(lines) is differs
     assert all(line.startswith(f"run.mcap: {name}: ") for line in lines)
+
+
+@pytest.mark.parametrize(("fitted", "differs"), [("linear", True), ("zero", False)])
+def test_log_with_commands_in_place_of_shaft_speeds_is_named(fitted: str, differs: bool) -> None:
+    saved: Any = SimpleNamespace(model=horizontal_model("shaft"), holds={"n_left": fitted, "n_right": fitted})
+    run = SimpleNamespace(channels={"n_cmd_left": None, "n_cmd_right": None, "psi": None})
+    log: Any = SimpleNamespace(holds={}, run=run, about={"path": "run.mcap"})
+    lines = hold_lines(saved, [log])
+    assert bool(lines) is differs
+    assert all("n_left and n_right: held commands, but the model was fitted to measured values" in x for x in lines)
