@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TypeVar
 
 NEAR = 0.75  # similarity of two names by difflib, from which one is probably a misspelling of the other
@@ -106,8 +106,13 @@ def names_hint(name: str, known: Iterable[str]) -> str:
     known = list(known)
     if near := closest_name(name, known):
         return f"did you mean {near!r}?"
-    more = f" and {len(known) - MAX_NAMES} more" if len(known) > MAX_NAMES else ""
-    return f"the names are {', '.join(known[:MAX_NAMES])}{more}" if known else "there are none"
+    return f"the names are {first_names(known)}" if known else "there are none"
+
+
+def first_names(names: Sequence[str], most: int = MAX_NAMES) -> str:
+    """Return names separated by commas. Of more than ``most``, the first ones are followed by "and 3 more"."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
 
 
 class _EscapeTable(dict[int, str]):

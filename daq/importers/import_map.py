@@ -21,8 +21,6 @@ TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 36
 DAY_COUNTS = {"datenum": 719529.0, "excel": 25569.0, "excel1904": 24107.0}  # formats of days -> day of 1970-01-01
 GPS_UNITS = {"gps": 1.0, "gps_ms": 1e-3}  # formats of times in a GPS week -> their unit [s]
 FORMATS_OF_TIME = (*TIME_UNITS, "iso", *DAY_COUNTS, "labview", *GPS_UNITS)
-# Units by other names that are common, for the hint of an error
-OTHER_NAMES = {"rpm": "rev/min", "dps": "deg/s", "mps": "m/s", "kts": "kn", "knots": "kn", "hz": "Hz", "degrees": "deg"}
 GEOMETRY = ("y_left", "y_right", "length")  # positions of the thrusters to starboard, and length of the hull [m]
 FRAMES = {"NED": "NED", "FRD": "NED", "ENU": "ENU", "FLU": "ENU"}
 CAN_PROTOCOLS = ("vesc", "dronecan", "nmea2000")
@@ -563,8 +561,10 @@ def _signal_units(table: TomlTable, make: str, columns: Sequence[str], key: str)
     if not make:
         unit = table.text("unit")
         if unit not in UNITS:
-            meant = OTHER_NAMES.get(unit.lower())
-            hint = f"did you mean '{meant}'? " if meant else ""
+            from seatrial.daq.importers.recognise import unit_of  # imported here, as only this error needs it
+
+            meant = unit_of(unit)
+            hint = f"did you mean '{meant}'? " if meant in UNITS else ""
             raise table.error("unit", f"'{unit}' is not a known unit; {hint}use one of these, and `scale`; {known}")
         return unit, ()
     unit, usual = MAKES[make]

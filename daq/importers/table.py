@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.daq.clock import CLOCK_STEP_S
-from seatrial.daq.errors import SeatrialError, closest_name, counted
+from seatrial.daq.errors import SeatrialError, closest_name, counted, first_names
 from seatrial.daq.samples import Event
 
 Column = NDArray[np.float64]
@@ -130,8 +130,7 @@ class Table:
         ends = [name for name in names if name.lower().endswith(f".{column.lower()}")]
         if near := ends[0] if ends else closest_name(column, names):
             return f"did you mean '{near}'? Name a {'field' if self.topic else 'column'} of the file in the import map"
-        more = f" and {len(names) - MAX_NAMED} more" if len(names) > MAX_NAMED else ""
-        return f"name one of these in the import map: {', '.join(names[:MAX_NAMED]) or 'none'}{more}"
+        return f"name one of these in the import map: {first_names(names, MAX_NAMED) or 'none'}"
 
     def text(self, column: str) -> list[str]:
         """Return the cells of a column of the table as texts (n,), for times that are not numbers.

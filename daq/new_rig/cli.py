@@ -132,10 +132,10 @@ def _parse_nodes(text: str) -> list[int]:
 def init(folder: Path, yes: bool, force: bool, **options: Any) -> None:
     """Write a rig file and a checklist of the first run to FOLDER (default: here).
 
-    At a terminal the command asks for what the options leave open; an empty line takes the default. Without a terminal,
-    or with --yes, it asks nothing. Values that nobody has given are marked in the rig file as "default, check".
-    Existing files are never overwritten without --force. Ctrl-C before the last answer writes nothing. The command
-    commands no thrust, and sends nothing to a device except requests for the parameters of an autopilot.
+    At a terminal, the command asks for each value that no option gives. An empty line takes the default. Without a
+    terminal, or with --yes, the command asks nothing. The rig file marks default values as "default, check". The
+    command replaces existing files only with --force. Ctrl-C before the last answer writes nothing. The command
+    commands no thrust. It sends requests for the parameters of an autopilot, and nothing else, to the devices.
     """
     from seatrial.daq.config import parse_rig
     from seatrial.daq.files import require_new, write_output

@@ -243,9 +243,9 @@ def _undetermined_size_reasons(
         if p.full_name in stuck:
             name, value, _, unit = _reported_estimate(fit, p)
             return [f"its parameter {name} ({p.meaning}) is at its bound, {value:.3g} {unit}".rstrip()]
-    sizes = [i for i, p in of_effect.items() if p.value == 0.0 and fit.errors[i] > 0]
     if any(c.effect.is_table_of(effect.nonparametric_of) for c in chosen):
         return []
+    sizes = [i for i, p in of_effect.items() if p.value == 0.0 and fit.errors[i] > 0]
     if not sizes or _distance_from_zero(fit, sizes) >= policy.min_significance:
         return []
     name, value, error, unit = _reported_estimate(fit, of_effect[sizes[0]])

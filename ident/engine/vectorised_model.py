@@ -32,7 +32,7 @@ class VectorisedModel:
     """
 
     def __init__(self, model: Model) -> None:
-        """Store the model, whose functions are evaluated in each call. Nothing is compiled yet."""
+        """Store the model. Each call evaluates the functions of the model. The constructor compiles nothing."""
         self.model = model
         self.n_states, self.n_outputs = len(model.states), len(model.outputs)
         self._integrators: dict[tuple[int, int], Any] = {}

@@ -46,6 +46,7 @@ from .meta_analysis import joint_difference as joint_difference
 from .meta_analysis import mean_of_logs as mean_of_logs
 from .model_file import FittedData as FittedData
 from .model_file import SavedModel as SavedModel
+from .model_file import leaves_validity as leaves_validity
 from .model_file import load_model as load_model
 from .model_file import model_file as model_file
 from .model_file import save_model as save_model

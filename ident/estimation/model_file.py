@@ -60,6 +60,7 @@ from seatrial.ident.models import (
 )
 from seatrial.ident.numerics import Array
 
+VALIDITY_MARGIN = 0.1  # of the width of a range of validity, by which signals may leave it without a warning
 FORMAT = "seatrial-model 1"
 MODEL, RESULT = "model.toml", "result.json"  # files of a fit
 NOTABLE_INFLATION = 1.001  # a smaller factor by which residuals increase a standard error is rounding: not written
@@ -387,6 +388,16 @@ def model_file(path: Path) -> Path:
         return beside
     inside = path / MODEL
     return inside if inside.is_file() else path
+
+
+def leaves_validity(least: float, most: float, fitted: tuple[float, float]) -> bool:
+    """Return whether a signal from ``least`` to ``most`` is outside its range in the fitted data by more than a tenth.
+
+    The tenth (`VALIDITY_MARGIN`) is that of the width of the range ``fitted``. A range without ends is never left.
+    """
+    low, high = fitted
+    room = VALIDITY_MARGIN * (high - low)
+    return least < low - room or most > high + room
 
 
 def load_model(path: Path) -> SavedModel:

@@ -45,9 +45,9 @@ class Named(SimpleNamespace):
     _kind = "signal"
 
     def __getattr__(self, name: str) -> Any:  # Python calls this only for missing attributes
-        """Raise the AttributeError for a name that does not exist. Python calls this method only for such names.
+        """Raise AttributeError for an unknown name. The message lists the known names, or "none".
 
-        The message lists the names that exist, or "none".
+        Python calls this method only if the object has no attribute of the name.
         """
         available = ", ".join(vars(self)) or "none"
         raise AttributeError(f"no {self._kind} {name!r}; there is {available}", name=name, obj=self)

@@ -108,7 +108,7 @@ class Budget:
 
 
 def drawable(y: Array | None) -> Array | None:
-    """Return the curve ``y``. The result is None if there is no curve, or if none of its values is finite."""
+    """Return the curve ``y`` if at least one of its values is finite. Otherwise, and for None, return None."""
     return y if y is not None and np.isfinite(y).any() else None
 
 

@@ -18,6 +18,7 @@ from seatrial.ident.estimation import (
     RefittedEffect,
     SavedModel,
     dynamic_parameters,
+    leaves_validity,
     load_model,
     reported_units,
     simulate,
@@ -74,7 +75,6 @@ from seatrial.ident.results import (
     provenance,
     write_result,
 )
-from seatrial.ident.workflows.output import VALIDITY_MARGIN
 
 N_SHOWN = 24  # sampled tracks on the page
 NAMED = 3  # parameters in the answer
@@ -344,8 +344,7 @@ def beyond_validity(made: Design) -> list[str]:
         if name not in reached or name in (TIME_INPUT, WORK_INPUT):
             continue  # a mission may be longer than the fitted logs
         least, most = reached[name]
-        room = VALIDITY_MARGIN * (high - low)
-        if least < low - room or most > high + room:
+        if leaves_validity(least, most, (low, high)):
             there = f"{low:.2g} to {high:.2g}{units[name]}"
             found.append(f"{name} {least:.2g} to {most:.2g}{units[name]} (fitted on {there})")
     return found

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -69,9 +70,10 @@ def dynamics_of(fitted: FittedModel) -> Dynamics | None:
     drives, steps, responses = Drives(model, ranges), list[StepResponse](), list[FrequencyResponse]()
     course = None
     if linear:
-        middle = linearise(model, linear[(len(linear) - 1) // 2].speed, known, conditions)
+        with_errors = cache(lambda speed: linearise(model, speed, known, conditions))
+        middle = with_errors(linear[(len(linear) - 1) // 2].speed)
         steps, responses = _steps(middle, drives), _responses(middle, drives)
-        course = _course_stability(model, linear, ranges.get("u"), known, conditions)
+        course = _course_stability(linear, ranges.get("u"), with_errors)
     return Dynamics(
         steady=tuple(curves), points=tuple(_point(x) for x in linear), steps=tuple(steps), responses=tuple(responses),
         delays=dict(linear[0].delays) if linear else {}, conditions=conditions, speeds=ranges.get("u"), course=course,
@@ -79,26 +81,20 @@ def dynamics_of(fitted: FittedModel) -> Dynamics | None:
 
 
 def _course_stability(
-    model: Model,
     linear: Sequence[LinearModel],
     speeds: tuple[float, float] | None,
-    known: ParameterCovariance,
-    conditions: Mapping[str, float],
+    with_errors: Callable[[float], LinearModel],
 ) -> CourseStability | None:
     """Return the least stable pole of sway and yaw of a model at the speeds of its data, with its 95 % interval.
 
     Parameters
     ----------
-    model : Model
-        The model, with its estimates as values.
     linear : sequence of LinearModel
         Linear models at several speeds. Those outside ``speeds`` are left out, unless all are.
     speeds : tuple of float or None
         Smallest and largest forward speed in the data [m/s]; None: unknown, so that all linear models count.
-    known : ParameterCovariance
-        Covariance of the estimates.
-    conditions : mapping
-        Conditions that the linear models take as constant.
+    with_errors : Callable
+        Function that returns the linear model with standard errors at a forward speed [m/s].
 
     Returns
     -------
@@ -110,7 +106,7 @@ def _course_stability(
     found = [(x.poles[k].real, x.speed) for x in inside if (k := x.course_pole) is not None]
     if not found:
         return None
-    at = linearise(model, max(found)[1], known, conditions)
+    at = with_errors(max(found)[1])
     k = at.course_pole
     if k is None:
         return None

@@ -563,9 +563,9 @@ def model_of_logs(
 
 
 def _curve_path(thruster: str | None, model: Path) -> Path | None:
-    """Return the file of the static curve that ``--thruster`` names; None without the option.
+    """Return the file of the static thrust curve. The option ``--thruster`` names it. Without the option, return None.
 
-    Raise SeatrialError if there is no such file. ``model``: file of the model, for the message.
+    SeatrialError is raised if the file does not exist. The message contains ``model``, the file of the model.
     """
     if thruster is None:
         return None

@@ -13,8 +13,6 @@ from seatrial.ident.report import write_report
 from seatrial.ident.results import FitResult, write_result
 from seatrial.ident.validation import shown_inputs
 
-VALIDITY_MARGIN = 0.1  # of the width of a range of validity, by which signals may leave it without a warning
-
 
 def write_all(
     out: Path,

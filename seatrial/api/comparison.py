@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 
 from seatrial.api import tables
 from seatrial.api.figures import Figure
-from seatrial.api.fits import FittedResult, Logs, model_path, python_call, window_of
-from seatrial.api.logs import Log, PathLike, as_paths
+from seatrial.api.fits import FittedResult, Logs, model_path, python_call, refuse_log, window_of
+from seatrial.api.logs import PathLike, as_paths
 from seatrial.api.messages import Messages, errors_of_users, text_of
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError
@@ -230,9 +230,7 @@ def compare(
 
     chosen, data = _models_and_logs(models, others, logs)
     for model in chosen.values() if isinstance(chosen, Mapping) else chosen:
-        if isinstance(model, Log) or str(model).endswith(".mcap"):
-            name = model.path if isinstance(model, Log) else model
-            raise SeatrialError(f"{name}: is a log, not a model; give the models first, then the logs")
+        refuse_log(model)
     named = chosen if isinstance(chosen, Mapping) else {_name_of(m, k): m for k, m in enumerate(chosen)}
     horizons = () if horizon is None else (horizon,) if isinstance(horizon, int | float) else tuple(horizon)
     with errors_of_users(), ExitStack() as stack:

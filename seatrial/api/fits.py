@@ -721,6 +721,13 @@ def diagnose(
     return FittedDiagnosis(result, done.found.after, done.found, done.effects_file)
 
 
+def refuse_log(model: object) -> None:
+    """Raise SeatrialError if a log, or the path of one, was given in place of a model."""
+    if isinstance(model, Log) or (isinstance(model, str | Path) and is_log(Path(model))):
+        name = model.path if isinstance(model, Log) else model
+        raise SeatrialError(f"{name}: is a log, not a model; the model is the first argument, and the logs follow")
+
+
 @contextmanager
 def model_path(model: PathLike | FittedResult | Saved) -> Iterator[Path]:
     """Yield the path of a model.toml: of the file itself, of the one in a folder, or of a temporary file.
@@ -748,9 +755,7 @@ def model_path(model: PathLike | FittedResult | Saved) -> Iterator[Path]:
 
     if isinstance(model, Saved):
         model = model.path.parent if model.path.name == RESULT else model.path
-    if isinstance(model, Log) or (isinstance(model, str | Path) and is_log(Path(model))):
-        name = model.path if isinstance(model, Log) else model
-        raise SeatrialError(f"{name}: is a log, not a model; the model is the first argument")
+    refuse_log(model)
     if not isinstance(model, str | Path):
         raise SeatrialError(
             f"{type(model).__name__}: this is not a model; give a model.toml, a folder with one, or a fitted model"

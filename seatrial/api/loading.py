@@ -71,16 +71,16 @@ class ExportOptions(TypedDict, total=False):
 
 @dataclass(frozen=True, repr=False)
 class Saved(MotionMethods, Shown):
-    """Content of the files of a fit. The function `load` reads them and returns this object.
+    """Files of a fit in memory: its model, its result, or both. `load` returns this object.
 
     Attributes
     ----------
     path : Path
         File or folder that was loaded.
     model : SavedModel or None
-        Content of model.toml (`seatrial.ident.estimation.SavedModel`). It is None if there is no such file.
+        The model in model.toml (`seatrial.ident.estimation.SavedModel`). None if the file does not exist.
     result : Result or None
-        Content of result.json (`seatrial.ident.results`). It is None if there is no such file.
+        The result in result.json (`seatrial.ident.results`). None if the file does not exist.
     """
 
     path: Path
@@ -441,7 +441,7 @@ def _checked_inputs(
     raised if the inputs are not those of the model, or if they do not have one finite value for each time.
     """
     from seatrial.ident.data import TIME_INPUT, WORK_INPUT
-    from seatrial.ident.workflows.output import VALIDITY_MARGIN
+    from seatrial.ident.estimation import leaves_validity
 
     known = list(dict.fromkeys(i.tap_of or i.name for i in structure.inputs))
     needed = [n for n in known if n not in (TIME_INPUT, WORK_INPUT)]  # those are computed
@@ -466,9 +466,9 @@ def _checked_inputs(
     if missing := [n for n in needed if n not in named]:
         raise SeatrialError(f"input {missing[0]}: it is missing; give the inputs by name, such as {form}")
     for name, values in named.items():
-        low, high = ranges.get(name, (-np.inf, np.inf))
-        least, most, room = float(values.min()), float(values.max()), VALIDITY_MARGIN * (high - low)
-        if np.isfinite(room) and (least < low - room or most > high + room):
+        least, most = float(values.min()), float(values.max())
+        if name in ranges and leaves_validity(least, most, ranges[name]):
+            low, high = ranges[name]
             warn(
                 f"input {name}: {least:.3g} to {most:.3g} is outside its range in the fitted data, {low:.3g} to "
                 f"{high:.3g}, so that the motion is extrapolated"

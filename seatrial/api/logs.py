@@ -23,9 +23,8 @@ if TYPE_CHECKING:
 
 PathLike = str | Path
 SHOWN = 12  # signals in the short description of a log
-# Signals by the names that other software and textbooks have for them.
-ALIASES = {"yaw": "psi", "heading": "psi", "yaw_rate": "r", "yawrate": "r", "surge": "u", "sway": "v", "roll": "phi",
-           "pitch": "theta", "north": "x", "east": "y", "speed": "u"}  # fmt: skip
+# Signals by other names, beside those that an import recognises
+ALIASES = {"roll": "phi", "pitch": "theta", "speed": "u"}
 
 
 @dataclass(frozen=True, repr=False)
@@ -95,7 +94,9 @@ class Log(Shown):
     def __getitem__(self, name: str) -> Signal:
         """Return the signal of this name. KeyError names the similar signal, or all signals, if there is none."""
         if name not in self.signals:
-            near = closest_name(ALIASES.get(name, name), self.signals)
+            from seatrial.daq.importers.recognise import read_name  # imported here, as only this error needs it
+
+            near = closest_name(ALIASES.get(name) or read_name(name).meaning or name, self.signals)
             hint = f"did you mean {near!r}? It" if near else "it"
             raise KeyError(f"{self.path.name} has no signal {name!r}; {hint} has {', '.join(self.signals)}")
         return self.signals[name]
@@ -263,12 +264,12 @@ class Findings(Shown, tuple[Finding, ...]):
 
     @property
     def faults(self) -> list[Finding]:
-        """Findings of the level fault, which make a fit or a run meaningless; empty if there are none."""
+        """Findings of the level fault. A fault makes a fit or a run meaningless. The list may be empty."""
         return [f for f in self if f.level == FAULT]
 
     @property
     def warnings(self) -> list[Finding]:
-        """Findings of the level warning, which need attention; empty if there are none."""
+        """Findings of the level warning. A warning needs attention. The list may be empty."""
         return [f for f in self if f.level == WARNING]
 
     def _content(self) -> Content:

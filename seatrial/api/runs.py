@@ -141,7 +141,7 @@ class WrittenResult(Shown):
 
     @property
     def warnings(self) -> list[str]:
-        """Warnings of the result, as sentences; empty if there are none."""
+        """Warnings of the result, one sentence each. The list is empty if the result has no warning."""
         return tables.warning_texts(self.result)
 
     def _content(self) -> Content:

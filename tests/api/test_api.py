@@ -766,7 +766,10 @@ def test_navigate_returns_and_saves_the_states(logs: list[Path], fit: st.FittedV
         ),
         (lambda logs, fit: st.simulate(fit, 3.0, {"n_left": 1.0}), "times: they have the shape (); give a list of two"),
         (lambda logs, fit: st.compare([fit], logs[2]), "a comparison needs two models or more"),
-        (lambda logs, fit: st.compare(logs[2], fit), "run3.mcap: is a log, not a model; give the models first"),
+        (
+            lambda logs, fit: st.compare(logs[2], fit),
+            "run3.mcap: is a log, not a model; the model is the first argument, and the",
+        ),
         (lambda logs, fit: st.load(logs[0]), r"run1.mcap: is a log, not a model or a result; open it with st.open_log"),
         (lambda logs, fit: st.load(logs[0].parent), "contains neither model.toml nor result.json"),
         (lambda logs, fit: st.thruster(logs[0], stroke=2), "there is no option 'stroke'"),

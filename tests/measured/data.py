@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import gzip
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
 from seatrial import command_line
+from tests.recovery.logged import seatrial
 
 
 def measured(name: str = "") -> Path:
@@ -24,6 +27,14 @@ def measured(name: str = "") -> Path:
 def realistic_boats() -> Path:
     """Return the folder of the boats of a realistic plant, by the environment variable SEATRIAL_DATA."""
     return Path(os.environ.get("SEATRIAL_DATA", "."), "real_boats")
+
+
+def import_boat(boat: str, runs: Sequence[str], folder: Path) -> None:
+    """Import runs of a boat of the realistic plant by its import map, as ``RUN.mcap`` in the folder."""
+    source = realistic_boats() / boat
+    for name in runs:
+        (folder / f"{name}.csv").write_bytes(gzip.decompress((source / f"{name}.csv.gz").read_bytes()))
+        seatrial(folder, "import", str(source / "map.toml"), f"{name}.csv", "-o", f"{name}.mcap")
 
 
 def run(*words: str) -> None:

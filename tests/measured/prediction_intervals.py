@@ -10,7 +10,6 @@ inside the intervals. Each boat is fitted with the shaft speeds of its logs, and
 from __future__ import annotations
 
 import argparse
-import gzip
 import sys
 import warnings
 from collections.abc import Sequence
@@ -24,9 +23,8 @@ import numpy as np
 import seatrial as st
 from seatrial.ident.estimation import FittedModel
 from seatrial.ident.validation.calibration import horizon_calibration, horizon_forecasts, pooled_calibration
-from tests.measured.data import realistic_boats
+from tests.measured.data import import_boat, realistic_boats
 from tests.recovery.cases import code_state
-from tests.recovery.logged import seatrial
 from tests.recovery.resumable import listed, resume
 from tests.recovery.tables import as_text
 
@@ -56,14 +54,11 @@ def run_case(case: IntervalCase) -> Row:
 
     ``plain`` are the intervals of the fitted model, ``widened`` those that the validation has widened.
     """
-    source = realistic_boats() / case.boat
     row: Row = {"key": case.key, "code": code_state()}
     try:
         with TemporaryDirectory() as name:
             work = Path(name)
-            for run in RUNS:
-                (work / f"{run}.csv").write_bytes(gzip.decompress((source / f"{run}.csv.gz").read_bytes()))
-                seatrial(work, "import", str(source / "map.toml"), f"{run}.csv", "-o", f"{run}.mcap")
+            import_boat(case.boat, RUNS, work)
             logs = [work / f"{run}.mcap" for run in RUNS]
             fit = st.fit(logs[:2], case.inputs, validate=logs[2:], horizon=HORIZON, progress=False)
             return row | shares(fit.fitted)

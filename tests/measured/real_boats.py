@@ -10,7 +10,6 @@ resumed.
 from __future__ import annotations
 
 import argparse
-import gzip
 import json
 import sys
 from collections.abc import Sequence
@@ -23,7 +22,7 @@ from seatrial.ident.diagnosis.certainty import NAME_RECORDS
 from seatrial.ident.results.parts import DiagnosisResult, VehicleResult
 from seatrial.ident.results.result_file import AnyResult, read_result
 from tests.measured import prediction_intervals
-from tests.measured.data import realistic_boats
+from tests.measured.data import import_boat, realistic_boats
 from tests.recovery.cases import code_state
 from tests.recovery.logged import seatrial, spent
 from tests.recovery.resumable import listed, read, resume
@@ -108,15 +107,12 @@ class BoatCase:
 
 def run_boat(case: BoatCase) -> Row:
     """Import the logs of a boat, run `ident vehicle` and `ident diagnose`, and return its line."""
-    source = realistic_boats() / case.boat
-    truth = json.loads((source / "truth.json").read_text(encoding="utf-8"))
+    truth = json.loads((realistic_boats() / case.boat / "truth.json").read_text(encoding="utf-8"))
     row: Row = {"key": case.boat, "hidden": truth["effect"], "code": code_state()}
     try:
         with TemporaryDirectory() as name:
             work = Path(name)
-            for run in RUNS:
-                (work / f"{run}.csv").write_bytes(gzip.decompress((source / f"{run}.csv.gz").read_bytes()))
-                seatrial(work, "import", str(source / "map.toml"), f"{run}.csv", "-o", f"{run}.mcap")
+            import_boat(case.boat, RUNS, work)
             logs = (f"{RUNS[0]}.mcap", f"{RUNS[1]}.mcap", "--validate", f"{RUNS[2]}.mcap")
             begun = spent()
             seatrial(work, "ident", "vehicle", *logs, "--out", "vehicle")

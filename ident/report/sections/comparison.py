@@ -132,25 +132,15 @@ def best_section(result: ComparisonResult) -> Section:
     return Section("best", "Which model is better", [Table(columns, rows)] if rows else [], lead)
 
 
-def _best_words(row: ComparedChannel) -> str:
-    """Return the labels of the best models of a channel in words, as ``(a) or (b)``; ``all`` of three models or more.
-
-    Without a best model the text is a dash.
-    """
-    if row.best is None:
-        return "–"
-    best = [row.best, *(label for label in row.not_worse if label != row.best)]
-    return "all" if row.all_equal else " or ".join(f"({label})" for label in best)
-
-
 def _best_cell(row: ComparedChannel | None) -> Cell:
-    """Return the table cell with the labels of the best models of a channel; a dash if there are none.
+    """Return the table cell with the labels of the best models of a channel, as ``(a) or (b)``; a dash without any.
 
     It is ``all`` if there are more than two models and all are equally good.
     """
     if row is None or row.best is None:
         return Cell("–")
-    words = _best_words(row)
+    best = [row.best, *(label for label in row.not_worse if label != row.best)]
+    words = "all" if row.all_equal else " or ".join(f"({label})" for label in best)
     if row.unproven:
         return Cell(f"{words}; {verdict_words(row.unproven[0])}")
     return Cell(words, "strong" if row.not_worse == (row.best,) and len(row.errors) > 1 else "")
