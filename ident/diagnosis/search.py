@@ -829,6 +829,9 @@ class _Search:
         under the other conditions of `add_common_errors`. If the model has them, an effect is tried only if the
         criterion of its score also exceeds ``policy.max_remaining_criterion``.
 
+        In a later call, candidates whose last refit failed (`_failed_before`) are not tried again: the model with fewer
+        effects, in which they failed before, is no better than the last one at judging them.
+
         Parameters
         ----------
         before
@@ -836,7 +839,8 @@ class _Search:
         max_effects
             Largest number of rounds, with those of earlier calls.
         current
-            Model with the effects of earlier calls that were not removed; None: ``before``.
+            Model with the effects of earlier calls that were not removed. None in the first call, which starts with
+            ``before``.
 
         Returns
         -------
@@ -846,6 +850,7 @@ class _Search:
             The scores that pass on it, also those that were not tried; the largest criterion first.
         """
         gone = {r.effect.name for r in self.removed}
+        again = current is not None
         self.nominal, current, self.untried = before, current or before, []
         kept = [r.chosen for r in self.rounds if r.chosen is not None and r.chosen.effect.name not in gone]
         unknown = any(c.nonparametric for c in kept)
@@ -858,6 +863,8 @@ class _Search:
             least = self.policy.min_gain_ratio_after_curve * largest
             tried = [s for s in passed if not s.nonparametric and s.criterion(self.n) > least] if unknown else passed
             tried = [s for s in tried if s.name not in gone]
+            if again:
+                tried = [s for s in tried if s.name not in self._failed_before()]
             if self.common_errors is not None:  # what is left is the difference between a real boat and any model
                 tried = [s for s in tried if s.criterion(self.n) > self.policy.max_remaining_criterion]
             if len(self.rounds) >= max_effects or not tried:
@@ -1215,10 +1222,13 @@ class _Search:
 
         Parametric candidates are refitted in at most ``policy.n_batches`` batches of ``policy.n_refits``, until a batch
         has an accepted refit. Those with a criterion of at most ``policy.min_score_ratio`` of the best are left out if
-        the best is positive. Then follow up to ``policy.n_nonparametric`` nonparametric candidates whose score is high
-        enough compared with the best accepted refit (``policy.nonparametric_score_share`` and
-        ``policy.nonparametric_score_distance``). There is no such limit without an accepted refit, and for the curve of
-        which the effect of the best accepted refit is one form. The attributes of the search are not changed.
+        the best is positive. Candidates other than the best whose last refit failed in an earlier round
+        (`_failed_before`) are put off: they are refitted last, only if no other refit is accepted.
+
+        Then follow up to ``policy.n_nonparametric`` nonparametric candidates whose score is high enough compared with
+        the best accepted refit (``policy.nonparametric_score_share`` and ``policy.nonparametric_score_distance``).
+        There is no such limit without an accepted refit, and for the curve of which the effect of the best accepted
+        refit is one form. The attributes of the search are not changed.
 
         Parameters
         ----------
@@ -1235,9 +1245,11 @@ class _Search:
             specific = [s for s in specific if s.criterion(self.n) > self.policy.min_score_ratio * best]
         refits: list[Refit] = []
         untested: list[UntestedCandidate] = []
+        failed = self._failed_before() - {s.name for s in specific[:1]}
         size = self.policy.n_refits
-        for first in range(0, size * self.policy.n_batches, size):
-            batch = specific[first : first + size]
+        batches = [specific[k : k + size] for k in range(0, size * self.policy.n_batches, size)]
+        last = [s for batch in batches for s in batch if s.name in failed]
+        for batch in (*([s for s in batch if s.name not in failed] for batch in batches), last):
             self._refit_all(current, [(self.candidates[s.name], s) for s in batch], refits, untested)
             if any(is_accepted(r, self.policy) for r in refits):
                 break
@@ -1254,6 +1266,20 @@ class _Search:
         names = tuple(s.name for s in passed)
         refits, chosen = self._choose_refit(current, refits, untested)
         return Round(tuple(scores), names, tuple(refits), chosen, tuple(untested))
+
+    def _failed_before(self) -> set[str]:
+        """Return the names of the candidates whose last refit was not supported by the data.
+
+        The refit did not gain enough on the estimation data, or its gain on the validation data was not significant.
+        A further effect in the model seldom changes that, and each refit costs as much as a fit.
+        """
+        failed = set[str]()
+        for r in (r for earlier in self.rounds for r in earlier.refits):
+            if r.outcome in (Outcome.NOT_SUPPORTED, Outcome.NOT_VALIDATED):
+                failed.add(r.effect.name)
+            else:
+                failed.discard(r.effect.name)
+        return failed
 
     def _choose_refit(
         self, current: FittedModel, refits: list[Refit], untested: list[UntestedCandidate]
