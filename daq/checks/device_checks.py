@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from seatrial.daq.checks.findings import FAULT, OK, WARNING, Finding
+from seatrial.daq.checks.findings import FAULT, OK, WARNING, Finding, joined
 from seatrial.daq.checks.import_checks import check_missing_inputs, check_rows_left_out
 from seatrial.daq.checks.thruster_coverage import check_thruster_coverage
 from seatrial.daq.clock import ClockMap
@@ -608,8 +608,9 @@ def _check_imported_signals(log: Log) -> Iterator[Finding]:
     """Check the imported signals of a log, and yield the findings.
 
     They are, for example, about rows that the import left out, unknown inputs, damaged or repeated time stamps, missing
-    sections of outputs, and outputs with the same value in all of more than 20 samples. A log that was not imported has
-    no finding, except about the signals of transducers, which are checked like outputs.
+    sections of outputs, and outputs with the same value in all of more than 20 samples. The same finding about several
+    signals is one finding. A log that was not imported has no finding, except about the signals of transducers, which
+    are checked like outputs.
     """
     by_map = log.attachments.get("import.toml", b"").replace(b"'", b'"')
     yield from check_rows_left_out(log.metadata)
@@ -618,22 +619,26 @@ def _check_imported_signals(log: Log) -> Iterator[Finding]:
         text = "the nanoseconds of time stamps had lost their leading zeros; the import map has restored them"
         advice = "repair the logger that wrote the time stamps"
         yield Finding(WARNING, "lost-zeros-restored", "time", log.path.name, text, advice)
-    for source in log.sources(Scalar):
-        table = log.table(Scalar, source)
-        # An imported command holds until the next one, so that a pause between commands is not a missing section.
-        here = check_timestamps(source, table, None)
-        yield from (f for f in here if f.check != "gap" or log.role(source) == "output")
-        yield from check_lost_zeros(source, table["t"])
-        if len(table) > 20 and log.role(source) == "output" and np.nanstd(table["value"]) == 0.0:
-            text = f"its value is {table['value'][0]:g} in all samples"
-            yield Finding(
-                WARNING,
-                "signal-constant",
-                "stuck",
-                source,
-                text,
-                "check whether the sensor was connected, and its column in the import map",
-            )
+    yield from joined(f for source in log.sources(Scalar) for f in _check_signal(log, source))
+
+
+def _check_signal(log: Log, source: str) -> Iterator[Finding]:
+    """Check the time stamps of a signal, and whether an output is constant, and yield the findings."""
+    table = log.table(Scalar, source)
+    # An imported command holds until the next one, so that a pause between commands is not a missing section.
+    here = check_timestamps(source, table, None)
+    yield from (f for f in here if f.check != "gap" or log.role(source) == "output")
+    yield from check_lost_zeros(source, table["t"])
+    if len(table) > 20 and log.role(source) == "output" and np.nanstd(table["value"]) == 0.0:
+        text = f"its value is {table['value'][0]:g} in all samples"
+        yield Finding(
+            WARNING,
+            "signal-constant",
+            "stuck",
+            source,
+            text,
+            "check whether the sensor was connected, and its column in the import map",
+        )
 
 
 def check_timestamps(name: str, table: Any, end: float | None, speed: float = 1.0) -> Iterator[Finding]:

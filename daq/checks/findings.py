@@ -54,6 +54,17 @@ def worst_first(findings: Iterable[Finding]) -> list[Finding]:
     return sorted(findings, key=lambda f: order.index(f.level))
 
 
+def joined(findings: Iterable[Finding]) -> list[Finding]:
+    """Join the findings that differ in nothing but the device or signal, such as a pause in all columns of a file.
+
+    The names in ``where`` of a joined finding are separated by commas. The order is that of the first ones.
+    """
+    names: dict[Finding, list[str]] = {}
+    for f in findings:
+        names.setdefault(f._replace(where=""), []).append(f.where)
+    return [f._replace(where=", ".join(where)) for f, where in names.items()]
+
+
 def findings_lines(findings: Sequence[Finding]) -> list[str]:
     """Return each finding of a check as one line: severity, device or file, name of the check, text and advice.
 

@@ -75,6 +75,7 @@ def read_matlab(path: Path, options: SourceOptions) -> list[Table]:
             columns,
             units={name: unit for name, unit in units.get(topic, {}).items() if name in columns},
             seconds=frozenset(seconds.get(topic, set()) & set(columns)),
+            lengths={c: m for (other, m), found in groups.items() if other == topic and m != n for c in found},
         )
         for (topic, n), columns in groups.items()
         if n > 1

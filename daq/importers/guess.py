@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from seatrial.daq.checks import group_held_signals, held_signals
-from seatrial.daq.errors import SeatrialError
+from seatrial.daq.errors import SeatrialError, first_names
 from seatrial.daq.importers.bench_table import COMMAND, bench_candidates
 from seatrial.daq.importers.clocks import DATES, Clock, clock_of, row_seconds
 from seatrial.daq.importers.import_map import GEOGRAPHIC
@@ -31,6 +31,7 @@ from seatrial.daq.importers.recognise import (
     OUTPUT,
     SET_POINTS,
     SETPOINT,
+    SIDES,
     UNCHOSEN_RANK,
     Candidate,
     MapSignal,
@@ -190,6 +191,7 @@ def guess_map(
     head += _style_line(options, kind.name) + _time_lines(tables, candidates, clocks, main)
     remarks = [f"# caveat: {table.full_remark}" for table in tables if table.full_remark]
     remarks += [line for table in tables for line in _not_measured_lines(table)]
+    remarks += [line for table in tables for line in _length_lines(table, clocks[id(table)], main)]
     remarks += [f"# caveat: {line}" for line in _held_signal_comments(candidates, taken, clocks)]
     text = "\n".join([*head, *remarks, "signal = [", *lines, *_unrecognised_lines(tables, candidates, clocks), "]"])
     tops = {signal.name: signal.full for signal in taken if signal.full}
@@ -202,6 +204,20 @@ def _not_measured_lines(table: Table) -> list[str]:
         f"# not measured: {part} of {table.topic}, whose covariance begins with -1"
         for part, changes in unmeasured_parts(table).items()
         if not changes
+    ]
+
+
+def _length_lines(table: Table, clock: Clock, main: Clock) -> list[str]:
+    """Return a comment line if a table has no times only because its columns have another length than the time column.
+
+    The list is empty for other tables. ``clock`` is the time column of the table, and ``main`` that of the map.
+    """
+    if clock.column or table.t is not None or main.column not in table.lengths:
+        return []
+    n_times = table.lengths[main.column]
+    return [
+        f"# caveat: {first_names(table.names, MOST_NAMED)}: {len(table)} values, but {main.column!r} has {n_times}; "
+        "they cannot be imported until they have the same number of values"
     ]
 
 
@@ -334,10 +350,11 @@ def _held_signal_comments(candidates: Sequence[Candidate], taken: Sequence[MapSi
 def _named_columns(table: Table, clocks: Clocks) -> Iterator[tuple[str, Name, frozenset[str], Column]]:
     """Yield (column, parsed name, words, values (n,)) for each column of numbers of a table.
 
-    The words are those of the column, and for messages also those of the topic. Tables with a type of messages yield no
-    columns, except messages of a DBC, of a single number (not those of seatrial) and of joints (JointState). Topics of
-    set-points yield no columns either. The column of times and columns of text are skipped. A message with a single
-    number is named by its topic. `clocks` has the time column of each table, by the id of the table.
+    The words are those of the column. For messages, and for a column that is named by a side only (the field port of a
+    struct cmd), they are also those of the topic. Tables with a type of messages yield no columns, except messages of a
+    DBC, of a single number (not those of seatrial) and of joints (JointState). Topics of set-points yield no columns
+    either. The column of times and columns of text are skipped. A message with a single number is named by its topic.
+    `clocks` has the time column of each table, by the id of the table.
     """
     message = table.kind.rpartition("/")[2]
     is_scalar = message in SCALARS and not table.kind.startswith("seatrial_msgs/")
@@ -353,7 +370,7 @@ def _named_columns(table: Table, clocks: Clocks) -> Iterator[tuple[str, Name, fr
             continue
         unit = f" [{table.units[column]}]" if column in table.units else ""
         name = read_name(table.topic.rpartition("/")[2] if is_scalar else column + unit)
-        by_topic = is_named_by_topic or table.kind == "dbc"
+        by_topic = is_named_by_topic or table.kind == "dbc" or name.words <= SIDES
         yield column, name, name.words | (read_name(table.topic).words if by_topic else frozenset()), values
 
 

@@ -53,6 +53,8 @@ class Table:
         Columns with times or durations [s], by their type in the source.
     n_left_out : int
         Number of rows of the source that are not in the table because their times are wrong.
+    lengths : dict
+        Numbers of values of columns that have the same topic but another number of values, by name.
     strict : bool
         Whether rows out of order and cells without a number are errors unless the map allows them, as for text.
     """
@@ -72,6 +74,7 @@ class Table:
     texts: Mapping[str, Sequence[str]] = field(default_factory=dict)  # columns of text by name
     seconds: frozenset[str] = frozenset()  # columns with times or durations in s, by the type in the source
     n_left_out: int = 0  # rows of the source that are not in the table because their times are wrong
+    lengths: Mapping[str, int] = field(default_factory=dict)  # of columns of the topic with another number of rows
     strict = False  # for text: rows out of order and cells without a number are errors unless the map allows them
 
     @property
@@ -113,6 +116,12 @@ class Table:
         if column in self.texts:
             shown = "".join(self.texts[column][:1])[:40]
             raise self.error(0, column, f"{shown!r} is text, not a number; name another column in the import map")
+        if column in self.lengths:
+            here = f" of {self.topic}" if self.topic else ""
+            raise SeatrialError(
+                f"{self.path}: '{column}'{here} has {self.lengths[column]} values, but {first_names(self.names, 3)} "
+                f"{'have' if len(self.names) > 1 else 'has'} {len(self)}; save them with the same number of values"
+            )
         if column not in self.columns:
             what = "field" if self.topic else "column"
             raise SeatrialError(

@@ -37,7 +37,7 @@ TURNING = 0.05  # of full speed; a shaft turns at larger speeds
 AGAINST = 0.5  # command over speed; at smaller commands the shaft has to slow down
 AGAINST_S = 5.0  # longer than any delay of a shaft
 COMMAND_CHANGE = 0.3  # of full command; a load cell must show a change of this size
-FOLLOWS = 0.8  # R2 of a shaft speed by its own command; below it the shaft hardly follows
+FOLLOWS = 0.95  # R2 of a shaft speed by its own command, from which on no other thruster is considered
 FOLLOWS_OTHER = 0.9  # R2 by the command of the other thruster, above which the telemetry may be exchanged
 BETTER = 0.2  # largest error by the other thruster's command over the error by its own command
 
@@ -268,7 +268,7 @@ def check_exchanged_telemetry(c: Channels) -> Iterator[Finding]:
     c
         Channels (signals) of a log by name. At least two thrusters with command and measured shaft speed are needed.
         Each speed must be explained by the command of the other thruster with an R2 above 0.9, by its own command with
-        an R2 below 0.8, and with less than a fifth of the error by its own command.
+        an R2 below 0.95, and with less than a fifth of the error by its own command.
     """
     names = [n for n in sorted(commanded_thrusters(c)) if shaft_speed_of(n) in c]
     names = [n for n in names if c[shaft_speed_of(n)].t is not c[command_of(n)].t]

@@ -870,11 +870,7 @@ class _Search:
             if len(self.rounds) >= max_effects or not tried:
                 self.untried = tried
                 return current, passed
-            self.reporter.progress(
-                f"round {len(self.rounds) + 1}: {len(tried)} of {len(scores)} candidates pass"
-                f"{f' ({len(passed) - len(tried)} others by too little to matter)' * (len(tried) < len(passed))}, "
-                f"best {tried[0].name}"
-            )
+            self._report_round(scores, passed, tried)
             found = self._run_round(current, scores, tried)
             pair = self._look_ahead(current, found, max_effects) if found.chosen is None else None
             if pair is not None:
@@ -886,6 +882,14 @@ class _Search:
                 return current, passed
             current, unknown = found.chosen.fitted, unknown or found.chosen.nonparametric
             self.candidates.pop(found.chosen.effect.name, None)
+
+    def _report_round(self, scores: Sequence[Score], passed: Sequence[Score], tried: Sequence[Score]) -> None:
+        """Report the number of the next round, and how many of the scored candidates pass and are tried."""
+        self.reporter.progress(
+            f"round {len(self.rounds) + 1}: {len(tried)} of {len(scores)} candidates pass"
+            f"{f' ({len(passed) - len(tried)} others by too little to matter)' * (len(tried) < len(passed))}, "
+            f"best {tried[0].name}"
+        )
 
     def _look_ahead(self, current: FittedModel, found: Round, max_effects: int) -> tuple[Round, Round] | None:
         """Try to add two effects at once, after a round in which no effect was accepted.
@@ -937,6 +941,8 @@ class _Search:
             self.rounds = [*self.rounds, first]
             scores, passed = self.scored(exact.fitted)
             tried = [s for s in passed if not s.nonparametric]
+            if tried:
+                self._report_round(scores, passed, tried)
             second = self._run_round(exact.fitted, scores, tried) if tried else None
             if second is not None and second.chosen is not None:
                 gain, t = Comparison(current, second.chosen.fitted, self.policy).gain

@@ -386,7 +386,8 @@ def _likelihood_sentences(m: ComparedModel) -> list[str]:
     kind = "cross-validated log score" if m.score.held_out else "log score"
     found = [f"The {kind} is {signed(m.score.gain)} {words}."]
     if m.criteria is None:
-        return [*found, f"No AIC, BIC or likelihood ratio: {m.no_criteria}."]
+        # The score of logs that no model was fitted to needs no correction, so the criteria are not missed.
+        return found if m.score.held_out else [*found, f"No AIC, BIC or likelihood ratio: {m.no_criteria}."]
     c = m.criteria
     found.append(f"ΔAIC {signed(c.aic)}, ΔBIC {signed(c.bic)}.")
     if c.p is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 MODEL, RESULT, ESTIMATES = "model.toml", "result.json", "fits.parquet"
 NEED_LOGS = ("residuals", "predict", "simulate", "plot_residuals", "fitted")  # attributes of a fit of this process
 SHORTEST_STEP = 1e-5  # s between two times of a simulation; closer ones would be one row
+LARGEST_ANGLE = 4.0 * math.pi  # rad, or rad/s; larger initial values of a boat are degrees
 ROWS_PER_SAMPLE = 10.0  # of a simulation, for the rate above which a sensor would be averaged
 MODEL_COLUMNS = ("value", "se", "unit", "meaning")  # of the table of a model without its result
 
@@ -379,7 +381,7 @@ def simulate(
     ------
     SeatrialError
         If an input of the model is missing, if a state or input is unknown, if an input has another length than ``t``
-        or a value that is not finite, or if the times do not increase.
+        or a value that is not finite, if an initial value is not a finite number, or if the times do not increase.
 
     Examples
     --------
@@ -407,15 +409,40 @@ def simulate(
         # times are far apart, or if a delayed input changes between them.
         record = build_record(structure, channels, rate=ROWS_PER_SAMPLE / float(np.diff(times).min()))
         first = integrate(structure, record).x[0]
-        states = [s.name for s in structure.states]
-        for name, value in (start or {}).items():
-            if name not in states:
-                raise SeatrialError(f"the model has no state {name!r}; its states are {', '.join(states)}")
-            first[states.index(name)] = value
+        for k, value in _initial_states(structure, start or {}).items():
+            first[k] = value
         run = integrate(structure, record, x0=first)
     at = np.searchsorted(run.t, times - times[0] - SAME_TIME)
     found = {o.name: Series(times, run.y[at, j]) for j, o in enumerate(structure.outputs)}
-    return found | {name: Series(times, run.x[at, j]) for j, name in enumerate(states)}
+    return found | {name: Series(times, run.x[at, j]) for j, name in enumerate(s.name for s in structure.states)}
+
+
+def _initial_states(structure: Model, start: Any) -> dict[int, float]:
+    """Return the initial values of states by their index in the model.
+
+    An angle or angular rate that is only plausible in degrees gives a `SeatrialWarning`. SeatrialError is raised if
+    ``start`` is no dict, if a state is unknown, or if a value is not a finite number.
+    """
+    if not hasattr(start, "items"):
+        raise SeatrialError('start: give a dict with the initial values of states by name, such as {"u": 1.0}')
+    index = {s.name: k for k, s in enumerate(structure.states)}
+    found = {}
+    for name, value in start.items():
+        if name not in index:
+            near = closest_name(str(name), list(index))
+            hint = f"did you mean {near!r}? Its" if near else "its"
+            raise SeatrialError(f"start: the model has no state {name!r}; {hint} states are {', '.join(index)}")
+        try:
+            number = float(value)
+        except (TypeError, ValueError):
+            number = math.nan
+        if not math.isfinite(number):
+            raise SeatrialError(f"start: {name} is {value!r}; give a finite number")
+        unit = structure.states[index[name]].unit
+        if unit in ("rad", "rad/s") and abs(number) > LARGEST_ANGLE:
+            warn(f"start: {name} is {number:g} {unit}; give radians, for degrees math.radians({number:g})")
+        found[index[name]] = number
+    return found
 
 
 def _checked_times(t: ArrayLike) -> NDArray[np.float64]:

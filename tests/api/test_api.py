@@ -249,6 +249,27 @@ def test_simulation_of_given_inputs(fit: st.FittedVehicle) -> None:
         st.simulate(fit, t, {"n_left": [1.0, 2.0, 3.0]})
 
 
+@pytest.mark.parametrize(
+    ("start", "message"),
+    [
+        ({"U": 1.0}, r"start: the model has no state 'U'; did you mean 'u'\? Its states are x, "),
+        ({"u": "fast"}, "start: u is 'fast'; give a finite number"),
+        ({"u": np.nan}, "start: u is nan; give a finite number"),
+        ([1.0], 'start: give a dict with the initial values of states by name, such as {"u": 1.0}'),
+    ],
+)
+def test_wrong_initial_states_are_refused(fit: st.FittedVehicle, start: Any, message: str) -> None:
+    t = np.arange(0.0, 1.0, 0.1)
+    with pytest.raises(SeatrialError, match=message):
+        st.simulate(fit, t, {"n_left": t, "n_right": t}, start)
+
+
+def test_an_initial_heading_in_degrees_gives_a_warning(fit: st.FittedVehicle) -> None:
+    t = np.arange(0.0, 1.0, 0.1)
+    with pytest.warns(st.SeatrialWarning, match=r"start: psi is 40 rad; give radians, for degrees math.radians\(40\)"):
+        st.simulate(fit, t, {"n_left": t, "n_right": t}, {"psi": 40})
+
+
 @pytest.mark.parametrize("step", [0.2, 0.013, 1.7])
 def test_a_simulation_has_a_value_at_each_given_time(fit: st.FittedVehicle, step: float) -> None:
     t = np.cumsum(np.random.default_rng(3).uniform(0.5 * step, 1.5 * step, 40))

@@ -202,7 +202,7 @@ def _error_cells(row: ComparedChannel, e: ComparedError) -> list[Cell | str]:
 def likelihood_section(result: ComparisonResult) -> Section:
     """Return the section of log score, AIC, BIC and likelihood ratio of each model against the first one.
 
-    A reason stands below the table if there are none.
+    If there are no criteria, the reason stands below the table, except if the log score is cross-validated.
     """
     columns = (
         ("model", ""),
@@ -216,7 +216,9 @@ def likelihood_section(result: ComparisonResult) -> Section:
     )
     rows = [_likelihood_cells(m) for m in result.models[1:]]
     reasons = [
-        f"({m.label}): no AIC, BIC and likelihood ratio: {m.no_criteria}." for m in result.models[1:] if m.no_criteria
+        f"({m.label}): no AIC, BIC and likelihood ratio: {m.no_criteria}."
+        for m in result.models[1:]
+        if m.no_criteria and not (m.score is not None and m.score.held_out)
     ]
     held = [m.score.held_out for m in result.models if m.score is not None]
     lead = (

@@ -11,7 +11,7 @@ import pytest
 from seatrial import command_line
 from seatrial.bench.mission_generators import make_mission
 from seatrial.daq.checks.device_checks import check_lost_zeros, check_timestamps, white_noise_sd
-from seatrial.daq.checks.findings import Finding, findings_lines, findings_summary, worst_first
+from seatrial.daq.checks.findings import Finding, findings_lines, findings_summary, joined, worst_first
 from seatrial.ident.checks.log_checks import check_signals
 from seatrial.ident.checks.motion import check_motion
 from seatrial.ident.checks.sensors import heading_match
@@ -248,3 +248,11 @@ def test_the_findings_are_printed_as_a_table() -> None:
     undecided = [*found, Finding("unknown", "delay-unknown", "late", "x", "the delay is not known")]
     assert [f.level for f in worst_first(undecided)] == ["fault", "unknown", "ok"]
     assert findings_summary(undecided) == "1 fault, 0 warnings, 1 in order, 1 unknown"
+
+
+def test_one_finding_about_several_signals_is_joined() -> None:
+    gap = Finding("warning", "sections-missing", "gap", "x", "1 section", "check the cable")
+    stuck = Finding("warning", "signal-constant", "stuck", "y", "its value is 0")
+    assert joined([gap, stuck, gap._replace(where="y"), gap._replace(text="2 sections", where="r")]) == [
+        gap._replace(where="x, y"), stuck, gap._replace(text="2 sections", where="r"),
+    ]  # fmt: skip

@@ -232,3 +232,32 @@ def test_a_struct_array_has_a_column_for_each_field(tmp_path: Path) -> None:
     table = by_topic(path)["log"]
     np.testing.assert_allclose(table.numbers("yaw"), YAW)
     np.testing.assert_allclose(table.numbers("t"), T)
+
+
+def test_columns_of_another_length_than_the_times_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "run.mat"
+    savemat(path, {"log": {"t": T, "yaw": YAW, "n_left": LEFT, "n_right": RIGHT, "x": T[:-3], "y": T[:-3]}})
+    guess = guess_map(path)
+    assert "# caveat: x, y: 47 values, but 't' has 50; they cannot be imported until" in guess.text
+    (tmp_path / "map.toml").write_text(
+        'format = "seatrial-import 1"\ntime = { column = "t", format = "s" }\n'
+        'signal = [{ name = "x", topic = "log", field = "x", unit = "m" }]\n'
+    )
+    with pytest.raises(SeatrialError, match=r"'t' of log has 50 values, but x, y have 47; save them with the same"):
+        import_files(tmp_path / "map.toml", [path], out=tmp_path / "run.mcap")
+
+
+def test_variables_with_times_of_their_own_are_imported_without_a_caveat(tmp_path: Path) -> None:
+    path = tmp_path / "run.mat"
+    gps = {"t_gps": T[::5], "x": T[::5], "y": -T[::5]}
+    savemat(path, {"t": T, "yaw": YAW, "n_left": LEFT, "n_right": RIGHT, **gps})
+    assert "same number of values" not in guess_map(path).text
+
+
+def test_commands_of_a_struct_with_a_field_for_each_side_are_recognised(tmp_path: Path) -> None:
+    path = tmp_path / "run.mat"
+    shafts = {"t": T, "rpm_port": 900.0 * LEFT, "rpm_stbd": 900.0 * RIGHT}
+    savemat(path, {"imu": {"t": T, "yaw": YAW}, "cmd": {"t": T, "port": LEFT, "stbd": RIGHT}, "esc": shafts})
+    text = guess_map(path).text
+    assert '\n  { name = "n_cmd_left", topic = "cmd", field = "port", unit = "1"' in text
+    assert '\n  { name = "n_right", topic = "esc", field = "rpm_stbd"' in text

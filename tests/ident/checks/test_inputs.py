@@ -116,3 +116,18 @@ def test_exchanged_telemetry_is_reported_and_not_swapped_sides() -> None:
     (found,) = [f for f in check_signals(c, SIDES) if f.is_problem]
     assert found.code == "telemetry-exchanged"
     assert "the shaft speed of left follows the command of right" in found.text
+
+
+def test_exchanged_telemetry_is_found_although_both_sides_are_driven_alike() -> None:
+    """Most of both commands is the thrust ahead, so that each shaft also follows the command of the other side."""
+    rng = np.random.default_rng(5)
+    t = np.arange(0.0, 200.0, 0.1)
+    ahead, turn = (np.repeat(rng.uniform(low, high, 40), 50) for low, high in ((-0.2, 0.8), (-0.2, 0.2)))
+    c = {}
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        command = ahead + sign * turn
+        n = np.interp(t - 0.15, t, command) + 0.005 * rng.standard_normal(t.size)
+        c |= {f"n_cmd_{side}": Channel(t, command, hold="zero"), f"n_{side}": Channel(t + 1e-3, n)}
+    assert not faults(c)
+    c["n_left"], c["n_right"] = c["n_right"], c["n_left"]
+    assert faults(c) == ["telemetry-exchanged"]
