@@ -141,8 +141,11 @@ class FilterKernels:
 
         The output has predicted and filtered states, covariances and innovations. The filter must have a covariance;
         without one the kernel cannot be built.
+
+        It is compiled quickly: its code then takes up to twice as long to run, but a fit runs it only a few times.
         """
-        return self._kernel("filter")
+        with jit.quick_kernel():
+            return self._kernel("filter")
 
     @cached_property
     def simulate(self) -> Kernel:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import os
 import stat
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -72,6 +73,7 @@ def cache_folder() -> Path:
 
 
 _quick_contexts: list[object] = []
+_of_thread = threading.local()  # has the attribute ``quick`` while this thread is inside `quick_kernel`
 
 
 @contextmanager
@@ -100,16 +102,32 @@ def quick_compilation(n_rows: int) -> Iterator[None]:
         _quick_contexts.remove(token)
 
 
+@contextmanager
+def quick_kernel() -> Iterator[None]:
+    """Context in which this thread compiles kernels quickly, and no other thread.
+
+    It is meant for a kernel that runs a few times in a fit, so that its compilation takes longer than all of its runs.
+    """
+    before, _of_thread.quick = getattr(_of_thread, "quick", False), True
+    try:
+        yield
+    finally:
+        _of_thread.quick = before
+
+
 def is_quick() -> bool:
-    """Return whether kernels are compiled quickly at this moment: whether a thread is inside `quick_compilation`."""
-    return bool(_quick_contexts)
+    """Return whether this thread compiles kernels quickly at this moment.
+
+    It does while any thread is inside `quick_compilation`, and while this thread is inside `quick_kernel`.
+    """
+    return bool(_quick_contexts) or getattr(_of_thread, "quick", False)
 
 
 def _optimisation(has_loops: bool) -> tuple[str, int]:
     """Return the optimisation for a compilation at this moment: passes over the IR, and level of the code generation.
 
     The result is `LOOPS` if ``has_loops`` (loops and variables in memory, which the passes improve). Otherwise it is
-    `QUICK` inside `quick_compilation`, else `KERNEL`.
+    `QUICK` inside `quick_compilation` or `quick_kernel`, else `KERNEL`.
     """
     return LOOPS if has_loops else QUICK if is_quick() else KERNEL
 
@@ -127,7 +145,7 @@ def machine_code_key(ir: str, has_loops: bool = False) -> str:
     """Return the SHA-256 hash (hexadecimal) under which the machine code of ``ir`` is stored in the cache on disk.
 
     It depends on the IR, on the machine (`target`) and on ``has_loops`` (see `load_machine_code`). If ``has_loops`` is
-    false, it also depends on whether the call is inside `quick_compilation`.
+    false, it also depends on whether the thread compiles quickly (`is_quick`).
     """
     return hashlib.sha256(repr((*target(), _optimisation(has_loops), ir)).encode()).hexdigest()
 

@@ -224,7 +224,7 @@ def load_kernel(key: str, name: str) -> tuple[Layout, str] | None:
     tuple[Layout, str] or None
         Names, sizes and kinds of the arrays, and key for `jit.load_cached_machine_code`. None if the cache lacks the
         kernel, or if its file is damaged or may have been written by another user. A quickly compiled kernel is
-        returned only inside `jit.quick_compilation`, and only if there is no other.
+        returned only where the thread would compile quickly (`jit.is_quick`), and only if there is no other.
     """
     content = jit.read_cache(f"{key}.{name}.json")
     if content is None and jit.is_quick():
@@ -241,8 +241,8 @@ def store_kernel(key: str, name: str, layout: Layout, code: str) -> None:
     """Write the layout of the arrays and the key ``code`` of the machine code of a kernel to the cache on disk.
 
     ``key`` is a result of `kernel_key`, and ``name`` is the name of the kernel, such as ``value``. The file is
-    ``<key>.<name>.json``, inside `jit.quick_compilation` ``<key>.<name>.quick.json``. A cache that cannot be written is
-    not an error.
+    ``<key>.<name>.json``, or ``<key>.<name>.quick.json`` if the thread compiles quickly. A cache that cannot be written
+    is not an error.
     """
     table = {field: sorted(v) if isinstance(v, frozenset) else v for field, v in asdict(layout).items()}
     quick = ".quick" if jit.is_quick() else ""

@@ -112,6 +112,7 @@ class LlvmEmitter:
         self.function_lines: list[str] = []
         self.declarations: set[str] = set()
         self.values_by_instruction: dict[Any, Value] = {}
+        self.instruction_forms: dict[tuple[str, bool, int, str], str] = {}
         self.n_values = 0
         self.flags = FAST
         self.stage_index = 0
@@ -488,18 +489,33 @@ class LlvmEmitter:
         again : bool
             Whether to write the instruction even if it was written before.
         """
-        vector = vector or any(a.vector for a in args)
-        constant = constant and not self.in_lane_function and all(a.constant for a in args)
-        operands = [self._vector_text(a) if vector else a.text for a in args]
-        code = template.format(
-            *operands, T=self._type_text(vector), S=f"v{self.width}f64" if vector else "f64", F=self.flags
-        )
+        constant = constant and not self.in_lane_function
+        for a in args:  # loops, not any() and all(): this method is called a hundred thousand times for a kernel
+            vector = vector or a.vector
+            constant = constant and a.constant
+        operands = [a.text if a.vector or not vector else self._vector_text(a) for a in args]
+        form = self._instruction_form(template, vector) if args else self._with_types(template, vector)
+        code = form.format(*operands)
         key = code if constant else (code, self.stage_index)
-        if again or key not in self.values_by_instruction:
+        known = self.values_by_instruction.get(key)
+        if again or known is None:
             self.n_values += 1
-            self.values_by_instruction[key] = Value(f"%.{self.n_values}", vector, constant)
-            self._append_lines(f"%.{self.n_values} = {code}", constant=constant)
-        return self.values_by_instruction[key]
+            name = f"%.{self.n_values}"
+            self.values_by_instruction[key] = known = Value(name, vector, constant)
+            (self.entry_lines if constant else self.loop_lines).append(f"{name} = {code}")
+        return known
+
+    def _instruction_form(self, template: str, vector: bool) -> str:
+        """Return a template of an instruction with its types and flags, in which only the operands are missing."""
+        key = template, vector, self.width, self.flags
+        if (form := self.instruction_forms.get(key)) is None:
+            form = self.instruction_forms[key] = self._with_types(template, vector)
+        return form
+
+    def _with_types(self, template: str, vector: bool) -> str:
+        """Return a template with its types (``{T}``, ``{S}``) and flags (``{F}``) inserted."""
+        kind, suffix = self._type_text(vector), f"v{self.width}f64" if vector else "f64"
+        return template.replace("{T}", kind).replace("{S}", suffix).replace("{F}", self.flags)
 
     def _write_select(self, comparison: str, x: Value, y: Value, result: Value) -> Value:
         """Write the instructions that select ``result`` if the comparison of x and y is true, else zero.

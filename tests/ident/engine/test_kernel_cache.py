@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -290,3 +291,13 @@ def test_cache_writable_by_others_is_not_used(writable: str, tmp_path: Path, mon
         assert jit.read_cache("a.o") is None
         place.chmod(before)
     assert jit.read_cache("a.o") == b"code"
+
+
+def test_only_the_thread_of_a_quick_kernel_compiles_quickly() -> None:
+    with ThreadPoolExecutor(1) as pool:
+        with jit.quick_kernel():
+            assert jit.is_quick()
+            assert not pool.submit(jit.is_quick).result()
+        assert not jit.is_quick()
+        with jit.quick_compilation(jit.QUICK_ROWS):
+            assert pool.submit(jit.is_quick).result()
