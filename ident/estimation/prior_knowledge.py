@@ -230,13 +230,19 @@ def fix_parameters(model: Model, thruster: Path | None, given: Mapping[str, floa
 def _no_parameter(model: Model, option: str, name: str) -> SeatrialError:
     """Return the error about a name of ``--fix``, ``--prior`` or ``--initial`` that is no parameter of the model.
 
-    It has all names, and the nearest one if there is one. For the position of a thruster it says that the model does
-    not use positions. In a rig file, a position has no effect on such a model.
+    It has all names, and the nearest one if there is one. It names the effect to which the parameter belongs. For the
+    position of a thruster it says that the model does not use positions. In a rig file, a position has no effect on
+    such a model.
     """
     text = f"{option} {name}: model {model.name} has no such parameter; it has {', '.join(model.values)}"
     if name in ARMS and not set(ARMS) & set(model.values):
         steering = ", because its steering gain K contains them" * ("K" in model.values)
         text += f"; the model does not use the positions of the thrusters{steering}: leave out {option} {name}"
+    elif effects := [e.name for e in catalogue().values() if name in {p.name for p in e.parameters}]:
+        text += (
+            f"; it is a parameter of the effect {' or '.join(effects)}: add --effect {effects[0]}, and "
+            "--no-score-tests to fit no other effects than those of --effect"
+        )
     elif near := closest_name(name, model.values):
         text += f"; did you mean {near!r}?"
     return SeatrialError(text)

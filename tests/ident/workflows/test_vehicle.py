@@ -163,8 +163,12 @@ def test_known_parameters_are_fixed() -> None:
     assert (model.values["y_left"], model.values["y_right"]) == (-0.15, 0.15)
     with pytest.raises(SeatrialError, match="--fix mass: model horizontal has no such parameter; it has m_u"):
         fix_parameters(horizontal_model(), None, {"mass": 1.0})
-    with pytest.raises(SeatrialError, match=r"--fix d_uuu: .*; did you mean 'd_uu'\?$"):
-        fix_parameters(horizontal_model(), None, {"d_uuu": 1.0})
+    with pytest.raises(
+        SeatrialError, match=r"; it is a parameter of the effect lift: add --effect lift, and --no-score"
+    ):
+        fix_parameters(horizontal_model(), None, {"Y_uv": 0.0})
+    with pytest.raises(SeatrialError, match=r"--fix d_uux: .*; did you mean 'd_uu'\?$"):
+        fix_parameters(horizontal_model(), None, {"d_uux": 1.0})
     with pytest.raises(SeatrialError, match=r"--fix m_u=-1: parameter m_u: -1\.0 is not positive"):
         fix_parameters(horizontal_model(), None, {"m_u": -1.0})
     with pytest.raises(SeatrialError, match=r"--initial m_u=-1: parameter m_u: -1\.0 is not positive"):
