@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 MODEL, RESULT, ESTIMATES = "model.toml", "result.json", "fits.parquet"
 NEED_LOGS = ("residuals", "predict", "simulate", "plot_residuals", "fitted")  # attributes of a fit of this process
 SHORTEST_STEP = 1e-5  # s between two times of a simulation; closer ones would be one row
+FARTHEST = 10.0  # largest input of a simulation, as a multiple of the largest one in the fitted data
 LARGEST_ANGLE = 4.0 * math.pi  # rad, or rad/s; larger initial values of a boat are degrees
 ROWS_PER_SAMPLE = 10.0  # of a simulation, for the rate above which a sensor would be averaged
 MODEL_COLUMNS = ("value", "se", "unit", "meaning")  # of the table of a model without its result
@@ -357,7 +358,7 @@ def simulate(
     """Simulate a fitted model for given inputs, without process noise and without measurement noise.
 
     An input that leaves its range in the fitted data by more than a tenth of this range gives a `SeatrialWarning`: the
-    motion is then extrapolated.
+    motion is then extrapolated. An input of more than ten times its largest value in these data is an error.
 
     Parameters
     ----------
@@ -381,7 +382,8 @@ def simulate(
     ------
     SeatrialError
         If an input of the model is missing, if a state or input is unknown, if an input has another length than ``t``
-        or a value that is not finite, if an initial value is not a finite number, or if the times do not increase.
+        or a value that is not finite or far outside the fitted data, if an initial value is not a finite number, or if
+        the times do not increase.
 
     Examples
     --------
@@ -494,12 +496,16 @@ def _checked_inputs(
         raise SeatrialError(f"input {missing[0]}: it is missing; give the inputs by name, such as {form}")
     for name, values in named.items():
         least, most = float(values.min()), float(values.max())
-        if name in ranges and leaves_validity(least, most, ranges[name]):
-            low, high = ranges[name]
-            warn(
-                f"input {name}: {least:.3g} to {most:.3g} is outside its range in the fitted data, {low:.3g} to "
-                f"{high:.3g}, so that the motion is extrapolated"
+        if name not in ranges or not leaves_validity(least, most, ranges[name]):
+            continue
+        low, high = ranges[name]
+        fitted = f"its range in the fitted data, {low:.3g} to {high:.3g}"
+        if max(-least, most) > FARTHEST * max(-low, high):
+            raise SeatrialError(
+                f"input {name}: {least:.3g} to {most:.3g} is far outside {fitted}; give it in the unit of the data "
+                "(shaft speeds and commands: -1 to 1)"
             )
+        warn(f"input {name}: {least:.3g} to {most:.3g} is outside {fitted}, so that the motion is extrapolated")
     return named
 
 

@@ -242,7 +242,7 @@ def test_simulation_of_given_inputs(fit: st.FittedVehicle) -> None:
     with pytest.raises(SeatrialError, match=r"no input 'n_l'; did you mean 'n_left'\? Its inputs are n_left, n_right$"):
         st.simulate(fit, t, {"n_l": t})
     with pytest.raises(SeatrialError, match="the model has no state 'speed'"):
-        st.simulate(fit, t, {"n_left": t, "n_right": t}, {"speed": 1.0})
+        st.simulate(fit, t, {"n_left": 0 * t, "n_right": 0 * t}, {"speed": 1.0})
     with pytest.raises(SeatrialError, match=r"input n_right: it is missing; .* such as {'n_left': 0.5 \+ 0 \* t, 'n_r"):
         st.simulate(fit, t, {"n_left": t})
     with pytest.raises(SeatrialError, match=r"n_left: it has the shape \(3,\), but the times have \(1200,\)"):
@@ -300,14 +300,16 @@ def test_delayed_copies_are_neither_rows_nor_inputs_of_a_simulation() -> None:
     assert "~" not in str(raised.value)
 
 
-def test_an_input_far_outside_the_fitted_data_gives_a_warning(fit: st.FittedVehicle, tmp_path: Path) -> None:
+def test_an_input_outside_the_fitted_data_gives_a_warning_or_an_error(fit: st.FittedVehicle, tmp_path: Path) -> None:
     t = np.arange(0.0, 5.0, 0.1)
     for model in (fit, fit.save(tmp_path / "fit")):
         with warnings.catch_warnings():
             warnings.simplefilter("error", SeatrialWarning)
             st.simulate(model, t, {"n_left": 0.5 + 0 * t, "n_right": 0.5 + 0 * t})
-        with pytest.warns(SeatrialWarning, match="input n_right: 0.5 to 50 is outside its range in the fitted data, -"):
-            st.simulate(model, t, {"n_left": 0.5 + 0 * t, "n_right": np.linspace(0.5, 50.0, t.size)})
+        with pytest.warns(SeatrialWarning, match="input n_right: 0.5 to 5 is outside its range in the fitted data, -"):
+            st.simulate(model, t, {"n_left": 0.5 + 0 * t, "n_right": np.linspace(0.5, 5.0, t.size)})
+        with pytest.raises(SeatrialError, match=r"input n_right: 0 to 1.2e\+03 is far outside its range in the"):
+            st.simulate(model, t, {"n_left": 0.5 + 0 * t, "n_right": np.linspace(0.0, 1200.0, t.size)})
 
 
 def test_an_unknown_name_gives_the_similar_one(logs: list[Path], fit: st.FittedVehicle) -> None:
