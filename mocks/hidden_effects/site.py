@@ -1,4 +1,4 @@
-"""Hidden effects of place and mounting: shores, shoals, sheared currents, turned thrusters, a sliding payload."""
+"""Hidden effects of place and mounting: shores, shoals, sheared currents, turned thrusters, payload, leak, weed."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from seatrial.mocks.plant import HiddenEffect, Line, Maker, Payload, ThrusterTruth, effect_size
+from seatrial.mocks.plant import Growth, HiddenEffect, Line, Maker, Payload, ThrusterTruth, effect_size
 from seatrial.mocks.plant import thrust as thrust_at_rest
 
 STERN_M = -0.55  # position of the propellers forward of the origin
@@ -150,6 +150,26 @@ def _towed_line(rng: np.random.Generator, scale: float) -> HiddenEffect:
     return HiddenEffect("towed-line", sentence, {"drag": drag, "length": length}, line=Line(length, drag, STERN_M))
 
 
+def _leak(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return the hidden effect "leak": water comes into the hull from the start of every run on.
+
+    Mass and moment of inertia grow by the share ``rate t``. ``rate`` is drawn within 15 % of ``8e-4 scale`` [1/s].
+    """
+    rate = scale * effect_size(rng, 8e-4)  # 1/s
+    sentence = f"the hull leaks: the mass grows by {6000.0 * rate:.1f} % in a minute"
+    return HiddenEffect("leak", sentence, {"rate": rate}, growth=Growth(mass=rate))
+
+
+def _growing_drag(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return the hidden effect "growing-drag": weed collects on the hull from the start of every run on.
+
+    The surge damping grows by the share ``rate t``. ``rate`` is drawn within 15 % of ``3e-3 scale`` [1/s].
+    """
+    rate = scale * effect_size(rng, 3e-3)  # 1/s
+    sentence = f"the boat collects weed: its surge drag grows by {6000.0 * rate:.0f} % in a minute"
+    return HiddenEffect("growing-drag", sentence, {"rate": rate}, growth=Growth(drag=rate))
+
+
 MAKERS: dict[str, Maker] = {
     "thrust-angle": _thrust_angle,
     "propeller-walk": _propeller_walk,
@@ -158,4 +178,6 @@ MAKERS: dict[str, Maker] = {
     "shallow-water": _shallow_water,
     "payload-shift": _payload_shift,
     "towed-line": _towed_line,
+    "leak": _leak,
+    "growing-drag": _growing_drag,
 }

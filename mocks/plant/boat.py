@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import NamedTuple
 
 from seatrial.mocks.plant.effect import ENERGY_UNIT, HiddenEffect, Line, Payload
@@ -16,6 +16,7 @@ from seatrial.mocks.random_streams import DISTURBANCE, START, OrnsteinUhlenbeck,
 
 PLANT_STEP_S = 0.005  # s
 DISTURBANCE_EVERY = 4  # steps; the disturbance forces change at 50 Hz
+GROWTH_EVERY_S = 2.0  # s between two steps of the growth of mass and drag
 SIGMA = (0.3, 0.3, 0.03)  # N, N, N m; standard deviation of the disturbance forces in calm water
 TAU = 2.0  # s, correlation time of the disturbance forces
 
@@ -183,6 +184,8 @@ class BoatPlant:
         self._payloads = sorted((e.payload for e in boat.effects if e.payload is not None), key=lambda load: load.at)
         self._lines = [TowedLine(e.line, DISTURBANCE_EVERY * step) for e in boat.effects if e.line is not None]
         self._slid: tuple[HiddenEffect, ...] = ()  # payloads that have slid
+        self._growths = [e.growth for e in boat.effects if e.growth is not None]
+        self._grown_at = 0.0  # time of the last growth of the hull [s]
         self._weather = Weather(boat.effects, boat.seed, run, DISTURBANCE_EVERY * step)
         self.state = self._first_state(run) if state is None else state
         self._forces = (0.0, 0.0, 0.0)
@@ -256,7 +259,8 @@ class BoatPlant:
         """Draw the random forces on the boat (disturbance, waves, gusts), and set the current, for the next few steps.
 
         They are constant for DISTURBANCE_EVERY steps. The pull of a towed line is added to them. Hidden effects may
-        change the current with time and place. A payload whose time has come slides, at most one in each call.
+        change the current with time and place. A payload whose time has come slides, at most one in each call. Mass and
+        drag grow in steps of `GROWTH_EVERY_S`.
         """
         x, y, n = (d.step() for d in self._disturbances) if self._disturbances else (0.0, 0.0, 0.0)
         if self._weather:
@@ -268,6 +272,9 @@ class BoatPlant:
         self._forces = (x, y, n)
         if self._payloads and self.t >= self._payloads[0].at:
             self._slide(self._payloads.pop(0))
+        if self._growths and self.t >= self._grown_at + GROWTH_EVERY_S:
+            self._grown_at = self.t
+            self._replace_motion()
         if self._drifts or self._streams:
             changes = [drift(self.t) for drift in self._drifts]
             changes += [stream(self.state[0], self.state[1]) for stream in self._streams]
@@ -280,8 +287,17 @@ class BoatPlant:
         origin do not jump.
         """
         self._slid = (*self._slid, HiddenEffect("payload in its new place", "", x_g=load.x_g))
+        self._replace_motion()
+
+    def _replace_motion(self) -> None:
+        """Replace the equations of motion by those of the present hull, with its growth and the payloads that slid."""
+        mass, drag = (1.0 + self._grown_at * sum(getattr(g, of) for g in self._growths) for of in ("mass", "drag"))
+        hull = self.boat.hull
+        grown = replace(
+            hull, mass=mass * hull.mass, inertia=mass * hull.inertia, d_u=drag * hull.d_u, d_uu=drag * hull.d_uu
+        )
         effects = (*self.boat.effects, *self._slid)
-        self._rhs = make_rhs(self.boat.hull, self.boat.thruster, self._water, effects)
+        self._rhs = make_rhs(grown, self.boat.thruster, self._water, effects)
 
     def motion(self) -> RigidBodyState:
         """Return the true motion of the boat at the present time, as the input of the sensor models.

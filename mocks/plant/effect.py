@@ -181,6 +181,22 @@ class Payload:
 
 
 @dataclass(frozen=True)
+class Growth:
+    """Steady growth of mass or drag from the start of the boat on, by a leak or by weed.
+
+    Attributes
+    ----------
+    mass : float
+        Growth of mass and moment of inertia, as a share of those at the start [1/s].
+    drag : float
+        Growth of the surge damping, as a share of that at the start [1/s].
+    """
+
+    mass: float = 0.0
+    drag: float = 0.0
+
+
+@dataclass(frozen=True)
 class Line:
     """Line that the boat tows through the water.
 
@@ -239,6 +255,8 @@ class HiddenEffect:
         Line that the boat tows.
     payload : Payload, optional
         Payload that slides at one time.
+    growth : Growth, optional
+        Growth of mass or drag with time.
     wave : Wave, optional
         Waves that act on the boat.
     gust : Gust, optional
@@ -288,6 +306,7 @@ class HiddenEffect:
     stream: Stream | None = None
     shore: Shore | None = None
     payload: Payload | None = None
+    growth: Growth | None = None
     line: Line | None = None
     wave: Wave | None = None
     gust: Gust | None = None

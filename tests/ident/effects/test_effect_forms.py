@@ -214,3 +214,27 @@ def test_towed_line_keeps_its_length_on_a_straight_tow() -> None:
         assert np.hypot(at["line_x"], at["line_y"]) == pytest.approx(5.0, rel=0.01)
         assert np.abs(linear.poles).min() > 1e-3  # no creeping length
         assert (linear.poles.real < 0.0).all()
+
+
+def test_a_leak_is_a_payload_that_grows_with_time() -> None:
+    model = model_with("leak", w_before=0.05, w_rate=1e-3)
+    t = [i.name for i in model.inputs].index("t")
+    p = np.array(list(model.values.values()))
+    state, u = np.zeros((1, len(model.states))), np.zeros((1, len(model.inputs)))
+    state[0, [s.name for s in model.states].index("u")], u[0, t] = 0.8, 150.0
+    row = [s.name for s in model.states].index("u")
+    plain = rates(model_with("leak"), u=0.8)["u"]
+    assert VectorisedModel(model)(state, u, p)[0, row] == pytest.approx(plain / 1.2, rel=1e-9)
+
+
+def test_growing_drag_multiplies_the_surge_damping() -> None:
+    model = model_with("growing-drag", g_before=0.1, g_rate=2e-3)
+    t = [i.name for i in model.inputs].index("t")
+    state, u = np.zeros((1, len(model.states))), np.zeros((1, len(model.inputs)))
+    names = [s.name for s in model.states]
+    state[0, names.index("u")], state[0, names.index("r")], u[0, t] = 0.8, 0.2, 150.0
+    p = np.array(list(model.values.values()))
+    found = dict(zip(names, VectorisedModel(model)(state, u, p)[0], strict=False))
+    plain = rates(model_with("growing-drag"), u=0.8, r=0.2)
+    assert found["u"] == pytest.approx(1.4 * plain["u"], rel=1e-9)
+    assert found["r"] == pytest.approx(plain["r"], rel=1e-9)
