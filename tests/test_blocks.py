@@ -356,7 +356,9 @@ def test_the_logs_of_the_readme_are_imported_and_fitted(empty: Path) -> None:
 @pytest.mark.slow
 def test_the_bag_of_the_import_page_is_fitted(empty: Path) -> None:
     foreign_runs.write_bag(empty / "bag", foreign_runs.run(1))
-    edits = {"run.bag": "bag", "--out vehicle": "--no-score-tests --out vehicle"}
+    # The fixed values are those of the section on ROS 2 in tests/test_coming_from.py, whose machine code is used again.
+    fixed = "--fix c1=40 --fix c2=0 --fix y_left=-0.3 --fix y_right=0.3"
+    edits = {"run.bag": "bag", "--out vehicle": f"{fixed} --no-score-tests --out vehicle"}
     run_commands(edited(block("docs/formats/import.md"), edits))
     assert (empty / "vehicle/report.html").is_file()
 
