@@ -18,7 +18,7 @@ import signal
 import sys
 import tempfile
 import threading
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -145,6 +145,18 @@ def group_of(nodeid: str) -> str:
 
 
 ORDER = {group: k for k, group in enumerate(("ports", "beside", *LONG))}
+
+
+@pytest.fixture(scope="module")
+def quick_compilation() -> Iterator[None]:
+    """Compile the kernels of a module in a fifth of the time, with less optimisation.
+
+    It pays for models that no other module fits. The machine code of other models is compiled once for all modules.
+    """
+    from seatrial.ident.engine import jit
+
+    with jit.quick_compilation(0):
+        yield
 
 
 @pytest.hookimpl(wrapper=True)
