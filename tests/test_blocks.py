@@ -19,6 +19,8 @@ from tests.page_runner import command_lines, edited, run_commands, run_python
 from tests.test_docs import PAGES, ROOT, blocks, name
 from tests.test_tutorials import environment
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 __all__ = ["environment"]
 
 HERE, LIVE = "tests/test_blocks.py", "tests/test_live_blocks.py"

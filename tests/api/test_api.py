@@ -30,6 +30,8 @@ from tests.missions import bench_log, boat_log, boat_with
 from tests.page_runner import run_python
 from tests.test_docs import blocks
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 ROOT = Path(__file__).resolve().parents[2]
 THRUST = {"priors": {"c1": (40.0, 2.0)}, "fixed": {"c2": 1.1}}
 
