@@ -335,8 +335,8 @@ def test_the_commands_of_the_own_boat_page(demo: Path, tmp_path: Path, monkeypat
 
 @pytest.mark.slow
 def test_the_studies_of_the_page(empty: Path) -> None:
-    """Each study has three replicates."""
-    run_commands(edited(offline(block("docs/how-to/study.md")), {"--replicates 500": "--replicates 3 --jobs 1"}))
+    """Each study has three replicates, and those of the first block have short missions."""
+    run_commands(edited(offline(block("docs/how-to/study.md")), {"--replicates 500": "--replicates 3 --seconds 60 --jobs 1"}))
     edits = {"--replicates 200": "--replicates 3 --jobs 1", "docs/examples": str(ROOT / "docs/examples")}
     run_commands(edited(offline(block("docs/how-to/study.md", number=1)), edits | {"--out study": "--out own"}))
     assert (empty / "study/report.html").is_file()
