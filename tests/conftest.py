@@ -100,6 +100,7 @@ LONG = (
     "tests/ident/report/test_report_browser.py",
     "tests/ident/export/test_export.py",
     "tests/ident/export/test_fmu.py",
+    "tests/ident/parallel/test_dask.py",
     "tests/ident/parallel/test_tasks.py",
     "tests/ident/report/test_report.py",
     "tests/ident/workflows/test_control.py",

@@ -122,9 +122,9 @@ NOT_RUN = [
     ("docs/how-to/install.md", "console", ALL, SETUP),
     ("docs/how-to/many-logs.md", "console", ALL, SETUP),
     ("docs/how-to/many-logs.md", "sh", [1],
-     "needs a cluster; tests/ident/parallel/test_tasks.py runs tasks on a local one"),
+     "needs a cluster; tests/ident/parallel/test_dask.py runs tasks on a local one"),
     ("docs/how-to/study.md", "sh", [2],
-     "needs a cluster; tests/ident/parallel/test_tasks.py runs tasks on a local one"),
+     "needs a cluster; tests/ident/parallel/test_dask.py runs tasks on a local one"),
     ("docs/how-to/use-a-model.md", "sh", [8], "needs ROS 2"),
     ("docs/notebooks/README.md", "console", ALL, SETUP),
     ("docs/reference.md", "python", ALL, "signatures, generated from the code"),
@@ -336,7 +336,9 @@ def test_the_commands_of_the_own_boat_page(demo: Path, tmp_path: Path, monkeypat
 @pytest.mark.slow
 def test_the_studies_of_the_page(empty: Path) -> None:
     """Each study has three replicates, and those of the first block have short missions."""
-    run_commands(edited(offline(block("docs/how-to/study.md")), {"--replicates 500": "--replicates 3 --seconds 60 --jobs 1"}))
+    run_commands(
+        edited(offline(block("docs/how-to/study.md")), {"--replicates 500": "--replicates 3 --seconds 60 --jobs 1"})
+    )
     edits = {"--replicates 200": "--replicates 3 --jobs 1", "docs/examples": str(ROOT / "docs/examples")}
     run_commands(edited(offline(block("docs/how-to/study.md", number=1)), edits | {"--out study": "--out own"}))
     assert (empty / "study/report.html").is_file()

@@ -336,17 +336,6 @@ def test_study_runs_on_any_joblib_backend(backend: str, tmp_path: Path) -> None:
     assert [r["d"] for r in rows] == [r["d"] for r in alone]
 
 
-def test_study_on_a_dask_cluster_gives_the_numbers_of_one_process(tmp_path: Path) -> None:
-    from distributed import LocalCluster
-
-    case = make_case("surge", seconds=30.0)
-    alone = study.run_study(case, 6, 2, tmp_path / "b.jsonl", workers=Workers(1))
-    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0") as cluster:
-        workers = Workers(backend="dask", scheduler=cluster.scheduler_address)
-        rows = study.run_study(case, 6, 2, tmp_path / "a.jsonl", workers=workers)
-    assert [r["d"] for r in rows] == [r["d"] for r in alone]
-
-
 def test_replicates_of_a_dead_process_are_failures_that_the_next_run_repeats(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
