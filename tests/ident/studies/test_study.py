@@ -526,12 +526,12 @@ def test_snippet_of_the_how_to_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert own.split() == re.sub("  # .*", "", file.partition('"""\n')[2]).split()
     assert make_case("docs/examples/own_study.py:calm").name == "calm"
     code = block.replace('Workers(backend="dask", scheduler="tcp://192.168.1.5:8786")', "Workers(1)")
-    code = code.replace("study(case, 500", "study(case, 4")
-    assert code.count("Workers(1)") == code.count("study(case, 4") == 1
+    code = code.replace("study(case, 500", "study(case, 2")
+    assert code.count("Workers(1)") == code.count("study(case, 2") == 1
     monkeypatch.chdir(tmp_path)
     found: dict[str, object] = {}
     exec(compile(code, "study.md", "exec"), found)
-    assert len(found["rows"]) == 4
+    assert len(found["rows"]) == 2
     assert (tmp_path / "mine.jsonl").exists()
     request = study.StudyRequest(["surge"], 3, 1, tmp_path / "study", seconds=60.0, workers=Workers(1))
     study.run_studies(request, "test", QUIET)
