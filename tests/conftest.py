@@ -18,7 +18,7 @@ import signal
 import sys
 import tempfile
 import threading
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -89,7 +89,6 @@ LONG = (
     "tests/ident/workflows/test_fleet.py",
     "tests/test_how_to.py",
     "tests/test_site.py",
-    "tests/ident/results/test_result_file.py",
     "tests/ident/workflows/test_changes.py",
     "tests/ident/studies/test_study.py",
     "tests/ident/cli/test_commands.py",
@@ -99,13 +98,15 @@ LONG = (
     "tests/bench/preflight/test_check_log.py",
     "tests/ident/report/test_report_browser.py",
     "tests/ident/export/test_export.py",
+    "tests/ident/parallel/test_dask.py",
     "tests/ident/export/test_fmu.py",
-    "tests/ident/parallel/test_tasks.py",
     "tests/ident/report/test_report.py",
     "tests/ident/workflows/test_control.py",
     "tests/recovery/test_recovery.py",
     "tests/ident/export/test_simulation.py",
     "tests/ident/workflows/test_moved.py",
+    "tests/ident/results/test_result_file.py",
+    "tests/ident/parallel/test_tasks.py",
     "tests/test_troubleshooting.py",
     "tests/ident/navigation/test_navigation.py",
     "tests/ident/report/test_report_dynamics.py",
@@ -145,6 +146,18 @@ def group_of(nodeid: str) -> str:
 
 
 ORDER = {group: k for k, group in enumerate(("ports", "beside", *LONG))}
+
+
+@pytest.fixture(scope="module")
+def quick_compilation() -> Iterator[None]:
+    """Compile the kernels of a module in a fifth of the time, with less optimisation.
+
+    It pays for models that no other module fits. The machine code of other models is compiled once for all modules.
+    """
+    from seatrial.ident.engine import jit
+
+    with jit.quick_compilation(0):
+        yield
 
 
 @pytest.hookimpl(wrapper=True)

@@ -6,6 +6,7 @@ The writers use scipy (MATLAB), rosbags (ROS 2) and the layout of ArduPilot's Da
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -40,6 +41,7 @@ class Run(NamedTuple):
     columns: dict[str, np.ndarray]
 
 
+@cache
 def run(seed: int, seconds: float = 70.0) -> Run:
     """Return a run with random steps of both thrusters, at 10 Hz."""
     return Run(*simulated_run(BOAT, seed, seconds))

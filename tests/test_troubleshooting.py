@@ -15,6 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs/troubleshooting.md"
 PARTS = ("daq", "bench", "ident", "mocks")
 GAP = "…"
+END = "\0"  # between the texts of the code
 # Up to a tenth of the errors may be missing, because new errors can be added before their line in the page.
 LEAST_TOLD = 0.9
 
@@ -39,8 +40,8 @@ def sources() -> list[Path]:
 
 
 @cache
-def texts_in_code() -> tuple[str, ...]:
-    """Return every text in the code."""
+def texts_in_code() -> str:
+    """Return all texts in the code, separated by END. One search in it is much faster than one search in each text."""
     texts = {
         text
         for path in sources()
@@ -48,7 +49,7 @@ def texts_in_code() -> tuple[str, ...]:
         if isinstance(node, (ast.Constant, ast.JoinedStr, ast.BinOp))
         for text in templates(node)
     }
-    return tuple(sorted(texts))
+    return END.join(sorted(texts))
 
 
 @cache
@@ -66,9 +67,9 @@ def raised() -> tuple[tuple[str, str], ...]:
 
 
 def pattern(quoted: str) -> re.Pattern[str]:
-    """Return a pattern for templates that matches a quoted line. … matches any text."""
+    """Return a pattern for templates that matches a quoted line. … matches any text, up to the end of the template."""
     pieces = [re.escape(piece) for piece in quoted.strip(GAP + " ").split(GAP)]
-    return re.compile(".*".join(pieces), re.DOTALL)
+    return re.compile(f"[^{END}]*".join(pieces))
 
 
 def quoted() -> list[str]:
@@ -87,8 +88,7 @@ def test_each_quoted_line_is_in_the_code() -> None:
     stale = []
     for line in quoted():
         assert re.search(r"\w{2}", line.replace(GAP, "")), f"a line of dots says nothing: {line}"
-        found = pattern(line)
-        if not any(found.search(text) for text in texts_in_code()):
+        if not pattern(line).search(texts_in_code()):
             stale.append(line)
     assert not stale, "docs/troubleshooting.md quotes what no text in the code reads"
 

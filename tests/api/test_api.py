@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import inspect
+import io
 import json
 import re
 import shutil
@@ -12,7 +14,7 @@ import sys
 import tomllib
 import warnings
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +27,10 @@ from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from seatrial.ident.results import read_result
 from seatrial.mocks.plant.bench import draw_bench
 from tests.missions import bench_log, boat_log, boat_with
+from tests.page_runner import run_python
+from tests.test_docs import blocks
+
+pytestmark = pytest.mark.usefixtures("quick_compilation")
 
 ROOT = Path(__file__).resolve().parents[2]
 THRUST = {"priors": {"c1": (40.0, 2.0)}, "fixed": {"c2": 1.1}}
@@ -45,18 +51,67 @@ def quiet() -> Iterator[None]:
         yield
 
 
-@pytest.fixture(scope="module")
-def fit(logs: list[Path]) -> st.FittedVehicle:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", SeatrialWarning)
-        return st.fit(logs[0], validate=logs[1], score_tests=False, **THRUST)
+@dataclass
+class Page:
+    """Run of the page on Python: its folder, the variables of its blocks, and the printed text."""
+
+    folder: Path
+    space: dict[str, Any]
+    printed: str = ""
+
+    def run(self, blocks: list[str]) -> None:
+        """Run blocks in the folder, and keep what they print."""
+        out = io.StringIO()
+        with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(out):
+            patch.chdir(self.folder)
+            for block in blocks:
+                run_python(block, "python.md", self.space)
+        self.printed += out.getvalue()
+
+
+BLOCKS = blocks(ROOT / "docs/how-to/python.md", "python")
 
 
 @pytest.fixture(scope="module")
-def found(logs: list[Path], fit: st.FittedVehicle) -> st.FittedDiagnosis:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", SeatrialWarning)
-        return st.diagnose(fit, logs[0], validate=logs[1], max_effects=1)
+def fit_page(logs: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Page:
+    """Run the first block of the page, which fits a model."""
+    page = Page(tmp_path_factory.mktemp("page"), {})
+    for log in logs:
+        shutil.copy(log, page.folder)
+    page.run(BLOCKS[:1])
+    return page
+
+
+@pytest.fixture(scope="module")
+def page(fit_page: Page) -> Page:
+    """Run the other blocks of the page."""
+    bench_log(fit_page.folder / "bench.mcap", draw_bench(4), chirp_s=3.0, count=2)
+    t = np.arange(0.0, 60.0, 0.1)
+    columns = {
+        "t": t,
+        "psi": 0.1 * t,
+        "r": 0.1 + 0.01 * np.sin(t),
+        "n_left": 0.5 + 0.1 * np.sin(t),
+        "n_right": 0.4 + 0 * t,
+    }
+    rows = np.column_stack(list(columns.values()))
+    np.savetxt(fit_page.folder / "other.csv", rows, delimiter=",", header=",".join(columns), comments="", fmt="%.6f")
+    fit_page.run(BLOCKS[1:])
+    return fit_page
+
+
+@pytest.fixture(scope="module")
+def fit(fit_page: Page) -> st.FittedVehicle:
+    found = fit_page.space["fit"]
+    assert isinstance(found, st.FittedVehicle)
+    return found
+
+
+@pytest.fixture(scope="module")
+def found(page: Page) -> st.FittedDiagnosis:
+    found = page.space["found"]
+    assert isinstance(found, st.FittedDiagnosis)
+    return found
 
 
 def bag_in(folder: Path) -> Path:
@@ -492,12 +547,8 @@ def test_steady_motion_is_that_of_a_long_simulation(fit: st.FittedVehicle, tmp_p
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> st.FittedThruster:
-    path = tmp_path_factory.mktemp("bench") / "bench.mcap"
-    bench_log(path, draw_bench(4), chirp_s=3.0, count=2)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", SeatrialWarning)
-        found = st.thruster(path)
+def bench(page: Page) -> st.FittedThruster:
+    found = page.space["bench"]
     assert isinstance(found, st.FittedThruster)
     return found
 
@@ -642,7 +693,7 @@ def test_comparison_prefers_the_model_with_the_effect(
     ]
 
 
-def test_nested_fits_to_the_same_log_have_information_criteria(logs: list[Path], found: st.FittedDiagnosis) -> None:
+def test_nested_fits_to_the_same_log_have_information_criteria(logs: list[Path]) -> None:
     plain = st.fit(logs[0], score_tests=False, reml=False, mean_order=1, **THRUST)
     with_effect = st.fit(logs[0], score_tests=False, reml=False, mean_order=1, effects=["mismatch"], **THRUST)
     (_, row) = st.compare([plain, with_effect], logs[0]).result.models
@@ -660,37 +711,16 @@ def test_nested_fits_to_the_same_log_have_information_criteria(logs: list[Path],
     assert back.criteria.p is None  # The larger model is not nested in the smaller one.
 
 
-@pytest.mark.filterwarnings("ignore:other.csv. the import map is a guess")
-def test_the_page_runs_as_written(
-    logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for log in logs:
-        shutil.copy(log, tmp_path)
-    bench_log(tmp_path / "bench.mcap", draw_bench(4), chirp_s=3.0, count=2)
-    t = np.arange(0.0, 60.0, 0.1)
-    columns = {
-        "t": t,
-        "psi": 0.1 * t,
-        "r": 0.1 + 0.01 * np.sin(t),
-        "n_left": 0.5 + 0.1 * np.sin(t),
-        "n_right": 0.4 + 0 * t,
-    }
-    rows = np.column_stack(list(columns.values()))
-    np.savetxt(tmp_path / "other.csv", rows, delimiter=",", header=",".join(columns), comments="", fmt="%.6f")
-    monkeypatch.chdir(tmp_path)
-    text = (ROOT / "docs/how-to/python.md").read_text(encoding="utf-8")
-    space: dict[str, object] = {}
-    for block in re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
-        exec(compile(block, "python.md", "exec"), space)
-    printed = capsys.readouterr().out
-    assert "better: with effects" in printed or "better: nominal" in printed
-    assert "<Log other.mcap: 59.9 s, 4 signals" in printed
-    assert "scale: measured" in printed
-    assert (tmp_path / "next.toml").exists()
+def test_the_page_runs_as_written(page: Page) -> None:
+    assert len(BLOCKS) == 8
+    assert "better: with effects" in page.printed or "better: nominal" in page.printed
+    assert "<Log other.mcap: 59.9 s, 4 signals" in page.printed
+    assert "scale: measured" in page.printed
+    assert (page.folder / "next.toml").exists()
     names = {"model.toml", "result.json", "result.parquet", "report.html"}
     tables = {"steady.csv", "lookup.csv", "ardupilot.param"}
-    assert {p.name for p in (tmp_path / "thruster").iterdir()} == names | tables
-    assert {p.name for p in (tmp_path / "vehicle").iterdir()} == names
+    assert {p.name for p in (page.folder / "thruster").iterdir()} == names | tables
+    assert {p.name for p in (page.folder / "vehicle").iterdir()} == names
 
 
 def test_the_reference_is_up_to_date() -> None:

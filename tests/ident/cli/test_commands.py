@@ -22,6 +22,8 @@ from seatrial.mocks.plant.bench import draw_bench
 from seatrial.mocks.plant.boat import Boat
 from tests.missions import bench_log, boat_log, boat_with, sail, write_log
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 SEED, EFFECT = 2, "cubic-drag"
 FILES = ("model.toml", "result.json", "report.html")
 Outcome = tuple[int, str, str]

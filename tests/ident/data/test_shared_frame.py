@@ -30,6 +30,8 @@ from tests.ident.effects.independent_boat import Force, IndependentBoat, sail
 from tests.ident.effects.test_weak_effects import line, model_of, spring
 from tests.missions import RPM_MAX, write_log
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 APART = (22.0, -17.0)  # Distance [m] north and east between the first fixes of two missions from one pier.
 POINT = (8.0, -6.0)  # Position [m] of the anchor from the start of the first log.
 

@@ -14,6 +14,8 @@ from seatrial.ident.cli.commands import ident
 from seatrial.ident.results import read_result, to_json
 from tests.missions import boat_log, boat_with
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 
 def run(*words: object) -> Result:
     return CliRunner().invoke(ident, [str(w) for w in words])

@@ -17,6 +17,8 @@ from seatrial.ident.models.horizontal import horizontal_model
 from tests.ident.sliders import slide, slider
 from tests.missions import boat_with, channels_of, sail
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 
 def run(seed: int, *signals: str) -> LogSegment:
     """Return a log of the slider with its force and the given measurements."""

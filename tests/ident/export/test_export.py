@@ -60,9 +60,9 @@ from tests.test_docs import ROOT, blocks
 )
 def test_python_and_casadi_exports_equal_the_model(name: str, nuisance: bool, tmp_path: Path) -> None:
     model = moved(MODELS[name], 1)
+    c = collect_content(saved(model), nuisance=nuisance)
     for target, run in (("python", run_python), ("casadi", run_casadi)):
         functions, space = run(export(saved(model), target, nuisance=nuisance), tmp_path)
-        c = collect_content(saved(model), nuisance=nuisance)
         assert list(space["P"].values()) == list(c.values)
         assert (space["STATES"], space["INPUTS"], space["OUTPUTS"]) == (c.states, c.inputs, c.outputs)
         compare(model, functions, list(c.values), nuisance)
@@ -83,11 +83,10 @@ def some(names: Iterable[str], kept: set[str]) -> list[Any]:
 @pytest.mark.parametrize("name", some(ALONE, KINDS_ALONE))
 def test_export_of_every_effect_alone(name: str, tmp_path: Path) -> None:
     model = moved(ALONE[name], 2)
+    c = collect_content(saved(model))
     for target, run in (("python", run_python), ("casadi", run_casadi)):
-        compare(
-            model, run(export(saved(model), target), tmp_path)[0], list(collect_content(saved(model)).values), False
-        )
-    effect = set(collect_content(saved(model)).parameters) & {p.name for p in catalogue()[name].parameters}
+        compare(model, run(export(saved(model), target), tmp_path)[0], list(c.values), False)
+    effect = set(c.parameters) & {p.name for p in catalogue()[name].parameters}
     assert effect, "the effect is in the exported model"
 
 

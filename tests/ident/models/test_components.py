@@ -24,6 +24,8 @@ from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
 from tests.missions import boat_with, channels_of, sail
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 
 def outputs(model, x, u):
     return VectorisedModel(model)(x, u, np.array(list(model.values.values())))

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 from typing import Any
 
@@ -26,7 +27,7 @@ Array = NDArray[np.float64]
 DT, ARM, C1 = 0.005, 0.2, 12.0  # Units: s, m, N
 TRUTH = {"m_u": 12.0, "m_v": 17.0, "m_r": 1.3, "d_u": 2.0, "d_uu": 8.0, "d_v": 10.0, "d_vv": 20.0, "d_r": 1.0}
 TRUTH |= {"d_rr": 1.5}
-CURRENT = np.array([0.05, -0.03])  # Unit: m/s
+CURRENT = (0.05, -0.03)  # Unit: m/s
 
 
 def commands(seconds: float, rng: np.random.Generator) -> Array:
@@ -46,13 +47,15 @@ def commands(seconds: float, rng: np.random.Generator) -> Array:
 
 
 def rates(x: Array, n_ref: Array, T: float) -> Array:
-    p, (psi, u, v, r), n = TRUTH, x[2:6], x[6:]
-    f = C1 * n * np.abs(n)
-    north, east = np.cos(psi) * u - np.sin(psi) * v, np.sin(psi) * u + np.cos(psi) * v
-    du = (f.sum() - p["d_u"] * u - p["d_uu"] * abs(u) * u + p["m_v"] * v * r) / p["m_u"]
+    """Return the derivatives of the states. Plain numbers take a quarter of the time of short arrays."""
+    p, (psi, u, v, r, left, right), (ref_left, ref_right) = TRUTH, x[2:].tolist(), n_ref.tolist()
+    f_left, f_right = C1 * left * abs(left), C1 * right * abs(right)
+    sin, cos = math.sin(psi), math.cos(psi)
+    du = (f_left + f_right - p["d_u"] * u - p["d_uu"] * abs(u) * u + p["m_v"] * v * r) / p["m_u"]
     dv = (-p["d_v"] * v - p["d_vv"] * abs(v) * v - p["m_u"] * u * r) / p["m_v"]
-    moment = ARM * (f[0] - f[1]) - p["d_r"] * r - p["d_rr"] * abs(r) * r + (p["m_u"] - p["m_v"]) * u * v
-    return np.array([north + CURRENT[0], east + CURRENT[1], r, du, dv, moment / p["m_r"], *(n_ref - n) / T])
+    moment = ARM * (f_left - f_right) - p["d_r"] * r - p["d_rr"] * abs(r) * r + (p["m_u"] - p["m_v"]) * u * v
+    north, east = cos * u - sin * v + CURRENT[0], sin * u + cos * v + CURRENT[1]
+    return np.array([north, east, r, du, dv, moment / p["m_r"], (ref_left - left) / T, (ref_right - right) / T])
 
 
 @cache

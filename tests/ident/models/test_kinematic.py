@@ -23,6 +23,8 @@ from seatrial.ident.models.kinematic import kinematic_model
 from seatrial.ident.models.rotations import G
 from tests.missions import boat_log, boat_with
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 HULL = ("m_u", "m_v", "m_r", "d_u", "d_v", "d_r", "d_uu", "d_rr")
 OFFSETS = {"bias_psi": 0.0, "bias_r": 0.0}
 

@@ -1,4 +1,4 @@
-"""Tests of parallel tasks on processes of this computer and on a local Dask cluster, with processes that are killed."""
+"""Tests of parallel tasks on processes of this computer, which are killed, and of errors of all backends."""
 
 from __future__ import annotations
 
@@ -25,15 +25,6 @@ ROOT = Path(__file__).resolve().parents[3]
 LOKY = Workers(2, "loky")
 
 
-@pytest.fixture(scope="module")
-def cluster() -> Iterator[Any]:
-    """Start a local Dask cluster of two workers, each a process of its own."""
-    from distributed import LocalCluster
-
-    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0") as running:
-        yield running
-
-
 def test_every_backend_gives_the_same_values() -> None:
     alone = {o.task: o.value[0] for o in run_many(range(8), chores.square, Workers(1)) if o.value}
     assert alone == {k: k * k for k in range(8)}
@@ -42,16 +33,6 @@ def test_every_backend_gives_the_same_values() -> None:
     processes = {p for _, p in found}
     assert len(processes) == 2
     assert os.getpid() not in processes
-
-
-def test_tasks_run_on_the_workers_of_a_dask_cluster(cluster: Any) -> None:
-    reporter = Kept()
-    workers = Workers(backend="dask", scheduler=cluster.scheduler_address)
-    found = [o.value for o in run_many(range(12), chores.square, workers, reporter) if o.value]
-    assert sorted(v for v, _ in found) == [k * k for k in range(12)]
-    assert {p for _, p in found} == {w.pid for w in cluster.workers.values()}
-    assert reporter.lines == ["Dask cluster of 2 workers"]
-    assert not reporter.warnings
 
 
 def test_outcomes_come_while_later_tasks_run() -> None:
@@ -93,13 +74,6 @@ def test_task_that_always_kills_its_process_fails_and_the_others_do_not() -> Non
     assert value is None
     assert error.startswith("its process died 3 times")
     assert not found
-
-
-def test_dask_task_of_a_killed_worker_is_run_again(cluster: Any, tmp_path: Path) -> None:
-    marks = [tmp_path / f"{'victim' if k == 1 else 'other'}{k}" for k in range(6)]
-    workers = Workers(backend="dask", scheduler=cluster.scheduler_address)
-    found = list(run_many(marks, chores.die_once, workers))
-    assert sorted(o.value or "" for o in found) == sorted(m.name for m in marks)
 
 
 @pytest.mark.slow
@@ -166,15 +140,6 @@ def test_scheduler_that_does_not_answer(address: str, monkeypatch: pytest.Monkey
     monkeypatch.setattr("seatrial.ident.parallel.workers.REACH_S", 0.5)
     with pytest.raises(SeatrialError, match=r"no Dask scheduler answers there; start one with `dask scheduler`"):
         list(run_many(range(2), chores.square, Workers(backend="dask", scheduler=address)))
-
-
-def test_workers_with_another_version_are_refused(cluster: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("seatrial.ident.parallel.workers.version", lambda name: "9.9")
-    message = (
-        r"worker tcp://\S+ has seatrial \S+, and this computer has 9\.9: pip install 'seatrial\[ident,dask\]==9\.9'"
-    )
-    with pytest.raises(SeatrialError, match=message):
-        list(run_many(range(2), chores.square, Workers(backend="dask", scheduler=cluster.scheduler_address)))
 
 
 def test_tasks_of_a_worker_with_threads_take_turns() -> None:

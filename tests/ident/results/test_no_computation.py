@@ -23,6 +23,8 @@ from seatrial.ident.validation.evaluation import evaluate
 from seatrial.ident.workflows.output import validity
 from tests.missions import boat_with, channels_of, sail
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 MADE = Provenance(created="2025-05-06T07:08:09+00:00", seatrial="0.1.0", command="seatrial ident")
 METHODS = ("__init__", "value", "gradient", "scores", "value_by_row", "filter", "forecast")
 

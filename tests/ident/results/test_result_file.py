@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,12 @@ from tests.ident import report_example, report_example_bench
 from tests.ident.pages import shortened
 
 EXAMPLES = {"diagnosis": report_example.diagnosis, "thruster": report_example_bench.thruster}
+
+
+@cache
+def example(kind: str) -> bytes:
+    """Return the JSON of an example with all its curves."""
+    return json.dumps(EXAMPLES[kind]()).encode()
 
 
 def written(value: Any) -> Any:
@@ -54,7 +61,7 @@ def test_origin_is_written_to_the_millimetre() -> None:
 
 @pytest.mark.parametrize("kind", EXAMPLES)
 def test_result_is_read_as_written(kind: str, tmp_path: Path) -> None:
-    result = from_json(json.dumps(EXAMPLES[kind]()).encode())
+    result = from_json(example(kind))
     write_result(result, tmp_path / "result.json")
     again = read_result(tmp_path / "result.json")
     assert type(again) is type(result)
@@ -81,16 +88,16 @@ def assert_same(actual: Any, expected: Any) -> None:
 def diagnosed(folder: Path) -> Path:
     """Write the files of a diagnosis to a folder, and return the result.json."""
     path = folder / "result.json"
-    write_result(from_json(json.dumps(report_example.diagnosis()).encode()), path)
+    write_result(from_json(example("diagnosis")), path)
     return path
 
 
 def test_curves_are_in_a_table_of_named_rows_and_not_in_the_json(tmp_path: Path) -> None:
     path = diagnosed(tmp_path)
     content = json.loads(path.read_text())
-    whole = report_example.diagnosis()
+    whole = json.loads(example("diagnosis"))
     assert content["traces"][0]["measured"] == {"parquet": len(whole["traces"][0]["measured"])}
-    assert path.stat().st_size < 0.1 * len(json.dumps(whole))
+    assert path.stat().st_size < 0.1 * len(example("diagnosis"))
     table = pandas.read_parquet(tmp_path / content["curves_file"]["file"])
     for row in whole["traces"]:
         mine = table[(table.table == "traces") & (table.record == row["record"]) & (table.name == row["channel"])]
@@ -105,12 +112,12 @@ def test_without_pyarrow_the_json_has_the_curves(tmp_path: Path, monkeypatch: py
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     path = diagnosed(tmp_path)
     assert not (tmp_path / "result.parquet").exists()
-    whole, found = report_example.diagnosis(), read_result(path)
+    whole, found = json.loads(example("diagnosis")), read_result(path)
     assert found.traces[0].measured == pytest.approx(whole["traces"][0]["measured"], nan_ok=True)  # type: ignore[union-attr]
 
 
 def test_curves_of_format_2_are_read_from_the_json(tmp_path: Path) -> None:
-    content = report_example.diagnosis() | {"format": "seatrial-result 2"}
+    content = json.loads(example("diagnosis")) | {"format": "seatrial-result 2"}
     (tmp_path / "result.json").write_text(json.dumps(content), encoding="utf-8")
     found = read_result(tmp_path / "result.json")
     assert found.format == "seatrial-result 3"
@@ -143,7 +150,7 @@ def test_result_names_no_file_outside_its_folder(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", EXAMPLES)
 def test_a_result_without_traces_keeps_all_but_its_curves(kind: str) -> None:
-    result = from_json(json.dumps(EXAMPLES[kind]()).encode())
+    result = from_json(example(kind))
     whole, short = json.loads(to_json(result)), json.loads(to_json(result, traces=False))
     assert list(short) == list(whole)
     for key in ("answer", "warnings", "logs"):

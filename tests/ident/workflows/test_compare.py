@@ -150,24 +150,6 @@ def test_two_processes_give_the_numbers_of_one(
     np.testing.assert_array_equal(two.traces[3].predictions[1].sd, compared.traces[3].predictions[1].sd)
 
 
-def test_dask_cluster_gives_the_numbers_of_one_process(
-    compared: ComparisonResult, models: list[Path], logs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    from distributed import LocalCluster
-
-    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0") as cluster:
-        where = ("--backend", "dask", "--scheduler", cluster.scheduler_address)
-        on = ("--on", logs[1], "--on", logs[2], "--horizon", 2, "--horizon", 5)
-        run("ident", "compare", *models, *on, *where, "--out", tmp_path / "out")
-    shown = capsys.readouterr()
-    assert "Dask cluster of 2 workers" in shown.err
-    assert "4 of 4: " in shown.err
-    again = read_result(tmp_path / "out/result.json")
-    assert isinstance(again, ComparisonResult)
-    for here, there in zip(compared.channels, again.channels, strict=True):
-        assert [e.rms for e in there.errors] == pytest.approx([e.rms for e in here.errors], rel=1e-6)
-
-
 def test_command_writes_result_and_report(
     models: list[Path],
     logs: list[Path],

@@ -76,20 +76,6 @@ def test_two_processes_give_the_numbers_of_one(logs: list[Path], alone: fleet.Fl
     assert alone.result.fitted == 4
 
 
-def test_dask_cluster_gives_the_numbers_of_one_process(
-    logs: list[Path], alone: fleet.FleetFits, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    from distributed import LocalCluster
-
-    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0") as cluster:
-        where = ("--backend", "dask", "--scheduler", cluster.scheduler_address)
-        run("ident", "fleet", *logs, *QUICK, *where, "--out", tmp_path / "fleet")
-    assert same(pyarrow.parquet.read_table(tmp_path / "fleet/fits.parquet")).equals(same(alone.table))
-    shown = capsys.readouterr()
-    assert "Dask cluster of 2 workers" in shown.err
-    assert "The model was fitted to 4 of 4 logs" in shown.out
-
-
 @pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")
 def test_rows_equal_the_result_of_a_single_fit(logs: list[Path]) -> None:
     single = st.fit(logs[1], score_tests=False, fixed={"c2": 1.1}, priors={"c1": (40.0, 2.0)})

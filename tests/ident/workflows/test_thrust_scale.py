@@ -19,6 +19,8 @@ from seatrial.daq.importers.import_files import import_files
 from seatrial.ident.cli.commands import ident
 from seatrial.ident.estimation.model_file import load_model
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 # A boat of 12 kg: masses [kg], inertia [kg m2], damping, full forward thrust [N] and arm [m].
 TRUE = {"m_u": 12.0, "m_v": 17.0, "m_r": 1.30, "d_u": 2.0, "d_v": 12.0, "d_r": 1.5}
 TRUE |= {"d_uu": 9.0, "d_vv": 25.0, "d_rr": 1.2}

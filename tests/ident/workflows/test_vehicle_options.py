@@ -17,6 +17,8 @@ from seatrial.ident.reporter import QUIET
 from seatrial.ident.workflows.diagnose import DiagnosisRequest, diagnosis
 from tests.missions import boat_log, boat_with
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:

@@ -15,6 +15,8 @@ from seatrial.mocks.hidden_effects.realistic import realistic
 from seatrial.mocks.plant.boat import Boat, draw_boat
 from tests.missions import sail, write_log
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 SEED = 13
 THRUST = ("--prior", "c1=40.05:2", "--fix", "c2=1.11")  # the curve of a bench, known to 5 %
 
