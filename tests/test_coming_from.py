@@ -16,7 +16,7 @@ from seatrial.ident.estimation.model_file import load_model
 from tests import foreign_runs
 from tests.daq.importers.test_mavlink import tlog
 from tests.own_boats import HULL
-from tests.page_runner import edited, run_commands, run_python
+from tests.page_runner import run_commands, run_python
 
 # two dozen fits
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900), pytest.mark.usefixtures("quick_compilation")]
@@ -55,13 +55,10 @@ def steps(text: str) -> Iterator[tuple[str, str]]:
                 yield "python", code
 
 
-def follow(title: str, space: dict[str, Any], edits: dict[str, str] | None = None) -> int:
-    """Run all steps of a section in the current folder and return their number. Blocks with a file name are written.
-
-    ``edits`` replace parts of the section.
-    """
+def follow(title: str, space: dict[str, Any]) -> int:
+    """Run all steps of a section in the current folder and return their number. Blocks with a file name are written."""
     done = 0
-    for language, text in steps(edited(section(title), edits or {})):
+    for language, text in steps(section(title)):
         name = re.match(r"# ([\w.]+)\n", text)
         if name:
             Path(name[1]).write_text(text, encoding="utf-8")
@@ -141,8 +138,7 @@ def test_the_section_on_ardupilot_runs(folder: Path) -> None:
         foreign_runs.write_dataflash(folder / f"0000000{k}.BIN", foreign_runs.run(k))
     tlog(folder / "flight.tlog")
     foreign_runs.write_stand(folder / "stand.csv")
-    edits = {"--out compass": "--no-score-tests --out compass"}
-    assert follow(ARDUPILOT, {"st": st}, edits) >= 12
+    assert follow(ARDUPILOT, {"st": st}) >= 12
     expo = re.search(r"^MOT_THST_EXPO,([\d.]+)$", (folder / "thruster/ardupilot.param").read_text(), re.MULTILINE)
     assert expo is not None
     assert float(expo[1]) == pytest.approx(1.0, abs=0.02)  # the thrust of this stand is quadratic in the command

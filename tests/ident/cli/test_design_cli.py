@@ -22,8 +22,6 @@ from seatrial.ident.model.structure import Model
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.workflows.design import DesignRequest, hypotheses, make_task
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 DOCUMENT = Path(__file__).parents[3] / "docs" / "formats" / "model.md"
 QUICK = ("--evaluations", "500", "--duration", "40", "--steps", "8")
 

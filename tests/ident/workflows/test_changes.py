@@ -27,8 +27,6 @@ from seatrial.ident.workflows.campaign_errors import _campaign_values
 from seatrial.ident.workflows.campaign_fits import Comparison, FittedLogs, compare_fits, fitted_logs
 from tests.missions import boat_log, boat_with
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 ROOT = Path(__file__).resolve().parents[3]
 THRUST = ("--fix", "c1=40.05", "--fix", "c2=1.11")
 FIXED = {"c1": 40.05, "c2": 1.11}
