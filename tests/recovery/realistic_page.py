@@ -9,6 +9,7 @@ python -m tests.recovery.realistic_page
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -45,7 +46,7 @@ of full or of double size is added, which no file declares. Two missions of 400 
         --out docs/data/realistic-boats.jsonl
     python -m tests.recovery.realistic_page
 
-On boat {seed}, 20 of the {n_all} effects were run, with `--effects`: those that were expected to change the motion
+On boat {seed}, {n_run} of the {n_all} effects were run, with `--effects`: those that were expected to change the motion
 most. The other boats have other imperfections, and an effect each that was drawn at random (`--seeds 1 --seed BOAT`).
 So the shares below are not those of all effects.
 
@@ -148,8 +149,10 @@ def document(rows: Sequence[Row]) -> str:
     large = [r for r in rows if (r.get("dominance") or 0.0) >= MATTERS]
     large_sure = sum(attribution_of(r) == "identified" for r in large)
     z = [r["z"][name] for r in rows for name in MASSES if name in r["z"]]
+    (seed, _), *_ = Counter(r["seed"] for r in rows).most_common()
     return TEXT.format(
-        seed=rows[0]["seed"],
+        seed=seed,
+        n_run=len({r["effect"] for r in rows if r["seed"] == seed}),
         table=as_markdown(table(rows)),
         further=further(mission_rows()),
         priors=as_markdown(prior_study.table([r for r in read(prior_study.OUT).values() if "error" not in r])),
