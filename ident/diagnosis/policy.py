@@ -78,7 +78,8 @@ class SearchPolicy:
         ``min_t``. The rule is for gains in bursts, such as in turns, of which the validation data have few.
     min_trial_criterion
         If no effect was accepted in a round, a refit whose gain on the validation data is positive but not significant
-        is tried together with a second effect. Its criterion has to exceed this value.
+        is tried together with a second effect. Its criterion has to exceed this value. So does that of a candidate
+        that is to take the place of a removed effect.
     min_t_if_predicting
         Replaces ``min_t`` in the backward elimination for an effect that improves the prediction, which is further
         evidence.

@@ -99,7 +99,7 @@ from seatrial.ident.estimation import (
     without_absent_sensors,
     without_unknown_noise,
 )
-from seatrial.ident.model import Effect, EffectKind, ForceCurve, Model, Parameter
+from seatrial.ident.model import Effect, EffectKind, ForceCurve, Model, Parameter, curve_name
 from seatrial.ident.models import residuals_of, scale_priors, size_of, variables_of
 from seatrial.ident.reporter import QUIET, Reporter
 from seatrial.ident.validation import (
@@ -830,7 +830,8 @@ class _Search:
         criterion of its score also exceeds ``policy.max_remaining_criterion``.
 
         In a later call, candidates whose last refit failed (`_failed_before`) are not tried again: the model with fewer
-        effects, in which they failed before, is no better than the last one at judging them.
+        effects is no better than the last one at judging them. The others need a criterion of the score above
+        ``policy.min_trial_criterion``.
 
         Parameters
         ----------
@@ -864,7 +865,8 @@ class _Search:
             tried = [s for s in passed if not s.nonparametric and s.criterion(self.n) > least] if unknown else passed
             tried = [s for s in tried if s.name not in gone]
             if again:
-                tried = [s for s in tried if s.name not in self._failed_before()]
+                failed, least = self._failed_before(), self.policy.min_trial_criterion
+                tried = [s for s in tried if s.name not in failed and s.criterion(self.n) > least]
             if self.common_errors is not None:  # what is left is the difference between a real boat and any model
                 tried = [s for s in tried if s.criterion(self.n) > self.policy.max_remaining_criterion]
             if len(self.rounds) >= max_effects or not tried:
@@ -1274,17 +1276,19 @@ class _Search:
         return Round(tuple(scores), names, tuple(refits), chosen, tuple(untested))
 
     def _failed_before(self) -> set[str]:
-        """Return the names of the candidates whose last refit was not supported by the data.
+        """Return the names of the candidates, as of their scores, whose last refit was not supported by the data.
 
         The refit did not gain enough on the estimation data, or its gain on the validation data was not significant.
         A further effect in the model seldom changes that, and each refit costs as much as a fit.
         """
         failed = set[str]()
         for r in (r for earlier in self.rounds for r in earlier.refits):
+            e = r.effect
+            name = curve_name(e.kind, e.curve) if e.kind.nonparametric and e.curve is not None else e.name
             if r.outcome in (Outcome.NOT_SUPPORTED, Outcome.NOT_VALIDATED):
-                failed.add(r.effect.name)
+                failed.add(name)
             else:
-                failed.discard(r.effect.name)
+                failed.discard(name)
         return failed
 
     def _choose_refit(
