@@ -6,6 +6,7 @@ from .log_checks import check_signals as check_signals
 from .log_checks import device_faults as device_faults
 from .log_checks import invalidates_fit as invalidates_fit
 from .log_checks import log_evidence as log_evidence
+from .shaft_sign import speed_over_command as speed_over_command
 from .shafts import check_shafts as check_shafts
 from .signals import estimated as estimated
 from .signals import smoothed as smoothed

@@ -44,6 +44,26 @@ def one_sided_shafts(c: Channels) -> dict[str, Finding]:
     return {n: finding for n, finding in found if finding is not None}
 
 
+def speed_over_command(c: Channels) -> float | None:
+    """Return the shaft speed over the command, both as shares of full, at steady forward commands.
+
+    Parameters
+    ----------
+    c
+        Channels (signals) of a log by name. A shaft speed with the same array of times as its command is a copy of it,
+        and is not used.
+
+    Returns
+    -------
+    float or None
+        Mean of the thrusters. None if no thruster has both signals and steady forward commands.
+    """
+    both = ((c[command_of(n)], c[shaft_speed_of(n)]) for n in commanded_thrusters(c) if shaft_speed_of(n) in c)
+    found = [_speed_over_command(command, shaft, 1.0) for command, shaft in both if command.t is not shaft.t]
+    known = [ratio for ratio in found if ratio is not None and TURNS < ratio < IMPOSSIBLE]
+    return float(np.mean(known)) if known else None
+
+
 def wrapped(value: Array, fastest: float = MAX_SPEED, clear: float = MIN_COMMAND) -> bool:
     """Return whether negative values -n of a signal are logged as 65536 - n (unsigned 16 bits).
 

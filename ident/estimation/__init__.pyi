@@ -46,10 +46,12 @@ from .meta_analysis import joint_difference as joint_difference
 from .meta_analysis import mean_of_logs as mean_of_logs
 from .model_file import FittedData as FittedData
 from .model_file import SavedModel as SavedModel
+from .model_file import effects_per_run as effects_per_run
 from .model_file import leaves_validity as leaves_validity
 from .model_file import load_model as load_model
 from .model_file import model_file as model_file
 from .model_file import save_model as save_model
+from .model_file import warn_of_run_means as warn_of_run_means
 from .output_error import predict_ahead as predict_ahead
 from .output_error import simulate as simulate
 from .output_error import with_free_initial_states as with_free_initial_states

@@ -400,6 +400,31 @@ def leaves_validity(least: float, most: float, fitted: tuple[float, float]) -> b
     return least < low - room or most > high + room
 
 
+def effects_per_run(model: Model) -> dict[str, tuple[str, ...]]:
+    """Return the estimated per-record parameters of each added effect, by the name of the effect.
+
+    Disturbances and offsets of sensors are left out: as the current, they differ between the runs of any model. Effects
+    without such parameters are left out too.
+    """
+    usual = (EffectKind.DISTURBANCE, EffectKind.SENSOR_OFFSET)
+    own = {p.name for p in model.parameters if p.free and p.per_record}
+    found = {e.name: tuple(p.name for p in e.parameters if p.name in own) for e in model.effects if e.kind not in usual}
+    return {name: parameters for name, parameters in found.items() if parameters}
+
+
+def warn_of_run_means(model: Model) -> None:
+    """Warn that parameters of effects have their means over the runs, in a model that is used for other runs.
+
+    There is no warning if no effect has a parameter with a value of its own in each run (`effects_per_run`).
+    """
+    for effect, names in effects_per_run(model).items():
+        listed = ", ".join(f"{n} = {model.values[n]:.3g}" for n in names)
+        warn(
+            f"{effect}: its parameters differ between the fitted runs, and the model has their means ({listed}), which "
+            "may be true for no run"
+        )
+
+
 def load_model(path: Path) -> SavedModel:
     """Read a fitted model from a model.toml.
 

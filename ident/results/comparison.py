@@ -153,9 +153,17 @@ class ComparedModel(Part, frozen=True, kw_only=True):
     name: Annotated[str, Meta(description="path of its model.toml, or name in Python")]
     model: Annotated[str, Meta(description="names of the model and of its effects")]
     n_free: Annotated[int, Meta(description="number of estimated parameters with one value for all logs")]
+    per_log: Annotated[
+        tuple[str, ...],
+        Meta(description="parameters that are estimated anew for each compared log, such as the current"),
+    ] = ()
     fitted_to: Annotated[
         tuple[str, ...],
         Meta(description="compared logs that it was fitted to: its errors there are too small"),
+    ] = ()
+    selected_by: Annotated[
+        tuple[str, ...],
+        Meta(description="compared logs by which a fit or diagnosis was validated: its effects were selected by them"),
     ] = ()
     changes: Annotated[
         tuple[ComparedKind, ...], Meta(description="one for each kind of prediction; empty for the first model")

@@ -132,6 +132,9 @@ WarningCode = Literal[
     "thrust-ahead",
     "unusual-estimate",
     "compared-on-fitted-log",
+    "compared-on-validation-log",
+    "effect-estimated-on-compared-log",
+    "command-scale",
 ]
 
 

@@ -7,7 +7,7 @@ compared at the samples that all of them predict.
 from __future__ import annotations
 
 import string
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -17,8 +17,8 @@ import numpy as np
 from seatrial.daq.errors import SeatrialError, counted
 from seatrial.ident.checks import device_faults
 from seatrial.ident.data import WHOLE, LoadedLog, LogSegment, Record, TimeWindows, load_all, make_record
-from seatrial.ident.estimation import SavedModel, load_model, uncertainty_of
-from seatrial.ident.model import Model
+from seatrial.ident.estimation import SavedModel, effects_per_run, load_model, uncertainty_of
+from seatrial.ident.model import EffectKind, Model
 from seatrial.ident.parallel import Workers, run_many
 from seatrial.ident.report import write_report
 from seatrial.ident.reporter import Reporter
@@ -48,13 +48,15 @@ from seatrial.ident.workflows.comparison_errors import at_common_samples, channe
 from seatrial.ident.workflows.comparison_likelihood import (
     information_criteria,
     log_score,
-    logs_of_fit,
+    used_logs,
     why_not_comparable,
 )
 from seatrial.ident.workflows.model_inputs import check_horizon, hold_lines, in_one_frame, model_of_logs
 
 BLOCK_LENGTHS = 2.0  # block length of the log score, in times over which residuals may be correlated
 SAME_TIME = 1e-6  # s: records whose starts and ends differ by less cover the same time
+# Kinds of effects that a fit or a diagnosis adds by the validation logs
+ADDED = frozenset(EffectKind) - {EffectKind.DISTURBANCE, EffectKind.SENSOR_OFFSET}
 CHANCE = 0.05  # share of the verdicts on two equal models that are wrong
 
 
@@ -128,6 +130,11 @@ class _Candidate:
     def n_free(self) -> int:
         """Number of estimated parameters with one value for all logs; per-record parameters are not counted."""
         return sum(p.free and not p.per_record for p in self.saved.model.parameters)
+
+    @property
+    def per_log(self) -> tuple[str, ...]:
+        """Names of the parameters that are estimated anew for each compared log, such as the current."""
+        return tuple(p.name for p in self.model.parameters if p.free and p.per_record)
 
 
 def compare_models(request: CompareRequest, command: str, reporter: Reporter) -> ComparisonResult:
@@ -298,16 +305,20 @@ def _result(
                 own.append(ComparedKind(kind=kind.kind, seconds=kind.seconds, block=length, against_reference=ratio))
     models = list[ComparedModel]()
     for label, c, by, own in zip(letters, compared, predicted, changes, strict=True):
+        with_effects = any(e.kind in ADDED for e in c.model.effects)
         row = ComparedModel(
             label=label,
             name=c.name,
             model=c.model.name,
             n_free=c.n_free,
-            fitted_to=logs_of_fit(c.saved, loaded),
+            per_log=c.per_log,
+            fitted_to=used_logs(c.saved, loaded),
+            selected_by=used_logs(c.saved, loaded, "validation") if with_effects else (),
             changes=tuple(own),
         )
         if models:
-            held_out = not (models[0].fitted_to or row.fitted_to)
+            pair = ((models[0], compared[0]), (row, c))
+            held_out = not any(m.fitted_to or m.selected_by or effects_per_run(of.model) for m, of in pair)
             score = log_score(predicted[0], by, block, held_out)
             saved, fitted_to = (compared[0].saved, c.saved), (models[0].fitted_to, row.fitted_to)
             reason = why_not_comparable(saved, fitted_to, loaded, score)
@@ -328,8 +339,8 @@ def _result(
         command=made.command,
         logs=made.logs,
         answer="",
-        warnings=tuple(_warnings(models)),
-        notes=(*notes, *([chance] if verdicts else [])),
+        warnings=(*_warnings(models), *_warnings_of_effects(compared, letters)),
+        notes=(*notes, *_notes_on_logs(models), *([chance] if verdicts else [])),
         horizons=horizons,
         models=tuple(models),
         channels=tuple(channels),
@@ -338,17 +349,39 @@ def _result(
     return msgspec.structs.replace(result, answer=comparison_answer(result))
 
 
-def _warnings(models: Sequence[ComparedModel]) -> list[ResultWarning]:
-    """Return a warning for each model that was fitted to a compared log."""
-    return [
-        ResultWarning(
-            code="compared-on-fitted-log",
-            text=f"({m.label}) was fitted to {', '.join(m.fitted_to)}: its errors there are smaller than on other "
-            "logs. Compare on logs that no model has used.",
-        )
-        for m in models
-        if m.fitted_to
-    ]
+def _warnings(models: Sequence[ComparedModel]) -> Iterator[ResultWarning]:
+    """Yield a warning for each model that was fitted to a compared log, or validated on one."""
+    for m in models:
+        if m.fitted_to:
+            yield ResultWarning(
+                code="compared-on-fitted-log",
+                text=f"({m.label}) was fitted to {', '.join(m.fitted_to)}: its errors there are smaller than on other "
+                "logs. Compare on logs that no model has used.",
+            )
+        if m.selected_by:
+            yield ResultWarning(
+                code="compared-on-validation-log",
+                text=f"the effects of ({m.label}) were selected by {', '.join(m.selected_by)}: its errors there may be "
+                "smaller than on other logs. Compare on logs that no model has used.",
+            )
+
+
+def _warnings_of_effects(compared: Sequence[_Candidate], letters: Sequence[str]) -> Iterator[ResultWarning]:
+    """Yield a warning for each model that has an effect with parameters of its own for each log."""
+    for label, c in zip(letters, compared, strict=True):
+        if effects := effects_per_run(c.model):
+            names = "; ".join(f"{', '.join(own)} of {effect}" for effect, own in effects.items())
+            yield ResultWarning(
+                code="effect-estimated-on-compared-log",
+                text=f"({label}) estimates parameters of an effect anew on each compared log ({names}): its errors are "
+                "those of a fit to these logs, and smaller than those of the saved model on a new log.",
+            )
+
+
+def _notes_on_logs(models: Sequence[ComparedModel]) -> list[str]:
+    """Return the note that lists the parameters that are estimated anew for each log; empty if no model has any."""
+    own = [f"({m.label}) {', '.join(m.per_log)}" for m in models if m.per_log]
+    return [f"Estimated anew for each compared log: {'; '.join(own)}."] if own else []
 
 
 def _traces(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -53,13 +54,15 @@ def log_score(
     return LogScore(gain=gain, low=low, high=high, blocks=n, verdict=verdict, held_out=held_out)
 
 
-def logs_of_fit(saved: SavedModel, logs: Sequence[LoadedLog]) -> tuple[str, ...]:
-    """Return the names of those of ``logs`` that the model ``saved`` was fitted to.
+def used_logs(
+    saved: SavedModel, logs: Sequence[LoadedLog], use: Literal["logs", "validation"] = "logs"
+) -> tuple[str, ...]:
+    """Return the names of those of ``logs`` that the model ``saved`` was fitted to, or validated on.
 
     A log is recognised by its hash, which the model file lists. A log of which only an interval was read has no hash
     and is recognised by the name of its file.
     """
-    used = [str(line) for line in saved.provenance.get("logs", ())]
+    used = [str(line) for line in saved.provenance.get(use, ())]
     found = []
     for log in logs:
         digest, name = str(log.about.get("sha256") or "")[:16], Path(str(log.about["path"])).name.partition("[")[0]
@@ -84,7 +87,7 @@ def why_not_comparable(
     saved : tuple of SavedModel
         Both models.
     fitted_to : tuple of sequence of str
-        Names of the compared logs that each model was fitted to (`logs_of_fit`).
+        Names of the compared logs that each model was fitted to (`used_logs`).
     logs : sequence of LoadedLog
         The compared logs.
     score : LogScore or None

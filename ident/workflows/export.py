@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from seatrial.daq.errors import SeatrialError, warn
-from seatrial.ident.estimation import ThrustScale, load_model, model_file, thrust_scale_of
+from seatrial.ident.estimation import ThrustScale, load_model, model_file, thrust_scale_of, warn_of_run_means
 from seatrial.ident.export import export, file_name, prefix
 
 MODULES = ("python", "casadi")  # targets whose files are Python modules
@@ -77,10 +77,12 @@ def export_model(request: ExportRequest) -> ExportedModel:
     -----
     SeatrialWarning
         If thrust or arms of the model were not given (Gazebo and VRX have checks of their own), if ``request.name`` is
-        not a valid name and another one is used, and as `seatrial.ident.export.export`.
+        not a valid name and another one is used, if parameters of effects differ between the fitted runs, and as
+        `seatrial.ident.export.export`.
     """
     _check_options(request)
     saved = load_model(request.model)
+    warn_of_run_means(saved.model)
     thrusters = {name: load_model(model_file(path)) for name, path in request.thrusters.items()}
     try:
         content = export(

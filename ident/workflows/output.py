@@ -47,8 +47,12 @@ def write_all(
         Effects that a diagnosis tried, with their estimates, for model.toml.
     """
     out.mkdir(parents=True, exist_ok=True)
-    logs = [f"{x.path} sha256:{x.sha256[:16]}" for x in result.logs if x.role == "estimation"]
+    logs, validation = (
+        [f"{x.path} sha256:{x.sha256[:16]}" for x in result.logs if x.role == role]
+        for role in ("estimation", "validation")
+    )
     made = {"made_by": result.command, "created": result.created, "seatrial": result.seatrial, "logs": logs}
+    made |= {"validation": validation} if validation else {}
     origin = next((x.origin for x in result.logs if x.role == "estimation" and x.origin is not None), None)
     save_model(
         out / "model.toml",

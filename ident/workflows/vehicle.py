@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from seatrial.ident.checks import device_faults
-from seatrial.ident.data import load_all
+import msgspec
+import numpy as np
+
+from seatrial.daq.errors import first_names
+from seatrial.ident.checks import device_faults, speed_over_command
+from seatrial.ident.data import LoadedLog, load_all
 from seatrial.ident.diagnosis import COMMON_SEARCH, ModelAssessment, assess_model, with_model_uncertainty
 from seatrial.ident.estimation import FIT_ERRORS, FittedModel, fit_nominal_model, homogeneity_test, profile
-from seatrial.ident.model import with_outlier_model
+from seatrial.ident.model import COMMAND, Model, ParameterOrigin, is_of_thruster, with_outlier_model
 from seatrial.ident.models import is_own_model
 from seatrial.ident.reporter import Reporter
-from seatrial.ident.results import FitContext, VehicleResult, provenance, vehicle_result
+from seatrial.ident.results import FitContext, ResultWarning, VehicleResult, provenance, vehicle_result
 from seatrial.ident.validation import evaluate
 from seatrial.ident.workflows.check import check_first
 from seatrial.ident.workflows.dynamics import dynamics_of
 from seatrial.ident.workflows.model_inputs import unused_lines
 from seatrial.ident.workflows.output import sensor_rates, validity, write_all
 from seatrial.ident.workflows.vehicle_model import VehicleProblem, VehicleRequest, vehicle_problem
+
+LARGEST_SHARE_LOST = 0.05  # of the thrust, by shaft speeds that differ from the commands; more gives a warning
 
 
 @dataclass(frozen=True)
@@ -140,7 +147,32 @@ def fit_vehicle(request: VehicleRequest, command: str, reporter: Reporter, with_
             dynamics_of(fitted) if with_dynamics else None,
         ),
     )
+    if (warning := _command_scale_warning(fitted.fit.model, loaded)) is not None:
+        result = msgspec.structs.replace(result, warnings=(*result.warnings, warning))
     return VehicleFit(fitted, result)
+
+
+def _command_scale_warning(model: Model, logs: Sequence[LoadedLog]) -> ResultWarning | None:
+    """Return a warning if the thrust was given for full shaft speed, and full commands do not reach this speed.
+
+    It concerns models whose inputs are commands, on logs that have the shaft speeds too. A low battery is the usual
+    reason. None if the thrust was not given, if no log has both signals, or if the speeds are those of the commands.
+    """
+    c1 = next((p for p in model.parameters if p.name == "c1"), None)
+    given = c1 is not None and c1.origin in (ParameterOrigin.GIVEN, ParameterOrigin.PRIOR)
+    if not given or not any(is_of_thruster(i.tap_of or i.name, COMMAND) for i in model.inputs):
+        return None
+    known = {log.run.name: ratio for log in logs if (ratio := speed_over_command(log.run.channels)) is not None}
+    share = float(np.mean([ratio**2 for ratio in known.values()])) if known else 1.0
+    if abs(share - 1.0) < LARGEST_SHARE_LOST:
+        return None
+    listed = first_names([f"{ratio:.2f} ({name})" for name, ratio in known.items()])
+    text = (
+        f"The shaft speeds over the commands, each as a share of full, are {listed}. If the thrust was given for full "
+        f"shaft speed, the commands give {share:.2f} of it, and all masses are wrong by this factor: fit with the "
+        f"shaft speeds, or multiply c1 and c2 by {share:.2f}."
+    )
+    return ResultWarning(code="command-scale", text=text)
 
 
 def is_tested(request: VehicleRequest) -> bool:

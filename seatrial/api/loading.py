@@ -393,10 +393,12 @@ def simulate(
     """
     from seatrial.ident.data import SAME_TIME, Channel, build_record
     from seatrial.ident.estimation import simulate as integrate
+    from seatrial.ident.estimation import warn_of_run_means
     from seatrial.ident.model import ModelKind
     from seatrial.ident.models import delay_step, delayed_channels
 
     structure, ranges = _structure(model)
+    warn_of_run_means(structure)
     times = _checked_times(t)
     named = _checked_inputs(structure, times, inputs, ranges)
     channels = {name: Channel(times, values) for name, values in named.items()}

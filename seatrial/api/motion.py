@@ -469,17 +469,22 @@ def _warn_of_degrees(at: Mapping[str, float] | None) -> None:
 def _estimates(
     model: PathLike | Saved | FittedResult,
 ) -> tuple[Model, Mapping[str, tuple[float, float]], ParameterCovariance]:
-    """Return the structure of a model with its estimates, the ranges of its data by signal, and its covariance."""
-    from seatrial.ident.estimation import load_model
+    """Return the structure of a model with its estimates, the ranges of its data by signal, and its covariance.
+
+    A model whose effects differ between runs gives a `SeatrialWarning`.
+    """
+    from seatrial.ident.estimation import load_model, warn_of_run_means
     from seatrial.ident.workflows.dynamics import covariance_of
     from seatrial.ident.workflows.output import validity
 
     if isinstance(model, FittedResult):
         fit = model.fitted.fit
+        warn_of_run_means(fit.model)
         return fit.model, validity(model.fitted), covariance_of(fit)
     if isinstance(model, Saved):
         saved = model.saved_model()
     else:
         with model_path(model) as path:
             saved = load_model(path)
+    warn_of_run_means(saved.model)
     return saved.model, saved.validity, saved.covariance()

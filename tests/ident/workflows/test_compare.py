@@ -473,3 +473,28 @@ def test_nested_models() -> None:
     own = sum(p.per_record and p.free for p in small.parameters)
     assert own > 0
     assert _n_estimates(small, 3) == _n_estimates(small, 1) + 2 * own
+
+
+def test_effects_that_are_estimated_on_the_compared_log_are_named(logs: list[Path], tmp_path: Path) -> None:
+    """The errors of such a model are those of a fit, and a log that selected its effects is no unused log."""
+    how: dict[str, Any] = {"model": "horizontal:shaft", "fixed": {"c1": 40.0, "c2": 1.1}, "score_tests": False}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SeatrialWarning)
+        plain, weedy = (st.fit(logs[0], validate=logs[1], effects=effects, **how) for effects in ([], ["growing-drag"]))
+    files = [fit.save(tmp_path / str(k)) / "model.toml" for k, fit in enumerate((plain, weedy))]
+    result = compare_models(CompareRequest(files, [logs[1]], (2.0,), names=("plain", "weedy")), "", Kept())
+    assert [m.per_log for m in result.models] == [("V_x", "V_y"), ("V_x", "V_y", "g_before")]
+    assert {w.code: w.text.partition(":")[0] for w in result.warnings} == {
+        "compared-on-validation-log": "the effects of (b) were selected by run2",
+        "effect-estimated-on-compared-log": "(b) estimates parameters of an effect anew on each compared log "
+        "(g_before of growing-drag)",
+    }
+    assert "Estimated anew for each compared log: (a) V_x, V_y; (b) V_x, V_y, g_before." in result.notes
+    assert result.models[1].score is not None
+    assert not result.models[1].score.held_out
+    message = r"growing-drag: its parameters differ between the fitted runs, and the model has their means \(g_before ="
+    with pytest.warns(SeatrialWarning, match=message):
+        st.linearise(tmp_path / "1", 0.5)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", SeatrialWarning)
+        st.linearise(tmp_path / "0", 0.5)

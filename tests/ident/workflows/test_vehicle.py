@@ -24,6 +24,7 @@ from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.models.nomoto import nomoto_model
 from seatrial.ident.workflows.model_inputs import choose_model, thrust_from, with_derived_signals
 from seatrial.ident.workflows.output import sensor_rates, validity
+from seatrial.ident.workflows.vehicle import _command_scale_warning
 from tests.ident.rolling import Fitted
 from tests.ident.rolling import sail as rolling_sail
 from tests.missions import boat_log, boat_with, rig_of
@@ -225,3 +226,19 @@ def test_log_is_loaded_with_times_from_its_own_start(tmp_path: Path) -> None:
     assert about["duration"] == pytest.approx(6.0)
     assert load_run(path, "estimation").about["duration"] == pytest.approx(20.0, abs=0.1)
     assert about["warnings"] == []
+
+
+@pytest.mark.parametrize(("reached", "words"), [(0.9, "are 0.90 (run). If the thrust"), (0.99, "")])
+def test_thrust_for_commands_that_do_not_reach_full_speed_gives_a_warning(reached: float, words: str) -> None:
+    t = np.arange(0.0, 120.0, 0.1)
+    command = np.repeat(np.random.default_rng(2).uniform(0.2, 0.9, 20), 60)
+    c = {}
+    for side in ("left", "right"):
+        c |= {f"n_cmd_{side}": Channel(t, command, hold="zero"), f"n_{side}": Channel(t + 1e-3, reached * command)}
+    log = LoadedLog(LogSegment("run", c), {}, {}, None)
+    for inputs in ("command", "shaft"):
+        model, _ = fix_parameters(horizontal_model(inputs), None, {"c1": 40.0, "c2": 0.0})
+        found = _command_scale_warning(model, [log])
+        assert (found is not None) == bool(words and inputs == "command")
+        assert found is None or (words in found.text and "multiply c1 and c2 by 0.81" in found.text)
+    assert _command_scale_warning(horizontal_model("command"), [log]) is None
