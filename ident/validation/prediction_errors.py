@@ -91,11 +91,14 @@ class SimulationRun:
 def one_step_errors(model: Model, record: Record, run: FilterResult) -> dict[str, PredictionErrors]:
     """Return the one-step prediction errors (innovations) of a filter run, by channel, in the unit of the channel.
 
-    Outliers are included. Channels without samples are left out.
+    Outliers are included. The first sample of a channel is left out: it is predicted from the initial state, which may
+    be unknown, as in a block of a run. So are channels with fewer than two samples.
     """
-    found = {
-        o.name: _channel_errors(record.t, record.y[:, j], run.e[:, j], o.angle) for j, o in enumerate(model.outputs)
-    }
+    found = {}
+    for j, o in enumerate(model.outputs):
+        later = np.flatnonzero(np.isfinite(record.y[:, j]))[1:]
+        if later.size:
+            found[o.name] = _channel_errors(record.t[later], record.y[later, j], run.e[later, j], o.angle)
     return {name: e for name, e in found.items() if e.e.size}
 
 

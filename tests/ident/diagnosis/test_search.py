@@ -271,6 +271,7 @@ def test_search_that_reached_its_limit_names_the_untried_candidates(monkeypatch:
 def test_a_removed_effect_takes_no_place_of_another(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of one effect at most, the first is removed again, and the search goes on without trying it again."""
     mine = a_search(*(Effect(n, n, {}) for n in ("motor", "wind", "hump")))
+    mine.n = 100
     scores = [Score(n, lm, 1, 50.0, {}, {}, threshold=12.0) for n, lm in (("motor", 900.0), ("wind", 90.0))]
     monkeypatch.setattr(mine, "scored", lambda _fitted: (scores, scores))
     removed = blank(effect=Effect("motor", "motor", {}))
@@ -286,6 +287,49 @@ def test_a_removed_effect_takes_no_place_of_another(monkeypatch: pytest.MonkeyPa
     assert [r.chosen.effect.name for r in mine.rounds if r.chosen is not None] == ["motor", "wind"]
     assert (found.model.name, found.removed) == ("windy", [removed])
     assert not weighed
+
+
+def test_a_removed_effect_is_replaced_only_by_a_strong_candidate_that_did_not_fail(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    mine = a_search(*(Effect(n, n, {}) for n in ("motor", "wind", "hump")))
+    mine.n = 100
+    failed = replace(refit("hump", 700.0), outcome=Outcome.NOT_VALIDATED)
+    mine.rounds = [Round((), (), (failed,), None)]
+    scores = [Score(n, lm, 1, 50.0, {}, {}, threshold=12.0) for n, lm in (("hump", 700.0), ("wind", 40.0))]
+    monkeypatch.setattr(mine, "scored", lambda _fitted: (scores, scores))
+    monkeypatch.setattr(mine, "_run_round", lambda *_: pytest.fail("no candidate is worth a round"))
+    current = blank()
+    assert mine.forward(blank(), 3, current)[0] is current
+    assert mine.untried == []
+
+
+@pytest.mark.parametrize(
+    ("accepted", "batches"),
+    [(["wind"], [["motor", "wind"]]), ([], [["motor", "wind"], ["hump"]])],
+)
+def test_a_candidate_that_failed_before_is_refitted_last(
+    monkeypatch: pytest.MonkeyPatch, accepted: list[str], batches: list[list[str]]
+) -> None:
+    """The candidate with the highest score is tried again at once, although it failed too."""
+    names = ("motor", "hump", "wind")
+    mine = a_search(*(Effect(n, n, {}) for n in names))
+    mine.n = 100
+    failed = [replace(refit(n, 300.0), outcome=Outcome.NOT_VALIDATED) for n in ("motor", "hump")]
+    mine.rounds = [Round((), (), tuple(failed), None)]
+    done: list[list[str]] = []
+
+    def refitted(_current: Any, tried: Any, refits: list[Refit], _untested: Any) -> None:
+        if tried:
+            done.append([effect.name for effect, _ in tried])
+            refits += [refit(effect.name, 80.0) for effect, _ in tried]
+
+    monkeypatch.setattr(mine, "_refit_all", refitted)
+    monkeypatch.setattr(search, "is_accepted", lambda r, _policy: r.effect.name in accepted)
+    monkeypatch.setattr(mine, "_choose_refit", lambda _current, refits, _untested: (refits, None))
+    passed = [Score(n, 300.0 - k, 1, 50.0, {}, {}, threshold=12.0) for k, n in enumerate(names)]
+    mine._run_round(blank(), passed, passed)
+    assert done == batches
 
 
 def test_removal_never_leaves_effects_that_predict_worse_than_the_nominal_model(
