@@ -543,7 +543,9 @@ def test_steady_motion_is_that_of_a_long_simulation(fit: st.FittedVehicle, tmp_p
     assert turn.sd[k] > 0.0
     assert np.all(np.diff(steady.straight.value) > 0.0)
     assert "The largest steady turn rate is" in steady.answer
-    names = {"", "speed", "speed, beyond the data", f"mean command {turn.mean:.2g}"}
+    assert " m/s, at a shaft speed of " in steady.answer
+    assert steady._content().columns[1] == "shaft speed"
+    names = {"", "speed", "speed, beyond the data", f"mean shaft speed {turn.mean:.2g}"}
     assert {trace["name"] for trace in steady.plot().data} == names
     assert {trace["name"] for trace in replace(steady, speeds=None).plot().data} == names - {"speed, beyond the data"}
     fastest = steady.straight.value[-1]
