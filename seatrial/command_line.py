@@ -86,6 +86,10 @@ EXTRAS = {
 }
 # Commands that belong to the group of another part. They are attached here, since the parts do not import each other.
 ATTACHED = {"mission": {"design": "seatrial.ident.cli.commands:design"}}
+# Commands that are groups. Only the hint about an unknown command imports them all.
+GROUPS = ("bench", "mission", "import", "ident", "mock")
+# Words that users try in place of a command.
+SYNONYMS = {"fit": "ident vehicle", "identify": "ident vehicle", "diagnosis": "ident diagnose", "record": "log"}
 
 
 class LazyGroup(click.Group):
@@ -121,14 +125,37 @@ class LazyGroup(click.Group):
         Raises
         ------
         click.UsageError
-            If there is no such command, with the command that is spelt most similarly.
+            If there is no such command, with the command that was probably meant: the command of a group with this
+            name, or the one that is spelt most similarly.
         """
         name = args[0]
         if name not in COMMANDS and not name.startswith("-"):
-            near = closest_name(name, COMMANDS)
-            hint = f". Did you mean {near!r}?" if near else ""
+            meant = self._meant(ctx, name)
+            hint = f". Did you mean {' or '.join(repr(x) for x in meant)}?" if meant else ""
             raise click.UsageError(f"No such command {name!r}{hint}", ctx)
         return super().resolve_command(ctx, args)
+
+    def _meant(self, ctx: click.Context, name: str) -> list[str]:
+        """Return the commands that a user may have meant by an unknown name; an empty list if none is similar.
+
+        A command of a group, such as `vehicle`, is returned as ``seatrial ident vehicle``, and a command of `seatrial`
+        by its name alone. The groups are imported. One that is not installed is left out.
+        """
+        if name in SYNONYMS:
+            return [f"seatrial {SYNONYMS[name]}"]
+        places: dict[str, list[str]] = {}
+        for group in GROUPS:
+            try:
+                command = self.get_command(ctx, group)
+            except SeatrialError:
+                continue
+            if isinstance(command, click.Group):
+                for below in command.commands:
+                    places.setdefault(below, []).append(f"seatrial {group} {below}")
+        if name in places:
+            return places[name]
+        near = closest_name(name, COMMANDS)
+        return [near] if near else places.get(closest_name(name, places) or "", [])
 
     def invoke(self, ctx: click.Context) -> None:
         """Run the command and discard its return value, since only `ctx.exit(status)` may set the exit status.

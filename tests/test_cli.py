@@ -134,6 +134,11 @@ def test_wrong_usage_is_2(run, args) -> None:
     [
         (("infoo",), "seatrial: No such command 'infoo'. Did you mean 'info'? `seatrial --help` shows how"),
         (("imp",), "seatrial: No such command 'imp'. Did you mean 'import'? `seatrial --help` shows how"),
+        (("fit",), "seatrial: No such command 'fit'. Did you mean 'seatrial ident vehicle'? `seatrial --help` shows"),
+        (("vehicle", "x.mcap"), "seatrial: No such command 'vehicle'. Did you mean 'seatrial ident vehicle'?"),
+        (("compare",), "seatrial: No such command 'compare'. Did you mean 'seatrial ident compare'?"),
+        (("diagnos",), "seatrial: No such command 'diagnos'. Did you mean 'seatrial ident diagnose'?"),
+        (("design",), "seatrial: No such command 'design'. Did you mean 'seatrial mission design'?"),
         (("mission", "runn"), "seatrial mission: No such command 'runn'. Did you mean 'run'?"),
         (("import", "raww", "x"), "seatrial import: No such file or command 'raww'. Did you mean 'raw'?"),
         (("log", "--duratoin", "3"), "seatrial log: No such option '--duratoin'. Did you mean '--duration'?"),
@@ -144,6 +149,16 @@ def test_a_misspelt_command_or_option_names_the_closest_one(capsys, args: tuple[
         command_line.main(args)
     assert leaving.value.code == 2
     assert capsys.readouterr().err.startswith(message)
+
+
+def test_the_table_of_groups_has_all_groups() -> None:
+    context = click.Context(command_line.cli)
+    commands = {name: command_line.cli.get_command(context, name) for name in command_line.COMMANDS}
+    assert {n for n, c in commands.items() if isinstance(c, click.Group)} == set(command_line.GROUPS)
+    for words in command_line.SYNONYMS.values():
+        first, *rest = words.split()
+        assert commands[first] is not None
+        assert not rest or rest[0] in commands[first].commands
 
 
 def test_an_import_with_the_map_last_says_that_it_comes_first(

@@ -162,9 +162,11 @@ def guess_map(
     names, more = " ".join(file.name for file in sources[:MOST_NAMED]), len(sources) - MOST_NAMED
     and_more = f" and {more} more" if more > 0 else ""
     stems = ", ".join(file.stem for file in sources[:MOST_NAMED])
+    # a command with some of the names would import these alone
+    args, of_files = ("FILE...", f" of {names}{and_more}") if more > 0 else (names, "")
     head = [
-        f"# From `seatrial import --guess {names}`{and_more}. Check each caveat, then run `seatrial import MAP {names}`"
-        f"{and_more}.",
+        f"# From `seatrial import --guess {args}`{of_files}. Check each caveat, then run `seatrial import MAP {args}`"
+        f"{' with all of them' * (more > 0)}.",
         'format = "seatrial-import 1"',
         f"name = {_toml_text(stems + and_more)}",
     ]

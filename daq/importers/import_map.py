@@ -322,8 +322,8 @@ def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, fl
     `names` are the keys that the table may have. Standard uncertainties ``NAME_sd`` are included if the table has them;
     without the key NAME they are unknown keys.
     The result is empty if `table` is None. Raise SeatrialError if a number is impossible or a key is unknown: c1,
-    length and standard uncertainties must be positive, y_left less than y_right, and both at most `length` from the
-    middle.
+    length and standard uncertainties must be positive, the size of c2 less than c1, y_left less than y_right, and both
+    at most `length` from the middle.
     """
     if table is None:
         return {}
@@ -334,6 +334,12 @@ def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, fl
     for name in ("c1", "length"):
         if found.get(name, 1.0) <= 0.0:
             raise table.error(name, f"must be positive, not {found[name]:g}")
+    if abs(found.get("c2", 0.0)) >= found.get("c1", math.inf):
+        raise table.error(
+            "c2",
+            f"{found['c2']:g} N is not smaller than c1 = {found['c1']:g} N: the thrust ahead is c1 + c2 and "
+            "that astern c1 - c2, and both must be positive",
+        )
     for name in ("y_left", "y_right"):
         if abs(found.get(name, 0.0)) > found.get("length", math.inf):
             where = f"{abs(found[name]):g} m from the middle of a hull of {found['length']:g} m"

@@ -14,7 +14,7 @@ that changes slowly, such as a constant moment, has to be up to twice as large (
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
@@ -23,6 +23,7 @@ from seatrial.ident.model import EffectKind
 from seatrial.ident.numerics import noncentrality
 
 POWER = 0.8  # the usual power of a planned test
+LARGEST = 100.0  # largest size in standard deviations of the parameter's prior; only rounding errors inform of others
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,10 @@ class DetectableSizes:
 
 
 def detectable_sizes(
-    scores: Sequence[Score], n: int, policy: SearchPolicy = DEFAULT_POLICY
+    scores: Sequence[Score],
+    n: int,
+    policy: SearchPolicy = DEFAULT_POLICY,
+    prior_sds: Mapping[str, float] | None = None,
 ) -> tuple[DetectableSizes, ...]:
     """Return the smallest size of each named effect that its score test finds with a probability of 80 %.
 
@@ -59,13 +63,18 @@ def detectable_sizes(
         Number of rows of the estimation data, for the penalty ``df ln n``.
     policy
         Thresholds of the score tests.
+    prior_sds
+        Standard deviation of the prior of each parameter by its name, in the unit of the parameter. A size of more than
+        100 of them is left out: no boat has it, for example if a lever arm has no effect while its force is zero. Sizes
+        of parameters that are missing here are not limited. None: no size is limited.
 
     Returns
     -------
     tuple of DetectableSizes
-        One for each named effect, in the order of the scores. An effect whose score has no information is left out.
+        One for each named effect, in the order of the scores. An effect whose score has no information is left out, and
+        so is one whose sizes are all left out.
     """
-    found = []
+    found, known = [], prior_sds or {}
     for score in scores:
         explained = score.tolerance < policy.min_tolerance
         if score.kind is not EffectKind.CATALOGUE or not (explained or score.information):
@@ -75,5 +84,10 @@ def detectable_sizes(
             limit = max(score_threshold(score, scores, policy), score.df * math.log(n))
             needed = noncentrality(limit, score.df, POWER)
             sizes = {name: math.sqrt(needed / info) for name, info in score.information.items() if info > 0}
+            limits = {name: LARGEST * known.get(name.partition("@")[0], math.inf) for name in sizes}
+            possible = {name: size for name, size in sizes.items() if size <= limits[name]}
+            if sizes and not possible:
+                continue
+            sizes = possible
         found.append(DetectableSizes(score.name, sizes))
     return tuple(found)

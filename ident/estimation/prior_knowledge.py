@@ -191,8 +191,9 @@ def fix_parameters(model: Model, thruster: Path | None, given: Mapping[str, floa
     Raises
     ------
     SeatrialError
-        If the model lacks a parameter of ``given`` or cannot have this value of it, if the file of the bench test
-        cannot be read or is not the model of a thruster, or if it has no thrust coefficient or does not determine it.
+        If the model lacks a parameter of ``given`` or cannot have this value of it, if the given thrust ahead or astern
+        is not positive, if the file of the bench test cannot be read or is not the model of a thruster, or if it has no
+        thrust coefficient or does not determine it.
     """
     known: dict[str, Parameter] = {}
     notes = []
@@ -221,10 +222,33 @@ def fix_parameters(model: Model, thruster: Path | None, given: Mapping[str, floa
         except ValueError as problem:
             raise SeatrialError(f"--fix {name}={value:g}: {problem}") from problem
     model = model.replace_parameters(*known.values())
+    _check_thrust(model)
     for name in ARMS:
         if abs(value := model.values.get(name, 0.0)) > LONGEST_ARM_M:
             notes.append(f"{name} = {value:g} m is a long way from the middle of a boat: is it in centimetres?")
     return model, notes
+
+
+def _check_thrust(model: Model) -> None:
+    """Raise SeatrialError if c2 was given, and the thrust at full speed ahead or astern is then not positive.
+
+    It may be given by any source: option, rig file or import map. A c2 of a bench test is not checked: that thruster
+    may have hardly any thrust in one direction.
+    """
+    if not {"c1", "c2"} <= set(model.values):
+        return
+    c1, c2 = model.parameter("c1"), model.parameter("c2")
+    if c2.origin not in (ParameterOrigin.GIVEN, ParameterOrigin.PRIOR) or abs(c2.value) < c1.value:
+        return
+    mean = f"c1 = {c1.value:g} N{' (built in)' * (c1.origin is ParameterOrigin.BUILT_IN)}"
+    if c2.value > 0.0:
+        problem = f"is not smaller than {mean}: the thrust astern, c1 - c2, would not be positive"
+    else:
+        problem = f"and {mean}: the thrust ahead, c1 + c2, would not be positive"
+    raise SeatrialError(
+        f"c2 = {c2.value:g} N {problem}; correct --fix, --prior, the rig file or [scale] of the import map (c1 is the "
+        "mean of the thrust ahead and astern, c2 half their difference)"
+    )
 
 
 def _no_parameter(model: Model, option: str, name: str) -> SeatrialError:

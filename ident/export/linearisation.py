@@ -535,9 +535,9 @@ def linearise(
     Raises
     ------
     SeatrialError
-        If the model has no forward speed, if ``speed`` is zero or not finite, if there is no condition of a name, or if
-        no operating point is found with shaft speeds and commands (inputs ``n_...``) from -1 to 1. Forces have no
-        limit.
+        If the model has no forward speed, if ``speed`` is no number, zero or not finite, if there is no condition of a
+        name, or if no operating point is found with shaft speeds and commands (inputs ``n_...``) from -1 to 1. Forces
+        have no limit.
     """
     reduced, _ = without_nuisance(model)
     constant = chosen_conditions(reduced, at=conditions)
@@ -548,7 +548,9 @@ def linearise(
             f"model {model.name} has no forward speed u among its states, so it has no such operating point; "
             "use a model with u, such as horizontal"
         )
-    if not isinstance(speed, Real) or not np.isfinite(speed) or speed == 0.0:
+    if not isinstance(speed, Real):
+        raise SeatrialError(f"speed {speed!r}: give a number, in m/s, such as 0.5")
+    if not np.isfinite(speed) or speed == 0.0:
         raise SeatrialError(f"speed {speed} m/s: give a number other than zero, where the model has a slope")
     x0, u0 = _operating_point(rates, speed)
     for name, value in zip(rates.inputs, u0, strict=True):

@@ -21,6 +21,7 @@ from .signal_id import THRUSTER_QUANTITIES as THRUSTER_QUANTITIES
 from .signal_id import SignalId as SignalId
 from .signal_id import command_of as command_of
 from .signal_id import commanded_thrusters as commanded_thrusters
+from .signal_id import drive_word as drive_word
 from .signal_id import is_of_thruster as is_of_thruster
 from .signal_id import shaft_speed_of as shaft_speed_of
 from .signal_id import thrust_of as thrust_of

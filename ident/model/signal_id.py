@@ -12,6 +12,7 @@ from typing import NamedTuple
 COMMAND, SHAFT_SPEED, THRUSTER_FORCE = "n_cmd", "n", "f"  # -1 to 1; relative to full speed; N
 # Quantities of one thruster. `n_cmd` comes before `n`: `n_cmd_left` is the command of `left`.
 THRUSTER_QUANTITIES = (COMMAND, SHAFT_SPEED, THRUSTER_FORCE, "voltage", "servo", "pwm")
+DRIVE_WORDS = {COMMAND: "command", SHAFT_SPEED: "shaft speed", THRUSTER_FORCE: "thrust"}
 
 
 class SignalId(NamedTuple):
@@ -90,6 +91,15 @@ def is_of_thruster(name: str, *quantities: str) -> bool:
     """
     signal = SignalId.parse(name)
     return bool(signal.source) and signal.quantity in quantities
+
+
+def drive_word(names: Iterable[str]) -> str:
+    """Return what the inputs of a boat are, in words: ``command``, ``shaft speed`` or ``thrust``.
+
+    The first signal of ``names`` with one of these quantities decides. Without one the result is ``command``.
+    """
+    quantities = (SignalId.parse(name).quantity for name in names)
+    return next((DRIVE_WORDS[q] for q in quantities if q in DRIVE_WORDS), DRIVE_WORDS[COMMAND])
 
 
 def commanded_thrusters(names: Iterable[str]) -> list[str]:

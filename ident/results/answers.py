@@ -67,6 +67,7 @@ RAMP_SHARE = 0.05  # share of the rows, smallest commands first, that may belong
 FAR_FROM_MAXIMUM = 0.5  # standard errors by which a fit can still move; less does not matter beside the errors
 UNUSUAL = 3.0  # standard deviations of its prior, from which an estimate is far from its usual size
 UNEQUAL_THRUST = 0.05  # difference of the thrust ahead from the given mean, relative to it, from which it is reported
+SHORT_DATA_S = 60.0  # of all estimation data; shorter data hardly contain a turn and a stop
 FEWEST_SAMPLES = 10  # equal samples from which a sensor is called stuck
 
 
@@ -270,9 +271,10 @@ def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
 
     There is at most one text on narrow and one on wide intervals for each kind of prediction: one step ahead, over the
     horizon, simulated. The factor of each channel is its RMS error over the predicted one, or the word diverged. The
-    text advises to multiply the predicted standard deviations by the factors. If a channel diverged, it also advises
-    against such predictions. The texts are about the validation data, or about the estimation data if there are no
-    validation data. The list is empty if no channel is overconfident or underconfident.
+    text advises to multiply the predicted standard deviations by the factors, except for narrow intervals over the
+    horizon on validation data: `evaluate` and `predict` have widened them already. If a channel diverged, the text also
+    advises against such predictions. The texts are about the validation data, or about the estimation data if there
+    are no validation data. The list is empty if no channel is overconfident or underconfident.
 
     Parameters
     ----------
@@ -299,9 +301,12 @@ def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
             ]
             if wrong:
                 diverged = any(c.scale is None for c in channels.values() if c.verdict == verdict)
+                advice = "Multiply the predicted standard deviations of these channels by them."
+                if role == "validation" and channels is table.horizon and verdict == "overconfident":
+                    advice = "The intervals of this result and of `predict` in Python are already widened for this."
                 notes.append(
                     f"On {role} data, the {words} are {size} than the model predicts, by these factors: "
-                    f"{', '.join(wrong)}. Multiply the predicted standard deviations of these channels by them."
+                    f"{', '.join(wrong)}. {advice}"
                     f"{' Do not use such predictions of a channel that diverged.' * diverged}"
                 )
     return notes
@@ -626,6 +631,40 @@ def failed_run_warnings(failed: Sequence[FailedRun]) -> list[ResultWarning]:
         "log with `seatrial check`."
     )
     return [ResultWarning(code="validation-run-failed", text=text.format(f)) for f in failed]
+
+
+def short_data_warnings(fitted: FittedModel, horizon: float) -> list[ResultWarning]:
+    """Return warnings about estimation data of less than 60 s in all, and about data shorter than the horizon.
+
+    The second one names the validation logs (of a fit without them: the estimation logs) that are not longer than the
+    horizon, so that they contain no prediction over it. The list is empty if neither applies.
+
+    Parameters
+    ----------
+    fitted
+        Fit with its estimation records and its evaluation on the validation records.
+    horizon
+        Prediction horizon [s].
+    """
+    found, total = [], sum(r.duration for r in fitted.records)
+    if round(total) < SHORT_DATA_S:  # the rows of a minute end a sample before it
+        logs = "log has" if len(fitted.records) == 1 else "logs have"
+        text = (
+            f"The {logs} {total:.3g} s in all: this is too short for the slow motions of a boat, and the estimates and "
+            "their standard errors may be far off. Record some minutes with steps of the speed and turns."
+        )
+        found.append(ResultWarning(code="short-data", text=text))
+    separate = fitted.validation and not fitted.cross_validated
+    evaluated = [v.record for v in fitted.validation] if separate else fitted.records
+    short = {r.name: r.duration for r in evaluated if r.duration <= horizon}
+    if short:
+        where = f"{'validation' if separate else 'estimation'} data"
+        text = (
+            f"Too short for the horizon of {horizon:g} s, and without predictions over it: {_first_names(list(short))} "
+            f"({where}, at most {max(short.values()):.3g} s). Give longer logs or a shorter --horizon."
+        )
+        found.append(ResultWarning(code="short-data", text=text))
+    return found
 
 
 def cut_records(records: Sequence[Record]) -> list[ResultWarning]:

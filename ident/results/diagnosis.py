@@ -25,6 +25,7 @@ from seatrial.ident.diagnosis import (
 from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import FittedModel, ParameterShift, ReportedEstimates
 from seatrial.ident.model import Effect, ModelKind
+from seatrial.ident.models import scale_priors, size_of
 from seatrial.ident.results import parts
 from seatrial.ident.results.answers import (
     NAMES,
@@ -624,11 +625,16 @@ def _detectable_rows(diagnosis: Diagnosis, reported: ReportedEstimates) -> tuple
 
     The effects are those that were tested on the last model. Added effects and those outside the catalogue are left
     out. Sizes are in reported units. Of a parameter with its own value in each run, the largest of the sizes is given,
-    that of the run that shows the effect worst. A parameter that could not be tested has no size.
+    that of the run that shows the effect worst. A parameter that could not be tested, or whose size no boat has, has no
+    size.
     """
     n, effects = sum(v.record.n_rows for v in diagnosis.after.estimation), catalogue()
     added, rows = {r.effect.name for r in diagnosis.effects}, []
-    for found in sorted(detectable_sizes(diagnosis.scores, n, diagnosis.policy), key=lambda d: d.effect):
+    boat = size_of(diagnosis.after.model)
+    scaled = [p for effect in effects.values() for p in scale_priors(effect, boat).parameters]
+    prior_sds = {p.name: p.prior[1] for p in scaled if p.prior is not None}
+    found_sizes = detectable_sizes(diagnosis.scores, n, diagnosis.policy, prior_sds)
+    for found in sorted(found_sizes, key=lambda d: d.effect):
         effect = effects.get(found.effect)
         if effect is None or effect.name in added:
             continue

@@ -113,6 +113,7 @@ WarningCode = Literal[
     "shaft-lag-built-in",
     "stuck-sensor",
     "record-cut",
+    "short-data",
     "frame-assumed",
     "noise-contradicted",
     "prior-contradicted",

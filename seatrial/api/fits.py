@@ -42,6 +42,10 @@ Role = Literal["estimation", "validation"]
 
 ARGUMENTS = ("validate", "model", "logs")  # arguments that are no options, for the hint about an unknown option
 LISTS = ("effects", "profiles", "homogeneity")  # options with a list of names, for which one name may be given
+# Options with values of parameters by name, with an example of each for the messages
+PARAMETER_VALUES = {"fixed": '{"c1": 6.85}', "initial": '{"m_u": 30.0}', "priors": '{"c1": (6.85, 0.3)}'}
+LONGEST_VALUE = 60  # characters of a value that a message repeats
+RATES = (1.0, 200.0)  # smallest and largest rate of the rows [Hz], as those of --rate
 
 
 class FitOptions(TypedDict, total=False):
@@ -641,21 +645,46 @@ def vehicle_request(
     Raises
     ------
     SeatrialError
-        If there is no option of a name, or if a prior is no pair of numbers.
+        If there is no option of a name, if values of parameters are no dict of numbers, or if a prior is no pair of
+        numbers.
     """
     from seatrial.ident.estimation import EstimationOptions, model_file
     from seatrial.ident.workflows.vehicle_model import VehicleRequest
 
     given = known_options(options, FitOptions)
-    for name, prior in given.get("priors", {}).items():
-        if np.shape(prior) != (2,):
-            raise SeatrialError(f"priors: {name}: give a pair of mean and standard deviation, such as ({prior}, 1.0)")
+    _check_parameters(given)
     progress = given.pop("progress", False)
     estimation = {n: given.pop(n) for n in ("outlier_model", "reml", "mean_order", "horizon") if n in given}
     if "thruster" in given:
         given["thruster"] = model_file(Path(given["thruster"]))
     how = replace(EstimationOptions(reml=True, mean_order=2), **estimation)
     return VehicleRequest(logs, validation, Path(), how, model, window=window, **given), progress
+
+
+def _check_parameters(given: Mapping[str, Any]) -> None:
+    """Check the options with values of parameters (``fixed``, ``initial``, ``priors``), if they are in ``given``.
+
+    Raises
+    ------
+    SeatrialError
+        If one is no dict, if a value is no number, or if a prior is no pair of mean and standard deviation.
+    """
+    for option, example in PARAMETER_VALUES.items():
+        values = given.get(option, {})
+        if not isinstance(values, Mapping):
+            raise SeatrialError(f"{option}: give a dict, such as {example}, not {_shortened(values)}")
+        for name, value in values.items():
+            if option == "priors" and np.shape(value) != (2,):
+                text = f"give a pair of mean and standard deviation, such as ({value}, 1.0)"
+                raise SeatrialError(f"priors: {name}: {text}")
+            if not all(isinstance(x, Real) for x in (value if option == "priors" else [value])):
+                raise SeatrialError(f"{option}: {name}: {value!r} is no number; give a dict, such as {example}")
+
+
+def _shortened(value: object) -> str:
+    """Return a value of the user for a message: as Python writes it, or its type if that is long or several lines."""
+    text = repr(value)
+    return text if len(text) <= LONGEST_VALUE and "\n" not in text else f"a {type(value).__name__}"
 
 
 def diagnose(
@@ -799,7 +828,7 @@ def known_options(given: Mapping[str, Any], options: type) -> dict[str, Any]:
     """Return the options as a new dict, after a check of their names. A list of names may be given as one name.
 
     One name of effects, profiles or homogeneity becomes a list of one. All other values are not changed or checked,
-    except the horizon.
+    except the horizon and the rate.
 
     Parameters
     ----------
@@ -811,7 +840,8 @@ def known_options(given: Mapping[str, Any], options: type) -> dict[str, Any]:
     Raises
     ------
     SeatrialError
-        If there is no option of a name, with the options in the message, or if the horizon is not positive.
+        If there is no option of a name, with the options in the message, if the horizon is not positive, or if the
+        rate is not from 1 to 200 Hz.
     """
     known = sorted(options.__annotations__)
     for name in given:
@@ -821,7 +851,15 @@ def known_options(given: Mapping[str, Any], options: type) -> dict[str, Any]:
             raise SeatrialError(f"there is no option {name!r}; {hint} {', '.join(known)}")
     if (horizon := given.get("horizon")) is not None and not horizon > 0.0:
         raise SeatrialError(f"horizon {horizon:g}: give a time above zero, in s")
+    if given.get("rate") is not None:
+        check_rate(given["rate"])
     return {n: [v] if n in LISTS and isinstance(v, str) else v for n, v in given.items()}
+
+
+def check_rate(rate: object) -> None:
+    """Raise SeatrialError if a rate of rows is no number from 1 to 200 Hz, the limits of the command line."""
+    if not isinstance(rate, Real) or not RATES[0] <= float(rate) <= RATES[1]:
+        raise SeatrialError(f"rate {rate!r}: give a number from {RATES[0]:g} to {RATES[1]:g}, in Hz")
 
 
 def python_call(function: str, logs: Sequence[Path], **more: str) -> str:

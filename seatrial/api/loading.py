@@ -32,6 +32,7 @@ SHORTEST_STEP = 1e-5  # s between two times of a simulation; closer ones would b
 FARTHEST = 10.0  # largest input of a simulation, as a multiple of the largest one in the fitted data
 LARGEST_ANGLE = 4.0 * math.pi  # rad, or rad/s; larger initial values of a boat are degrees
 ROWS_PER_SAMPLE = 10.0  # of a simulation, for the rate above which a sensor would be averaged
+TEXT_TABLES = (".csv", ".tsv", ".txt", ".dat")  # suffixes of texts that probably contain a table
 MODEL_COLUMNS = ("value", "se", "unit", "meaning")  # of the table of a model without its result
 
 
@@ -325,7 +326,8 @@ def load(path: PathLike) -> Saved:
     Raises
     ------
     SeatrialError
-        If there is no such file, if a folder has neither file, if a file cannot be read, or if it is a log.
+        If there is no such file, if a folder has neither file, if a file cannot be read, or if it is no .toml or .json
+        file, such as a log.
 
     Examples
     --------
@@ -340,6 +342,8 @@ def load(path: PathLike) -> Saved:
         raise SeatrialError(f"{path}: no such file or folder; give a {MODEL}, a {RESULT}, or their folder")
     if path.suffix == ".mcap":
         raise SeatrialError(f"{path}: is a log, not a model or a result; open it with st.open_log")
+    if path.is_file() and path.suffix not in (".toml", ".json"):
+        raise SeatrialError(f"{path}: is neither a {MODEL} nor a {RESULT}; {_how_to_open(path)}")
     files = [path / MODEL, path / RESULT] if path.is_dir() else [path]
     found = {file.suffix == ".json": file for file in files if file.exists()}
     if not found:
@@ -347,6 +351,24 @@ def load(path: PathLike) -> Saved:
     saved = load_model(found[False]) if False in found else None
     read = read_result(found[True]) if True in found else None
     return (SavedDiagnosis if isinstance(read, DiagnosisResult) else Saved)(path, saved, read)
+
+
+def _how_to_open(path: Path) -> str:
+    """Return the advice about a file that is neither a model nor a result: what it seems to be, and how to open it."""
+    from seatrial.daq.importers.sources import source_kind  # imported here, as only this error needs it
+
+    if path.suffix in (".html", ".htm"):
+        return "a report is read in a browser; give the folder of the result"
+    if path.suffix == ".parquet" and (path.parent / RESULT).exists():
+        return f"it seems to be a table of the result in {path.parent}; give this folder"
+    try:
+        kind = source_kind(path).name
+    except SeatrialError:
+        kind = ""
+    if (kind == "csv" and path.suffix.lower() not in TEXT_TABLES) or not kind:
+        return "give one of them, or their folder"
+    what = "a text table" if kind == "csv" else f"a log of other software ({kind})"
+    return f"it seems to be {what}: import it with st.import_log, and fit a model to the log with st.fit"
 
 
 def simulate(

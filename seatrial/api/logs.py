@@ -322,8 +322,13 @@ def check(logs: PathLike | Sequence[PathLike]) -> Findings:
 
 
 def as_list(logs: PathLike | Log | Sequence[PathLike | Log]) -> list[PathLike | Log]:
-    """Return one log or several logs as a list, in their order. One object of another class is a list of one, too."""
-    return list(logs) if isinstance(logs, Iterable) and not isinstance(logs, str) else [logs]
+    """Return one log or several logs as a list, in their order. One object of another class is a list of one, too.
+
+    A table, such as a ``pandas.DataFrame``, is one object: its items are names of columns, not logs.
+    """
+    if isinstance(logs, Iterable) and not isinstance(logs, str | Mapping) and not hasattr(logs, "columns"):
+        return list(logs)
+    return [logs]  # type: ignore[list-item]  # an object of another class, which the caller refuses
 
 
 def as_paths(
@@ -342,9 +347,13 @@ def as_paths(
     paths = []
     for log in as_list(logs):
         if not isinstance(log, Log | str | Path):
+            advice = ""
+            if hasattr(log, "params"):
+                advice = "; the model comes first, then the logs"
+            elif isinstance(log, Mapping) or hasattr(log, "columns") or hasattr(log, "shape"):
+                advice = "; write a table to a file first, such as run.csv, and import it with st.import_log"
             raise SeatrialError(
-                f"{type(log).__name__}: this is not a log; give the path of a log or the result of st.open_log"
-                + ("; the model comes first, then the logs" if hasattr(log, "params") else "")
+                f"{type(log).__name__}: this is not a log; give the path of a log or the result of st.open_log{advice}"
             )
         paths.append(log.path if isinstance(log, Log) else Path(log))
     if not paths:

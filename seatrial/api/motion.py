@@ -18,7 +18,7 @@ from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError, warn
 from seatrial.daq.log import import_library
 from seatrial.ident.export import Inputs, LinearModel, conditions_text, heading_sentence, pole_text, turn_sentence
-from seatrial.ident.model import THRUSTER_FORCE, is_of_thruster
+from seatrial.ident.model import THRUSTER_FORCE, drive_word, is_of_thruster
 
 if TYPE_CHECKING:
     from seatrial.ident.estimation import ParameterCovariance
@@ -260,8 +260,9 @@ class Steady(Shown):
                 beyond = ""
                 if quantity == "u" and self.speeds is not None and value > self.speeds[1]:
                     beyond = f", beyond the speeds of the data (up to {number(self.speeds[1], 2)} m/s)"
+                drive = drive_word(curve.inputs)
                 found.append(
-                    f"The largest steady {name} is {number(value, 3)}{error} {unit}, at a command of {command}{beyond}."
+                    f"The largest steady {name} is {number(value, 3)}{error} {unit}, at a {drive} of {command}{beyond}."
                 )
         if not self.turns and any(len(c.inputs) > 1 for c in self.curves) and (why := turn_sentence(self.conditions)):
             found.append(why)
@@ -298,13 +299,14 @@ class Steady(Shown):
         from seatrial.ident.report import DASHES, LINES, Panel, band, degrees_for, line_trace, stacked, trusted_lines
 
         panels: dict[str, Panel] = {}
+        drive = drive_word(self.curves[0].inputs)
         for c in self.curves:
             factor, unit = degrees_for(c.unit)
             what = "speed" if c.motion == "straight" else "turn rate"
-            how = "the command of both sides" if c.motion == "straight" else "half the difference of both sides"
+            how = f"the {drive} of both sides" if c.motion == "straight" else "half the difference of both sides"
             panel = panels.setdefault(c.motion, Panel(f"steady {what} [{unit}] over {how}"))
             k = sum(1 for trace in panel.traces if trace.get("name"))
-            color, name = LINES[k % len(LINES)], what if c.motion == "straight" else f"mean command {c.mean:.2g}"
+            color, name = LINES[k % len(LINES)], what if c.motion == "straight" else f"mean {drive} {c.mean:.2g}"
             if np.isfinite(c.sd).any():
                 area = band(c.command, factor * c.value, 1.96 * factor * c.sd, POINTS, color=color, gaps=True)
                 panel.traces.append({**area, "showlegend": False})
@@ -315,7 +317,7 @@ class Steady(Shown):
                 dash = DASHES[k % len(DASHES)]
                 panel.traces.append(line_trace(c.command, factor * c.value, name, POINTS, color=color, dash=dash))
         unit = "N" if is_of_thruster(self.curves[0].inputs[0], THRUSTER_FORCE) else "part of full"
-        figure, height = stacked(list(panels.values()), f"command [{unit}]", panel_height=220)
+        figure, height = stacked(list(panels.values()), f"{drive} [{unit}]", panel_height=220)
         words = f"Steady motion at {conditions_text(self.conditions)}" if self.conditions else "Steady motion"
         return Figure(words, figure["data"], _legend_below(figure["layout"], height))
 
@@ -326,7 +328,8 @@ class Steady(Shown):
             name = "speed" if c.motion == "straight" else f"turn rate, mean {number(c.mean, 2)}"
             for k in np.unique(np.linspace(0, c.command.size - 1, 11).round().astype(int)):
                 rows.append((name, number(c.command[k], 3), number(c.value[k]), number(c.sd[k], 2), c.unit))
-        return Content(self.answer, (), ("", "command", "value", "s.e.", "unit"), rows)
+        drive = drive_word(self.curves[0].inputs) if self.curves else "command"
+        return Content(self.answer, (), ("", drive, "value", "s.e.", "unit"), rows)
 
     def __repr__(self) -> str:
         """Return a short text for the interpreter: number of curves, and `answer`."""

@@ -18,6 +18,7 @@ from seatrial.api.fits import (
     FittedResult,
     FittedVehicle,
     Logs,
+    check_rate,
     known_options,
     model_path,
     python_call,
@@ -390,7 +391,8 @@ def navigate(
     Raises
     ------
     SeatrialError
-        If two logs have the same name, or if they lack signals that the model needs.
+        If two logs have the same name, if they lack signals that the model needs, or if the rate is not from 1 to 200
+        Hz.
 
     Examples
     --------
@@ -399,6 +401,7 @@ def navigate(
     from seatrial.ident.estimation import model_file
     from seatrial.ident.workflows.navigate import NavigationRequest, navigate_logs
 
+    check_rate(rate)
     paths, curve = as_paths(logs), None if thruster is None else model_file(Path(thruster))
 
     def work(out: Path) -> Any:

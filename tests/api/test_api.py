@@ -122,6 +122,20 @@ def bag_in(folder: Path) -> Path:
     return bag
 
 
+def csv_in(folder: Path) -> Path:
+    """Return a text table, which is made in `folder`."""
+    table = folder / "pond_a.csv"
+    table.write_text("t,yaw\n0.0,0.1\n0.1,0.2\n", encoding="utf-8")
+    return table
+
+
+def pandas_table() -> Any:
+    """Return a DataFrame with the columns of a log, one of them ``u``."""
+    import pandas
+
+    return pandas.DataFrame({"t": [0.0, 0.1], "u": [0.2, 0.3]})
+
+
 def model_in(folder: Path) -> Path:
     """Return the folder of a model, which is made in `folder`."""
     model = folder / "model"
@@ -529,7 +543,9 @@ def test_steady_motion_is_that_of_a_long_simulation(fit: st.FittedVehicle, tmp_p
     assert turn.sd[k] > 0.0
     assert np.all(np.diff(steady.straight.value) > 0.0)
     assert "The largest steady turn rate is" in steady.answer
-    names = {"", "speed", "speed, beyond the data", f"mean command {turn.mean:.2g}"}
+    assert " m/s, at a shaft speed of " in steady.answer
+    assert steady._content().columns[1] == "shaft speed"
+    names = {"", "speed", "speed, beyond the data", f"mean shaft speed {turn.mean:.2g}"}
     assert {trace["name"] for trace in steady.plot().data} == names
     assert {trace["name"] for trace in replace(steady, speeds=None).plot().data} == names - {"speed, beyond the data"}
     fastest = steady.straight.value[-1]
@@ -775,6 +791,30 @@ def test_navigate_returns_and_saves_the_states(logs: list[Path], fit: st.FittedV
         (lambda logs, fit: st.fit(logs[0], effects="skeg"), "effects skeg: there is no such effect"),
         (lambda logs, fit: st.fit(logs[0], fixed={"c7": 1.0}), "fixed c7"),
         (lambda logs, fit: st.fit(logs[0], priors={"m_u": 30.0}), "priors: m_u: give a pair of mean and standard"),
+        (
+            lambda logs, fit: st.fit(logs[0], fixed=["c1=6.85"]),
+            """fixed: give a dict, such as {"c1": 6.85}, not ['c1=6.85']""",
+        ),
+        (lambda logs, fit: st.fit(logs[0], initial="m_u=30"), 'initial: give a dict, such as {"m_u": 30.0}, not'),
+        (lambda logs, fit: st.fit(logs[0], priors=["c1"]), 'priors: give a dict, such as {"c1": (6.85, 0.3)}, not'),
+        (lambda logs, fit: st.fit(logs[0], fixed={"c1": "6.85"}), "fixed: c1: '6.85' is no number; give a dict, such"),
+        (lambda logs, fit: st.fit(logs[0], priors={"c1": (6.85, "a")}), "priors: c1: (6.85, 'a') is no number"),
+        (lambda logs, fit: st.fit(logs[0], rate=1000), "rate 1000: give a number from 1 to 200, in Hz"),
+        (lambda logs, fit: st.diagnose(fit, logs[0], rate=0.5), "rate 0.5: give a number from 1 to 200, in Hz"),
+        (lambda logs, fit: st.navigate(fit, logs[0], rate="10"), "rate '10': give a number from 1 to 200, in Hz"),
+        (
+            lambda logs, fit: st.fit(pandas_table()),
+            "DataFrame: this is not a log; give the path of a log or the result of st.open_log; write a table to a "
+            "file first, such as run.csv, and import it with st.import_log",
+        ),
+        (lambda logs, fit: st.check(pandas_table()), "DataFrame: this is not a log"),
+        (lambda logs, fit: st.open_log(pandas_table()), "DataFrame: this is not a log"),
+        (lambda logs, fit: st.open_log({"t": [0.0]}), "dict: this is not a log; give the path of a log or the"),
+        (lambda logs, fit: st.fit(logs[0], validate=pandas_table()), "DataFrame: this is not a log"),
+        (
+            lambda logs, fit: st.load(csv_in(logs[0].parent)),
+            "is neither a model.toml nor a result.json; it seems to be",
+        ),
         (lambda logs, fit: st.fit(logs[0], horizon=-5.0), "horizon -5: give a time above zero"),
         (lambda logs, fit: st.fit(logs[0], validation=logs[1]), "no option 'validation'; did you mean 'validate'?"),
         (lambda logs, fit: st.simulate(fit, {"n_left": [0.5]}, [0.0, 1.0]), "times: give numbers"),
@@ -836,7 +876,8 @@ def test_navigate_returns_and_saves_the_states(logs: list[Path], fit: st.FittedV
         (lambda logs, fit: fit.predict(horizon=500.0), "horizon 500: the longest record lasts "),
         (lambda logs, fit: fit.residuals(on="val"), "on: 'val' names no data; give 'estimation' or 'validation'"),
         (lambda logs, fit: fit.simulate(-3), "on: -3 names no data"),
-        (lambda logs, fit: fit.linearise("1"), "speed 1 m/s: give a number other than zero"),
+        (lambda logs, fit: fit.linearise("0.9"), "speed '0.9': give a number, in m/s, such as 0.5"),
+        (lambda logs, fit: fit.linearise(0), "speed 0 m/s: give a number other than zero"),
         (lambda logs, fit: fit.linearise(0.5).lqr([4, 1, 4]), "Q: give the weights by name, such as {'u': 4.0"),
         (lambda logs, fit: fit.linearise(0.5).lqr({"u": 4.0}, 1.0), "R: give the weights by name, such as {'n_left'"),
     ],

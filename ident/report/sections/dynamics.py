@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from seatrial.ident.export import conditions_text, frame_words, turn_sentence
-from seatrial.ident.model import THRUSTER_FORCE, is_of_thruster
+from seatrial.ident.model import THRUSTER_FORCE, drive_word, is_of_thruster
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Canvas, Cell, Grid, Heading, Plot, Prose, Section, Table
 from seatrial.ident.report.bode import FREQUENCY, frequency_axis, gain_traces, phase_traces
@@ -45,10 +45,12 @@ def section(canvas: Canvas, dynamics: Dynamics | None) -> Section:
     two_sided = any(len(c.inputs) > 1 for c in dynamics.steady)
     if two_sided and not turns and (why := turn_sentence(dynamics.conditions)):
         blocks.append(Prose(why, "caption"))
-    blocks += _pole_blocks(dynamics.points, dynamics.course) + _step_blocks(canvas, dynamics)
-    blocks += _bode_blocks(canvas, dynamics)
+    driving = [n for curve in dynamics.steady for n in curve.inputs]
+    drive = drive_word([*driving, *(n for point in dynamics.points for n in point.inputs)])
+    blocks += _pole_blocks(dynamics.points, dynamics.course, drive) + _step_blocks(canvas, dynamics, drive)
+    blocks += _bode_blocks(canvas, dynamics, drive)
     lead = (
-        f"Computed from the model {frame_words(dynamics.conditions)}, and within the commands of the data. Bands are "
+        f"Computed from the model {frame_words(dynamics.conditions)}, and within the {drive}s of the data. Bands are "
         "95 % intervals from the standard errors of the parameters."
     )
     if dynamics.conditions:
@@ -57,12 +59,12 @@ def section(canvas: Canvas, dynamics: Dynamics | None) -> Section:
 
 
 def _command(curve: SteadyCurve) -> str:
-    """Return the title of the axis of a steady curve's command, with the unit N, or ``part of full``."""
+    """Return the title of the axis of a steady curve's command or shaft speed, with the unit N, or ``part of full``."""
     unit = "N" if curve.inputs and is_of_thruster(curve.inputs[0], THRUSTER_FORCE) else ""
     names = formatting.bracket(unit) or ", part of full"
     if curve.motion == "turn":
         return f"half the difference of both sides{names}"
-    return f"command of {'both sides' if len(curve.inputs) > 1 else 'the drive'}{names}"
+    return f"{drive_word(curve.inputs)} of {'both sides' if len(curve.inputs) > 1 else 'the drive'}{names}"
 
 
 def _straight_plot(canvas: Canvas, curve: SteadyCurve, speeds: tuple[float, float] | None) -> Plot:
@@ -77,7 +79,7 @@ def _straight_plot(canvas: Canvas, curve: SteadyCurve, speeds: tuple[float, floa
     beyond = len(traces) > 2
     figure = drawing.single(traces, _command(curve), "speed [m/s]", hovermode="closest")
     title = "Steady speed on a straight course" + ("; dotted: beyond the speeds of the data" if beyond else "")
-    return canvas.plot(figure, 320, "Steady speed against command", title)
+    return canvas.plot(figure, 320, f"Steady speed against {drive_word(curve.inputs)}", title)
 
 
 def _turn_plot(canvas: Canvas, curves: Sequence[SteadyCurve]) -> Plot:
@@ -91,7 +93,7 @@ def _turn_plot(canvas: Canvas, curves: Sequence[SteadyCurve]) -> Plot:
         value, half = factor * curve.value, drawing.Z95 * factor * np.nan_to_num(curve.sd)
         color = drawing.LINES[i % len(drawing.LINES)]
         traces.append({**drawing.band(curve.command, value, half, POINTS, color=color, gaps=True), "showlegend": False})
-        name = f"mean command {formatting.plain(curve.mean, 2)}"
+        name = f"mean {drive_word(curve.inputs)} {formatting.plain(curve.mean, 2)}"
         dash = drawing.DASHES[i % len(drawing.DASHES)]
         traces.append(drawing.line_trace(curve.command, value, name, POINTS, color=color, dash=dash))
     figure = drawing.single(
@@ -102,14 +104,16 @@ def _turn_plot(canvas: Canvas, curves: Sequence[SteadyCurve]) -> Plot:
         showlegend=len(curves) > 1,
         legend={"orientation": "h", "y": 1.0, "yanchor": "bottom", "x": 0.0},
     )
-    return canvas.plot(figure, 320, "Steady turn rate against difference of the commands", "Steady turn rate")
+    against = f"Steady turn rate against difference of the {drive_word(curves[0].inputs)}s"
+    return canvas.plot(figure, 320, against, "Steady turn rate")
 
 
-def _pole_blocks(points: Sequence[OperatingPoint], course: CourseStability | None) -> list[Any]:
+def _pole_blocks(points: Sequence[OperatingPoint], course: CourseStability | None, drive: str) -> list[Any]:
     """Return heading and table of the poles at each speed; an empty list without linear models.
 
     If the model is unstable at a speed, a sentence on the lowest such speed follows, and one on the least stable pole
-    of sway and yaw (``course``) at the speeds of the data, if it is unstable.
+    of sway and yaw (``course``) at the speeds of the data, if it is unstable. ``drive`` is what the inputs are, in
+    words.
     """
     if not points:
         return []
@@ -124,7 +128,7 @@ def _pole_blocks(points: Sequence[OperatingPoint], course: CourseStability | Non
             command = _inputs_in_words(point)
             head = [Cell(f"{point.speed:g} m/s", "num"), Cell(command, "num")] if k == 0 else ["", ""]
             rows.append([*head, Cell(pole, "num"), Cell(constant, "num"), Cell(grows, "bad nowrap")])
-    columns = (("speed", "num"), ("command", "num"), ("pole [1/s]", "num"), ("time constant", "num"), ("stability", ""))
+    columns = (("speed", "num"), (drive, "num"), ("pole [1/s]", "num"), ("time constant", "num"), ("stability", ""))
     blocks: list[Any] = [Heading("Poles on a straight course", "of the model linearised at each speed")]
     blocks.append(Table(columns, rows))
     if not all(p.stable for p in points):
@@ -147,13 +151,13 @@ def _inputs_in_words(point: OperatingPoint) -> str:
     return ", ".join(f"{name} {value}" for name, value in shown.items())
 
 
-def _step_blocks(canvas: Canvas, dynamics: Dynamics) -> list[Any]:
+def _step_blocks(canvas: Canvas, dynamics: Dynamics, drive: str) -> list[Any]:
     """Return heading and plots of the step responses, and the dead times; an empty list without responses."""
     plots = [_step_plot(canvas, step) for step in dynamics.steps]
     if not plots:
         return []
     step = dynamics.steps[0]
-    note = f"linear model at {step.speed:g} m/s, step of {formatting.plain(step.step, 2)} of the command"
+    note = f"linear model at {step.speed:g} m/s, step of {formatting.plain(step.step, 2)} of the {drive}"
     note += "" if step.sd is None else ", with 95 % bands"
     blocks: list[Any] = [Heading("Step responses", note), Grid(plots, 240)]
     if dynamics.delays:
@@ -174,12 +178,12 @@ def _step_plot(canvas: Canvas, step: StepResponse) -> Plot:
     return canvas.plot(figure, 220, f"Step response, {title}", title)
 
 
-def _bode_blocks(canvas: Canvas, dynamics: Dynamics) -> list[Any]:
+def _bode_blocks(canvas: Canvas, dynamics: Dynamics, drive: str) -> list[Any]:
     """Return heading, plots and a sentence for each frequency response; an empty list without responses."""
     if not dynamics.responses:
         return []
     first = dynamics.responses[0]
-    words = "from the command to speed and turn rate" if len(dynamics.responses) > 1 else "from the command"
+    words = f"from the {drive} to speed and turn rate" if len(dynamics.responses) > 1 else f"from the {drive}"
     blocks: list[Any] = [Heading("Bode plot", f"linear model at {first.speed:g} m/s, {words}")]
     blocks.append(Grid([plot for response in dynamics.responses for plot in _bode_plots(canvas, response)], 400))
     sentences = [words for response in dynamics.responses if (words := _bode_words(response))]

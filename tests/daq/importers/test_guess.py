@@ -357,7 +357,12 @@ def test_one_side_of_a_shaft_speed_does_not_rename_the_commands(tmp_path: Path) 
     ("count", "first", "name"),
     [
         (2, "guess r1.csv r2.csv`. Check each caveat, then run `seatrial import MAP r1.csv r2.csv`.", "r1, r2"),
-        (5, "guess r1.csv r2.csv r3.csv` and 2 more. Check", "r1, r2, r3 and 2 more"),
+        (
+            5,
+            "guess FILE...` of r1.csv r2.csv r3.csv and 2 more. Check each caveat, then run `seatrial import MAP "
+            "FILE...` with all of them.",
+            "r1, r2, r3 and 2 more",
+        ),
     ],
 )
 def test_a_map_of_several_files_names_them(tmp_path: Path, count: int, first: str, name: str) -> None:

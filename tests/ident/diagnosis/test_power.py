@@ -69,6 +69,21 @@ def test_an_effect_that_the_fitted_parameters_explain_has_no_size() -> None:
     assert set(two.sizes) == {"b", "c"}
 
 
+def test_a_size_that_no_boat_has_is_left_out() -> None:
+    """A lever arm, for example, has no effect at zero force: its column has rounding errors only."""
+    rng = np.random.default_rng(4)
+    G = rng.standard_normal((N, 5))
+    G[:, 2] *= 1e-9
+    scores = scores_of(rng.standard_normal(N), G, 1)
+    _, two = detectable_sizes(scores, N)
+    assert two.sizes["c"] < 1.0 < 1e6 < two.sizes["b"]
+    one, two = detectable_sizes(scores, N, prior_sds={"b": 0.3, "c": 0.3})
+    assert set(one.sizes) == {"a"}
+    assert set(two.sizes) == {"c"}
+    (two,) = detectable_sizes(scores, N, prior_sds={"a": 1e-6, "b": 0.3})
+    assert two.effect == "two"
+
+
 def test_an_effect_without_information_is_left_out() -> None:
     """The test of waves is one of a spectral peak, so that its score has no information of a size."""
     assert detectable_sizes([Score("waves", 20.0, 2, 10.0, {}, {})], N) == ()

@@ -10,6 +10,7 @@ from seatrial.ident.model import (
     SignalId,
     command_of,
     commanded_thrusters,
+    drive_word,
     is_of_thruster,
     shaft_speed_of,
     tap_name,
@@ -57,3 +58,17 @@ def test_quantity_of_a_thruster_is_recognised() -> None:
 
 def test_commanded_thrusters_keep_the_order_of_the_names() -> None:
     assert commanded_thrusters(["n_cmd_right", "psi", "n_left", "n_cmd_left"]) == ["right", "left"]
+
+
+@pytest.mark.parametrize(
+    ("names", "word"),
+    [
+        (["theta", "n_left", "n_right"], "shaft speed"),
+        (["n_cmd_left~2", "n_cmd_right"], "command"),
+        (["f_left"], "thrust"),
+        (["X", "N"], "command"),
+        ([], "command"),
+    ],
+)
+def test_inputs_of_a_boat_have_a_word(names: list[str], word: str) -> None:
+    assert drive_word(names) == word

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from seatrial.ident.report import page
+from seatrial.ident.report.blocks import Budget, Canvas
+from seatrial.ident.report.sections.dynamics import section
 from seatrial.ident.report.sections.runs import wide_band
 from seatrial.ident.results import (
     CourseStability,
@@ -57,7 +59,7 @@ def shown() -> Page:
 
 
 def test_steady_curves_have_their_units_and_bands(shown: Page) -> None:
-    place = next(a for _, a in shown.tags if a.get("aria-label") == "Steady speed against command")
+    place = next(a for _, a in shown.tags if a.get("aria-label") == "Steady speed against shaft speed")
     band, speed, beyond = shown.figures()[str(place["id"])]["data"]
     y = np.linspace(-1.0, 1.0, 81)
     np.testing.assert_allclose(numbers(speed["y"]), np.where(y < 0.61, y, np.nan), atol=1e-3)
@@ -69,6 +71,23 @@ def test_steady_curves_have_their_units_and_bands(shown: Page) -> None:
     assert np.nanmax(numbers(shown.figures()[str(place["id"])]["data"][1]["y"])) == pytest.approx(
         np.degrees(0.5), abs=0.01
     )
+
+
+@pytest.mark.parametrize(("quantity", "word"), [("n", "shaft speed"), ("n_cmd", "command"), ("f", "thrust")])
+def test_the_inputs_have_their_own_name(quantity: str, word: str) -> None:
+    """A model with shaft speeds as inputs has no command."""
+    own = [f"{quantity}_left", f"{quantity}_right"]
+    found = dynamics()
+    points = tuple(
+        msgspec.structs.replace(p, inputs=dict(zip(own, p.inputs.values(), strict=True))) for p in found.points
+    )
+    steady = tuple(msgspec.structs.replace(c, inputs=tuple(own)) for c in found.steady)
+    found = msgspec.structs.replace(found, points=points, steady=steady)
+    canvas = Canvas(Budget())
+    shown = f"{section(canvas, found)} {canvas.figures}"
+    for text in (f"within the {word}s of the data", f"{word} of both sides", f"mean {word} 0", f"from the {word}"):
+        assert text in shown, text
+    assert ("command" in shown) == (word == "command")
 
 
 def test_step_response_has_its_band(shown: Page) -> None:

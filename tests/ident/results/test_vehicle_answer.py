@@ -31,6 +31,7 @@ from seatrial.ident.results.answers import (
     not_converged,
     outlier_lines,
     plus_minus,
+    short_data_warnings,
     smallest_command,
     stuck_sensors,
     thrust_ahead_warnings,
@@ -457,3 +458,45 @@ def test_estimate_far_from_its_usual_size_is_reported(value: float, warned: bool
         assert "k_air = 4.1 N s2/m2" in found[0].text
     fit.parameters = (replace(k_air, origin=ParameterOrigin.PRIOR),)
     assert not unusual_estimates(fit)
+
+
+def record_of(name: str, seconds: float) -> Record:
+    """Return a record without signals that lasts some seconds."""
+    t = np.arange(0.0, seconds + 0.05, 0.1)
+    none = np.zeros((t.size, 0))
+    return Record(name, t, none, none, none, (), ())
+
+
+@pytest.mark.parametrize(
+    ("estimation", "validation", "messages"),
+    [
+        ((300.0,), (), []),
+        ((40.0, 21.0), (15.0,), []),
+        (
+            (8.0,),
+            (),
+            [
+                "The log has 8 s in all: this is too short for the slow motions of a boat",
+                "Too short for the horizon of 10 s, and without predictions over it: e0 (estimation data, at most 8 s)",
+            ],
+        ),
+        ((20.0, 21.0), (200.0,), ["The logs have 41 s in all: "]),
+        (
+            (300.0, 5.0),
+            (9.0, 60.0, 7.0),
+            ["and without predictions over it: v0, v2 (validation data, at most 9 s)."],
+        ),
+    ],
+)
+def test_short_logs_are_reported(
+    estimation: tuple[float, ...], validation: tuple[float, ...], messages: list[str]
+) -> None:
+    fitted: Any = SimpleNamespace(
+        records=[record_of(f"e{k}", s) for k, s in enumerate(estimation)],
+        validation=[SimpleNamespace(record=record_of(f"v{k}", s)) for k, s in enumerate(validation)],
+        cross_validated=False,
+    )
+    found = short_data_warnings(fitted, 10.0)
+    assert [w.code for w in found] == ["short-data"] * len(messages)
+    for warning, message in zip(found, messages, strict=True):
+        assert message in warning.text

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from msgspec import structs
 from scipy import stats
 
 from seatrial.daq.errors import SeatrialError
@@ -161,6 +162,17 @@ def test_notes_contain_the_horizon() -> None:
         "On estimation data, the errors 2.5 s ahead are larger than the model predicts, by these factors: shaft speed "
         "1.5. Multiply the predicted standard deviations of these channels by them."
     )
+    tables = CalibrationTable(one_step={"n": row}, horizon={"n": row}, simulation={})
+    one_step, horizon = calibration_notes(Calibrations(estimation=tables, validation=tables), 2.5)
+    assert one_step.endswith("1.5. Multiply the predicted standard deviations of these channels by them.")
+    assert horizon == (
+        "On validation data, the errors 2.5 s ahead are larger than the model predicts, by these factors: shaft speed "
+        "1.5. The intervals of this result and of `predict` in Python are already widened for this."
+    )
+    loose = structs.replace(row, scale=0.6, verdict="underconfident")
+    wide = CalibrationTable(one_step={}, horizon={"n": loose}, simulation={})
+    (line,) = calibration_notes(Calibrations(estimation=tables, validation=wide), 2.5)
+    assert line.endswith("shaft speed 0.6. Multiply the predicted standard deviations of these channels by them.")
 
 
 @pytest.mark.study

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -176,6 +177,28 @@ def test_known_parameters_are_fixed() -> None:
         set_initial_values(horizontal_model(), {"m_u": -1.0})
     with pytest.raises(SeatrialError, match=r"the rig file or the import map gives m_u = -1: .*; correct it there"):
         apply_rig_geometry(horizontal_model(), None, {"m_u": -1.0})
+
+
+def test_given_thrust_that_is_not_positive_is_rejected() -> None:
+    """Only a given c2 is checked, against c1 of any source."""
+    astern = "c2 = 12 N is not smaller than c1 = 6.85 N: the thrust astern, c1 - c2, would not be positive; correct"
+    mapped, _ = apply_rig_geometry(horizontal_model(), None, {"c1": 6.85})
+    for model, fixed in (
+        (horizontal_model(), {"c1": 6.85, "c2": 12.0}),
+        (mapped, {"c2": 12.0}),
+        (apply_rig_geometry(horizontal_model(), None, {"c1": 6.85, "c2": 12.0})[0], {}),
+        (set_priors(mapped, {"c2": (12.0, 0.5)}), {}),
+    ):
+        with pytest.raises(SeatrialError, match=f"^{re.escape(astern)}"):
+            fix_parameters(model, None, fixed)
+    with pytest.raises(SeatrialError, match=r"c2 = -9 N and c1 = 6\.85 N: the thrust ahead, c1 \+ c2, would not be"):
+        fix_parameters(mapped, None, {"c2": -9.0})
+    with pytest.raises(SeatrialError, match=r"c2 = 50 N is not smaller than c1 = 40\.05 N \(built in\)"):
+        fix_parameters(horizontal_model(), None, {"c2": 50.0})
+    with pytest.raises(SeatrialError, match=r"--fix c1=-1: parameter c1: -1\.0 is not positive"):
+        fix_parameters(horizontal_model(), None, {"c1": -1.0})
+    model, _ = fix_parameters(horizontal_model(), None, {"c1": 1.0})  # the built-in c2 is larger, and is estimated
+    assert model.values["c1"] == 1.0
 
 
 def test_range_of_a_state_is_not_that_of_an_input_with_the_same_name() -> None:
