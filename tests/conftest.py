@@ -154,10 +154,13 @@ def quick_compilation() -> Iterator[None]:
 
     It pays for models that no other module fits. The machine code of other models is compiled once for all modules.
     """
-    from seatrial.ident.engine import jit
+    from seatrial.ident.engine import filter_kernels, jit
 
     with jit.quick_compilation(0):
         yield
+    # A kernel in memory remains that of its model, and its rounding differs from that of other processes.
+    for kernels in (filter_kernels._recent, filter_kernels._known, filter_kernels._by_model):
+        kernels.clear()
 
 
 @pytest.hookimpl(wrapper=True)
