@@ -287,7 +287,8 @@ def models_table(result: ComparisonResult) -> Table:
     worse (▲) than the first one. The counts are the numbers of channels and kinds of prediction in which it is better,
     worse, not distinguishable, and without an interval.
     """
-    table = titled_table(f"Models, and their error {result.horizons[0]:g} s ahead over all channels")
+    title = f"Models, free parameters (+ per log), and error {result.horizons[0]:g} s ahead over all channels"
+    table = titled_table(title)
     table.padding = (0, 1, 0, 0)
     table.add_column("", no_wrap=True, style="bold")
     for title in ("free", f"error/({result.models[0].label})", "95 %", "▼/▲/same/no interval"):
@@ -300,7 +301,8 @@ def models_table(result: ComparisonResult) -> Table:
         error = Text(words) if ratio is None else Text(MARKS[ratio.verdict][0] + words, STYLES[ratio.verdict])
         counts = "–" if first else "/".join(str(n) for n in result.counts(m.label).values())
         cells = (Text(w) for w in (interval_words(ratio), counts, m.name))
-        table.add_row(Text(f"({m.label})"), Text(str(m.n_free)), error, *cells)
+        free = f"{m.n_free} + {len(m.per_log)}" if m.per_log else str(m.n_free)  # the second number is for each log
+        table.add_row(Text(f"({m.label})"), Text(free), error, *cells)
     return table
 
 

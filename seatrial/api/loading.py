@@ -337,7 +337,11 @@ def load(path: PathLike) -> Saved:
     from seatrial.ident.estimation import load_model
     from seatrial.ident.results import DiagnosisResult, read_result
 
-    path = Path(path)
+    try:
+        path = Path(path)
+    except TypeError:
+        text = f"give the path of a {MODEL}, of a {RESULT}, or of their folder"
+        raise SeatrialError(f"{type(path).__name__}: this is no path; {text}") from None
     if not path.exists():
         raise SeatrialError(f"{path}: no such file or folder; give a {MODEL}, a {RESULT}, or their folder")
     if path.suffix == ".mcap":

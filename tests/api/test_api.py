@@ -815,6 +815,7 @@ def test_navigate_returns_and_saves_the_states(logs: list[Path], fit: st.FittedV
             lambda logs, fit: st.load(csv_in(logs[0].parent)),
             "is neither a model.toml nor a result.json; it seems to be",
         ),
+        (lambda logs, fit: st.load(3), "int: this is no path; give the path of a model.toml, of a result.json, or of"),
         (lambda logs, fit: st.fit(logs[0], horizon=-5.0), "horizon -5: give a time above zero"),
         (lambda logs, fit: st.fit(logs[0], validation=logs[1]), "no option 'validation'; did you mean 'validate'?"),
         (lambda logs, fit: st.simulate(fit, {"n_left": [0.5]}, [0.0, 1.0]), "times: give numbers"),

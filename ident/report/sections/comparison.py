@@ -83,7 +83,7 @@ def opening_blocks(result: ComparisonResult) -> list[Any]:
             [
                 Cell(f"({m.label})", "strong"),
                 Cell(f"{m.name}, {m.model}", "wide"),
-                Cell(str(m.n_free), "num"),
+                Cell(f"{m.n_free} + {len(m.per_log)} per log" if m.per_log else str(m.n_free), "num"),
                 Cell("1" if m is result.models[0] else ratio_words(change), "num"),
                 Cell(interval_words(change), "num"),
                 Cell(verdict, "" if change is None else MARKS[change.verdict][1]),
