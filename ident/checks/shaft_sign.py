@@ -38,9 +38,7 @@ def one_sided_shafts(c: Channels) -> dict[str, Finding]:
         A fault for each thruster whose speed is zero in one direction only, or positive in both, by the name of the
         thruster. Empty if there is none.
     """
-    names = sorted(commanded_thrusters(c))
-    both = ((n, c[command_of(n)], c[shaft_speed_of(n)]) for n in names if shaft_speed_of(n) in c)
-    found = ((n, _one_sided_fault(n, command, shaft)) for n, command, shaft in both if command.t is not shaft.t)
+    found = ((n, _one_sided_fault(n, command, shaft)) for n, command, shaft in _measured_shafts(c))
     return {n: finding for n, finding in found if finding is not None}
 
 
@@ -58,10 +56,19 @@ def speed_over_command(c: Channels) -> float | None:
     float or None
         Mean of the thrusters. None if no thruster has both signals and steady forward commands.
     """
-    both = ((c[command_of(n)], c[shaft_speed_of(n)]) for n in commanded_thrusters(c) if shaft_speed_of(n) in c)
-    found = [_speed_over_command(command, shaft, 1.0) for command, shaft in both if command.t is not shaft.t]
+    found = [_speed_over_command(command, shaft, 1.0) for _, command, shaft in _measured_shafts(c)]
     known = [ratio for ratio in found if ratio is not None and TURNS < ratio < IMPOSSIBLE]
     return float(np.mean(known)) if known else None
+
+
+def _measured_shafts(c: Channels) -> list[tuple[str, Channel, Channel]]:
+    """Return the name, command and shaft speed of each thruster that has both, sorted by name.
+
+    A shaft speed with the same array of times as its command is a copy of it. Its thruster is left out.
+    """
+    names = [n for n in sorted(commanded_thrusters(c)) if shaft_speed_of(n) in c]
+    both = [(n, c[command_of(n)], c[shaft_speed_of(n)]) for n in names]
+    return [(n, command, shaft) for n, command, shaft in both if command.t is not shaft.t]
 
 
 def wrapped(value: Array, fastest: float = MAX_SPEED, clear: float = MIN_COMMAND) -> bool:

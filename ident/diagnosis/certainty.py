@@ -27,7 +27,10 @@ class NameRecord:
 
     @property
     def probability(self) -> float:
-        """Probability that the next such name is right, by Laplace's rule of succession: (right + 1) / (named + 2)."""
+        """Probability that the next name with this attribution is right.
+
+        Laplace's rule of succession estimates it as (right + 1) / (named + 2).
+        """
         return (self.right + 1) / (self.named + 2)
 
 

@@ -865,8 +865,9 @@ class _Search:
             tried = [s for s in passed if not s.nonparametric and s.criterion(self.n) > least] if unknown else passed
             tried = [s for s in tried if s.name not in gone]
             if again:
-                failed, least = self._failed_before(), self.policy.min_trial_criterion
-                tried = [s for s in tried if s.name not in failed and s.criterion(self.n) > least]
+                failed = self._failed_before()
+                strong = [s for s in tried if s.criterion(self.n) > self.policy.min_trial_criterion]
+                tried = [s for s in strong if s.name not in failed]
             if self.common_errors is not None:  # what is left is the difference between a real boat and any model
                 tried = [s for s in tried if s.criterion(self.n) > self.policy.max_remaining_criterion]
             if len(self.rounds) >= max_effects or not tried:

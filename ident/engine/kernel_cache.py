@@ -112,7 +112,7 @@ class TracedNumber:
         return self._record_operation("negative", self)
 
     def __pos__(self) -> TracedNumber:
-        """Return the number itself; ``+self`` records nothing."""
+        """Return this object. The operation ``+self`` is not recorded."""
         return self
 
     def __abs__(self) -> TracedNumber:

@@ -88,6 +88,8 @@ class LlvmEmitter:
     values_by_instruction : dict[Any, Value]
         Result of each instruction that was written. Equal instructions are written once: if they are constant, once in
         the module, otherwise once in a stage.
+    instruction_forms : dict[tuple[str, bool, int, str], str]
+        Template with types and flags inserted, by template, whether the result is a vector, width and flags.
     n_values : int
         Number of named values so far.
     flags : str
@@ -105,7 +107,7 @@ class LlvmEmitter:
     """
 
     def __init__(self, plan: Plan) -> None:
-        """Prepare the writer for the plan. Nothing is written yet."""
+        """Prepare the writer for the plan. `ir` writes the module."""
         self.plan = plan
         self.entry_lines: list[str] = []
         self.loop_lines: list[str] = []
@@ -629,9 +631,9 @@ class LlvmEmitter:
         """Return LLVM's name of the type: a vector of ``width`` doubles if ``vector`` is true, else ``double``."""
         return f"<{self.width} x double>" if vector else "double"
 
-    def _append_lines(self, *lines: str, constant: bool = False) -> None:
-        """Append lines of IR to the loop over the rows, or to the lines before the loop if ``constant`` is true.
+    def _append_lines(self, *lines: str) -> None:
+        """Append lines of IR to the loop over the rows.
 
         While a stage is written as a separate function, the loop's lines are those of this function.
         """
-        (self.entry_lines if constant else self.loop_lines).extend(lines)
+        self.loop_lines.extend(lines)

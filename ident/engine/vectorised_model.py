@@ -32,7 +32,7 @@ class VectorisedModel:
     """
 
     def __init__(self, model: Model) -> None:
-        """Store the model. Each call evaluates the functions of the model. The constructor compiles nothing."""
+        """Store the model. The object compiles its functions on their first use."""
         self.model = model
         self.n_states, self.n_outputs = len(model.states), len(model.outputs)
         self._integrators: dict[tuple[int, int], Any] = {}

@@ -406,9 +406,9 @@ def effects_per_run(model: Model) -> dict[str, tuple[str, ...]]:
     Disturbances and offsets of sensors are left out: as the current, they differ between the runs of any model. Effects
     without such parameters are left out too.
     """
-    usual = (EffectKind.DISTURBANCE, EffectKind.SENSOR_OFFSET)
     own = {p.name for p in model.parameters if p.free and p.per_record}
-    found = {e.name: tuple(p.name for p in e.parameters if p.name in own) for e in model.effects if e.kind not in usual}
+    added = [e for e in model.effects if not e.kind.nuisance]
+    found = {e.name: tuple(p.name for p in e.parameters if p.name in own) for e in added}
     return {name: parameters for name, parameters in found.items() if parameters}
 
 

@@ -108,7 +108,10 @@ class Budget:
 
 
 def drawable(y: Array | None) -> Array | None:
-    """Return the curve ``y`` if at least one of its values is finite. Otherwise, and for None, return None."""
+    """Return the curve ``y`` if at least one of its values is finite, else None.
+
+    The result is also None if ``y`` is None.
+    """
     return y if y is not None and np.isfinite(y).any() else None
 
 

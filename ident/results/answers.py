@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from seatrial.daq.checks import FAULT
+from seatrial.daq.errors import first_names
 from seatrial.ident.characterisation import Levels, Quadratic, ThrustCurve, steady_thrust
 from seatrial.ident.data import ORIGIN, Record
 from seatrial.ident.estimation import (
@@ -118,9 +119,7 @@ def _first_names(channels: Sequence[str], most: int = MOST_NAMES) -> str:
     Names in ``NAMES`` are written out (``psi`` as heading). Of more than ``most`` names, the first ``most`` are
     returned with the number of the others.
     """
-    names = [NAMES.get(name, name) for name in channels]
-    more = len(names) - most
-    return ", ".join(names) if more <= 0 else f"{', '.join(names[:most])} and {more} more"
+    return first_names([NAMES.get(name, name) for name in channels], most)
 
 
 def _percent(share: float) -> str:

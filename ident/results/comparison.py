@@ -96,7 +96,7 @@ class ComparedChannel(Part, frozen=True, kw_only=True):
 
     @property
     def all_equal(self) -> bool:
-        """Whether there are three models or more, and none is distinguishable from the best one."""
+        """Whether at least three models are compared, and no model differs significantly from the best one."""
         return len(self.not_worse) == len(self.errors) > 2
 
 

@@ -18,7 +18,7 @@ from seatrial.daq.errors import SeatrialError, counted
 from seatrial.ident.checks import device_faults
 from seatrial.ident.data import WHOLE, LoadedLog, LogSegment, Record, TimeWindows, load_all, make_record
 from seatrial.ident.estimation import SavedModel, effects_per_run, load_model, uncertainty_of
-from seatrial.ident.model import EffectKind, Model
+from seatrial.ident.model import Model
 from seatrial.ident.parallel import Workers, run_many
 from seatrial.ident.report import write_report
 from seatrial.ident.reporter import Reporter
@@ -55,8 +55,6 @@ from seatrial.ident.workflows.model_inputs import check_horizon, hold_lines, in_
 
 BLOCK_LENGTHS = 2.0  # block length of the log score, in times over which residuals may be correlated
 SAME_TIME = 1e-6  # s: records whose starts and ends differ by less cover the same time
-# Kinds of effects that a fit or a diagnosis adds by the validation logs
-ADDED = frozenset(EffectKind) - {EffectKind.DISTURBANCE, EffectKind.SENSOR_OFFSET}
 CHANCE = 0.05  # share of the verdicts on two equal models that are wrong
 
 
@@ -305,7 +303,7 @@ def _result(
                 own.append(ComparedKind(kind=kind.kind, seconds=kind.seconds, block=length, against_reference=ratio))
     models = list[ComparedModel]()
     for label, c, by, own in zip(letters, compared, predicted, changes, strict=True):
-        with_effects = any(e.kind in ADDED for e in c.model.effects)
+        with_effects = any(not e.kind.nuisance for e in c.model.effects)
         row = ComparedModel(
             label=label,
             name=c.name,

@@ -358,7 +358,10 @@ def load(path: PathLike) -> Saved:
 
 
 def _how_to_open(path: Path) -> str:
-    """Return the advice about a file that is neither a model nor a result: what it seems to be, and how to open it."""
+    """Return advice for the error about a file that is neither a model nor a result.
+
+    The advice names the kind of the file, and the function that opens it.
+    """
     from seatrial.daq.importers.sources import source_kind  # imported here, as only this error needs it
 
     if path.suffix in (".html", ".htm"):
