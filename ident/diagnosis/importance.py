@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -267,7 +268,10 @@ def _fit_with_effects(
     validation_data: ValidationData,
     settings: SearchSettings | None,
 ) -> FittedModel:
-    """Fit the model of ``before`` with only the kept effects added, starting at the values of ``after``.
+    """Fit the model of ``before`` with only the kept effects added.
+
+    The search starts at the values of ``after``, or at those of ``before`` with the kept effects as in ``after``, or
+    halfway between both, wherever the likelihood is highest.
 
     Parameters
     ----------
@@ -293,7 +297,14 @@ def _fit_with_effects(
         model = model + refit.effect
     model = model.with_values({n: last.values[n] for n in model.values if n in last.values})
     start = after.fit.start_values(model)
+    without = before.fit.start_values(before.fit.model)
+    # The other parameters made up for the effect that is left out, so that their values of ``after`` may be far away.
+    halfway = {n: (without[n] + start[n]) / 2 for n in without if n in start}
+    fit_it = partial(
+        fit_and_evaluate, model, records, validation_data, settings=settings, start=start,
+        other_starts=(without, halfway),
+    )  # fmt: skip
     if settings is None or settings.robust_errors:
-        return fit_and_evaluate(model, records, validation_data, settings=settings, start=start)
+        return fit_it()
     with quick_compilation(sum(r.n_rows for r in records)):
-        return fit_and_evaluate(model, records, validation_data, settings=settings, start=start)
+        return fit_it()

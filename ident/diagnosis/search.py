@@ -100,7 +100,7 @@ from seatrial.ident.estimation import (
     without_unknown_noise,
 )
 from seatrial.ident.model import Effect, EffectKind, ForceCurve, Model, Parameter, curve_name
-from seatrial.ident.models import residuals_of, scale_priors, size_of, variables_of
+from seatrial.ident.models import residuals_of, scale_priors, sensor_errors_of, size_of, variables_of
 from seatrial.ident.reporter import QUIET, Reporter
 from seatrial.ident.validation import (
     PredictionChange,
@@ -1373,9 +1373,10 @@ class _Search:
         """
         again = current.fit.model + rough.effect
         reason = ""
-        at_rough = rough.fitted.fit.start_values(rough.fitted.fit.model)
+        found = rough.fitted.fit
+        released = found.model.with_free(p.name for p in again.parameters if p.free)
         for begin, values in (
-            (rough.fitted.fit.model, at_rough),
+            (released, found.start_values(released)),
             (again, {}),
             (again.with_values(_half_values(rough.effect)), {}),
         ):
@@ -1429,7 +1430,7 @@ class _Search:
                     untested.append(found)
 
     def _refit(self, current: FittedModel, effect: Effect, score: Score) -> Refit | UntestedCandidate:
-        """Refit the current model with one effect by a rough search.
+        """Refit the current model with one effect by a rough search, in which `_with_held_noise` may fix parameters.
 
         If every fit fails, the result is an ``UntestedCandidate`` with the reason of the first failure. The initial
         values of `_with_initial_values`, which use the score of the effect, are tried in turn until a fit loses less
@@ -1440,7 +1441,7 @@ class _Search:
         best, reason = None, ""
         for start in _with_initial_values(effect, score):
             try:
-                model = current.fit.model + start
+                model = self._with_held_noise(current.fit.model + start, effect)
                 begin = self._shifted_estimates(current, [(effect, start, score)])
                 fitted = fit_and_evaluate(model, self.records, self.validation_data, settings=self.rough, start=begin)
                 gain = 2 * (fitted.fit.log_posterior - current.fit.log_posterior)
@@ -1457,6 +1458,23 @@ class _Search:
             if best.gain > -self.policy.max_loss:
                 break
         return UntestedCandidate(effect, reason) if best is None else best
+
+    def _with_held_noise(self, model: Model, effect: Effect) -> Model:
+        """Return a model with an added effect in which the noise of all sensors keeps its values in a rough search.
+
+        These are the measurement noise of the outputs and the walk of the biases. The model is returned as it is
+        without common errors, and for an effect of a sensor.
+
+        Notes
+        -----
+        An effect of the boat changes the noise of its sensors by little, so that the gain is smaller by some tenths of
+        a per cent (by 2 % if the effect explains most of the residual). The search takes two thirds of the time.
+        """
+        if self.common_errors is None or effect.place == "sensor":
+            return model
+        walks = {r.state for r in sensor_errors_of(model)}
+        held = {o.noise for o in model.outputs} | {s.noise for s in model.states if s.name in walks}
+        return model.with_free(p.name for p in model.parameters if p.free and p.name not in held)
 
     def _shifted_estimates(
         self, current: FittedModel, added: Sequence[tuple[Effect, Effect, Score]]

@@ -310,6 +310,7 @@ def fit_and_evaluate(
     options: EstimationOptions | None = None,
     settings: SearchSettings | None = None,
     start: Mapping[str, float] | None = None,
+    other_starts: Sequence[Mapping[str, float]] = (),
 ) -> FittedModel:
     """Fit the model to the records, and evaluate the fit on the validation data.
 
@@ -331,6 +332,9 @@ def fit_and_evaluate(
         Accuracy and effort of the search. None: the defaults of `SearchSettings`.
     start
         Initial values by full name, which replace those of the model (`fit`). None: no such values.
+    other_starts
+        Further sets of initial values by full name, each in place of some of ``start``. The search begins at the set
+        with the highest log-posterior (`fit`).
 
     Raises
     ------
@@ -346,7 +350,8 @@ def fit_and_evaluate(
 
         Options and settings are those of the caller. ValueError is raised if the model cannot be evaluated there.
         """
-        return fit(initial, rows, options, settings, start={**(start or {}), **replaced})
+        begin = {**(start or {}), **replaced}
+        return fit(initial, rows, options, settings, start=begin, other_starts=() if replaced else other_starts)
 
     full_fit = fitted_from({})
     if model.start_grid is not None and settings.robust_errors:

@@ -32,6 +32,7 @@ from seatrial.ident.estimation.fitted_model import FittedModel, validated_in_blo
 from seatrial.ident.estimation.homogeneity import BETWEEN, ParameterShift
 from seatrial.ident.model.parameter import Parameter
 from seatrial.ident.model.structure import Effect, EffectKind, ForceCurve, Input
+from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.reporter import QUIET
 from seatrial.ident.results import parts
@@ -530,6 +531,37 @@ def test_waves_do_not_keep_the_common_errors_out(name: str, added: bool, monkeyp
     assert (result is extended) is added
     assert ("waves" in mine.candidates) is False
     assert ("compass" in mine.candidates) is True
+
+
+def test_rough_refits_beside_common_errors_hold_the_noise_of_the_sensors(monkeypatch: pytest.MonkeyPatch) -> None:
+    wind, compass = catalogue()["wind"], catalogue()["compass"]
+    nominal = with_disturbances(horizontal_model())
+    model = nominal + wind
+    mine = a_search()
+    assert mine._with_held_noise(model, wind) is model  # only beside the common errors
+    mine.common_errors = CommonErrorsFit((), blank())
+    assert mine._with_held_noise(model, compass) is model
+    held = mine._with_held_noise(model, wind)
+    assert set(model.free) - set(held.free) == {"e_psi", "e_r", "e_a", "e_xy", "e_vxy"}
+    walking = replace(
+        nominal,
+        parameters=(*nominal.parameters, Parameter("q_psi", 1e-4, transform="log")),
+        states=tuple(replace(s, noise="q_psi") if s.name == "bias_psi" else s for s in nominal.states),
+    )
+    assert "q_psi" not in mine._with_held_noise(walking + wind, wind).free
+
+    exact: list[Any] = []
+
+    def fitted(model: Any, *_: Any, **__: Any) -> Any:
+        exact.append(model)
+        raise ValueError("enough")
+
+    monkeypatch.setattr(search, "fit_and_evaluate", fitted)
+    rough = refit("wind", 50.0)
+    rough = replace(rough, effect=wind, fitted=blank(fit=blank(model=held, start_values=lambda _fit, _model: {})))
+    with pytest.raises(ValueError, match="enough"):
+        mine._fit_exactly(blank(fit=blank(model=nominal)), rough)
+    assert exact[0].free == model.free
 
 
 def test_removal_fits_again_if_common_errors_came_after_an_effect(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -268,6 +269,19 @@ def test_progress_is_reported() -> None:
     fit(turning().with_free(("m", "d")), records(1), start={"m": 15.0}, progress=lambda i, v: seen.append((i, v)))
     assert [i for i, _ in seen] == list(range(len(seen)))
     assert seen[-1][1] > seen[0][1]
+
+
+def test_search_begins_at_the_best_of_several_sets_of_initial_values() -> None:
+    def first_value(**starts: Any) -> float:
+        seen: list[float] = []
+        fit(turning().with_free(("m", "d")), records(1), progress=lambda _, v: seen.append(v), **starts)
+        return seen[0]
+
+    far, near = {"m": 30.0, "d": 6.0}, {"m": 9.0, "d": 2.5}
+    assert first_value(start=near) > first_value(start=far)
+    others = ({"m": 25.0}, near, {"m": float("nan")}, {"unknown": 1.0})
+    assert first_value(start=far, other_starts=others) == pytest.approx(first_value(start=near))
+    assert first_value(start=near, other_starts=(far,)) == pytest.approx(first_value(start=near))
 
 
 def test_lbfgsb_refines_a_search_in_which_scoring_stops() -> None:
