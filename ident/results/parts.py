@@ -134,6 +134,7 @@ WarningCode = Literal[
     "unusual-estimate",
     "compared-on-fitted-log",
     "compared-on-validation-log",
+    "compared-in-blocks",
     "effect-estimated-on-compared-log",
     "command-scale",
 ]
