@@ -7,7 +7,8 @@ prior that the data contradict, a stuck sensor, an unknown scale of forces.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 
@@ -68,6 +69,7 @@ RAMP_SHARE = 0.05  # share of the rows, smallest commands first, that may belong
 FAR_FROM_MAXIMUM = 0.5  # standard errors by which a fit can still move; less does not matter beside the errors
 UNUSUAL = 3.0  # standard deviations of its prior, from which an estimate is far from its usual size
 UNEQUAL_THRUST = 0.05  # difference of the thrust ahead from the given mean, relative to it, from which it is reported
+MOST_ADDED = 2.5  # largest plausible mass in surge, as a multiple of the weighed mass
 SHORT_DATA_S = 60.0  # of all estimation data; shorter data hardly contain a turn and a stop
 FEWEST_SAMPLES = 10  # equal samples from which a sensor is called stuck
 
@@ -311,12 +313,14 @@ def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
     return notes
 
 
-def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | None = None) -> list[ResultWarning]:
+def estimation_warnings(
+    fit: Fit, records: Sequence[Record], hull: Mapping[str, float] = MappingProxyType({})
+) -> list[ResultWarning]:
     """Return the warnings of a fit, those about an unknown scale of forces first.
 
     Further warnings are about declared noise or priors that the data contradict, a search that stopped close to the
-    maximum, masses that the data do not determine, a yaw inertia that is too small for the mass, records that were cut,
-    and stuck sensors. The list is empty if none of these applies.
+    maximum, masses that the data do not determine, a yaw inertia that is too small for the mass, a mass in surge that
+    contradicts the weighed one, records that were cut, and stuck sensors. The list is empty if none of these applies.
 
     Parameters
     ----------
@@ -324,8 +328,9 @@ def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | Non
         Fit of a vehicle or thruster model.
     records : sequence of Record
         Records that the parameters were fitted to.
-    length : float, optional
-        Length of the hull [m]. If it is None, the least plausible yaw inertia follows from the thrusters' arms alone.
+    hull : mapping
+        What is known of the hull. Without its ``length`` [m], the least plausible yaw inertia follows from the
+        thrusters' arms alone. Without its weighed ``mass`` [kg], the mass in surge is not checked.
     """
     warnings = [*scale_warnings(thrust_scale_of(fit.model)), *thrust_ahead_warnings(fit), *unusual_estimates(fit)]
     for away in (d for d in prior_distances(fit) if d.contradicts):
@@ -358,7 +363,7 @@ def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | Non
             "changes of speed (seatrial mission generate --kind mixed)."
         )
         warnings.append(ResultWarning(code="motion-not-excited", text=text))
-    least = least_yaw_inertia(fit, length)
+    least = least_yaw_inertia(fit, hull.get("length"))
     if least is not None and fit.estimate("m_r")[0] < least:
         text = (
             f"The estimated moment of inertia in yaw, m_r, is {fit.estimate('m_r')[0]:.3g} kg m2, but a rigid body "
@@ -366,7 +371,31 @@ def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | Non
             "and the unit of the yaw rate."
         )
         warnings.append(ResultWarning(code="inertia-too-small", text=text))
-    return warnings + cut_records(records) + stuck_sensors(records)
+    return warnings + mass_warnings(fit, hull.get("mass")) + cut_records(records) + stuck_sensors(records)
+
+
+def mass_warnings(fit: Fit, weighed: float | None) -> list[ResultWarning]:
+    """Return a warning if the estimated mass in surge contradicts the weighed mass of the boat [kg].
+
+    The mass in surge is the weighed mass and the added mass of the water. A mass below the weighed one, by more than
+    two standard errors, or above 2.5 times the weighed one is implausible. The list is empty without a weighed mass, if
+    the model has no mass in surge, and if the thrust was not given, so that masses are known as ratios only.
+    """
+    if weighed is None or "m_u" not in fit.model.values or thrust_scale_of(fit.model).relative:
+        return []
+    mass, error = fit.estimate("m_u")
+    found = f"The estimated mass in surge, m_u, is {plus_minus(mass, error)} kg, and the boat weighs {weighed:g} kg"
+    cause = "All masses are in proportion to the given thrust: check it first (its unit, and the thrust at full speed)"
+    if mass + 2.0 * np.nan_to_num(error) < weighed:
+        text = f"{found}: m_u contains the added mass of the water too and cannot be smaller. {cause}."
+    elif mass > MOST_ADDED * weighed:
+        text = (
+            f"{found}: the added mass of the water would be {mass / weighed - 1.0:.1f} times that mass, but in surge "
+            f"it is usually a small part of it. {cause}, then water in the hull and loads that were not weighed."
+        )
+    else:
+        return []
+    return [ResultWarning(code="mass-implausible", text=text)]
 
 
 def design_warnings(model: Model, thrust: float, pole: float | None) -> list[ResultWarning]:

@@ -118,6 +118,7 @@ WarningCode = Literal[
     "noise-contradicted",
     "prior-contradicted",
     "inertia-too-small",
+    "mass-implausible",
     "motion-not-excited",
     "nearly-converged",
     "one-direction",

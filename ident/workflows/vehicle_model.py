@@ -77,6 +77,9 @@ class VehicleRequest:
         Rate of the rows [Hz] over which faster sensors are averaged.
     window
         Interval of time of ``logs`` to use: one for all, or one for each; validation logs are used as a whole.
+    mass
+        Weighed mass of the boat without water around it [kg], with which the estimated mass in surge is compared. It is
+        no prior. None: that of the rig file or import map, if they have one.
     """
 
     logs: Sequence[Path]
@@ -95,6 +98,7 @@ class VehicleRequest:
     profiles: Sequence[str] = ()
     rate: float = 10.0
     window: TimeWindows = WHOLE
+    mass: float | None = None
 
 
 @dataclass(frozen=True)

@@ -64,6 +64,8 @@ class FitOptions(TypedDict, total=False):
         Priors of parameters by name.
     effects : sequence of str
         Names of effects of the catalogue to add to the model with free parameters.
+    mass : float
+        Weighed mass of the boat [kg]. A warning tells if the estimated mass in surge contradicts it. It is no prior.
     score_tests : bool
         Whether to test the model for missing effects: small errors of sensors and hull form are then estimated if the
         logs show them, and the standard errors include what remains unexplained.
@@ -90,6 +92,7 @@ class FitOptions(TypedDict, total=False):
     initial: Mapping[str, float]
     priors: Mapping[str, tuple[float, float]]
     effects: Sequence[str]
+    mass: float
     score_tests: bool
     profiles: Sequence[str]
     outlier_model: bool
@@ -113,6 +116,8 @@ class DiagnosisOptions(TypedDict, total=False):
     thruster : str
         For a vehicle model: file of the static curve that it was fitted with. For a thruster model: name of the
         thruster, if the logs have several.
+    mass : float
+        Weighed mass of the boat [kg], as that of `FitOptions`.
     outlier_model : bool
         Whether outliers are part of the noise of all sensors, so that they have little weight.
     horizon : float
@@ -128,6 +133,7 @@ class DiagnosisOptions(TypedDict, total=False):
     max_effects: int
     effects_file: PathLike
     thruster: str
+    mass: float
     outlier_model: bool
     horizon: float
     rate: float | None
@@ -599,8 +605,8 @@ def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[
         Other logs, on which the fit is evaluated. They are used whole, so a `Log` with a window is an error. Without
         them the fit is evaluated on ``logs``.
     **options
-        `FitOptions`: thruster, fixed, initial, priors, effects, score_tests, profiles, outlier_model, reml, mean_order,
-        horizon, rate, despite_faults, progress.
+        `FitOptions`: thruster, fixed, initial, priors, effects, mass, score_tests, profiles, outlier_model, reml,
+        mean_order, horizon, rate, despite_faults, progress.
 
     Returns
     -------
@@ -702,7 +708,8 @@ def diagnose(
         Other logs that validate each effect. They are used whole, so a `Log` with a window is an error. Without them,
         blocks of ``logs`` are cross-validated.
     **options
-        `DiagnosisOptions`: max_effects, effects_file, thruster, outlier_model, horizon, rate, despite_faults, progress.
+        `DiagnosisOptions`: max_effects, effects_file, thruster, mass, outlier_model, horizon, rate, despite_faults,
+        progress.
 
     Returns
     -------

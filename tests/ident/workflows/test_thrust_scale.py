@@ -7,17 +7,28 @@ from __future__ import annotations
 
 import json
 import math
+import re
+import warnings
 from functools import cache
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import seatrial as st
+from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from seatrial.daq.importers.import_files import import_files
 from seatrial.ident.cli.commands import ident
 from seatrial.ident.estimation.model_file import load_model
+from seatrial.ident.estimation.thrust_scale import thrust_scale_of
+from seatrial.ident.model.parameter import ParameterOrigin
+from seatrial.ident.results.answers import mass_warnings
+
+if TYPE_CHECKING:
+    from seatrial.ident.estimation.maximum_likelihood import Fit
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
 
@@ -155,6 +166,38 @@ def test_scale_and_geometry_in_the_map_give_kilograms(tmp_path: Path) -> None:
     for name, true in TRUE.items():
         assert abs(rows[name]["value"] - true) < 3 * rows[name]["se"], (name, rows[name])
     assert rows["c1"]["origin"] == "given"
+
+
+def test_weighed_mass_checks_the_mass_in_surge(tmp_path: Path) -> None:
+    """The true mass in surge is 12 kg. A weighed mass above it, or much below, contradicts the thrust."""
+    log = imported(tmp_path, "run", TABLES + "mass = 11.0\n", seconds=60.0)
+    plain, _, _ = fitted(log)
+    assert codes(plain) == []
+    heavy, output, _ = fitted(log, "--mass", "20")
+    assert codes(heavy) == ["mass-implausible"]
+    assert "and the boat weighs 20 kg: m_u contains the added mass of the water too" in " ".join(output.split())
+    assert rows_of(heavy)["m_u"] == rows_of(plain)["m_u"]  # it is no prior
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SeatrialWarning)
+        light = st.fit(log, mass=4.0, score_tests=False)
+        with pytest.raises(SeatrialError, match="the weighed mass must be positive"):
+            st.fit(log, mass=0.0, score_tests=False)
+    (warning,) = light.result.warnings
+    assert warning.code == "mass-implausible"
+    assert re.search(r"the added mass of the water would be (1\.9|2\.0|2\.1) times that mass", warning.text)
+
+
+def test_weighed_mass_says_nothing_about_ratios_and_within_the_errors(
+    bare: tuple[dict[str, Any], str, Path], tmp_path: Path
+) -> None:
+    saved = load_model(bare[2] / "model.toml")
+    assert thrust_scale_of(saved.model).relative
+    log = imported(tmp_path, "ratios", "[geometry]\nmass = 500.0\n", seconds=60.0)
+    assert "mass-implausible" not in codes(fitted(log)[0])
+    model = saved.model.replace_parameters(saved.model.parameter("c1").known(12.0, 0.0, ParameterOrigin.GIVEN))
+    for error, expected in ((0.6, []), (0.2, ["mass-implausible"])):
+        estimate = SimpleNamespace(model=model, estimate=lambda _, e=error: (12.0, e))
+        assert [w.code for w in mass_warnings(cast("Fit", estimate), 13.0)] == expected
 
 
 @pytest.mark.study
