@@ -491,7 +491,7 @@ def sensor_delay(
         text = f"the delay between {first} and {second} is not known ({interval})"
         yield Finding(UNKNOWN, "delay-unknown", "late", first_source, text)
     else:
-        text = f"{first} and {second} are {abs(found.lag):.2f} s apart ({interval})"
+        text = f"{late} comes {abs(found.lag):.2f} s after {early} ({interval})"
         yield Finding("ok", "sensors-in-time", "late", first_source, text)
 
 

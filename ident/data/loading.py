@@ -583,9 +583,7 @@ class LoadedLog:
         known = {n: self.vehicle[n] for n in ("length", "mass") if n in self.vehicle}
         known |= {} if mass is None else {"mass": mass}
         if not known.get("mass", 1.0) > 0.0:
-            raise SeatrialError(
-                f"mass = {known['mass']:g} kg: the weighed mass of the boat must be positive; correct it"
-            )
+            raise SeatrialError(f"mass = {known['mass']:g} kg: the weighed mass must be positive; correct it")
         return known
 
 

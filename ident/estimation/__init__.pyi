@@ -27,6 +27,7 @@ from .fitted_model import without_unknown_noise as without_unknown_noise
 from .homogeneity import HomogeneityTest as HomogeneityTest
 from .homogeneity import ParameterShift as ParameterShift
 from .homogeneity import between_runs as between_runs
+from .homogeneity import between_runs_title as between_runs_title
 from .homogeneity import homogeneity_test as homogeneity_test
 from .homogeneity import parameter_shift as parameter_shift
 from .homogeneity import run_differences as run_differences

@@ -28,6 +28,7 @@ from seatrial.ident.estimation import (
     unexcited_motion,
 )
 from seatrial.ident.model import Model, ParameterOrigin
+from seatrial.ident.numerics import is_undetermined
 from seatrial.ident.results.parts import (
     Calibrations,
     CourseStability,
@@ -770,7 +771,8 @@ def thruster_answer(
         Whether the bench has a load cell. Without it the answer states that the thrust is unknown.
     directions : sequence of float
         Directions in which the shaft turned: 1 forward, -1 reverse. A direction that is missing is called not measured.
-        A direction without a finite standard error is called not identifiable.
+        A direction without a finite standard error is called not identifiable, and one with a standard error above half
+        of the thrust not determined.
     calibration : float, optional
         Relative standard uncertainty of the load cell's force, which is added in quadrature to the standard errors of
         the thrust. If it is None, the errors are called statistical only.
@@ -779,10 +781,8 @@ def thruster_answer(
         command, the answer states that there is none above this command.
     """
     a, tau, d = (fitted.estimate(n) for n in ("a", "tau", "d"))
-    shaft = (
-        f"the shaft follows its command with a delay of {1e3 * tau[0]:.0f} ms and a time constant of "
-        f"{1e3 / a[0]:.0f} ms "
-    ) + (
+    constant = "that is not determined" if is_undetermined(*a) else f"of {1e3 / a[0]:.0f} ms"
+    shaft = f"the shaft follows its command with a delay of {1e3 * tau[0]:.0f} ms and a time constant {constant} " + (
         f"and does not turn below {100 * d[0]:.1f} % of full command"
         if d[0] >= NO_DEAD_ZONE
         else f"and has no dead zone above the smallest command tried, {format_number(100 * smallest)} %"
@@ -793,7 +793,9 @@ def thruster_answer(
     ends, lost = [], []
     for direction, word in ((1.0, "forward"), (-1.0, "in reverse")):
         force, error = (float(z[0]) for z in steady_thrust(fitted, np.array([direction])))
-        if direction in directions and math.isfinite(error):
+        if direction in directions and is_undetermined(force, error):
+            lost.append(f"{word}: not determined")
+        elif direction in directions and math.isfinite(error):
             ends.append(f"{plus_minus(direction * force, math.hypot(error, (calibration or 0.0) * force))} N {word}")
         else:
             lost.append(f"{word}: not {'identifiable' if direction in directions else 'measured'}")

@@ -23,7 +23,7 @@ from seatrial.ident.diagnosis import (
     removal_reason,
 )
 from seatrial.ident.effects import catalogue
-from seatrial.ident.estimation import FittedModel, ParameterShift, ReportedEstimates
+from seatrial.ident.estimation import FittedModel, ParameterShift, ReportedEstimates, between_runs_title
 from seatrial.ident.model import Effect, ModelKind
 from seatrial.ident.models import scale_priors, size_of
 from seatrial.ident.results import parts
@@ -524,7 +524,7 @@ def _round_row(search_round: Round) -> parts.RoundRow:
         candidates=tuple(
             parts.Candidate(
                 name=s.name,
-                title=titles.get(s.name, s.name),
+                title=titles.get(s.name) or between_runs_title(s.name),
                 lm=s.lm,
                 df=s.df,
                 p=s.p,
@@ -723,7 +723,7 @@ def _remaining_names(diagnosis: Diagnosis) -> str:
 
     They are fewer if fewer pass; the text is empty if none passes.
     """
-    return ", ".join(s.name for s in diagnosis.remaining[:4])
+    return ", ".join(between_runs_title(s.name) for s in diagnosis.remaining[:4])
 
 
 def _notes(diagnosis: Diagnosis) -> list[str]:

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 import seatrial as st
 from seatrial import command_line
@@ -544,6 +545,11 @@ def test_steady_motion_is_that_of_a_long_simulation(fit: st.FittedVehicle, tmp_p
     assert np.all(np.diff(steady.straight.value) > 0.0)
     assert "The largest steady turn rate is" in steady.answer
     assert " m/s, at a shaft speed of " in steady.answer
+    assert "not determined" not in steady.answer + steady._repr_html_()
+    vague = replace(steady, curves=tuple(structs.replace(c, sd=0.6 * np.abs(c.value)) for c in steady.curves))
+    assert "The largest steady turn rate is not determined: its standard error is more than half" in vague.answer
+    assert "<td>not determined</td>" in vague._repr_html_()
+    assert np.isfinite(vague.to_pandas()["value"]).any()  # the numbers are kept
     assert steady._content().columns[1] == "shaft speed"
     names = {"", "speed", "speed, beyond the data", f"mean shaft speed {turn.mean:.2g}"}
     assert {trace["name"] for trace in steady.plot().data} == names
