@@ -7,7 +7,7 @@ prior that the data contradict, a stuck sensor, an unknown scale of forces.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
 
 import numpy as np
@@ -27,7 +27,7 @@ from seatrial.ident.estimation import (
     thrust_scale_of,
     unexcited_motion,
 )
-from seatrial.ident.model import Model, ParameterOrigin
+from seatrial.ident.model import Model, ModelKind, ParameterOrigin
 from seatrial.ident.numerics import is_undetermined
 from seatrial.ident.results.parts import (
     Calibrations,
@@ -71,6 +71,7 @@ FAR_FROM_MAXIMUM = 0.5  # standard errors by which a fit can still move; less do
 UNUSUAL = 3.0  # standard deviations of its prior, from which an estimate is far from its usual size
 UNEQUAL_THRUST = 0.05  # difference of the thrust ahead from the given mean, relative to it, from which it is reported
 MOST_ADDED = 2.5  # largest plausible mass in surge, as a multiple of the weighed mass
+SHORT_BENCH_S = 20.0  # as SHORT_DATA_S, of a thruster: some held commands of 4 s, forward and in reverse
 SHORT_DATA_S = 60.0  # of all estimation data; shorter data hardly contain a turn and a stop
 FEWEST_SAMPLES = 10  # equal samples from which a sensor is called stuck
 
@@ -548,7 +549,7 @@ def faults_first(made: Provenance) -> str:
     ) * bool(faults)
 
 
-def check_warnings(made: Provenance) -> list[ResultWarning]:
+def check_warnings(made: Provenance, besides: Collection[str] = ()) -> list[ResultWarning]:
     """Return one warning for each different finding of the checks of the logs before a fit.
 
     Findings are different if their device, text, code or advice differs. A warning names up to four of the logs that
@@ -558,10 +559,12 @@ def check_warnings(made: Provenance) -> list[ResultWarning]:
     ----------
     made
         Provenance of the result, with the findings of the checks of each log.
+    besides
+        Codes of findings that are left out.
     """
     logs: dict[str, list[str]] = {}
     for log in made.logs:
-        for f in log.findings:
+        for f in (f for f in log.findings if f.code not in besides):
             logs.setdefault(f"{f.where}: {f.text} [{f.code}]{': ' * bool(f.advice)}{f.advice}.", []).append(log.path)
     return [ResultWarning(code="log-check", text=f"{_first_names(paths)}: {text}") for text, paths in logs.items()]
 
@@ -663,7 +666,7 @@ def failed_run_warnings(failed: Sequence[FailedRun]) -> list[ResultWarning]:
 
 
 def short_data_warnings(fitted: FittedModel, horizon: float) -> list[ResultWarning]:
-    """Return warnings about estimation data of less than 60 s in all, and about data shorter than the horizon.
+    """Return warnings about estimation data of less than 60 s (bench: 20 s), and about data shorter than the horizon.
 
     The second one names the validation logs (of a fit without them: the estimation logs) that are not longer than the
     horizon, so that they contain no prediction over it. The list is empty if neither applies.
@@ -676,11 +679,17 @@ def short_data_warnings(fitted: FittedModel, horizon: float) -> list[ResultWarni
         Prediction horizon [s].
     """
     found, total = [], sum(r.duration for r in fitted.records)
-    if round(total) < SHORT_DATA_S:  # the rows of a minute end a sample before it
+    bench = fitted.model.kind is ModelKind.BENCH
+    if round(total) < (SHORT_BENCH_S if bench else SHORT_DATA_S):  # the rows of a minute end a sample before it
         logs = "log has" if len(fitted.records) == 1 else "logs have"
+        what, how = (
+            ("the steps of a bench run", "a minute or more with steps at several levels, forward and in reverse")
+            if bench
+            else ("the slow motions of a boat", "some minutes with steps of the speed and turns")
+        )
         text = (
-            f"The {logs} {total:.3g} s in all: this is too short for the slow motions of a boat, and the estimates and "
-            "their standard errors may be far off. Record some minutes with steps of the speed and turns."
+            f"The {logs} {total:.3g} s in all: this is too short for {what}, and the estimates and their standard "
+            f"errors may be far off. Record {how}."
         )
         found.append(ResultWarning(code="short-data", text=text))
     separate = fitted.validation and not fitted.cross_validated

@@ -239,6 +239,7 @@ def thruster_result(
             *check_warnings(made),
             *(thruster_warnings(ways) if static is not None else ()),
             *estimation_warnings(fitted.fit, fitted.records),
+            *short_data_warnings(fitted, evaluation.horizon),
             *failed_run_warnings(fitted.failed),
         ),
         notes=_notes(posed.notes, evaluation, bands),

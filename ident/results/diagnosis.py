@@ -40,6 +40,7 @@ from seatrial.ident.results.answers import (
     not_converged,
     outlier_lines,
     poor_channel,
+    short_data_warnings,
 )
 from seatrial.ident.results.parts import DiagnosisResult, Provenance
 from seatrial.ident.results.tables import (
@@ -115,10 +116,11 @@ def diagnosis_result(
         prediction=prediction,
         converged_before=diagnosis.before.fit.converged,
         warnings=(
-            *check_warnings(made),
+            *check_warnings(made, besides=("channel-smoothed",)),  # the fit has warned; a note has the assumed noise
             *late_sensor_warnings(made, diagnosis.after.fit.model),
             *frames_assumed(diagnosis.after),
             *warnings,
+            *short_data_warnings(diagnosis.after, after.horizon),
             *thrust_difference_warnings(diagnosis.uncertainty),
             *failed_run_warnings(diagnosis.failed_runs),
             *_untested_warnings(diagnosis),

@@ -20,7 +20,7 @@ from seatrial.api import plots, tables
 from seatrial.api.figures import Figure
 from seatrial.api.findings import DiagnosisFindings
 from seatrial.api.logs import Log, PathLike, as_list, as_paths
-from seatrial.api.messages import Messages, errors_of_users
+from seatrial.api.messages import Messages, errors_of_users, warn_of_logs
 from seatrial.api.shown import Content, Shown
 from seatrial.daq.errors import NamedValues, SeatrialError, closest_name, counted
 from seatrial.daq.log import is_log
@@ -629,6 +629,7 @@ def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[
     with errors_of_users():
         request, progress = vehicle_request(as_paths(logs), _paths_or_none(validate), model, window_of(logs), options)
         done: VehicleFit = fit_vehicle(request, python_call("fit", request.logs, model=model), Messages(progress))
+    warn_of_logs(done.result)
     return FittedVehicle(done.result, done.fitted)
 
 
@@ -754,6 +755,7 @@ def diagnose(
         if isinstance(model, FittedResult) and advice:
             # The file of a fitted model was temporary. The user saves the model to run the command.
             result = structs.replace(result, recommended_experiment=advice.replace(str(path), "model.toml"))
+    warn_of_logs(result)
     return FittedDiagnosis(result, done.found.after, done.found, done.effects_file)
 
 

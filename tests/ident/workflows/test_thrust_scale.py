@@ -73,9 +73,19 @@ def sailed(seconds: float, seed: int) -> np.ndarray:
     return np.array(rows)
 
 
-def imported(folder: Path, name: str, tables: str, extra: str = "", seconds: float = 120.0) -> Path:
-    """Import the boat's run as a log, by a map with these further tables and columns."""
+def imported(
+    folder: Path,
+    name: str,
+    tables: str,
+    extra: str = "",
+    seconds: float = 120.0,
+    gap: tuple[float, float] | None = None,
+) -> Path:
+    """Import the boat's run as a log, by a map with these further tables and columns. The gyro may have a gap [s]."""
     rows = sailed(seconds, 1)
+    if gap is not None:
+        rows = rows.copy()
+        rows[(rows[:, 0] >= gap[0]) & (rows[:, 0] < gap[1]), 1 + list(COLUMNS).index("r")] = np.nan
     header = ["t", *COLUMNS, *extra.split()]
     rows = np.column_stack([rows, *(rows[:, 1] for _ in extra.split())])
     csv, text = folder / f"{name}.csv", MAP + tables
@@ -85,6 +95,7 @@ def imported(folder: Path, name: str, tables: str, extra: str = "", seconds: flo
         role = "input" if column.startswith("n_") else "output"
         text += f'[[signal]]\nname = "{column}"\ncolumn = "{column}"\nunit = "{COLUMNS.get(column, "1")}"\n'
         text += f'role = "{role}"\nhold = "linear"\n'
+        text += 'nan = "drop"\n' if column == "r" and gap else ""
     (folder / f"{name}.toml").write_text(text, encoding="utf-8")
     return import_files(folder / f"{name}.toml", [csv], out_dir=folder)[0]
 
@@ -185,6 +196,19 @@ def test_weighed_mass_checks_the_mass_in_surge(tmp_path: Path) -> None:
     (warning,) = light.result.warnings
     assert warning.code == "mass-implausible"
     assert re.search(r"the added mass of the water would be (1\.9|2\.0|2\.1) times that mass", warning.text)
+
+
+def test_gap_of_one_sensor_is_a_warning_of_the_fit(tmp_path: Path) -> None:
+    """`seatrial check` reported it, and a fit in Python was silent."""
+    log = imported(tmp_path, "run", TABLES, seconds=60.0, gap=(20.0, 30.0))
+    with pytest.warns(SeatrialWarning) as issued:
+        fit = st.fit(log, score_tests=False)
+    (text,) = [str(w.message) for w in issued if "sections-missing" in str(w.message)]
+    assert "r: data missing: 1 section, 10.1 s in all" in text
+    assert [w.code for w in fit.result.warnings] == ["log-check"]
+    with pytest.warns(SeatrialWarning, match="r: data missing: 1 section"):
+        found = st.diagnose(fit, log, max_effects=1)
+    assert [w.code for w in found.result.warnings][:1] == ["log-check"]
 
 
 def test_weighed_mass_says_nothing_about_ratios_and_within_the_errors(
