@@ -284,6 +284,30 @@ def test_predictions_have_the_errors_of_the_result(fit: st.FittedVehicle) -> Non
         assert fit.simulate()["run2"][name].rms == pytest.approx(row.after, rel=1e-9)
 
 
+def test_series_become_tables(fit: st.FittedVehicle) -> None:
+    residuals, ahead = fit.residuals(), fit.predict()
+    table = residuals.to_pandas()
+    assert list(table.columns) == ["record", "channel", "t", "value"]
+    assert set(table["record"]) == {"run1"}
+    own = table[table["channel"] == "r"]
+    np.testing.assert_array_equal(own["value"], residuals["run1"]["r"].value)
+    np.testing.assert_array_equal(residuals["run1"]["r"].to_pandas().index, own["t"])
+    for found in (ahead, fit.simulate()):
+        table = found.to_pandas()
+        assert list(table.columns) == ["record", "channel", "t", "measured", "predicted", "sd"]
+        own = table[table["channel"] == "vx"]
+        rms = np.sqrt(np.mean((own["measured"] - own["predicted"]) ** 2))
+        assert rms == pytest.approx(found["run2"]["vx"].rms)
+        assert found["run2"]["vx"].to_pandas().shape == (len(own), 3)
+    t = np.arange(0.0, 5.0, 0.1)
+    motion = st.simulate(fit, t, {"n_left": 0.5 + 0 * t, "n_right": 0.5 + 0 * t})
+    table = motion.to_pandas()
+    assert table.index.name == "t"
+    assert set(table.columns) == set(motion)
+    np.testing.assert_array_equal(table["u"], motion["u"].value)
+    assert st.ByRecord[st.Series]().to_pandas().empty
+
+
 def test_figures(fit: st.FittedVehicle, tmp_path: Path) -> None:
     figure = fit.plot("psi", "r")
     assert repr(figure) == "<Figure 'Measured (grey) and predicted 10 s ahead (blue, with its 95 % band)': 12 traces>"
