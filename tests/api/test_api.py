@@ -769,6 +769,18 @@ def test_the_page_runs_as_written(page: Page) -> None:
     assert {p.name for p in (page.folder / "vehicle").iterdir()} == names
 
 
+def test_options_with_another_name_in_python_are_in_the_reference() -> None:
+    page = (ROOT / "docs/reference.md").read_text(encoding="utf-8")
+    table = page.partition("## Options with another name on the command line")[2].partition("## Results")[0]
+    rows = {tuple(x.strip(" `") for x in line.split("|")[1:3]) for line in table.splitlines() if line.startswith("| `")}
+    assert {
+        ("--robust", "outlier_model"), ("--fix", "fixed"), ("--on", "logs"), ("--to", "format"), ("--out", "folder"),
+        ("--thruster", "name"), ("--second-order", "mean_order=2"), ("--filter", "smoothed=False"),
+        ("--effects", "effects_file"), ("--from", "st.open_log(log, start=)"), ("--out", ".save(folder)"),
+    } <= rows  # fmt: skip
+    assert not {option for option, _ in rows} & {"--horizon", "--mass", "--max-effects", "--validate", "--output"}
+
+
 def test_the_reference_is_up_to_date() -> None:
     spec = importlib.util.spec_from_file_location("reference", ROOT / "docs/site/reference.py")
     assert spec is not None
