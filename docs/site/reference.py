@@ -35,7 +35,8 @@ SI units and radians. Other modules of the package are internal and may change w
 """
 # Arguments by function and option that no table of the package has.
 SPECIAL = {
-    ("st.design", "--json"): "", ("st.export", "--to"): "format", ("st.export", "--format"): "format", ("st.export", "--out"): "folder",
+    ("st.design", "--json"): "",
+    ("st.export", "--to"): "format", ("st.export", "--format"): "format", ("st.export", "--out"): "folder",
 }  # fmt: skip
 # What an option becomes in Python if it is no argument of the function.
 OUTSIDE = {
