@@ -47,6 +47,7 @@ from seatrial.ident.results import (
     Result,
     ThrusterResult,
     VehicleResult,
+    name_probabilities,
 )
 
 MAX_OUTAGES, MAX_SEGMENTS, MAX_NOISE_CHANNELS = 8, 24, 12  # largest numbers of rows of a table
@@ -431,7 +432,7 @@ def print_result(result: Result, console: Console) -> None:
     failed = isinstance(result, FitResult) and not result.converged
     answer = Text(f"⚠ {result.answer}", "bold yellow") if failed else Text(result.answer, "bold")
     print_prose(console, answer)
-    if isinstance(result, DiagnosisResult) and (names := _name_probabilities(result.effects)):
+    if isinstance(result, DiagnosisResult) and (names := name_probabilities(result.effects)):
         print_prose(console, Text(names))
     if isinstance(result, DiagnosisResult) and result.caveat:
         print_prose(console, Text(result.caveat, style="yellow"))
@@ -452,16 +453,6 @@ def print_result(result: Result, console: Console) -> None:
         console.print()
         print_prose(console, Text(note, style="dim"))
     console.print()
-
-
-def _name_probabilities(effects: Sequence[EffectRow]) -> str:
-    """Return the probability that the name of each added effect is right, with its attribution.
-
-    Effects without a known share are left out. The text is empty if none is left.
-    """
-    known = [(e, e.probability) for e in effects if e.probability is not None]
-    words = [f"{e.title} {formatting.percent(p)} ({e.attribution})" for e, p in known]
-    return f"Probability that the name is right (simulated boats): {', '.join(words)}." if words else ""
 
 
 def _all_tables(result: Result) -> Sequence[Table | None]:

@@ -256,6 +256,15 @@ def test_estimates_with_their_uncertainty(fit: st.FittedVehicle) -> None:
     assert "<table>" in fit._repr_html_()
 
 
+def test_summary_has_the_probabilities_of_the_names(found: st.FittedDiagnosis) -> None:
+    effect = structs.replace(found.result.effects[0], title="a thrust mismatch", probability=0.988)
+    known = replace(found, result=structs.replace(found.result, effects=(effect,)))
+    words = f"Probability that the name is right (simulated boats): a thrust mismatch 99 % ({effect.attribution})."
+    assert words in " ".join(known.summary().split())
+    without = replace(found, result=structs.replace(found.result, effects=()))
+    assert "Probability that the name" not in without.summary()
+
+
 def test_residuals_are_standardised(fit: st.FittedVehicle) -> None:
     for channel in fit.residuals()["run1"].values():
         assert 0.9 < channel.value.std() < 1.1
