@@ -5,8 +5,6 @@ from .api.comparison import compare as compare
 from .api.figures import Figure as Figure
 from .api.fits import FittedDiagnosis as FittedDiagnosis
 from .api.fits import FittedVehicle as FittedVehicle
-from .api.fits import Prediction as Prediction
-from .api.fits import Series as Series
 from .api.fits import diagnose as diagnose
 from .api.fits import fit as fit
 from .api.fleet import FittedFleet as FittedFleet
@@ -33,6 +31,10 @@ from .api.runs import ThrustCurve as ThrustCurve
 from .api.runs import design as design
 from .api.runs import navigate as navigate
 from .api.runs import thruster as thruster
+from .api.series import ByRecord as ByRecord
+from .api.series import Prediction as Prediction
+from .api.series import Series as Series
+from .api.series import Simulation as Simulation
 from .daq.errors import SeatrialError as SeatrialError
 from .daq.errors import SeatrialWarning as SeatrialWarning
 from .ident.export import StateFeedback as StateFeedback

@@ -21,7 +21,8 @@ TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 36
 DAY_COUNTS = {"datenum": 719529.0, "excel": 25569.0, "excel1904": 24107.0}  # formats of days -> day of 1970-01-01
 GPS_UNITS = {"gps": 1.0, "gps_ms": 1e-3}  # formats of times in a GPS week -> their unit [s]
 FORMATS_OF_TIME = (*TIME_UNITS, "iso", *DAY_COUNTS, "labview", *GPS_UNITS)
-GEOMETRY = ("y_left", "y_right", "length")  # positions of the thrusters to starboard, and length of the hull [m]
+# Positions of the thrusters to starboard and length of the hull [m], and weighed mass [kg].
+GEOMETRY = ("y_left", "y_right", "length", "mass")
 FRAMES = {"NED": "NED", "FRD": "NED", "ENU": "ENU", "FLU": "ENU"}
 CAN_PROTOCOLS = ("vesc", "dronecan", "nmea2000")
 # Names of signals in east, north, up (ENU) or forward, left, up (FLU) -> names in NED or forward, starboard, down (FRD)
@@ -322,8 +323,8 @@ def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, fl
     `names` are the keys that the table may have. Standard uncertainties ``NAME_sd`` are included if the table has them;
     without the key NAME they are unknown keys.
     The result is empty if `table` is None. Raise SeatrialError if a number is impossible or a key is unknown: c1,
-    length and standard uncertainties must be positive, the size of c2 less than c1, y_left less than y_right, and both
-    at most `length` from the middle.
+    length, mass and standard uncertainties must be positive, the size of c2 less than c1, y_left less than y_right, and
+    both at most `length` from the middle.
     """
     if table is None:
         return {}
@@ -331,7 +332,7 @@ def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, fl
     for name in tuple(found):
         if table.has(f"{name}_sd"):
             found[f"{name}_sd"] = table.number(f"{name}_sd", positive=True)
-    for name in ("c1", "length"):
+    for name in ("c1", "length", "mass"):
         if found.get(name, 1.0) <= 0.0:
             raise table.error(name, f"must be positive, not {found[name]:g}")
     if abs(found.get("c2", 0.0)) >= found.get("c1", math.inf):

@@ -132,16 +132,14 @@ def _attitude_velocity_delay(
     lag, half = attitude.lag - velocity.lag, _half_interval(attitude, velocity)
     late, ahead, where = (ATTITUDE, VELOCITY, turned) if lag > 0.0 else (VELOCITY, ATTITUDE, moved)
     level = _level_of_delay(abs(lag), half)
-    if level in (OK, UNKNOWN):
-        apart = f"{'may be' if level == UNKNOWN else 'are'} {abs(lag):.2f} s apart ({delay_interval(abs(lag), half)})"
-        text = f"the responses of {ATTITUDE}, and of {VELOCITY}, to the thrust {apart}"
-        yield Finding(level, "sensors-in-time" if level == OK else "delay-unknown", "late", turned, text)
-        return
-    come = "comes" if late == VELOCITY else "come"
+    come = "may come" if level == UNKNOWN else "comes" if late == VELOCITY else "come"
     text = (
         f"{late} {come} {abs(lag):.2f} s after {ahead}, compared by their response to the thrust "
         f"({delay_interval(abs(lag), half)})"
     )
+    if level in (OK, UNKNOWN):
+        yield Finding(level, "sensors-in-time" if level == OK else "delay-unknown", "late", turned, text)
+        return
     advice = f"check filters, output rate and time stamps of {late}"
     yield Finding(level, "sensor-late", "late", where, text, advice)
 

@@ -437,7 +437,8 @@ OF_SHAFT_TELEMETRY = frozenset({
     "shaft-speed-in-rad-per-s", "shaft-speed-scale", "shaft-sign-reversed", "shaft-speed-wrapped",
     "shaft-speed-one-sided", "shaft-speed-stuck", "telemetry-exchanged",
 })  # fmt: skip
-INPUT_WARNINGS = ("input-missing", "rpm-max-missing")  # warnings of the device checks that every fit repeats
+# Warnings of the device checks that every fit repeats.
+FIT_WARNINGS = ("input-missing", "rpm-max-missing", "sections-missing")
 # A log is a copy if this share of its triples of neighbouring values also occurs in another log. A signal with fewer
 # triples is not compared.
 COPIED_SHARE, MIN_TRIPLES = 0.5, 50
@@ -618,10 +619,10 @@ def device_faults(log: Log) -> list[Finding]:
     Returns
     -------
     list
-        Faults of devices, commanded thrusters without telemetry, and the warnings ``input-missing`` and
-        ``rpm-max-missing``.
+        Faults of devices, commanded thrusters without telemetry, and the warnings ``input-missing``,
+        ``rpm-max-missing`` and ``sections-missing``.
     """
-    return [f for f in (*check_devices(log), *_silent_controllers(log)) if f.level == FAULT or f.code in INPUT_WARNINGS]
+    return [f for f in (*check_devices(log), *_silent_controllers(log)) if f.level == FAULT or f.code in FIT_WARNINGS]
 
 
 def check_copies(logs: Sequence[tuple[str, Channels]]) -> list[Finding]:

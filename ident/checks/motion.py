@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from seatrial.daq.checks import Finding
+from seatrial.daq.checks import UNKNOWN, Finding
 from seatrial.ident.checks.frames import half_turn
 from seatrial.ident.checks.sensors import Channels
 from seatrial.ident.data import Channel, block_mean
@@ -25,6 +25,7 @@ from seatrial.ident.numerics import Array, first_order_lag, ned_to_body
 
 RATE = 10.0  # Hz, of the regressions
 YAW_LAGS, SURGE_LAGS = (0.3, 0.6, 1.0, 1.7, 3.0), (1.0, 2.0, 4.0, 8.0)  # s, time constants of the search
+LEAST_DIFFERENCE = 0.02  # of the thrust of both sides, as a part of the range of the thrusts; with less they are equal
 MIN_DURATION = 15.0  # s, of a log
 BLOCK_S, FEWEST_BLOCKS = 5.0, 6  # least duration and number of the blocks of residuals
 # An effect has a sign if its t statistic and its share of the variance of the motion are above one of these pairs. In
@@ -126,11 +127,13 @@ def check_motion(c: Channels, sides: Mapping[str, float], dead: Collection[str] 
     Yields
     ------
     Finding
-        Faults; without faults and without ``dead`` thrusters ``thruster-sides-agree`` (ok) if the log shows the sides.
-        Nothing if the log is shorter than 15 s, or has no thrust or no sensor of the yaw rate.
+        Faults. Without faults and without ``dead`` thrusters, ``thruster-sides-agree`` (ok) if the log shows the sides,
+        else ``thruster-sides-unknown`` (unknown) with the reason. Nothing without thrust, without a sensor of motion,
+        and if all thrusters are in the middle of the boat.
     """
     found = thrust_responses(c, sides)
     if found is None:
+        yield from _sides_unknown(c, sides)
         return
     yaw, surge = found.yaw.sign * _side_signs(sides, found.names), found.surge.sign
     faults = [f for f in _thruster_faults(found, yaw, surge) if f.where not in dead]
@@ -138,6 +141,32 @@ def check_motion(c: Channels, sides: Mapping[str, float], dead: Collection[str] 
     if not faults and not dead and ((yaw > 0).any() or found.moment > 0):
         text = f"the boat turns with the {'thrust difference' if len(found.names) > 1 else 'thrust'}"
         yield Finding("ok", "thruster-sides-agree", "sides", " and ".join(found.names), text)
+    elif not faults and not dead:
+        yield from _sides_unknown(c, sides)
+
+
+def _sides_unknown(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
+    """Yield ``thruster-sides-unknown``: the log does not show whether the thrusters are on their sides, and why.
+
+    There is no finding without thrust or without a sensor of motion, as on a bench, and if all thrusters are in the
+    middle.
+    """
+    names = tuple(n for n in sides if _thrust_channel(c, n) is not None)
+    if not names or not {"psi", "r", "u", "vx", "x"} & set(c) or not _side_signs(sides, names).any():
+        return
+    forces = thruster_forces(c, sides)
+    if not {"psi", "r"} & set(c) and not {"x", "y"} <= set(c):
+        why, advice = "the log has no heading, yaw rate or position", "log one of them"
+    elif forces is None:
+        why = f"thrust and motion are in the log together for less than {MIN_DURATION:g} s"
+        advice = "check a longer log with turns"
+    elif len(names) > 1 and np.ptp(forces.f @ forces.side) < LEAST_DIFFERENCE * np.ptp(forces.f):
+        why, advice = "all thrusters have the same thrust throughout", "turn with more thrust on one side"
+    else:
+        difference = "thrust difference" if len(names) > 1 else "thrust"
+        why, advice = f"the {difference} explains too little of the yaw rate", "check a log with turns to both sides"
+    text = f"it is not known whether the thrusters are on the right sides: {why}"
+    yield Finding(UNKNOWN, "thruster-sides-unknown", "sides", " and ".join(names), text, advice)
 
 
 def _thruster_faults(found: ThrustResponse, yaw: Array, surge: Array) -> Iterator[Finding]:

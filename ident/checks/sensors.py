@@ -491,7 +491,9 @@ def sensor_delay(
         text = f"the delay between {first} and {second} is not known ({interval})"
         yield Finding(UNKNOWN, "delay-unknown", "late", first_source, text)
     else:
-        text = f"{first} and {second} are {abs(found.lag):.2f} s apart ({interval})"
+        same = abs(found.lag) < SENSOR_GRID_S / 2
+        text = f"{first} and {second} agree in time" if same else f"{late} comes {abs(found.lag):.2f} s after {early}"
+        text += f" ({interval})"
         yield Finding("ok", "sensors-in-time", "late", first_source, text)
 
 

@@ -30,6 +30,7 @@ from seatrial.ident.cli.options import (
     despite_option,
     force_option,
     horizon_option,
+    mass_option,
     mean_order_option,
     model_options,
     out_option,
@@ -494,6 +495,7 @@ def changes(
     help="The static curve (model.toml) that the boat's MODEL was fitted with; if MODEL is a thruster's and the logs "
     "have several thrusters, its name in the rig.",
 )
+@mass_option
 @robust_option
 @despite_option
 @click.option(

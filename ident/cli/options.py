@@ -499,7 +499,8 @@ def _parse_mean_order(
 def model_options(score_tests: bool = True, why: str = "") -> Callable[..., Any]:
     """Return a decorator that adds the options of the model of a boat and of its fit to a command.
 
-    The command receives ``model``, ``thruster``, ``fixed``, ``initial``, ``priors``, ``effects`` and ``score_tests``.
+    The command receives ``model``, ``thruster``, ``fixed``, ``initial``, ``priors``, ``effects``, ``mass`` and
+    ``score_tests``.
 
     Parameters
     ----------
@@ -523,6 +524,14 @@ def model_options(score_tests: bool = True, why: str = "") -> Callable[..., Any]
 SCORE_TESTS = (
     "Test the fit for missing effects: add the small errors of sensors and hull form if the logs show at least four, "
     "and widen the standard errors by what remains unexplained."
+)
+
+
+mass_option = click.option(
+    "--mass",
+    type=FiniteRange(0.0, min_open=True),
+    help="Weighed mass of the boat in kg: a warning tells if the estimated mass contradicts it. It is no prior.  "
+    "[default: `mass` in [vehicle] of the rig file, or in [geometry] of the import map]",
 )
 
 
@@ -571,6 +580,7 @@ MODEL_OPTIONS = (
         metavar="EFFECT",
         help="Add an effect of the catalogue with free parameters (lever-arm, mount, ...); may be repeated.",
     ),
+    mass_option,
 )
 ESTIMATION = ("outlier_model", "reml", "mean_order", "method", "horizon")  # options of ``EstimationOptions``
 

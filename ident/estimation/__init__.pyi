@@ -1,3 +1,5 @@
+from .cross_validation import FEWEST_BLOCKS as FEWEST_BLOCKS
+from .cross_validation import number_of_blocks as number_of_blocks
 from .excitation import unexcited_motion as unexcited_motion
 from .fisher_scoring import Bounds as Bounds
 from .fisher_scoring import Evaluation as Evaluation
@@ -11,6 +13,7 @@ from .fitted_model import ValidationData as ValidationData
 from .fitted_model import cross_validated as cross_validated
 from .fitted_model import cut_into_blocks as cut_into_blocks
 from .fitted_model import evaluate_records as evaluate_records
+from .fitted_model import evaluated_in_blocks as evaluated_in_blocks
 from .fitted_model import fit_and_evaluate as fit_and_evaluate
 from .fitted_model import fit_nominal_model as fit_nominal_model
 from .fitted_model import fit_with_rescaling as fit_with_rescaling
@@ -24,6 +27,7 @@ from .fitted_model import without_unknown_noise as without_unknown_noise
 from .homogeneity import HomogeneityTest as HomogeneityTest
 from .homogeneity import ParameterShift as ParameterShift
 from .homogeneity import between_runs as between_runs
+from .homogeneity import between_runs_title as between_runs_title
 from .homogeneity import homogeneity_test as homogeneity_test
 from .homogeneity import parameter_shift as parameter_shift
 from .homogeneity import run_differences as run_differences

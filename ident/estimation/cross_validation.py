@@ -45,6 +45,14 @@ class TimeBlocks:
     record_indices: tuple[int, ...]
 
 
+def number_of_blocks(duration: float, block: float) -> int:
+    """Return the number of blocks for cross-validation of a record, five to eight, from its duration [s].
+
+    ``block`` is the duration [s] over which the residuals of the model may be correlated (``Model.block``).
+    """
+    return min(max(int(duration / (BLOCK_LENGTH * block)), FEWEST_BLOCKS), MOST_BLOCKS)
+
+
 def time_blocks(
     records: Sequence[Record], block: float, starts: Sequence[Mapping[str, tuple[float, float]]]
 ) -> TimeBlocks:
@@ -66,7 +74,7 @@ def time_blocks(
     parts: list[Record] = []
     record_indices: list[int] = []
     for i, (record, start) in enumerate(zip(records, starts, strict=True)):
-        n = min(max(int(record.duration / (BLOCK_LENGTH * block)), FEWEST_BLOCKS), MOST_BLOCKS)
+        n = number_of_blocks(record.duration, block)
         edges = np.linspace(record.t[0], np.nextafter(record.t[-1], np.inf), n + 1).tolist()
         parts += [replace(record.part(low, high), start=start) for low, high in pairwise(edges)]
         record_indices += [i] * n

@@ -490,13 +490,40 @@ def validated_in_blocks(fitted: FittedModel) -> FittedModel:
     if fitted.cross_validated or not fitted.validation:
         return fitted
     model = fitted.fit.model
-    blocks = cut_into_blocks([v.record for v in fitted.validation], fitted.validation, model.block)
+    return replace(fitted, validation=evaluated_in_blocks(model, fitted.validation, model.block))
+
+
+def evaluated_in_blocks(model: Model, views: Sequence[RecordEvaluation], block: float) -> tuple[RecordEvaluation, ...]:
+    """Cut evaluated records into blocks in time, and evaluate each block with the estimates from the other blocks.
+
+    Only per-record parameters are estimated: those of effects from the other blocks of the record, and those of the
+    nominal model (the current) from the block itself. All other parameters keep their values.
+
+    Parameters
+    ----------
+    model
+        Fitted model, whose free per-record parameters are estimated.
+    views
+        Evaluation of the model on each record.
+    block
+        Duration [s] over which residuals may be correlated (``Model.block``). A block in time is twelve times as long,
+        within the limits on the number of blocks (`cut_into_blocks`).
+
+    Returns
+    -------
+    tuple of RecordEvaluation
+        Evaluation of each block, in the order of the records and of time. The times of a block are those of its record.
+
+    Raises
+    ------
+    ValueError
+        If a block cannot be evaluated.
+    """
+    blocks = cut_into_blocks([v.record for v in views], views, block)
     own = [p for p in model.parameters if p.free and p.per_record]
-    parameters = [replace(p, segment=i) for i in range(len(fitted.validation)) for p in own]
-    values = leave_one_block_out(model, blocks, np.array([v.values for v in fitted.validation]), parameters)
-    return replace(
-        fitted, validation=tuple(_evaluation_of(model, r, v) for r, v in zip(blocks.records, values, strict=True))
-    )
+    parameters = [replace(p, segment=i) for i in range(len(views)) for p in own]
+    values = leave_one_block_out(model, blocks, np.array([v.values for v in views]), parameters)
+    return tuple(_evaluation_of(model, r, v) for r, v in zip(blocks.records, values, strict=True))
 
 
 def _evaluation_of(model: Model, record: Record, values: Array) -> RecordEvaluation:

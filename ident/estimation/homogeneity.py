@@ -298,6 +298,14 @@ def between_runs_effect(model: Model, target: str) -> Effect:
     return _build_between_runs_effect(target, f"a difference of {meaning} between runs", change, factor, formula)
 
 
+def between_runs_title(name: str) -> str:
+    """Return the title of a candidate for readers: ``between-runs:m_v`` becomes ``m_v differs between the runs``.
+
+    The name of any other candidate is returned unchanged.
+    """
+    return f"{name.removeprefix(BETWEEN)} differs between the runs" if name.startswith(BETWEEN) else name
+
+
 def _build_between_runs_effect(
     target: str, title: str, change: Callable[[Signals], None], own: Parameter, formula: str
 ) -> Effect:

@@ -18,7 +18,7 @@ from seatrial.ident.export.conditions import chosen_conditions, conditions_text,
 from seatrial.ident.export.rates import Rates
 from seatrial.ident.export.state_feedback import HEADING, StateFeedback, lqr
 from seatrial.ident.model import COMMAND, SHAFT_SPEED, THRUSTER_FORCE, Model, is_of_thruster
-from seatrial.ident.numerics import Array
+from seatrial.ident.numerics import Array, is_undetermined
 
 SOLVED = 1e-10  # the same, below which no other start of the search is tried
 BALANCED = 1e-6  # largest rate at the operating point, in the unit of each state per second
@@ -31,6 +31,9 @@ DECADE, FREQUENCIES = 10.0, 300  # reach of a frequency response beyond the pole
 MOTION_WORDS = {"yaw": "turn", "heading": "turn", "surge": "straight", "forward": "straight"}  # to one of the motions
 HALF_POWER = np.sqrt(0.5)  # -3 dB
 EQUAL_STEPS = 1e-13  # of the longest time, by which two steps of time may differ and still count as equal
+STATE_WORDS = {"u": "surge speed", "v": "sway speed", "r": "yaw rate"}
+LARGE_PART = 0.2  # participation of a state in a motion, as a part of the largest one, from which it is named
+Z95 = 1.96  # half the width of a 95 % interval in standard errors
 STATIC = 1e-6  # poles below this part of the largest one are integrators, which have no corner frequency
 
 Complex = NDArray[np.complex128]
@@ -228,6 +231,32 @@ class LinearModel:
     def stable(self) -> bool:
         """Whether all poles have a negative real part."""
         return bool((self.poles.real < 0.0).all())
+
+    @property
+    def stability(self) -> str:
+        """Stability in words: ``stable``, or each motion that does not decay, by its states, and what it does.
+
+        A motion with a pole of zero stays where it is, such as a heading without a controller. One with a positive real
+        part grows. Its 95 % interval decides whether it is distinguishable from a decay.
+        """
+        if self.stable:
+            return "stable"
+        _, right = self._modes
+        share = np.abs(np.linalg.pinv(right) * right.T)
+        found = []
+        for k, (pole, error) in enumerate(zip(self.poles, self.pole_errors, strict=True)):
+            if pole.real < 0.0 or pole.imag < 0.0:  # of a pair, the pole with the positive imaginary part is described
+                continue
+            of = [s for s, part in zip(self.states, share[k], strict=True) if part > LARGE_PART * share[k].max()]
+            names = " and ".join(STATE_WORDS.get(s, s) for s in of)
+            if pole.real <= STATIC * np.abs(self.poles).max():
+                verb = "are" if len(of) > 1 else "is"
+                found.append(f"{names} {verb} free (pole 0): nothing brings back what a disturbance has changed")
+            else:
+                how = ", but not distinguishable from a decay" if pole.real < Z95 * error else ""
+                verb = "grow" if len(of) > 1 else "grows"
+                found.append(f"{names} {verb} by a factor of e in {1.0 / pole.real:.3g} s without a controller{how}")
+        return f"not stable: {'; '.join(found)}"
 
     @property
     def motions(self) -> dict[str, dict[str, float]]:
@@ -454,15 +483,15 @@ class LinearModel:
 
     def __repr__(self) -> str:
         """Return speed, stability, poles and time constants as a few lines of text."""
-        how = "stable" if self.stable else "not stable: a pole has no negative real part"
-        lines = [f"<Linearisation at {self.speed:g} m/s, {how}>", f"states {', '.join(self.states)}"]
+        lines = [f"<Linearisation at {self.speed:g} m/s, {self.stability}>", f"states {', '.join(self.states)}"]
         lines.append(f"inputs {', '.join(self.inputs)}")
         if self.conditions:
             lines.append(f"taken as constant: {conditions_text(self.conditions)}")
         if words := heading_sentence(self.conditions):
             lines.append(words)
-        for pole, constant in zip(self.poles, self.time_constants, strict=True):
-            lines.append(f"pole {pole_text(pole)} 1/s, time constant {constant:.4g} s")
+        for pole, constant, error in zip(self.poles, self.time_constants, self.time_constant_errors, strict=True):
+            words = "not determined" if is_undetermined(constant, error) else f"{constant:.4g} s"
+            lines.append(f"pole {pole_text(pole)} 1/s, time constant {words}")
         return "\n".join(lines)
 
 

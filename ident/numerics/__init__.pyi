@@ -6,6 +6,7 @@ from .distributions import chi2_isf as chi2_isf
 from .distributions import chi2_ppf as chi2_ppf
 from .distributions import chi2_sf as chi2_sf
 from .distributions import fisher_sf as fisher_sf
+from .distributions import is_undetermined as is_undetermined
 from .distributions import kolmogorov_sf as kolmogorov_sf
 from .distributions import noncentrality as noncentrality
 from .distributions import normal_cdf as normal_cdf

@@ -11,6 +11,8 @@ import numpy as np
 
 from seatrial.ident.numerics.linear_algebra import Array
 
+UNDETERMINED = 0.5  # standard error as a part of the estimate, above which the data do not determine it
+
 
 def chi2_sf(x: Any, df: Any) -> Any:
     """Return the probability that a chi-squared variable with ``df`` degrees of freedom exceeds x.
@@ -136,3 +138,11 @@ def normality_p(x: Array) -> float:
     below = 1.0 + (kurtosis - expected) / spread * np.sqrt(2.0 / (a - 4.0))
     z_kurtosis = (1.0 - 2.0 / (9.0 * a) - np.cbrt((1.0 - 2.0 / a) / below)) / np.sqrt(2.0 / (9.0 * a))
     return float(chi2_sf(z_skewness**2 + z_kurtosis**2, 2))
+
+
+def is_undetermined(value: float, error: float) -> bool:
+    """Return whether the data do not determine a value: its standard error is more than half of its size.
+
+    Its 95 % interval then reaches to zero, or to a multiple of the value. An error of NaN (unknown) gives False.
+    """
+    return bool(error > UNDETERMINED * abs(value))

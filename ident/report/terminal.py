@@ -47,6 +47,7 @@ from seatrial.ident.results import (
     Result,
     ThrusterResult,
     VehicleResult,
+    name_probabilities,
 )
 
 MAX_OUTAGES, MAX_SEGMENTS, MAX_NOISE_CHANNELS = 8, 24, 12  # largest numbers of rows of a table
@@ -431,6 +432,8 @@ def print_result(result: Result, console: Console) -> None:
     failed = isinstance(result, FitResult) and not result.converged
     answer = Text(f"⚠ {result.answer}", "bold yellow") if failed else Text(result.answer, "bold")
     print_prose(console, answer)
+    if isinstance(result, DiagnosisResult) and (names := name_probabilities(result.effects)):
+        print_prose(console, Text(names))
     if isinstance(result, DiagnosisResult) and result.caveat:
         print_prose(console, Text(result.caveat, style="yellow"))
     table: Table | None = None
@@ -549,18 +552,19 @@ def _candidates_table(result: DiagnosisResult) -> Table | None:
     chosen = {row.chosen for row in found} - removed
     shown = every[:MAX_CANDIDATES]
     passed = f"{found[0].passed} of {found[0].tested} candidates passed"
-    title = f"First round: {passed}; the {len(shown)} best per degree of freedom"
+    title = f"First round: {passed}; the {len(shown)} best by score/df"
     table = titled_table(title)
     legend = ["✓ added to the model", *["− added and removed again"] * bool(removed), "· passed", "(blank) not passed"]
     table.caption, table.caption_justify = "   ".join(legend), "left"
     table.add_column("", no_wrap=True)
     table.add_column("", no_wrap=True, overflow="ellipsis", max_width=38)
-    for title in ("score", "threshold", "block-robust p"):
+    for title in ("score", "df", "score/df", "block-robust p"):
         table.add_column(title, justify="right", no_wrap=True)
     for row in shown:
         won = row.name in chosen
         style = "bold green" if won else "" if row.passed else "dim"
-        numbers = (formatting.plain(row.lm), formatting.plain(row.threshold), formatting.probability(row.p_block))
+        each = formatting.plain(row.lm / max(row.df, 1))  # by which the candidates are sorted
+        numbers = (formatting.plain(row.lm), formatting.count(row.df), each, formatting.probability(row.p_block))
         mark = "✓" if won else "−" if row.name in removed else "·" if row.passed else " "
         table.add_row(*(Text(part) for part in (mark, row.title or row.name, *numbers)), style=style)
     return table

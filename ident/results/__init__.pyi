@@ -130,5 +130,6 @@ from .result_file import write_result as write_result
 from .tables import error_rows as error_rows
 from .tables import finite as finite
 from .tables import format_number as format_number
+from .tables import name_probabilities as name_probabilities
 from .tables import provenance as provenance
 from .tables import record_inputs as record_inputs

@@ -7,7 +7,8 @@ prior that the data contradict, a stuck sensor, an unknown scale of forces.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 
@@ -26,7 +27,8 @@ from seatrial.ident.estimation import (
     thrust_scale_of,
     unexcited_motion,
 )
-from seatrial.ident.model import Model, ParameterOrigin
+from seatrial.ident.model import Model, ModelKind, ParameterOrigin
+from seatrial.ident.numerics import is_undetermined
 from seatrial.ident.results.parts import (
     Calibrations,
     CourseStability,
@@ -68,6 +70,8 @@ RAMP_SHARE = 0.05  # share of the rows, smallest commands first, that may belong
 FAR_FROM_MAXIMUM = 0.5  # standard errors by which a fit can still move; less does not matter beside the errors
 UNUSUAL = 3.0  # standard deviations of its prior, from which an estimate is far from its usual size
 UNEQUAL_THRUST = 0.05  # difference of the thrust ahead from the given mean, relative to it, from which it is reported
+MOST_ADDED = 2.5  # largest plausible mass in surge, as a multiple of the weighed mass
+SHORT_BENCH_S = 20.0  # as SHORT_DATA_S, of a thruster: some held commands of 4 s, forward and in reverse
 SHORT_DATA_S = 60.0  # of all estimation data; shorter data hardly contain a turn and a stop
 FEWEST_SAMPLES = 10  # equal samples from which a sensor is called stuck
 
@@ -311,12 +315,14 @@ def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
     return notes
 
 
-def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | None = None) -> list[ResultWarning]:
+def estimation_warnings(
+    fit: Fit, records: Sequence[Record], hull: Mapping[str, float] = MappingProxyType({})
+) -> list[ResultWarning]:
     """Return the warnings of a fit, those about an unknown scale of forces first.
 
     Further warnings are about declared noise or priors that the data contradict, a search that stopped close to the
-    maximum, masses that the data do not determine, a yaw inertia that is too small for the mass, records that were cut,
-    and stuck sensors. The list is empty if none of these applies.
+    maximum, masses that the data do not determine, a yaw inertia that is too small for the mass, a mass in surge that
+    contradicts the weighed one, records that were cut, and stuck sensors. The list is empty if none of these applies.
 
     Parameters
     ----------
@@ -324,8 +330,9 @@ def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | Non
         Fit of a vehicle or thruster model.
     records : sequence of Record
         Records that the parameters were fitted to.
-    length : float, optional
-        Length of the hull [m]. If it is None, the least plausible yaw inertia follows from the thrusters' arms alone.
+    hull : mapping
+        What is known of the hull. Without its ``length`` [m], the least plausible yaw inertia follows from the
+        thrusters' arms alone. Without its weighed ``mass`` [kg], the mass in surge is not checked.
     """
     warnings = [*scale_warnings(thrust_scale_of(fit.model)), *thrust_ahead_warnings(fit), *unusual_estimates(fit)]
     for away in (d for d in prior_distances(fit) if d.contradicts):
@@ -358,7 +365,7 @@ def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | Non
             "changes of speed (seatrial mission generate --kind mixed)."
         )
         warnings.append(ResultWarning(code="motion-not-excited", text=text))
-    least = least_yaw_inertia(fit, length)
+    least = least_yaw_inertia(fit, hull.get("length"))
     if least is not None and fit.estimate("m_r")[0] < least:
         text = (
             f"The estimated moment of inertia in yaw, m_r, is {fit.estimate('m_r')[0]:.3g} kg m2, but a rigid body "
@@ -366,7 +373,31 @@ def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | Non
             "and the unit of the yaw rate."
         )
         warnings.append(ResultWarning(code="inertia-too-small", text=text))
-    return warnings + cut_records(records) + stuck_sensors(records)
+    return warnings + mass_warnings(fit, hull.get("mass")) + cut_records(records) + stuck_sensors(records)
+
+
+def mass_warnings(fit: Fit, weighed: float | None) -> list[ResultWarning]:
+    """Return a warning if the estimated mass in surge contradicts the weighed mass of the boat [kg].
+
+    The mass in surge is the weighed mass and the added mass of the water. A mass below the weighed one, by more than
+    two standard errors, or above 2.5 times the weighed one is implausible. The list is empty without a weighed mass, if
+    the model has no mass in surge, and if the thrust was not given, so that masses are known as ratios only.
+    """
+    if weighed is None or "m_u" not in fit.model.values or thrust_scale_of(fit.model).relative:
+        return []
+    mass, error = fit.estimate("m_u")
+    found = f"The estimated mass in surge, m_u, is {plus_minus(mass, error)} kg, and the boat weighs {weighed:g} kg"
+    cause = "All masses are in proportion to the given thrust: check it first (its unit, and the thrust at full speed)"
+    if mass + 2.0 * np.nan_to_num(error) < weighed:
+        text = f"{found}: m_u contains the added mass of the water too and cannot be smaller. {cause}."
+    elif mass > MOST_ADDED * weighed:
+        text = (
+            f"{found}: the added mass of the water would be {mass / weighed - 1.0:.1f} times that mass, but in surge "
+            f"it is usually a small part of it. {cause}, then water in the hull and loads that were not weighed."
+        )
+    else:
+        return []
+    return [ResultWarning(code="mass-implausible", text=text)]
 
 
 def design_warnings(model: Model, thrust: float, pole: float | None) -> list[ResultWarning]:
@@ -518,7 +549,7 @@ def faults_first(made: Provenance) -> str:
     ) * bool(faults)
 
 
-def check_warnings(made: Provenance) -> list[ResultWarning]:
+def check_warnings(made: Provenance, besides: Collection[str] = ()) -> list[ResultWarning]:
     """Return one warning for each different finding of the checks of the logs before a fit.
 
     Findings are different if their device, text, code or advice differs. A warning names up to four of the logs that
@@ -528,10 +559,12 @@ def check_warnings(made: Provenance) -> list[ResultWarning]:
     ----------
     made
         Provenance of the result, with the findings of the checks of each log.
+    besides
+        Codes of findings that are left out.
     """
     logs: dict[str, list[str]] = {}
     for log in made.logs:
-        for f in log.findings:
+        for f in (f for f in log.findings if f.code not in besides):
             logs.setdefault(f"{f.where}: {f.text} [{f.code}]{': ' * bool(f.advice)}{f.advice}.", []).append(log.path)
     return [ResultWarning(code="log-check", text=f"{_first_names(paths)}: {text}") for text, paths in logs.items()]
 
@@ -633,7 +666,7 @@ def failed_run_warnings(failed: Sequence[FailedRun]) -> list[ResultWarning]:
 
 
 def short_data_warnings(fitted: FittedModel, horizon: float) -> list[ResultWarning]:
-    """Return warnings about estimation data of less than 60 s in all, and about data shorter than the horizon.
+    """Return warnings about estimation data of less than 60 s (bench: 20 s), and about data shorter than the horizon.
 
     The second one names the validation logs (of a fit without them: the estimation logs) that are not longer than the
     horizon, so that they contain no prediction over it. The list is empty if neither applies.
@@ -646,11 +679,17 @@ def short_data_warnings(fitted: FittedModel, horizon: float) -> list[ResultWarni
         Prediction horizon [s].
     """
     found, total = [], sum(r.duration for r in fitted.records)
-    if round(total) < SHORT_DATA_S:  # the rows of a minute end a sample before it
+    bench = fitted.model.kind is ModelKind.BENCH
+    if round(total) < (SHORT_BENCH_S if bench else SHORT_DATA_S):  # the rows of a minute end a sample before it
         logs = "log has" if len(fitted.records) == 1 else "logs have"
+        what, how = (
+            ("the steps of a bench run", "a minute or more with steps at several levels, forward and in reverse")
+            if bench
+            else ("the slow motions of a boat", "some minutes with steps of the speed and turns")
+        )
         text = (
-            f"The {logs} {total:.3g} s in all: this is too short for the slow motions of a boat, and the estimates and "
-            "their standard errors may be far off. Record some minutes with steps of the speed and turns."
+            f"The {logs} {total:.3g} s in all: this is too short for {what}, and the estimates and their standard "
+            f"errors may be far off. Record {how}."
         )
         found.append(ResultWarning(code="short-data", text=text))
     separate = fitted.validation and not fitted.cross_validated
@@ -741,7 +780,8 @@ def thruster_answer(
         Whether the bench has a load cell. Without it the answer states that the thrust is unknown.
     directions : sequence of float
         Directions in which the shaft turned: 1 forward, -1 reverse. A direction that is missing is called not measured.
-        A direction without a finite standard error is called not identifiable.
+        A direction without a finite standard error is called not identifiable, and one with a standard error above half
+        of the thrust not determined.
     calibration : float, optional
         Relative standard uncertainty of the load cell's force, which is added in quadrature to the standard errors of
         the thrust. If it is None, the errors are called statistical only.
@@ -750,10 +790,8 @@ def thruster_answer(
         command, the answer states that there is none above this command.
     """
     a, tau, d = (fitted.estimate(n) for n in ("a", "tau", "d"))
-    shaft = (
-        f"the shaft follows its command with a delay of {1e3 * tau[0]:.0f} ms and a time constant of "
-        f"{1e3 / a[0]:.0f} ms "
-    ) + (
+    constant = "that is not determined" if is_undetermined(*a) else f"of {1e3 / a[0]:.0f} ms"
+    shaft = f"the shaft follows its command with a delay of {1e3 * tau[0]:.0f} ms and a time constant {constant} " + (
         f"and does not turn below {100 * d[0]:.1f} % of full command"
         if d[0] >= NO_DEAD_ZONE
         else f"and has no dead zone above the smallest command tried, {format_number(100 * smallest)} %"
@@ -764,7 +802,9 @@ def thruster_answer(
     ends, lost = [], []
     for direction, word in ((1.0, "forward"), (-1.0, "in reverse")):
         force, error = (float(z[0]) for z in steady_thrust(fitted, np.array([direction])))
-        if direction in directions and math.isfinite(error):
+        if direction in directions and is_undetermined(force, error):
+            lost.append(f"{word}: not determined")
+        elif direction in directions and math.isfinite(error):
             ends.append(f"{plus_minus(direction * force, math.hypot(error, (calibration or 0.0) * force))} N {word}")
         else:
             lost.append(f"{word}: not {'identifiable' if direction in directions else 'measured'}")

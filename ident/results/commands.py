@@ -6,7 +6,7 @@ The types are those of information in logs, navigation, sensor noise, mission de
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 import msgspec
@@ -84,8 +84,8 @@ class FitContext:
         Sentences that precede the other notes of the result.
     unused
         Signals of the logs that the model does not use.
-    length
-        Length of the hull [m]; None if the rig does not give it.
+    hull
+        What the user knows of the hull, if anything: ``length`` [m] and weighed ``mass`` [kg].
     assessment
         Result of the score tests of the model: the common errors that were added, and the shifts of the estimates by
         other missing effects. None if the model was not tested.
@@ -96,7 +96,7 @@ class FitContext:
     start: Mapping[str, float]
     notes: Sequence[str] = ()
     unused: Sequence[UnusedSignal] = ()
-    length: float | None = None
+    hull: Mapping[str, float] = field(default_factory=dict)
     assessment: ModelAssessment | None = None
     dynamics: Dynamics | None = None
 
@@ -148,7 +148,7 @@ def vehicle_result(
             *check_warnings(made),
             *late_sensor_warnings(made, fitted.fit.model),
             *frames_assumed(fitted),
-            *estimation_warnings(fitted.fit, fitted.records, posed.length),
+            *estimation_warnings(fitted.fit, fitted.records, posed.hull),
             *short_data_warnings(fitted, evaluation.horizon),
             *thrust_difference_warnings(uncertainty),
             *failed_run_warnings(fitted.failed),
@@ -239,6 +239,7 @@ def thruster_result(
             *check_warnings(made),
             *(thruster_warnings(ways) if static is not None else ()),
             *estimation_warnings(fitted.fit, fitted.records),
+            *short_data_warnings(fitted, evaluation.horizon),
             *failed_run_warnings(fitted.failed),
         ),
         notes=_notes(posed.notes, evaluation, bands),

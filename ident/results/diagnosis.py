@@ -23,7 +23,7 @@ from seatrial.ident.diagnosis import (
     removal_reason,
 )
 from seatrial.ident.effects import catalogue
-from seatrial.ident.estimation import FittedModel, ParameterShift, ReportedEstimates
+from seatrial.ident.estimation import FittedModel, ParameterShift, ReportedEstimates, between_runs_title
 from seatrial.ident.model import Effect, ModelKind
 from seatrial.ident.models import scale_priors, size_of
 from seatrial.ident.results import parts
@@ -40,6 +40,7 @@ from seatrial.ident.results.answers import (
     not_converged,
     outlier_lines,
     poor_channel,
+    short_data_warnings,
 )
 from seatrial.ident.results.parts import DiagnosisResult, Provenance
 from seatrial.ident.results.tables import (
@@ -115,10 +116,11 @@ def diagnosis_result(
         prediction=prediction,
         converged_before=diagnosis.before.fit.converged,
         warnings=(
-            *check_warnings(made),
+            *check_warnings(made, besides=("channel-smoothed",)),  # the fit has warned; a note has the assumed noise
             *late_sensor_warnings(made, diagnosis.after.fit.model),
             *frames_assumed(diagnosis.after),
             *warnings,
+            *short_data_warnings(diagnosis.after, after.horizon),
             *thrust_difference_warnings(diagnosis.uncertainty),
             *failed_run_warnings(diagnosis.failed_runs),
             *_untested_warnings(diagnosis),
@@ -524,7 +526,7 @@ def _round_row(search_round: Round) -> parts.RoundRow:
         candidates=tuple(
             parts.Candidate(
                 name=s.name,
-                title=titles.get(s.name, s.name),
+                title=titles.get(s.name) or between_runs_title(s.name),
                 lm=s.lm,
                 df=s.df,
                 p=s.p,
@@ -723,7 +725,7 @@ def _remaining_names(diagnosis: Diagnosis) -> str:
 
     They are fewer if fewer pass; the text is empty if none passes.
     """
-    return ", ".join(s.name for s in diagnosis.remaining[:4])
+    return ", ".join(between_runs_title(s.name) for s in diagnosis.remaining[:4])
 
 
 def _notes(diagnosis: Diagnosis) -> list[str]:

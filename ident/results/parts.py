@@ -118,6 +118,7 @@ WarningCode = Literal[
     "noise-contradicted",
     "prior-contradicted",
     "inertia-too-small",
+    "mass-implausible",
     "motion-not-excited",
     "nearly-converged",
     "one-direction",
@@ -134,6 +135,7 @@ WarningCode = Literal[
     "unusual-estimate",
     "compared-on-fitted-log",
     "compared-on-validation-log",
+    "compared-in-blocks",
     "effect-estimated-on-compared-log",
     "command-scale",
 ]
@@ -750,6 +752,10 @@ class OperatingPoint(Part, frozen=True, kw_only=True):
     real: Annotated[Array, Meta(description="real parts of the poles, the slowest first [1/s]")]
     imaginary: Annotated[Array, Meta(description="imaginary parts of the poles [rad/s]")]
     stable: Annotated[bool, Meta(description="whether all real parts are negative")]
+    error: Annotated[
+        Array | None,
+        Meta(description="standard errors of the real parts [1/s], NaN if unknown; null: result of an earlier version"),
+    ] = None
 
 
 class StepResponse(Part, frozen=True, kw_only=True):

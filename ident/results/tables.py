@@ -27,6 +27,7 @@ from seatrial.ident.results.parts import (
     CorrelationTest,
     CrossCorrelationRow,
     EffectParameter,
+    EffectRow,
     ErrorComparison,
     Errors,
     ErrorTable,
@@ -766,3 +767,13 @@ def _error_growth(found: ModelUncertainty, fit: Fit) -> dict[str, float]:
         for name, error in zip(fit.names, fit.errors, strict=True)
         if name in variance and error**2 > variance[name] > 0.0
     }
+
+
+def name_probabilities(effects: Sequence[EffectRow]) -> str:
+    """Return the sentence with the probability that the name of each added effect is right, with its attribution.
+
+    Effects without a known probability are left out. The text is empty if none is left.
+    """
+    known = [(e, e.probability) for e in effects if e.probability is not None]
+    words = [f"{e.title} {100.0 * p:.0f} % ({e.attribution})" for e, p in known]
+    return f"Probability that the name is right (simulated boats): {', '.join(words)}." if words else ""

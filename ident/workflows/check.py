@@ -274,12 +274,16 @@ def with_noise_floors(model: Model, logs: Sequence[LoadedLog]) -> tuple[Model, l
               for p in model.parameters if p.free and p.name in least]  # fmt: skip
     estimated_noise = {p.name for p in floors}
     listed = {o.name: o.noise for o in model.outputs if o.name in smooth and o.noise in estimated_noise}
-    bounds = ", ".join(f"{p.name} {p.bounds[0]:g} {p.unit}" for p in floors if p.name in listed.values())
+    bounds = ", ".join(
+        f"{p.name} {p.bounds[0]:g} {p.unit}{' by its rounding' * (p.bounds[0] > usual[p.name])}"
+        for p in floors
+        if p.name in listed.values()
+    )
     signals = ", ".join(sorted(listed))
     first = next(iter(listed.values()), "")
     line = (
-        f"Smoothed signals ({signals}): lower bounds of their estimated noise are {bounds}; "
-        f"--fix {first}=VALUE sets a noise that you know."
+        f"Smoothed signals ({signals}): the log does not show their noise, so that its estimate is at least that of a "
+        f"usual sensor ({bounds}); --fix {first}=VALUE sets a noise that you know."
     )
     return model.replace_parameters(*floors), [line] if bounds else []
 

@@ -17,7 +17,14 @@ import numpy as np
 from seatrial.daq.errors import SeatrialError, counted
 from seatrial.ident.checks import device_faults
 from seatrial.ident.data import WHOLE, LoadedLog, LogSegment, Record, TimeWindows, load_all, make_record
-from seatrial.ident.estimation import SavedModel, effects_per_run, load_model, uncertainty_of
+from seatrial.ident.estimation import (
+    FEWEST_BLOCKS,
+    SavedModel,
+    effects_per_run,
+    load_model,
+    number_of_blocks,
+    uncertainty_of,
+)
 from seatrial.ident.model import Model
 from seatrial.ident.parallel import Workers, run_many
 from seatrial.ident.report import write_report
@@ -34,11 +41,18 @@ from seatrial.ident.results import (
     provenance,
     write_result,
 )
-from seatrial.ident.validation import MAX_STARTS, MIN_STRIDE, correlated_blocks, prediction_change_by_record
+from seatrial.ident.validation import (
+    MAX_STARTS,
+    MIN_STRIDE,
+    WARM_UP,
+    correlated_blocks,
+    prediction_change_by_record,
+)
 from seatrial.ident.workflows.check import check_first
 from seatrial.ident.workflows.compared_predictions import (
     ONE_STEP,
     SIMULATION,
+    Curve,
     Kind,
     PredictedRecord,
     PredictionTask,
@@ -56,6 +70,10 @@ from seatrial.ident.workflows.model_inputs import check_horizon, hold_lines, in_
 BLOCK_LENGTHS = 2.0  # block length of the log score, in times over which residuals may be correlated
 SAME_TIME = 1e-6  # s: records whose starts and ends differ by less cover the same time
 CHANCE = 0.05  # share of the verdicts on two equal models that are wrong
+
+Predictions = Mapping[str, Sequence[PredictedRecord]]  # those of one model: by record, for each block or the whole
+
+NO_FIT_IN_BLOCKS = "the logs are cut into blocks in time, whose estimates are not those of a fit to the logs"
 
 
 @dataclass(frozen=True)
@@ -140,7 +158,13 @@ def compare_models(request: CompareRequest, command: str, reporter: Reporter) ->
 
     Each model keeps its estimates. Only the parameters that belong to a log, such as the current, are estimated anew
     for each log and model. All models predict the same interval of time of each log, and their errors are compared at
-    the samples that all of them predict. With a folder ``request.out``, result.json and report.html are written there.
+    the samples that all of them predict.
+
+    If an effect of a model has parameters of its own for each log, and all logs are long enough, all models are
+    compared on the same blocks in time of the logs, as in a diagnosis: such parameters are estimated from the other
+    blocks of the log. Otherwise they are estimated from the samples that are predicted, with a warning.
+
+    With a folder ``request.out``, result.json and report.html are written there.
 
     Parameters
     ----------
@@ -187,7 +211,8 @@ def compare_models(request: CompareRequest, command: str, reporter: Reporter) ->
     rate = rate or 10.0
     horizons = tuple(dict.fromkeys(request.horizons)) or (saved[0].model.horizon,)
     records = records_of_same_time([(c.model, c.segments) for c in compared], rate)
-    predicted = _predicted(compared, records, horizons, rate, request.workers, reporter)
+    block = block_of_comparison([c.model for c in compared], records, horizons)
+    predicted = _predicted(compared, records, horizons, rate, block, request.workers, reporter)
     result = _result(compared, records, predicted, horizons, loaded, command, notes)
     if request.out is not None:
         write_comparison(result, request.out)
@@ -239,26 +264,52 @@ def records_of_same_time(models: Sequence[tuple[Model, Sequence[LogSegment]]], r
     return records
 
 
+def block_of_comparison(
+    models: Sequence[Model], records: Sequence[Sequence[Record]], horizons: Sequence[float]
+) -> float | None:
+    """Return the duration [s] from which the blocks in time of a comparison follow; None: the logs are not cut.
+
+    It is the longest ``Model.block`` of the models. The logs are cut if an effect of a model has parameters of its own
+    for each log. Each block must be longer than the filtering before a simulation and the longest horizon together.
+
+    Parameters
+    ----------
+    models
+        Models to compare.
+    records
+        Records of each model.
+    horizons
+        Prediction horizons [s].
+    """
+    if not any(map(effects_per_run, models)):
+        return None
+    block = max(m.block for m in models)
+    shortest = min(r.duration / number_of_blocks(r.duration, block) for own in records for r in own)
+    return block if shortest > WARM_UP + max(horizons) else None
+
+
 def _predicted(
     compared: Sequence[_Candidate],
     records: Sequence[Sequence[Record]],
     horizons: tuple[float, ...],
     rate: float,
+    block: float | None,
     workers: Workers,
     reporter: Reporter,
-) -> list[dict[str, PredictedRecord]]:
+) -> list[dict[str, list[PredictedRecord]]]:
     """Predict each record by each model in parallel tasks, and return the predictions of each model by record.
 
-    SeatrialError is raised if a model cannot predict a record.
+    ``block`` is the duration [s] from which the blocks in time of a record follow; with None, a record is predicted as
+    a whole. SeatrialError is raised if a model cannot predict a record.
     """
     longest = max(own.duration for own in records[0])
     interval = max(MIN_STRIDE / rate, longest / MAX_STARTS)
     tasks = [
-        PredictionTask(i, c.model, record, horizons, interval, uncertainty_of(c.saved.covariance(), c.model))
+        PredictionTask(i, c.model, record, horizons, interval, uncertainty_of(c.saved.covariance(), c.model), block)
         for i, (c, own) in enumerate(zip(compared, records, strict=True))
         for record in own
     ]
-    found = [dict[str, PredictedRecord]() for _ in compared]
+    found = [dict[str, list[PredictedRecord]]() for _ in compared]
     for n, outcome in enumerate(run_many(tasks, predict_record, workers, reporter), 1):
         path, record = compared[outcome.task.index].path, outcome.task.record.name
         if outcome.value is None:
@@ -273,7 +324,7 @@ def _predicted(
 def _result(
     compared: Sequence[_Candidate],
     records: Sequence[Sequence[Record]],
-    predicted: Sequence[Mapping[str, PredictedRecord]],
+    by_record: Sequence[Predictions],
     horizons: tuple[float, ...],
     loaded: Sequence[LoadedLog],
     command: str,
@@ -283,6 +334,8 @@ def _result(
 
     ``records`` has the records of each model in the order of ``loaded``, and ``notes`` the remarks on the logs.
     """
+    predicted = [_by_part(by) for by in by_record]
+    in_blocks = len(predicted[0]) > len(by_record[0])
     letters = labels(len(compared))
     block = BLOCK_LENGTHS * max(c.model.block for c in compared)
     kinds = [ONE_STEP, *(Kind("horizon", s) for s in horizons), SIMULATION]
@@ -316,10 +369,12 @@ def _result(
         )
         if models:
             pair = ((models[0], compared[0]), (row, c))
-            held_out = not any(m.fitted_to or m.selected_by or effects_per_run(of.model) for m, of in pair)
+            adapted = not in_blocks and any(effects_per_run(of.model) for _, of in pair)
+            held_out = not adapted and not any(m.fitted_to or m.selected_by for m, _ in pair)
             score = log_score(predicted[0], by, block, held_out)
             saved, fitted_to = (compared[0].saved, c.saved), (models[0].fitted_to, row.fitted_to)
             reason = why_not_comparable(saved, fitted_to, loaded, score)
+            reason = reason or (NO_FIT_IN_BLOCKS if in_blocks else "")
             criteria = None
             if score is not None and not reason:
                 criteria = information_criteria(compared[0].saved.model, c.saved.model, by, score.gain)
@@ -337,12 +392,12 @@ def _result(
         command=made.command,
         logs=made.logs,
         answer="",
-        warnings=(*_warnings(models), *_warnings_of_effects(compared, letters)),
+        warnings=(*_warnings(models), *_warnings_of_effects(compared, letters, by_record[0])),
         notes=(*notes, *_notes_on_logs(models), *([chance] if verdicts else [])),
         horizons=horizons,
         models=tuple(models),
         channels=tuple(channels),
-        traces=tuple(_traces(compared, records, predicted, letters)),
+        traces=tuple(_traces(compared, records, by_record, letters)),
     )
     return msgspec.structs.replace(result, answer=comparison_answer(result))
 
@@ -364,16 +419,49 @@ def _warnings(models: Sequence[ComparedModel]) -> Iterator[ResultWarning]:
             )
 
 
-def _warnings_of_effects(compared: Sequence[_Candidate], letters: Sequence[str]) -> Iterator[ResultWarning]:
-    """Yield a warning for each model that has an effect with parameters of its own for each log."""
+def _by_part(predicted: Predictions) -> dict[str, PredictedRecord]:
+    """Return the predictions of one model by the name of the record; of a block, by that with its number: ``run[2]``.
+
+    The numbers count from 1 in the order of time.
+    """
+    found = {}
+    for name, parts in predicted.items():
+        for n, part in enumerate(parts, 1):
+            found[name if len(parts) == 1 else f"{name}[{n}]"] = part
+    return found
+
+
+def _warnings_of_effects(
+    compared: Sequence[_Candidate], letters: Sequence[str], predicted: Predictions
+) -> Iterator[ResultWarning]:
+    """Yield a warning for each model that has an effect with parameters of its own for each log.
+
+    If the logs are cut into blocks, there is one warning for all models. ``predicted`` has the predictions of one
+    model.
+    """
+    found = {}
     for label, c in zip(letters, compared, strict=True):
         if effects := effects_per_run(c.model):
-            names = "; ".join(f"{', '.join(own)} of {effect}" for effect, own in effects.items())
-            yield ResultWarning(
-                code="effect-estimated-on-compared-log",
-                text=f"({label}) estimates parameters of an effect anew on each compared log ({names}): its errors are "
-                "those of a fit to these logs, and smaller than those of the saved model on a new log.",
-            )
+            found[label] = "; ".join(f"{', '.join(own)} of {effect}" for effect, own in effects.items())
+    numbers = [len(parts) for parts in predicted.values()]
+    if found and max(numbers) > 1:
+        each = " and ".join(dict.fromkeys(str(n) for n in (min(numbers), max(numbers))))
+        of = ", ".join(f"({label}) {names}" for label, names in found.items())
+        yield ResultWarning(
+            code="compared-in-blocks",
+            text=f"Effects have parameters of their own for each log: {of}. All models are therefore compared on "
+            f"{each} blocks in time of each log, with the estimates of these parameters from the other blocks. The "
+            "simulation starts anew in each block.",
+        )
+        return
+    for label, names in found.items():
+        yield ResultWarning(
+            code="effect-estimated-on-compared-log",
+            text=f"({label}) estimates parameters of an effect anew on each compared log ({names}): its errors are "
+            "those of a fit to these logs, and smaller than those of the saved model on a new log. Give longer logs or "
+            f"a shorter horizon: {FEWEST_BLOCKS} blocks in time, each longer than {WARM_UP:g} s and the horizon, could "
+            "be predicted with the estimates from one another.",
+        )
 
 
 def _notes_on_logs(models: Sequence[ComparedModel]) -> list[str]:
@@ -385,10 +473,10 @@ def _notes_on_logs(models: Sequence[ComparedModel]) -> list[str]:
 def _traces(
     compared: Sequence[_Candidate],
     records: Sequence[Sequence[Record]],
-    predicted: Sequence[Mapping[str, PredictedRecord]],
+    predicted: Sequence[Predictions],
     letters: Sequence[str],
 ) -> list[ComparedTrace]:
-    """Return the measured channels of each record with the predictions of all models.
+    """Return the measured channels of each record with the predictions of all models, joined over the blocks of time.
 
     The samples are those of the first model that predicts the channel. Instants without a sample are left out, and so
     are channels without any sample.
@@ -411,8 +499,8 @@ def _traces(
                     model=letter, kind=kind.kind, seconds=kind.seconds, t=curve.t, predicted=curve.y, sd=curve.sd
                 )
                 for letter, by in zip(letters, predicted, strict=True)
-                for kind, by_channel in by[record.name].curves.items()
-                if (curve := by_channel.get(name)) is not None
+                for kind in by[record.name][0].curves
+                if (curve := _joined(by[record.name], kind, name)) is not None
             )
             found.append(
                 ComparedTrace(
@@ -426,6 +514,12 @@ def _traces(
                 )
             )
     return found
+
+
+def _joined(parts: Sequence[PredictedRecord], kind: Kind, channel: str) -> Curve | None:
+    """Return a predicted channel over all blocks of a record; None if it is predicted in none of them."""
+    curves = [c for part in parts if (c := part.curves[kind].get(channel)) is not None]
+    return Curve(*map(np.concatenate, zip(*curves, strict=True))) if curves else None
 
 
 def comparison_answer(result: ComparisonResult) -> str:

@@ -10,7 +10,14 @@ import numpy as np
 
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.data import Record
-from seatrial.ident.estimation import Likelihood, ParameterUncertainty, RecordEvaluation, evaluate_records
+from seatrial.ident.estimation import (
+    FIT_ERRORS,
+    Likelihood,
+    ParameterUncertainty,
+    RecordEvaluation,
+    evaluate_records,
+    evaluated_in_blocks,
+)
 from seatrial.ident.model import Model
 from seatrial.ident.numerics import Array
 from seatrial.ident.results import PredictionKind
@@ -66,6 +73,9 @@ class PredictionTask:
         Length of the intervals [s] of which each has one prediction of a channel over a horizon.
     uncertainty
         Uncertainty of the parameters, which widens the band of the simulation; None: not known.
+    block
+        Duration [s] over which residuals may be correlated, from which the length of blocks in time follows
+        (``evaluated_in_blocks``). None: the record is predicted as a whole.
     """
 
     index: int
@@ -74,11 +84,12 @@ class PredictionTask:
     horizons: tuple[float, ...]
     interval: float
     uncertainty: ParameterUncertainty | None = None
+    block: float | None = None
 
 
 @dataclass(frozen=True)
 class PredictedRecord:
-    """Predictions of one record by one model.
+    """Predictions of one record, or of one block in time of it, by one model.
 
     Attributes
     ----------
@@ -101,10 +112,11 @@ class PredictedRecord:
     curves: Mapping[Kind, Mapping[str, Curve]]
 
 
-def predict_record(task: PredictionTask) -> PredictedRecord:
-    """Predict a record by a model one step ahead, over each horizon and in simulation.
+def predict_record(task: PredictionTask) -> list[PredictedRecord]:
+    """Predict a record, or blocks in time of it, by a model one step ahead, over each horizon and in simulation.
 
-    Only the parameters that belong to a log, such as the current, are estimated from the record.
+    Only the parameters that belong to a log, such as the current, are estimated from the record. In blocks, those of
+    effects are estimated from the other blocks of the record.
 
     Parameters
     ----------
@@ -113,8 +125,8 @@ def predict_record(task: PredictionTask) -> PredictedRecord:
 
     Returns
     -------
-    PredictedRecord
-        Errors, log-likelihood and predictions.
+    list of PredictedRecord
+        Errors, log-likelihood and predictions of each block in the order of time, or of the record alone.
 
     Raises
     ------
@@ -124,7 +136,16 @@ def predict_record(task: PredictionTask) -> PredictedRecord:
     views, failed = evaluate_records(task.model, [task.record])
     if failed:
         raise SeatrialError(failed[0].reason)
-    (view,) = views
+    if task.block is not None:
+        try:
+            views = list(evaluated_in_blocks(views[0].model, views, task.block))
+        except FIT_ERRORS as problem:
+            raise SeatrialError(str(problem)) from problem
+    return [_predictions(view, task) for view in views]
+
+
+def _predictions(view: RecordEvaluation, task: PredictionTask) -> PredictedRecord:
+    """Return the predictions of an evaluated record, or of a block of it, for the horizons of a task."""
     model, record, likelihood = view.model, view.record, Likelihood(view.model)
     errors: dict[Kind, Mapping[str, PredictionErrors]] = {ONE_STEP: one_step_errors(model, record, view.run)}
     curves: dict[Kind, Mapping[str, Curve]] = {}

@@ -40,8 +40,9 @@ def log_score(
     for a, b in zip(before.values(), after.values(), strict=True):
         if a.samples != b.samples:
             return None
-        last = max(int(a.t[-1] / block) - 1, 0)
-        blocks = (np.minimum(r.t // block, last).astype(int) for r in (a, b))
+        start = min(a.t[0], b.t[0])  # a block in time of a log begins later than its log
+        last = max(int((a.t[-1] - start) / block) - 1, 0)
+        blocks = (np.minimum((r.t - start) // block, last).astype(int) for r in (a, b))
         sums = [np.bincount(index, r.ll, last + 1) for index, r in zip(blocks, (a, b), strict=True)]
         gains += (sums[1] - sums[0]).tolist()
     gain, n, reach = float(np.sum(gains)), len(gains), float("nan")

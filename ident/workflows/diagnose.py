@@ -61,6 +61,9 @@ class DiagnosisRequest:
         Whether to search even if the checks find faults that make a fit meaningless.
     window
         Interval of time of ``logs`` to use: one for all, or one for each; validation logs are used as a whole.
+    mass
+        Weighed mass of the boat without water around it [kg], with which the estimated mass in surge is compared. It is
+        no prior. None: that of the rig file or import map, if they have one.
     """
 
     model: Path
@@ -74,6 +77,7 @@ class DiagnosisRequest:
     rate: float | None = None
     despite_faults: bool = False
     window: TimeWindows = WHOLE
+    mass: float | None = None
 
 
 @dataclass(frozen=True)
@@ -210,7 +214,7 @@ def diagnose_model(request: DiagnosisRequest, command: str, reporter: Reporter) 
         found,
         evaluate_diagnosis(found, horizon),
         provenance([*loaded, *validation_logs], command),
-        warnings=estimation_warnings(found.after.fit, found.after.records, loaded[0].vehicle.get("length")),
+        warnings=estimation_warnings(found.after.fit, found.after.records, loaded[0].hull(request.mass)),
         notes=[*floors, *considered_notes(found.after.fit.model), *found.after.outlier_notes],
         model_path=str(request.model),
         unused=unused,

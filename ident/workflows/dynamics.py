@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from functools import cache
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -64,37 +63,30 @@ def dynamics_of(fitted: FittedModel) -> Dynamics | None:
     conditions = chosen_conditions(model, ranges)
     curves = steady_curves(model, ranges, known, conditions=conditions)
     reached = [np.nanmax(c.value) for c in curves if c.motion == "straight"]
-    linear = _linear_models(model, float(reached[0]), conditions) if reached else []
+    linear = _linear_models(model, float(reached[0]), known, conditions) if reached else []
     if not curves and not linear:
         return None
     drives, steps, responses = Drives(model, ranges), list[StepResponse](), list[FrequencyResponse]()
     course = None
     if linear:
-        with_errors = cache(lambda speed: linearise(model, speed, known, conditions))
-        middle = with_errors(linear[(len(linear) - 1) // 2].speed)
+        middle = linear[(len(linear) - 1) // 2]
         steps, responses = _steps(middle, drives), _responses(middle, drives)
-        course = _course_stability(linear, ranges.get("u"), with_errors)
+        course = _course_stability(linear, ranges.get("u"))
     return Dynamics(
         steady=tuple(curves), points=tuple(_point(x) for x in linear), steps=tuple(steps), responses=tuple(responses),
         delays=dict(linear[0].delays) if linear else {}, conditions=conditions, speeds=ranges.get("u"), course=course,
     )  # fmt: skip
 
 
-def _course_stability(
-    linear: Sequence[LinearModel],
-    speeds: tuple[float, float] | None,
-    with_errors: Callable[[float], LinearModel],
-) -> CourseStability | None:
+def _course_stability(linear: Sequence[LinearModel], speeds: tuple[float, float] | None) -> CourseStability | None:
     """Return the least stable pole of sway and yaw of a model at the speeds of its data, with its 95 % interval.
 
     Parameters
     ----------
     linear : sequence of LinearModel
-        Linear models at several speeds. Those outside ``speeds`` are left out, unless all are.
+        Linear models with standard errors at several speeds. Those outside ``speeds`` are left out, unless all are.
     speeds : tuple of float or None
         Smallest and largest forward speed in the data [m/s]; None: unknown, so that all linear models count.
-    with_errors : Callable
-        Function that returns the linear model with standard errors at a forward speed [m/s].
 
     Returns
     -------
@@ -103,13 +95,10 @@ def _course_stability(
     """
     low, high = speeds or (-np.inf, np.inf)
     inside = [x for x in linear if low <= x.speed <= high] or linear
-    found = [(x.poles[k].real, x.speed) for x in inside if (k := x.course_pole) is not None]
+    found = [(float(x.poles[k].real), x.speed, k, x) for x in inside if (k := x.course_pole) is not None]
     if not found:
         return None
-    at = with_errors(max(found)[1])
-    k = at.course_pole
-    if k is None:
-        return None
+    _, _, k, at = max(found, key=lambda row: row[:2])
     real, half = float(at.poles[k].real), Z95 * float(at.pole_errors[k])
     v = at.states.index("v") if "v" in at.states else None
     sway = None if v is None else float(at.A[v, v])
@@ -239,13 +228,18 @@ def _turn(
     )
 
 
-def _linear_models(model: Model, fastest: float, conditions: Mapping[str, float]) -> list[LinearModel]:
-    """Return the linear models at parts of the speed ``fastest`` [m/s]. A speed without one is left out."""
+def _linear_models(
+    model: Model, fastest: float, known: ParameterCovariance, conditions: Mapping[str, float]
+) -> list[LinearModel]:
+    """Return the linear models at parts of the speed ``fastest`` [m/s]. A speed without one is left out.
+
+    Their standard errors are from the covariance ``known`` of the estimates.
+    """
     found = []
     for part in SPEEDS:
         speed = float(f"{part * fastest:.2g}") if part < 1.0 else float(np.floor(fastest * 100.0) / 100.0)
         try:
-            found.append(linearise(model, speed, conditions=conditions))
+            found.append(linearise(model, speed, known, conditions))
         except (SeatrialError, ArithmeticError, np.linalg.LinAlgError, TypeError, ValueError):
             continue
     return found
@@ -256,7 +250,12 @@ def _point(linear: LinearModel) -> OperatingPoint:
     poles = linear.poles
     inputs = {name: float(value) for name, value in zip(linear.inputs, linear.u0, strict=True)}
     return OperatingPoint(
-        speed=linear.speed, inputs=inputs, real=poles.real, imaginary=poles.imag, stable=linear.stable
+        speed=linear.speed,
+        inputs=inputs,
+        real=poles.real,
+        imaginary=poles.imag,
+        stable=linear.stable,
+        error=linear.pole_errors,
     )
 
 

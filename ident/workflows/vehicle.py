@@ -140,9 +140,9 @@ def fit_vehicle(request: VehicleRequest, command: str, reporter: Reporter, with_
         homogeneity,
         FitContext(
             problem.model.values,
-            [*filter(None, [problem.thrust]), *problem.notes, *fitted.outlier_notes],
+            [*filter(None, [problem.thrust]), *problem.notes, *problem.noise_bounds, *fitted.outlier_notes],
             problem.unused,
-            loaded[0].vehicle.get("length"),
+            loaded[0].hull(request.mass),
             tested,
             dynamics_of(fitted) if with_dynamics else None,
         ),

@@ -77,6 +77,9 @@ class VehicleRequest:
         Rate of the rows [Hz] over which faster sensors are averaged.
     window
         Interval of time of ``logs`` to use: one for all, or one for each; validation logs are used as a whole.
+    mass
+        Weighed mass of the boat without water around it [kg], with which the estimated mass in surge is compared. It is
+        no prior. None: that of the rig file or import map, if they have one.
     """
 
     logs: Sequence[Path]
@@ -95,6 +98,7 @@ class VehicleRequest:
     profiles: Sequence[str] = ()
     rate: float = 10.0
     window: TimeWindows = WHOLE
+    mass: float | None = None
 
 
 @dataclass(frozen=True)
@@ -108,7 +112,10 @@ class VehicleProblem:
     segments, validation
         Signals of each log for the estimation, and of each log for the validation.
     notes
-        Lines of text on geometry of the rig, calibration, priors and noise bounds.
+        Lines of text on geometry of the rig, calibration and priors.
+    noise_bounds
+        Line of text on the lower bounds of the noise of smoothed signals, if there are any. It is no warning, because
+        the checks of the logs have one.
     thrust
         Line of text on the signals that the thrust is computed from; empty if the thrust itself is an input.
     unused
@@ -119,6 +126,7 @@ class VehicleProblem:
     segments: list[LogSegment]
     validation: list[LogSegment]
     notes: list[str]
+    noise_bounds: list[str]
     thrust: str
     unused: list[UnusedSignal]
 
@@ -273,7 +281,7 @@ def vehicle_problem(
     segments, validation = ([x.run for x in part] for part in (loaded, validation_logs))
     unused = unused_signals(model, loaded, validation_logs)
     return VehicleProblem(
-        model, segments, validation, [*notes, *fixed_notes, *floors], thrust_from(model, loaded), unused
+        model, segments, validation, [*notes, *fixed_notes], floors, thrust_from(model, loaded), unused
     )
 
 
@@ -299,6 +307,6 @@ def _saved_problem(
     model, notes = fix_parameters(model, request.thruster if curve is None else None, request.fixed)
     model, floors = with_noise_floors(model, loaded)
     check_names(nominal_model(model), request.profiles, len(loaded))
-    notes = [*hold_lines(saved, [*loaded, *validation_logs]), *considered_notes(model), *notes, *floors]
+    notes = [*hold_lines(saved, [*loaded, *validation_logs]), *considered_notes(model), *notes]
     unused = unused_signals(model, loaded, validation_logs)
-    return VehicleProblem(model, segments, validation, notes, thrust_from(model, loaded), unused)
+    return VehicleProblem(model, segments, validation, notes, floors, thrust_from(model, loaded), unused)

@@ -11,7 +11,7 @@ from functools import cached_property
 from numbers import Real
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, Unpack, cast
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +20,10 @@ from seatrial.api import plots, tables
 from seatrial.api.figures import Figure
 from seatrial.api.findings import DiagnosisFindings
 from seatrial.api.logs import Log, PathLike, as_list, as_paths
-from seatrial.api.messages import Messages, errors_of_users
+from seatrial.api.messages import Messages, errors_of_users, warn_of_logs
+from seatrial.api.series import ByRecord, Prediction, Series
 from seatrial.api.shown import Content, Shown
-from seatrial.daq.errors import NamedValues, SeatrialError, closest_name, counted
+from seatrial.daq.errors import NamedValues, SeatrialError, closest_name
 from seatrial.daq.log import is_log
 
 if TYPE_CHECKING:
@@ -64,6 +65,8 @@ class FitOptions(TypedDict, total=False):
         Priors of parameters by name.
     effects : sequence of str
         Names of effects of the catalogue to add to the model with free parameters.
+    mass : float
+        Weighed mass of the boat [kg]. A warning tells if the estimated mass in surge contradicts it. It is no prior.
     score_tests : bool
         Whether to test the model for missing effects: small errors of sensors and hull form are then estimated if the
         logs show them, and the standard errors include what remains unexplained.
@@ -90,6 +93,7 @@ class FitOptions(TypedDict, total=False):
     initial: Mapping[str, float]
     priors: Mapping[str, tuple[float, float]]
     effects: Sequence[str]
+    mass: float
     score_tests: bool
     profiles: Sequence[str]
     outlier_model: bool
@@ -113,6 +117,8 @@ class DiagnosisOptions(TypedDict, total=False):
     thruster : str
         For a vehicle model: file of the static curve that it was fitted with. For a thruster model: name of the
         thruster, if the logs have several.
+    mass : float
+        Weighed mass of the boat [kg], as that of `FitOptions`.
     outlier_model : bool
         Whether outliers are part of the noise of all sensors, so that they have little weight.
     horizon : float
@@ -128,70 +134,12 @@ class DiagnosisOptions(TypedDict, total=False):
     max_effects: int
     effects_file: PathLike
     thruster: str
+    mass: float
     outlier_model: bool
     horizon: float
     rate: float | None
     despite_faults: bool
     progress: bool
-
-
-class Series(NamedTuple):
-    """Values over time of one signal, for example of a state, an output or a residual.
-
-    Attributes
-    ----------
-    t : Array (n,)
-        Times [s] from the start of the record; of a simulation for given inputs, in the time ``t`` of the inputs.
-    value : Array (n,)
-        Values at these times.
-    """
-
-    t: NDArray[np.float64]
-    value: NDArray[np.float64]
-
-    def __repr__(self) -> str:
-        """Return one line with the number of values and the times of the first and the last."""
-        return f"Series({_span(self.t)})"
-
-
-class Prediction(NamedTuple):
-    """Measured samples of one channel of a record, and their predictions by a model.
-
-    Attributes
-    ----------
-    t : Array (n,)
-        Times of the samples [s], in the time of the record.
-    measured : Array (n,)
-        Samples, in the unit of the channel.
-    predicted : Array (n,)
-        Predictions of these samples, in the same unit; infinite if the prediction diverged.
-    sd : Array (n,)
-        Standard deviations of measured minus predicted, in the same unit. Over a horizon they are widened by what the
-        validation data show, so that ``predicted`` ± 1.96 ``sd`` contains about 95 % of further samples. NaN if a
-        channel has no such forecast.
-    """
-
-    t: NDArray[np.float64]
-    measured: NDArray[np.float64]
-    predicted: NDArray[np.float64]
-    sd: NDArray[np.float64]
-
-    @property
-    def rms(self) -> float:
-        """Root mean square of measured minus predicted, in the unit of the channel; NaN without samples.
-
-        It is infinite if a prediction diverged. Errors of angles are within half a turn.
-        """
-        return float(np.sqrt(np.mean((self.measured - self.predicted) ** 2)))
-
-    def __repr__(self) -> str:
-        """Return one line with the number of samples, the times of the first and the last, and the RMS error."""
-        return f"Prediction({_span(self.t)}{f', RMS error {self.rms:.3g}' if self.t.size else ''})"
-
-
-def _span(t: NDArray[np.float64]) -> str:
-    """Return the number of samples in words, and the times [s] of the first and the last, if there are any."""
-    return counted(t.size, "sample") + (f", {t[0]:.6g} to {t[-1]:.6g} s" if t.size else "")
 
 
 @dataclass(frozen=True, repr=False)
@@ -335,7 +283,7 @@ class FittedResult(FitReport):
         """
         return self.fitted.fit.bic
 
-    def residuals(self, on: Role = "estimation") -> dict[str, dict[str, Series]]:
+    def residuals(self, on: Role = "estimation") -> ByRecord[Series]:
         """Return the standardised residuals by record and channel: innovations divided by their standard deviations.
 
         Parameters
@@ -345,16 +293,16 @@ class FittedResult(FitReport):
 
         Returns
         -------
-        dict of str to dict of str to Series
-            White noise of variance 1 if the model is complete. A channel has values only at its samples. A channel
-            without samples in a record is missing.
+        ByRecord of Series
+            By record and channel; `to_pandas` gives one table of all. White noise of variance 1 if the model is
+            complete. A channel has values only at its samples. A channel without samples in a record is missing.
 
         Raises
         ------
         SeatrialError
             If ``on`` is ``validation`` and the fit has no validation data.
         """
-        found = {}
+        found = ByRecord[Series]()
         for view in self._views(on):
             by_channel = {}
             for j, output in enumerate(self.fitted.model.outputs):
@@ -364,7 +312,7 @@ class FittedResult(FitReport):
             found[view.record.name] = by_channel
         return found
 
-    def predict(self, horizon: float | None = None, on: Role | None = None) -> dict[str, dict[str, Prediction]]:
+    def predict(self, horizon: float | None = None, on: Role | None = None) -> ByRecord[Prediction]:
         """Predict samples from the filtered state a time ``horizon`` earlier, by the inputs alone since then.
 
         Samples before this time has passed have no prediction. Of the other samples of a channel, about one in two rows
@@ -379,9 +327,9 @@ class FittedResult(FitReport):
 
         Returns
         -------
-        dict of str to dict of str to Prediction
-            Predictions by record and channel. Angles are not wrapped: the prediction is within half a turn of the
-            sample.
+        ByRecord of Prediction
+            Predictions by record and channel; `to_pandas` gives one table of all. Angles are not wrapped: the
+            prediction is within half a turn of the sample.
 
         Raises
         ------
@@ -395,13 +343,13 @@ class FittedResult(FitReport):
         longest = max(float(view.record.t[-1] - view.record.t[0]) for view in self._views(on))
         if seconds >= longest:
             raise SeatrialError(f"horizon {seconds:g}: the longest record lasts {longest:.1f} s; give a shorter time")
-        found = {}
+        found = ByRecord[Prediction]()
         for predicted in self._evaluated(on, float(seconds)):
             record, sd = predicted.record, {name: far.sd for name, far in predicted.horizon.items()}
             found[record.name] = {n: _prediction(record, n, e.t, e.e, sd[n]) for n, e in predicted.errors.items()}
         return found
 
-    def simulate(self, on: Role | None = None) -> dict[str, dict[str, Prediction]]:
+    def simulate(self, on: Role | None = None) -> ByRecord[Prediction]:
         """Simulate each record: the state is filtered for 15 s, and then predicted by the inputs alone to the end.
 
         Parameters
@@ -411,16 +359,16 @@ class FittedResult(FitReport):
 
         Returns
         -------
-        dict of str to dict of str to Prediction
-            Simulated values at the samples after 15 s, by record and channel. A channel without such samples is
-            missing.
+        ByRecord of Prediction
+            Simulated values at the samples after 15 s, by record and channel; `to_pandas` gives one table of all. A
+            channel without such samples is missing.
 
         Raises
         ------
         SeatrialError
             If ``on`` is ``validation`` and the fit has no validation data.
         """
-        found = {}
+        found = ByRecord[Prediction]()
         for simulated in self._evaluated(on, self.result.horizon_seconds):
             record, run = simulated.record, simulated.simulation
             found[record.name] = {
@@ -599,8 +547,8 @@ def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[
         Other logs, on which the fit is evaluated. They are used whole, so a `Log` with a window is an error. Without
         them the fit is evaluated on ``logs``.
     **options
-        `FitOptions`: thruster, fixed, initial, priors, effects, score_tests, profiles, outlier_model, reml, mean_order,
-        horizon, rate, despite_faults, progress.
+        `FitOptions`: thruster, fixed, initial, priors, effects, mass, score_tests, profiles, outlier_model, reml,
+        mean_order, horizon, rate, despite_faults, progress.
 
     Returns
     -------
@@ -623,6 +571,7 @@ def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[
     with errors_of_users():
         request, progress = vehicle_request(as_paths(logs), _paths_or_none(validate), model, window_of(logs), options)
         done: VehicleFit = fit_vehicle(request, python_call("fit", request.logs, model=model), Messages(progress))
+    warn_of_logs(done.result)
     return FittedVehicle(done.result, done.fitted)
 
 
@@ -702,7 +651,8 @@ def diagnose(
         Other logs that validate each effect. They are used whole, so a `Log` with a window is an error. Without them,
         blocks of ``logs`` are cross-validated.
     **options
-        `DiagnosisOptions`: max_effects, effects_file, thruster, outlier_model, horizon, rate, despite_faults, progress.
+        `DiagnosisOptions`: max_effects, effects_file, thruster, mass, outlier_model, horizon, rate, despite_faults,
+        progress.
 
     Returns
     -------
@@ -747,6 +697,7 @@ def diagnose(
         if isinstance(model, FittedResult) and advice:
             # The file of a fitted model was temporary. The user saves the model to run the command.
             result = structs.replace(result, recommended_experiment=advice.replace(str(path), "model.toml"))
+    warn_of_logs(result)
     return FittedDiagnosis(result, done.found.after, done.found, done.effects_file)
 
 

@@ -13,10 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from seatrial.api import tables
 from seatrial.api.findings import DiagnosisFindings
-from seatrial.api.fits import FittedResult, MotionMethods, Series, known_options, model_path
+from seatrial.api.fits import FittedResult, MotionMethods, known_options, model_path
 from seatrial.api.logs import PathLike
 from seatrial.api.messages import errors_of_users, text_of
 from seatrial.api.plots import comparison_figure, prediction_figure
+from seatrial.api.series import Series, Simulation
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import NamedValues, SeatrialError, closest_name, counted, warn
 from seatrial.daq.log import import_library
@@ -383,7 +384,7 @@ def simulate(
     t: ArrayLike,
     inputs: Mapping[str, ArrayLike],
     start: Mapping[str, float] | None = None,
-) -> dict[str, Series]:
+) -> Simulation:
     """Simulate a fitted model for given inputs, without process noise and without measurement noise.
 
     An input that leaves its range in the fitted data by more than a tenth of this range gives a `SeatrialWarning`: the
@@ -403,9 +404,9 @@ def simulate(
 
     Returns
     -------
-    dict of str to Series
-        States and outputs by name, in SI units and radians, with a value at each of the times ``t``. Where a state and
-        an output have one name, it is the state.
+    Simulation
+        Dict of str to `Series`; `to_pandas` gives one table of all. States and outputs by name, in SI units and
+        radians, with a value at each of the times ``t``. Where a state and an output have one name, it is the state.
 
     Raises
     ------
@@ -446,8 +447,10 @@ def simulate(
             first[k] = value
         run = integrate(structure, record, x0=first)
     at = np.searchsorted(run.t, times - times[0] - SAME_TIME)
-    found = {o.name: Series(times, run.y[at, j]) for j, o in enumerate(structure.outputs)}
-    return found | {name: Series(times, run.x[at, j]) for j, name in enumerate(s.name for s in structure.states)}
+    found = Simulation()
+    found |= {o.name: Series(times, run.y[at, j]) for j, o in enumerate(structure.outputs)}
+    found |= {s.name: Series(times, run.x[at, j]) for j, s in enumerate(structure.states)}
+    return found
 
 
 def _initial_states(structure: Model, start: Any) -> dict[int, float]:

@@ -81,6 +81,16 @@ class Messages:
         warn(in_python(text))
 
 
+def warn_of_logs(result: Result) -> None:
+    """Issue a Python warning for each finding of the checks of the logs (warning or fault), such as a gap of a sensor.
+
+    Other warnings of a result are in its summary.
+    """
+    for warning in result.warnings:
+        if warning.code == "log-check":
+            warn(in_python(warning.text))
+
+
 def text_of(result: Result) -> str:
     """Return a result as text: the answer and the tables that the command prints, 100 columns wide."""
     from io import StringIO

@@ -19,14 +19,21 @@ from seatrial.daq.errors import SeatrialError, warn
 from seatrial.daq.log import import_library
 from seatrial.ident.export import Inputs, LinearModel, conditions_text, heading_sentence, pole_text, turn_sentence
 from seatrial.ident.model import THRUSTER_FORCE, drive_word, is_of_thruster
+from seatrial.ident.numerics import is_undetermined
 
 if TYPE_CHECKING:
     from seatrial.ident.estimation import ParameterCovariance
     from seatrial.ident.model import Model
     from seatrial.ident.results import SteadyCurve
 
+SMALL_PART = 0.1  # of the largest value of a curve; the errors of smaller values are compared with it
 POINTS = 600  # largest number of points of a line
 STEP = 0.1  # size of a step of the command, in a figure
+
+
+def _determined(value: float, error: float, words: str) -> str:
+    """Return the text of a value, or ``not determined`` if its standard error is more than half of its size."""
+    return "not determined" if is_undetermined(value, error) else words
 
 
 @dataclass(frozen=True, repr=False)
@@ -189,13 +196,12 @@ class Linearisation(Shown, LinearModel):
 
     def _content(self) -> Content:
         """Return speed and stability, and the table of the poles."""
-        how = "stable" if self.stable else "not stable: a pole has no negative real part"
         at = ", ".join(f"{n} {number(v)}" for n, v in zip(self.inputs, self.u0, strict=True))
         rows = [
-            (pole_text(pole), number(constant), number(se, 2))
+            (pole_text(pole), _determined(constant, se, number(constant)), number(se, 2))
             for pole, constant, se in zip(self.poles, self.time_constants, self.time_constant_errors, strict=True)
         ]
-        answer = f"Linear model at {self.speed:g} m/s ({at}), {how}."
+        answer = f"Linear model at {self.speed:g} m/s ({at}), {self.stability}."
         if self.conditions:
             answer += f" Taken as constant: {conditions_text(self.conditions)}."
         if words := heading_sentence(self.conditions):
@@ -261,6 +267,12 @@ class Steady(Shown):
                 if quantity == "u" and self.speeds is not None and value > self.speeds[1]:
                     beyond = f", beyond the speeds of the data (up to {number(self.speeds[1], 2)} m/s)"
                 drive = drive_word(curve.inputs)
+                if is_undetermined(float(value), float(sd)):
+                    found.append(
+                        f"The largest steady {name} is not determined: its standard error is more than half of the "
+                        f"estimate{beyond}."
+                    )
+                    continue
                 found.append(
                     f"The largest steady {name} is {number(value, 3)}{error} {unit}, at a {drive} of {command}{beyond}."
                 )
@@ -327,7 +339,10 @@ class Steady(Shown):
         for c in self.curves:
             name = "speed" if c.motion == "straight" else f"turn rate, mean {number(c.mean, 2)}"
             for k in np.unique(np.linspace(0, c.command.size - 1, 11).round().astype(int)):
-                rows.append((name, number(c.command[k], 3), number(c.value[k]), number(c.sd[k], 2), c.unit))
+                # A small value in the middle of the curve may have a large error in proportion, and still be known.
+                size = max(abs(c.value[k]), SMALL_PART * float(np.nanmax(np.abs(c.value))))
+                value = _determined(size, c.sd[k], number(c.value[k]))
+                rows.append((name, number(c.command[k], 3), value, number(c.sd[k], 2), c.unit))
         drive = drive_word(self.curves[0].inputs) if self.curves else "command"
         return Content(self.answer, (), ("", drive, "value", "s.e.", "unit"), rows)
 

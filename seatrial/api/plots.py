@@ -23,7 +23,7 @@ from seatrial.ident.report import (
 )
 
 if TYPE_CHECKING:
-    from seatrial.api.fits import Series
+    from seatrial.api.series import Series
     from seatrial.ident.results import ComparisonResult, FitResult, PredictionKind
 
 POINTS = 3000  # largest number of points of a line

@@ -25,7 +25,7 @@ from seatrial.api.fits import (
     window_of,
 )
 from seatrial.api.logs import PathLike, as_paths
-from seatrial.api.messages import Messages, errors_of_users
+from seatrial.api.messages import Messages, errors_of_users, warn_of_logs
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.files import write_output
@@ -353,6 +353,7 @@ def thruster(logs: Logs, **options: Unpack[ThrusterOptions]) -> FittedThruster |
         return found
 
     found, files = _with_files(work)
+    warn_of_logs(found.result)
     if isinstance(found, ThrusterFit):
         return FittedThruster(result=found.result, files=files, fitted=found.fitted)
     return ThrustCurve(found.result, files)

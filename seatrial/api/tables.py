@@ -93,15 +93,18 @@ def warning_texts(result: Result) -> list[str]:
 def summary(result: FitResult) -> str:
     """Return the result of a fit as text: its conclusion, a table of the estimates, fixed parameters and warnings.
 
-    Method and log-likelihood come first, then the `conclusion`. Flags, which name problems of single
-    estimates, follow the table.
+    Method and log-likelihood come first, then the `conclusion`, and of a diagnosis the
+    probabilities of the names. Flags, which name problems of single estimates, follow the table.
     """
+    from seatrial.ident.results import name_probabilities
+
     fit = result.fit
     lines = [
         f"{fit.model}: {fit.method}{', REML' if fit.restricted else ''}, {fit.message}",
         f"log-likelihood {fit.log_likelihood:.2f}" if fit.log_likelihood is not None else "log-likelihood not finite",
         "",
         textwrap.fill(conclusion(result), WIDTH),
+        *filter(None, [textwrap.fill(name_probabilities(getattr(result, "effects", ())), WIDTH)]),
         "",
     ]
     rows = [statistics(row) for row in fit.parameters]

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 import seatrial as st
 from seatrial import command_line
@@ -255,6 +256,15 @@ def test_estimates_with_their_uncertainty(fit: st.FittedVehicle) -> None:
     assert "<table>" in fit._repr_html_()
 
 
+def test_summary_has_the_probabilities_of_the_names(found: st.FittedDiagnosis) -> None:
+    effect = structs.replace(found.result.effects[0], title="a thrust mismatch", probability=0.988)
+    known = replace(found, result=structs.replace(found.result, effects=(effect,)))
+    words = f"Probability that the name is right (simulated boats): a thrust mismatch 99 % ({effect.attribution})."
+    assert words in " ".join(known.summary().split())
+    without = replace(found, result=structs.replace(found.result, effects=()))
+    assert "Probability that the name" not in without.summary()
+
+
 def test_residuals_are_standardised(fit: st.FittedVehicle) -> None:
     for channel in fit.residuals()["run1"].values():
         assert 0.9 < channel.value.std() < 1.1
@@ -281,6 +291,30 @@ def test_predictions_have_the_errors_of_the_result(fit: st.FittedVehicle) -> Non
         assert np.mean(np.abs(z) < 1.96) >= factor.inside_95 - 0.05
     for name, row in errors.simulation.items():
         assert fit.simulate()["run2"][name].rms == pytest.approx(row.after, rel=1e-9)
+
+
+def test_series_become_tables(fit: st.FittedVehicle) -> None:
+    residuals, ahead = fit.residuals(), fit.predict()
+    table = residuals.to_pandas()
+    assert list(table.columns) == ["record", "channel", "t", "value"]
+    assert set(table["record"]) == {"run1"}
+    own = table[table["channel"] == "r"]
+    np.testing.assert_array_equal(own["value"], residuals["run1"]["r"].value)
+    np.testing.assert_array_equal(residuals["run1"]["r"].to_pandas().index, own["t"])
+    for found in (ahead, fit.simulate()):
+        table = found.to_pandas()
+        assert list(table.columns) == ["record", "channel", "t", "measured", "predicted", "sd"]
+        own = table[table["channel"] == "vx"]
+        rms = np.sqrt(np.mean((own["measured"] - own["predicted"]) ** 2))
+        assert rms == pytest.approx(found["run2"]["vx"].rms)
+        assert found["run2"]["vx"].to_pandas().shape == (len(own), 3)
+    t = np.arange(0.0, 5.0, 0.1)
+    motion = st.simulate(fit, t, {"n_left": 0.5 + 0 * t, "n_right": 0.5 + 0 * t})
+    table = motion.to_pandas()
+    assert table.index.name == "t"
+    assert set(table.columns) == set(motion)
+    np.testing.assert_array_equal(table["u"], motion["u"].value)
+    assert st.ByRecord[st.Series]().to_pandas().empty
 
 
 def test_figures(fit: st.FittedVehicle, tmp_path: Path) -> None:
@@ -544,6 +578,11 @@ def test_steady_motion_is_that_of_a_long_simulation(fit: st.FittedVehicle, tmp_p
     assert np.all(np.diff(steady.straight.value) > 0.0)
     assert "The largest steady turn rate is" in steady.answer
     assert " m/s, at a shaft speed of " in steady.answer
+    assert "not determined" not in steady.answer + steady._repr_html_()
+    vague = replace(steady, curves=tuple(structs.replace(c, sd=0.6 * np.abs(c.value)) for c in steady.curves))
+    assert "The largest steady turn rate is not determined: its standard error is more than half" in vague.answer
+    assert "<td>not determined</td>" in vague._repr_html_()
+    assert np.isfinite(vague.to_pandas()["value"]).any()  # the numbers are kept
     assert steady._content().columns[1] == "shaft speed"
     names = {"", "speed", "speed, beyond the data", f"mean shaft speed {turn.mean:.2g}"}
     assert {trace["name"] for trace in steady.plot().data} == names
@@ -737,6 +776,18 @@ def test_the_page_runs_as_written(page: Page) -> None:
     tables = {"steady.csv", "lookup.csv", "ardupilot.param"}
     assert {p.name for p in (page.folder / "thruster").iterdir()} == names | tables
     assert {p.name for p in (page.folder / "vehicle").iterdir()} == names
+
+
+def test_options_with_another_name_in_python_are_in_the_reference() -> None:
+    page = (ROOT / "docs/reference.md").read_text(encoding="utf-8")
+    table = page.partition("## Options with another name on the command line")[2].partition("## Results")[0]
+    rows = {tuple(x.strip(" `") for x in line.split("|")[1:3]) for line in table.splitlines() if line.startswith("| `")}
+    assert {
+        ("--robust", "outlier_model"), ("--fix", "fixed"), ("--on", "logs"), ("--to", "format"), ("--out", "folder"),
+        ("--thruster", "name"), ("--second-order", "mean_order=2"), ("--filter", "smoothed=False"),
+        ("--effects", "effects_file"), ("--from", "st.open_log(log, start=)"), ("--out", ".save(folder)"),
+    } <= rows  # fmt: skip
+    assert not {option for option, _ in rows} & {"--horizon", "--mass", "--max-effects", "--validate", "--output"}
 
 
 def test_the_reference_is_up_to_date() -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from seatrial.ident.estimation import between_runs_title
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Canvas, Dumbbell, Dumbbells, EffectCard, Facts, Grid, Prose, Section
 from seatrial.ident.report.sections.predictions import by_role
@@ -193,7 +194,7 @@ def attribution_words(effect: EffectRow) -> str:
             f"; on simulated boats with known effects, {formatting.percent(effect.probability)} of such names are right"
         )
     if effect.attribution == "ambiguous":
-        alternatives = [formatting.titled(name) for name in effect.not_excluded]
+        alternatives = [between_runs_title(formatting.titled(name)) for name in effect.not_excluded]
         reasons = [*effect.reasons, *([f"not excluded: {', '.join(alternatives)}"] if alternatives else [])]
         return "ambiguous; " + "; ".join(reasons) + odds
     return {

@@ -9,6 +9,7 @@ import numpy as np
 
 from seatrial.ident.export import conditions_text, frame_words, turn_sentence
 from seatrial.ident.model import THRUSTER_FORCE, drive_word, is_of_thruster
+from seatrial.ident.numerics import is_undetermined
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Canvas, Cell, Grid, Heading, Plot, Prose, Section, Table
 from seatrial.ident.report.bode import FREQUENCY, frequency_axis, gain_traces, phase_traces
@@ -118,19 +119,24 @@ def _pole_blocks(points: Sequence[OperatingPoint], course: CourseStability | Non
     if not points:
         return []
     rows: list[list[Cell | str]] = []
+    any_lost = False
     for point in points:
-        for k, (real, imaginary) in enumerate(zip(point.real, point.imaginary, strict=True)):
+        errors = np.full(point.real.size, np.nan) if point.error is None else point.error
+        for k, (real, imaginary, error) in enumerate(zip(point.real, point.imaginary, errors, strict=True)):
             if imaginary < 0.0:
                 continue  # of a pair, the pole with the positive imaginary part is shown
             pole = formatting.plain(float(real)) + (f" ± {formatting.plain(float(imaginary))} j" if imaginary else "")
             constant = f"{formatting.plain(float(-1.0 / real))} s" if real < 0.0 else "–"
             grows = f"unstable: doubles in {formatting.plain(float(DOUBLING / real), 2)} s" if real > 0.0 else ""
+            if is_undetermined(float(real), float(error)):
+                any_lost, constant, grows = True, "not determined", "may be unstable" if real > 0.0 else ""
             command = _inputs_in_words(point)
             head = [Cell(f"{point.speed:g} m/s", "num"), Cell(command, "num")] if k == 0 else ["", ""]
             rows.append([*head, Cell(pole, "num"), Cell(constant, "num"), Cell(grows, "bad nowrap")])
     columns = (("speed", "num"), (drive, "num"), ("pole [1/s]", "num"), ("time constant", "num"), ("stability", ""))
     blocks: list[Any] = [Heading("Poles on a straight course", "of the model linearised at each speed")]
-    blocks.append(Table(columns, rows))
+    note = "Not determined: the standard error of the pole is more than half of its size."
+    blocks.append(Table(columns, rows, note if any_lost else ""))
     if not all(p.stable for p in points):
         slowest = min(p.speed for p in points if not p.stable)
         blocks.append(

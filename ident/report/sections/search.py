@@ -165,7 +165,10 @@ def _candidate_bar(candidate: Candidate, width: float, limit: float, chosen: str
         Name or title of the effect that was added, None if there is none.
     """
     p, p_block = (formatting.probability(value) for value in (candidate.p, candidate.p_block))
-    numbers = f"{formatting.plain(candidate.lm)} on {formatting.count(candidate.df)} df, p {p}, block-robust {p_block}"
+    statistic = f"{formatting.plain(candidate.lm)} on {formatting.count(candidate.df)} df"
+    if candidate.df > 1:  # the candidates are sorted by it
+        statistic += f" ({formatting.plain(candidate.lm / candidate.df)} per df)"
+    numbers = f"{statistic}, p {p}, block-robust {p_block}"
     name = candidate.name
     return Bar(
         candidate.title or name,

@@ -129,6 +129,12 @@ def test_each_direction_has_its_own_error_by_the_covariance() -> None:
     answer = thruster_answer(estimates(-0.8), has_force=True, calibration=0.1)
     assert "gives 41.0 ± 4.1 N forward and 39.0 ± 4.0 N in reverse" in answer
     assert "The logs do not determine the thrust" in thruster_answer(estimates(np.nan), has_force=True)
+    vague = estimates(-0.8)
+    vague.covariance = 1600.0 * vague.covariance  # the standard errors are 10 N ahead and 26 N in reverse
+    vague.estimate = lambda n: (5.0, 3.0) if n == "a" else estimates(0.0).estimate(n)
+    answer = thruster_answer(vague, has_force=True)
+    assert "N forward at full speed (errors: statistical only; in reverse: not determined)" in answer
+    assert "a time constant that is not determined" in answer
 
 
 def test_errors_of_steady_points_include_autocorrelation() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from functools import cache
 
@@ -70,6 +71,7 @@ def test_sensors_in_time_give_no_alarm(thrust: tuple[str, ...], seed: int) -> No
     found = list(check_latency(log(ATTITUDE, VELOCITY, thrust, seed=seed), SIDES))
     assert [f.code for f in found] == ["sensors-in-time", "thrust-in-time"]
     assert all("95 %" in f.text for f in found)
+    assert re.match(r"(heading and yaw rate come|velocity comes) 0\.\d\d s after ", found[0].text)
 
 
 @pytest.mark.parametrize("thrust", [COMMANDS, SHAFTS])

@@ -4,6 +4,8 @@ reported.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -94,7 +96,22 @@ def test_missing_or_equal_signals_give_no_answer(fleet: list[Channels]) -> None:
     assert turning_signs(fleet[0] | {"r": noise}, SIDES) == {"gyro": 0, "heading": 1}
 
 
-def test_log_without_turning_information_gives_no_finding(fleet: list[Channels]) -> None:
+def test_log_without_turning_information_says_why_the_sides_are_not_known(fleet: list[Channels]) -> None:
     north_only = {n: c for n, c in fleet[0].items() if n in ("x", "n_left", "n_right")}
     assert faults(north_only) == []
-    assert list(check_motion(north_only, SIDES)) == []
+    together = dict.fromkeys(("n_left", "n_right"), fleet[0]["n_left"])
+    short = {n: replace(s, t=s.t[s.t < 12.0], value=s.value[s.t < 12.0]) for n, s in fleet[0].items()}
+    straight = fleet[0] | {
+        "r": replace(fleet[0]["r"], value=np.random.default_rng(1).normal(size=fleet[0]["r"].t.size))
+    }
+    for c, why in (
+        (north_only, "the log has no heading, yaw rate or position"),
+        (fleet[0] | together, "all thrusters have the same thrust throughout"),
+        (short, "thrust and motion are in the log together for less than 15 s"),
+        (straight, "the thrust difference explains too little of the yaw rate"),
+    ):
+        (found,) = check_motion(c, SIDES)
+        assert (found.level, found.code, found.where) == ("unknown", "thruster-sides-unknown", "left and right")
+        assert found.text == f"it is not known whether the thrusters are on the right sides: {why}"
+    assert not list(check_motion({n: fleet[0][n] for n in ("n_left", "n_right")}, SIDES))  # no motion: a bench
+    assert not list(check_motion({n: s for n, s in fleet[0].items() if n[:2] != "n_"}, SIDES))

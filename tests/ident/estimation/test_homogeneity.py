@@ -10,7 +10,7 @@ from scipy import stats
 
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.data.record import Record
-from seatrial.ident.estimation.homogeneity import homogeneity_test
+from seatrial.ident.estimation.homogeneity import between_runs_title, homogeneity_test
 from seatrial.ident.estimation.maximum_likelihood import EstimationOptions, Method, SearchSettings, fit
 from seatrial.ident.model.parameter import Parameter
 from seatrial.ident.model.structure import Input, Model, Output, Sensor, State, plain_model
@@ -153,3 +153,8 @@ def test_restricted_fit_is_compared_with_restricted_fits() -> None:
     plain, restricted = (homogeneity_test(common, data, "m") for common in fits)
     assert (restricted.errors > 1.0005 * plain.errors).all()
     assert restricted.lr == pytest.approx(plain.lr, abs=1e-3)
+
+
+def test_candidates_of_differences_between_runs_have_words_for_readers() -> None:
+    assert between_runs_title("between-runs:m_v") == "m_v differs between the runs"
+    assert between_runs_title("mismatch") == "mismatch"

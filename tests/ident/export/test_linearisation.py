@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 import time
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -302,3 +303,31 @@ def test_error_of_a_pole_is_the_change_by_the_parameter() -> None:
     assert np.sort(found.poles.real)[::-1][0] == found.poles[k].real
     assert found.pole_errors[k] == pytest.approx(abs(slope) * sd, rel=0.02)
     np.testing.assert_allclose(found.time_constant_errors, found.pole_errors * found.time_constants**2)
+
+
+def test_stability_says_which_motion_does_not_decay() -> None:
+    """With a sway mass far above that in surge, the Munk moment of this boat makes sway and yaw unstable."""
+    assert linearise(saved(horizontal_model("shaft")), 0.7).stability == "stable"
+    model = saved(horizontal_model("shaft"), {"m_v": 150.0, "d_r": 0.5})
+    for sd, end in ((0.001, " s without a controller"), (50.0, ", but not distinguishable from a decay")):
+        known = ParameterCovariance(("d_r",), np.array([[sd**2]]))
+        unstable = linearise(model, 0.7, known)
+        pole = unstable.poles.real.max()
+        assert pole > 0.0
+        begin = "not stable: sway speed and yaw rate grow by a factor of e in "
+        assert unstable.stability.startswith(f"{begin}{1 / pole:.3g} s")
+        assert unstable.stability.endswith(end)
+        assert unstable.stability in repr(unstable)
+        assert "surge" not in unstable.stability
+    free = replace(unstable, A=np.diag([-1.0, -0.5, 0.0]), moved=())
+    assert free.stability == (
+        "not stable: yaw rate is free (pole 0): nothing brings back what a disturbance has changed"
+    )
+
+
+def test_time_constant_with_a_large_error_is_not_determined() -> None:
+    model = saved(horizontal_model("shaft"))
+    for sd, lost in ((0.01, False), (9.0, True)):
+        found = linearise(model, 0.7, ParameterCovariance(("d_r",), np.array([[sd**2]])))
+        assert ("time constant not determined" in repr(found)) == lost
+        assert np.isfinite(found.time_constants).all()  # the number is kept

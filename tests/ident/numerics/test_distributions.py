@@ -14,6 +14,7 @@ from seatrial.ident.numerics.distributions import (
     chi2_ppf,
     chi2_sf,
     fisher_sf,
+    is_undetermined,
     kolmogorov_sf,
     normal_cdf,
     normal_ppf,
@@ -52,3 +53,10 @@ def test_a_fit_does_not_import_scipy_stats() -> None:
     code = "import sys, seatrial.ident.workflows.vehicle; print('scipy.stats' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "lost"), [(58.9, 31.6, True), (-58.9, 31.6, True), (58.9, 29.0, False), (2.0, np.nan, False)]
+)
+def test_a_value_with_an_error_of_more_than_its_half_is_undetermined(value: float, error: float, lost: bool) -> None:
+    assert is_undetermined(value, error) == lost

@@ -287,6 +287,23 @@ def test_terminal_shows_the_key_figures(diagnosis: dict[str, Any]) -> None:
         assert words in text
 
 
+def test_terminal_shows_the_probability_of_a_name_and_what_sorts_the_candidates(
+    diagnosis: dict[str, Any], tmp_path: Path
+) -> None:
+    assert "Probability that the name" not in printed(diagnosis)
+    result = copy.deepcopy(diagnosis)
+    result["effects"][0]["probability"] = 0.988
+    text = " ".join(printed(result).split())
+    name = "Probability that the name is right (simulated boats): loss of thrust with forward speed 99 % (identified)."
+    assert text.index("72 % of the error on new data.") < text.index(name) < text.index("Parameters")
+    assert "best by score/df" in text
+    wide = next(c for c in result["rounds"][0]["candidates"] if c["df"] == 6)
+    row = next(line for line in printed(result).splitlines() if "surge force over surge" in line)
+    assert row.split("speed")[1].split()[:3] == [f"{wide['lm']:.0f}", "6", f"{wide['lm'] / 6:.0f}"]
+    page = " ".join(Page(written(result, tmp_path)).words.split())
+    assert f"{wide['lm']:.0f} on 6 df ({wide['lm'] / 6:.0f} per df)" in page
+
+
 @pytest.mark.parametrize("fit", ["before", "after"])
 def test_fit_that_did_not_converge_has_no_headline(fit: str, diagnosis: dict[str, Any], tmp_path: Path) -> None:
     result = shortened(copy.deepcopy(diagnosis)) | {"answer": "The fit did not converge: it stopped."}

@@ -111,6 +111,17 @@ def test_poles_are_in_words(shown: Page) -> None:
     assert "Taken as constant: t = 240 s." in words
 
 
+def test_poles_and_time_constants_that_are_not_determined_are_marked() -> None:
+    found = dynamics()
+    errors = (np.array([0.3, 0.3]), np.array([0.06, 0.5]))
+    points = tuple(msgspec.structs.replace(p, error=e) for p, e in zip(found.points, errors, strict=True))
+    lost = msgspec.structs.replace(loaded(KINDS["diagnosis"]()), dynamics=msgspec.structs.replace(found, points=points))
+    words = " ".join(Page(page.render(lost)).words.split())
+    assert "0.5 m/s 0.250 −0.500 ± 2.00 j not determined" in words
+    assert "0.100 not determined may be unstable −2.00 0.500 s" in words
+    assert "Not determined: the standard error of the pole is more than half of its size." in words
+
+
 def test_bode_plot_has_its_units_its_band_and_its_words(shown: Page) -> None:
     gain, phase = (
         next(a for _, a in shown.tags if str(a.get("aria-label")).startswith(f"Bode plot, {x}"))

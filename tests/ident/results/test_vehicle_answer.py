@@ -20,6 +20,7 @@ from seatrial.ident.estimation.maximum_likelihood import fit
 from seatrial.ident.estimation.stochastic_simulation import simulate_stochastic
 from seatrial.ident.model.outlier_density import with_outlier_model
 from seatrial.ident.model.parameter import Parameter, ParameterOrigin
+from seatrial.ident.model.structure import ModelKind
 from seatrial.ident.models import horizontal_model
 from seatrial.ident.results.answers import (
     NAMES,
@@ -82,7 +83,9 @@ def test_finding_of_many_logs_is_reported_once() -> None:
         LogSummary(path=f"{k}.mcap", sha256="", role="estimation", name=str(k), duration=1.0, findings=(finding,))
         for k in range(11)
     ]
-    (warning,) = check_warnings(Provenance(created="", seatrial="", command="", logs=tuple(logs)))
+    made = Provenance(created="", seatrial="", command="", logs=tuple(logs))
+    assert check_warnings(made, besides=("channel-smoothed",)) == []  # a diagnosis does not repeat it
+    (warning,) = check_warnings(made)
     assert warning.code == "log-check"
     assert warning.text.startswith("0.mcap, 1.mcap, 2.mcap")
     assert "more: psi: it is smooth [channel-smoothed]" in warning.text
@@ -495,8 +498,17 @@ def test_short_logs_are_reported(
         records=[record_of(f"e{k}", s) for k, s in enumerate(estimation)],
         validation=[SimpleNamespace(record=record_of(f"v{k}", s)) for k, s in enumerate(validation)],
         cross_validated=False,
+        model=SimpleNamespace(kind=ModelKind.VEHICLE),
     )
     found = short_data_warnings(fitted, 10.0)
     assert [w.code for w in found] == ["short-data"] * len(messages)
     for warning, message in zip(found, messages, strict=True):
         assert message in warning.text
+
+
+@pytest.mark.parametrize(("seconds", "n"), [(12.0, 1), (30.0, 0)])
+def test_short_bench_runs_are_reported(seconds: float, n: int) -> None:
+    model = SimpleNamespace(kind=ModelKind.BENCH)
+    fitted: Any = SimpleNamespace(records=[record_of("e", seconds)], validation=[], cross_validated=False, model=model)
+    found = short_data_warnings(fitted, 1.0)
+    assert ["this is too short for the steps of a bench run" in w.text for w in found] == [True] * n

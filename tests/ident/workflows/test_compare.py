@@ -20,10 +20,11 @@ import seatrial as st
 from seatrial import command_line
 from seatrial.api.comparison import Comparison
 from seatrial.daq.errors import SeatrialError, SeatrialWarning
-from seatrial.ident.data.loading import LoadedLog
-from seatrial.ident.data.record import Channel, LogSegment
+from seatrial.ident.data.loading import LoadedLog, load_all
+from seatrial.ident.data.record import Channel, LogSegment, build_record, make_record
 from seatrial.ident.effects.registry import catalogue
-from seatrial.ident.estimation.model_file import SavedModel
+from seatrial.ident.estimation.fitted_model import evaluate_records, evaluated_in_blocks
+from seatrial.ident.estimation.model_file import SavedModel, load_model
 from seatrial.ident.model.parameter import Parameter
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.models.surge import surge_model
@@ -37,6 +38,7 @@ from seatrial.ident.results.result_file import read_result
 from seatrial.ident.validation.prediction_errors import PredictionErrors
 from seatrial.ident.workflows.compare import (
     CompareRequest,
+    block_of_comparison,
     compare_models,
     comparison_answer,
     labels,
@@ -475,26 +477,87 @@ def test_nested_models() -> None:
     assert _n_estimates(small, 3) == _n_estimates(small, 1) + 2 * own
 
 
-def test_effects_that_are_estimated_on_the_compared_log_are_named(logs: list[Path], tmp_path: Path) -> None:
-    """The errors of such a model are those of a fit, and a log that selected its effects is no unused log."""
+@pytest.fixture(scope="module")
+def weedy_models(logs: list[Path]) -> list[Path]:
+    """Return the files of a model, and of one with an effect that has a parameter of its own for each log."""
     how: dict[str, Any] = {"model": "horizontal:shaft", "fixed": {"c1": 40.0, "c2": 1.1}, "score_tests": False}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SeatrialWarning)
-        plain, weedy = (st.fit(logs[0], validate=logs[1], effects=effects, **how) for effects in ([], ["growing-drag"]))
-    files = [fit.save(tmp_path / str(k)) / "model.toml" for k, fit in enumerate((plain, weedy))]
-    result = compare_models(CompareRequest(files, [logs[1]], (2.0,), names=("plain", "weedy")), "", Kept())
+        plain, weedy = (st.fit(logs[0], validate=logs[2], effects=effects, **how) for effects in ([], ["growing-drag"]))
+    folders = (logs[0].parent / "plain", logs[0].parent / "weedy")
+    return [fit.save(to) / "model.toml" for fit, to in zip((plain, weedy), folders, strict=True)]
+
+
+def test_effects_that_are_estimated_on_the_compared_log_are_named(logs: list[Path], weedy_models: list[Path]) -> None:
+    """The errors of such a model are those of a fit, and a log that selected its effects is no unused log."""
+    result = compare_models(CompareRequest(weedy_models, [logs[2]], (2.0,), names=("plain", "weedy")), "", Kept())
     assert [m.per_log for m in result.models] == [("V_x", "V_y"), ("V_x", "V_y", "g_before")]
     assert {w.code: w.text.partition(":")[0] for w in result.warnings} == {
-        "compared-on-validation-log": "the effects of (b) were selected by run2",
+        "compared-on-validation-log": "the effects of (b) were selected by run3",
         "effect-estimated-on-compared-log": "(b) estimates parameters of an effect anew on each compared log "
         "(g_before of growing-drag)",
     }
     assert "Estimated anew for each compared log: (a) V_x, V_y; (b) V_x, V_y, g_before." in result.notes
     assert result.models[1].score is not None
     assert not result.models[1].score.held_out
+    folders = [file.parent for file in weedy_models]
     message = r"growing-drag: its parameters differ between the fitted runs, and the model has their means \(g_before ="
     with pytest.warns(SeatrialWarning, match=message):
-        st.linearise(tmp_path / "1", 0.5)
+        st.linearise(folders[1], 0.5)
     with warnings.catch_warnings():
         warnings.simplefilter("error", SeatrialWarning)
-        st.linearise(tmp_path / "0", 0.5)
+        st.linearise(folders[0], 0.5)
+
+
+def test_effects_with_parameters_of_a_log_are_compared_in_blocks(
+    logs: list[Path], weedy_models: list[Path], compared: ComparisonResult
+) -> None:
+    """A long log is cut into the same blocks for all models, and no block is predicted with its own estimates."""
+    reporter = Kept()
+    result = compare_models(CompareRequest(weedy_models, [logs[1]], (2.0,), names=("plain", "weedy")), "", reporter)
+    (warning,) = result.warnings
+    assert warning.code == "compared-in-blocks"
+    assert "(b) g_before of growing-drag. All models are therefore compared on 5 blocks in time" in warning.text
+    assert result.models[1].score is not None
+    assert (result.models[1].score.held_out, result.models[1].score.blocks) == (True, 10)  # two of 10 s in each block
+    assert result.models[1].criteria is None
+    assert {trace.record for trace in result.traces} == {"run2"}
+    for trace in result.traces:
+        for row in trace.predictions:
+            assert np.all(np.diff(row.t) > 0.0)
+            assert row.t[0] < 25.0 < 90.0 < row.t[-1]  # in the first block, and in the last one
+    (simulated,) = (c for c in result.channels if (c.kind, c.channel) == ("simulation", "r"))
+    (whole,) = (c for c in compared.channels if (c.kind, c.channel) == ("simulation", "r"))
+    assert simulated.n < whole.n  # each block begins with 15 s of filtering
+    page = render(result)
+    assert "blocks in time of each log" in page
+
+
+def test_estimates_of_a_block_come_from_the_other_blocks(logs: list[Path], weedy_models: list[Path]) -> None:
+    """Wrong samples in one block change the parameter of the effect in the other blocks, and not in this one."""
+    saved = load_model(weedy_models[1])
+    (run,) = load_all([logs[1]], [])[0]
+    model = replace(saved.model, second_order=False)
+    record = make_record(model, run.run, 10.0)
+    y = record.y.copy()
+    y[record.t > 0.8 * record.t[-1] + 0.1, [record.outputs.index("vx")]] *= 0.5
+    at = [p.name for p in model.parameters].index("g_before")
+    found = []
+    for r in (record, replace(record, y=y)):
+        whole, _ = evaluate_records(model, [r])
+        found.append([v.values[at] for v in evaluated_in_blocks(whole[0].model, whole, model.block)])
+    before, after = np.array(found)
+    assert before.size == 5
+    moved = np.abs(after - before)
+    assert moved[4] < 0.3 * moved[:4].min()
+
+
+def test_logs_are_cut_only_for_effects_of_a_log_and_if_they_are_long_enough() -> None:
+    plain, weedy = horizontal_model("shaft"), horizontal_model("shaft") + catalogue()["growing-drag"]
+    t = 0.1 * np.arange(1201)
+    record = build_record(
+        plain, {n: Channel(t, np.zeros(t.size), "") for n in (*(i.name for i in plain.inputs), "psi")}
+    )
+    assert block_of_comparison([plain, plain], [[record]] * 2, (2.0,)) is None
+    assert block_of_comparison([plain, weedy], [[record]] * 2, (2.0,)) == weedy.block
+    assert block_of_comparison([plain, weedy], [[record]] * 2, (2.0, 10.0)) is None

@@ -7,17 +7,28 @@ from __future__ import annotations
 
 import json
 import math
+import re
+import warnings
 from functools import cache
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import seatrial as st
+from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from seatrial.daq.importers.import_files import import_files
 from seatrial.ident.cli.commands import ident
 from seatrial.ident.estimation.model_file import load_model
+from seatrial.ident.estimation.thrust_scale import thrust_scale_of
+from seatrial.ident.model.parameter import ParameterOrigin
+from seatrial.ident.results.answers import mass_warnings
+
+if TYPE_CHECKING:
+    from seatrial.ident.estimation.maximum_likelihood import Fit
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
 
@@ -62,9 +73,19 @@ def sailed(seconds: float, seed: int) -> np.ndarray:
     return np.array(rows)
 
 
-def imported(folder: Path, name: str, tables: str, extra: str = "", seconds: float = 120.0) -> Path:
-    """Import the boat's run as a log, by a map with these further tables and columns."""
+def imported(
+    folder: Path,
+    name: str,
+    tables: str,
+    extra: str = "",
+    seconds: float = 120.0,
+    gap: tuple[float, float] | None = None,
+) -> Path:
+    """Import the boat's run as a log, by a map with these further tables and columns. The gyro may have a gap [s]."""
     rows = sailed(seconds, 1)
+    if gap is not None:
+        rows = rows.copy()
+        rows[(rows[:, 0] >= gap[0]) & (rows[:, 0] < gap[1]), 1 + list(COLUMNS).index("r")] = np.nan
     header = ["t", *COLUMNS, *extra.split()]
     rows = np.column_stack([rows, *(rows[:, 1] for _ in extra.split())])
     csv, text = folder / f"{name}.csv", MAP + tables
@@ -74,6 +95,7 @@ def imported(folder: Path, name: str, tables: str, extra: str = "", seconds: flo
         role = "input" if column.startswith("n_") else "output"
         text += f'[[signal]]\nname = "{column}"\ncolumn = "{column}"\nunit = "{COLUMNS.get(column, "1")}"\n'
         text += f'role = "{role}"\nhold = "linear"\n'
+        text += 'nan = "drop"\n' if column == "r" and gap else ""
     (folder / f"{name}.toml").write_text(text, encoding="utf-8")
     return import_files(folder / f"{name}.toml", [csv], out_dir=folder)[0]
 
@@ -155,6 +177,51 @@ def test_scale_and_geometry_in_the_map_give_kilograms(tmp_path: Path) -> None:
     for name, true in TRUE.items():
         assert abs(rows[name]["value"] - true) < 3 * rows[name]["se"], (name, rows[name])
     assert rows["c1"]["origin"] == "given"
+
+
+def test_weighed_mass_checks_the_mass_in_surge(tmp_path: Path) -> None:
+    """The true mass in surge is 12 kg. A weighed mass above it, or much below, contradicts the thrust."""
+    log = imported(tmp_path, "run", TABLES + "mass = 11.0\n", seconds=60.0)
+    plain, _, _ = fitted(log)
+    assert codes(plain) == []
+    heavy, output, _ = fitted(log, "--mass", "20")
+    assert codes(heavy) == ["mass-implausible"]
+    assert "and the boat weighs 20 kg: m_u contains the added mass of the water too" in " ".join(output.split())
+    assert rows_of(heavy)["m_u"] == rows_of(plain)["m_u"]  # it is no prior
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SeatrialWarning)
+        light = st.fit(log, mass=4.0, score_tests=False)
+        with pytest.raises(SeatrialError, match="the weighed mass must be positive"):
+            st.fit(log, mass=0.0, score_tests=False)
+    (warning,) = light.result.warnings
+    assert warning.code == "mass-implausible"
+    assert re.search(r"the added mass of the water would be (1\.9|2\.0|2\.1) times that mass", warning.text)
+
+
+def test_gap_of_one_sensor_is_a_warning_of_the_fit(tmp_path: Path) -> None:
+    """`seatrial check` reported it, and a fit in Python was silent."""
+    log = imported(tmp_path, "run", TABLES, seconds=60.0, gap=(20.0, 30.0))
+    with pytest.warns(SeatrialWarning) as issued:
+        fit = st.fit(log, score_tests=False)
+    (text,) = [str(w.message) for w in issued if "sections-missing" in str(w.message)]
+    assert "r: data missing: 1 section, 10.1 s in all" in text
+    assert [w.code for w in fit.result.warnings] == ["log-check"]
+    with pytest.warns(SeatrialWarning, match="r: data missing: 1 section"):
+        found = st.diagnose(fit, log, max_effects=1)
+    assert [w.code for w in found.result.warnings][:1] == ["log-check"]
+
+
+def test_weighed_mass_says_nothing_about_ratios_and_within_the_errors(
+    bare: tuple[dict[str, Any], str, Path], tmp_path: Path
+) -> None:
+    saved = load_model(bare[2] / "model.toml")
+    assert thrust_scale_of(saved.model).relative
+    log = imported(tmp_path, "ratios", "[geometry]\nmass = 500.0\n", seconds=60.0)
+    assert "mass-implausible" not in codes(fitted(log)[0])
+    model = saved.model.replace_parameters(saved.model.parameter("c1").known(12.0, 0.0, ParameterOrigin.GIVEN))
+    for error, expected in ((0.6, []), (0.2, ["mass-implausible"])):
+        estimate = SimpleNamespace(model=model, estimate=lambda _, e=error: (12.0, e))
+        assert [w.code for w in mass_warnings(cast("Fit", estimate), 13.0)] == expected
 
 
 @pytest.mark.study

@@ -1,0 +1,133 @@
+"""Values over time for the Python interface: signals, predictions, and their tables in pandas."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seatrial.daq.errors import counted
+from seatrial.daq.log import import_library
+
+
+class Series(NamedTuple):
+    """Values over time of one signal, for example of a state, an output or a residual.
+
+    Attributes
+    ----------
+    t : Array (n,)
+        Times [s] from the start of the record; of a simulation for given inputs, in the time ``t`` of the inputs.
+    value : Array (n,)
+        Values at these times.
+    """
+
+    t: NDArray[np.float64]
+    value: NDArray[np.float64]
+
+    def __repr__(self) -> str:
+        """Return one line with the number of values and the times of the first and the last."""
+        return f"Series({_span(self.t)})"
+
+    def to_pandas(self) -> Any:
+        """Return the values as a ``pandas.Series``, whose index is the time [s].
+
+        Raises
+        ------
+        SeatrialError
+            If pandas is not installed.
+        """
+        pandas = import_library("pandas")
+        return pandas.Series(self.value, index=pandas.Index(self.t, name="t"))
+
+
+class Prediction(NamedTuple):
+    """Measured samples of one channel of a record, and their predictions by a model.
+
+    Attributes
+    ----------
+    t : Array (n,)
+        Times of the samples [s], in the time of the record.
+    measured : Array (n,)
+        Samples, in the unit of the channel.
+    predicted : Array (n,)
+        Predictions of these samples, in the same unit; infinite if the prediction diverged.
+    sd : Array (n,)
+        Standard deviations of measured minus predicted, in the same unit. Over a horizon they are widened by what the
+        validation data show, so that ``predicted`` ± 1.96 ``sd`` contains about 95 % of further samples. NaN if a
+        channel has no such forecast.
+    """
+
+    t: NDArray[np.float64]
+    measured: NDArray[np.float64]
+    predicted: NDArray[np.float64]
+    sd: NDArray[np.float64]
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of measured minus predicted, in the unit of the channel; NaN without samples.
+
+        It is infinite if a prediction diverged. Errors of angles are within half a turn.
+        """
+        return float(np.sqrt(np.mean((self.measured - self.predicted) ** 2)))
+
+    def __repr__(self) -> str:
+        """Return one line with the number of samples, the times of the first and the last, and the RMS error."""
+        return f"Prediction({_span(self.t)}{f', RMS error {self.rms:.3g}' if self.t.size else ''})"
+
+    def to_pandas(self) -> Any:
+        """Return measured, predicted and sd as the columns of a ``pandas.DataFrame``, whose index is the time [s].
+
+        Raises
+        ------
+        SeatrialError
+            If pandas is not installed.
+        """
+        pandas = import_library("pandas")
+        return pandas.DataFrame(self._asdict()).set_index("t")
+
+
+def _span(t: NDArray[np.float64]) -> str:
+    """Return the number of samples in words, and the times [s] of the first and the last, if there are any."""
+    return counted(t.size, "sample") + (f", {t[0]:.6g} to {t[-1]:.6g} s" if t.size else "")
+
+
+T = TypeVar("T", Series, Prediction)
+
+
+class ByRecord(dict[str, dict[str, T]]):
+    """Residuals or predictions: a dict by record of a dict by channel, which also makes a table in pandas."""
+
+    def to_pandas(self) -> Any:
+        """Return all values as a ``pandas.DataFrame`` with a row for each sample.
+
+        The columns are ``record``, ``channel`` and ``t`` [s], and then those of the values: ``value`` of residuals;
+        ``measured``, ``predicted`` and ``sd`` of predictions.
+
+        Raises
+        ------
+        SeatrialError
+            If pandas is not installed.
+        """
+        pandas = import_library("pandas")
+        parts = [
+            pandas.DataFrame({"record": record, "channel": channel, **values._asdict()})
+            for record, channels in self.items()
+            for channel, values in channels.items()
+        ]
+        return pandas.concat(parts, ignore_index=True) if parts else pandas.DataFrame(columns=["record", "channel"])
+
+
+class Simulation(dict[str, Series]):
+    """Simulated states and outputs: a dict by name, which also makes a table in pandas. `simulate` returns it."""
+
+    def to_pandas(self) -> Any:
+        """Return all signals as the columns of a ``pandas.DataFrame``, whose index is the time [s].
+
+        Raises
+        ------
+        SeatrialError
+            If pandas is not installed.
+        """
+        pandas = import_library("pandas")
+        return pandas.DataFrame({name: signal.to_pandas() for name, signal in self.items()})
