@@ -11,7 +11,8 @@ BIN := .venv/bin
 PIP := $(BIN)/pip --quiet --disable-pip-version-check --no-input
 # --no-compile: Python compiles the few modules that are used when they are first used, which is sooner done.
 # --only-binary: a package that has no wheel for this platform is named at once instead of failing in a compiler.
-LOCKED := --no-compile --only-binary :all: --require-hashes -r constraints.txt
+# --no-deps: constraints.txt lists all packages. Two halves are installed side by side, since pip uses one core.
+LOCKED := --no-compile --only-binary :all: --require-hashes --no-deps
 SEED_OPTION = $(if $(SEED),--seed $(SEED))
 # Of pytest: one more than two cores, since one of them mostly waits for ports (tests/conftest.py).
 WORKERS ?= 3
@@ -47,7 +48,10 @@ help:
 	        { echo "$$python makes no environments: install its venv module (python3-venv)" >&2; exit 1; }; \
 	fi
 	@rm -f $@
-	@$(PIP) install $(LOCKED)
+	@mkdir -p build
+	@awk '/^[^ #]/ { n++ } { print > "build/locked-" n % 2 ".txt" }' constraints.txt
+	@$(PIP) install $(LOCKED) -r build/locked-0.txt & other=$$!; \
+	    $(PIP) install $(LOCKED) -r build/locked-1.txt; failed=$$?; wait $$other && exit $$failed
 	@echo "installing seatrial into .venv"
 	@$(PIP) install --no-compile --no-deps --no-build-isolation --editable .
 	@touch $@
