@@ -190,7 +190,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Create logs of a bench and of a boat with a hidden effect."""
     folder = tmp_path_factory.mktemp("demo")
     for k in (1, 2):
-        bench_log(folder / f"bench{k}.mcap", draw_bench(SEED), run=k, chirp_s=3.0, count=2)
+        bench_log(folder / f"bench{k}.mcap", draw_bench(SEED), run=k, kind="steps", count=2)
     boat = boat_with("cubic-drag", SEED)
     for k, (title, seconds, mission) in enumerate(MISSIONS, 1):
         boat_log(folder / f"{title}.mcap", boat, seconds, mission, run=k)
