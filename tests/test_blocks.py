@@ -294,7 +294,7 @@ def test_the_information_of_the_design_page(folder: Path) -> None:
     assert (folder / "sway/report.html").is_file()
 
 
-QUICK = "--evaluations 500 --steps 4 --duration 20"
+QUICK = "--evaluations 100 --steps 4 --duration 20"
 
 
 @pytest.mark.slow
