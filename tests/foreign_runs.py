@@ -26,9 +26,10 @@ GPS_EPOCH, LEAP_SECONDS, WEEK = 315_964_800, 18, 604_800  # s
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 
 
-def _two_thrusters(commands: np.ndarray, shafts: np.ndarray) -> Sequence[float]:
-    left, right = FULL_THRUST * shafts * abs(shafts)
-    return left + right, 0.0, ARM * (left - right), *((commands - shafts) / SHAFT_LAG)
+def _two_thrusters(commands: Sequence[float], shafts: Sequence[float]) -> Sequence[float]:
+    left, right = (FULL_THRUST * n * abs(n) for n in shafts)
+    lags = [(command - n) / SHAFT_LAG for command, n in zip(commands, shafts, strict=True)]
+    return left + right, 0.0, ARM * (left - right), *lags
 
 
 BOAT = OwnBoat({"n_left": (-0.6, 1.0), "n_right": (-0.6, 1.0)}, _two_thrusters, 2, {})

@@ -16,7 +16,7 @@ from seatrial.ident.estimation.model_file import load_model
 from tests import foreign_runs
 from tests.daq.importers.test_mavlink import tlog
 from tests.own_boats import HULL
-from tests.page_runner import run_commands, run_python
+from tests.page_runner import edited, run_commands, run_python
 
 # two dozen fits
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900), pytest.mark.usefixtures("quick_compilation")]
@@ -34,6 +34,8 @@ NOT_RUN = (
     "import --guess`",
     "ident diagnose`",
 )
+# Score tests of a fit that no assertion needs. The sections on MATLAB and PlotJuggler keep them.
+QUICK = {"--out vehicle": "--no-score-tests --out vehicle"}
 OU = {"theta": 2.0, "mu": 1.0, "sigma_x": 0.5, "sigma_y": 0.05}
 
 
@@ -55,10 +57,13 @@ def steps(text: str) -> Iterator[tuple[str, str]]:
                 yield "python", code
 
 
-def follow(title: str, space: dict[str, Any]) -> int:
-    """Run all steps of a section in the current folder and return their number. Blocks with a file name are written."""
+def follow(title: str, space: dict[str, Any], edits: dict[str, str] | None = None) -> int:
+    """Run all steps of a section in the current folder and return their number. Blocks with a file name are written.
+
+    ``edits`` replaces parts of the section.
+    """
     done = 0
-    for language, text in steps(section(title)):
+    for language, text in steps(edited(section(title), edits or {})):
         name = re.match(r"# ([\w.]+)\n", text)
         if name:
             Path(name[1]).write_text(text, encoding="utf-8")
@@ -121,7 +126,7 @@ def test_the_section_on_ctsm_runs(folder: Path) -> None:
 def test_the_section_on_ros_runs(folder: Path) -> None:
     for k in (1, 2):
         foreign_runs.write_bag(folder / f"bag{k}", foreign_runs.run(k))
-    assert follow(ROS, {"st": st}) > 7
+    assert follow(ROS, {"st": st}, QUICK) > 7
     check_hull(folder / "vehicle/model.toml")
 
 
@@ -138,7 +143,8 @@ def test_the_section_on_ardupilot_runs(folder: Path) -> None:
         foreign_runs.write_dataflash(folder / f"0000000{k}.BIN", foreign_runs.run(k))
     tlog(folder / "flight.tlog")
     foreign_runs.write_stand(folder / "stand.csv")
-    assert follow(ARDUPILOT, {"st": st}) >= 12
+    edits = QUICK | {"--out diagnosis": "--max-effects 1 --out diagnosis"}
+    assert follow(ARDUPILOT, {"st": st}, edits) >= 12
     expo = re.search(r"^MOT_THST_EXPO,([\d.]+)$", (folder / "thruster/ardupilot.param").read_text(), re.MULTILINE)
     assert expo is not None
     assert float(expo[1]) == pytest.approx(1.0, abs=0.02)  # the thrust of this stand is quadratic in the command

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -21,6 +20,7 @@ from seatrial.daq.config.rig_file import load_rig
 from seatrial.daq.errors import SeatrialError
 from tests.bench.guard_replay import replay
 from tests.daq.logs import T0, recorder
+from tests.quick_kernels import quick_environment
 
 RESULT = {
     "answer": "The residual is explained by advance-ratio loss.",
@@ -165,15 +165,16 @@ def test_ctrl_c_stops_everything(tmp_path: Path, after: str) -> None:
     assert not any(alive(pid) for pid in running)
 
 
-# The installed demo with a bench run of steps, missions of 70 and 50 s and one effect (`make study`: the whole). At ten
-# times real time a busy machine keeps up, and no recording is repeated.
+# The installed demo with a bench run of short steps, missions of 70 and 50 s and one effect (`make study`: the whole).
+# At ten times real time a busy machine keeps up, and no recording is repeated.
 SHORT_DEMO = """
 import sys
 from seatrial import command_line
 from seatrial.bench import demo
 demo.ESTIMATION_S, demo.VALIDATION_S = 70.0, 50.0
 whole = demo._record_with_mock
-demo._record_with_mock = lambda *words: whole(*("steps" if word == "all" else word for word in words))
+steps = ["steps", "--hold", "1.2"]
+demo._record_with_mock = lambda *words: whole(*(w for word in words for w in (steps if word == "all" else [word])))
 fitted, shorter = demo._run_ident, {"vehicle": ("--no-score-tests",), "diagnose": ("--max-effects", "1")}
 demo._run_ident = lambda *words: fitted(*words, *shorter.get(words[4], ()))
 command_line.main(sys.argv[1:])
@@ -184,7 +185,8 @@ command_line.main(sys.argv[1:])
 def test_the_demo_runs_from_recording_to_diagnosis(tmp_path: Path) -> None:
     command = [sys.executable, "-c", SHORT_DEMO, "demo", "--seed", "1", "--speed", "10"]
     command += ["--out", str(tmp_path / "demo")]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=280, env=dict(os.environ))
+    environment = quick_environment(tmp_path / "quick")
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=280, env=environment)
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.splitlines()[-1].startswith("ground truth: the plant's hidden effect was ")
     for name in ("bench.mcap", "estimation.mcap", "validation.mcap", "diagnosis/report.html"):

@@ -40,15 +40,17 @@ def sources() -> list[Path]:
 
 
 @cache
+def nodes() -> list[tuple[Path, ast.expr]]:
+    """Return the calls and the texts in the code, with their files."""
+    kinds = (ast.Call, ast.Constant, ast.JoinedStr, ast.BinOp)
+    trees = ((path, ast.parse(path.read_text(encoding="utf-8"))) for path in sources())
+    return [(path, node) for path, tree in trees for node in ast.walk(tree) if isinstance(node, kinds)]
+
+
+@cache
 def texts_in_code() -> str:
     """Return all texts in the code, separated by END. One search in it is much faster than one search in each text."""
-    texts = {
-        text
-        for path in sources()
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, (ast.Constant, ast.JoinedStr, ast.BinOp))
-        for text in templates(node)
-    }
+    texts = {text for _, node in nodes() if not isinstance(node, ast.Call) for text in templates(node)}
     return END.join(sorted(texts))
 
 
@@ -56,13 +58,12 @@ def texts_in_code() -> str:
 def raised() -> tuple[tuple[str, str], ...]:
     """Return (where, template) of each error raised for the user that has a text of its own."""
     found = []
-    for path in sources():
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.args):
-                continue
-            if node.func.id in ("SeatrialError", "SafetyStop"):
-                where = f"{path.relative_to(ROOT)}:{node.lineno}"
-                found += [(where, text) for text in templates(node.args[0]) if re.search(r"[a-z]{2,}", text)]
+    for path, node in nodes():
+        if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.args):
+            continue
+        if node.func.id in ("SeatrialError", "SafetyStop"):
+            where = f"{path.relative_to(ROOT)}:{node.lineno}"
+            found += [(where, text) for text in templates(node.args[0]) if re.search(r"[a-z]{2,}", text)]
     return tuple(found)
 
 

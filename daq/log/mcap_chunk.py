@@ -236,7 +236,8 @@ def scan(chunks: list[tuple[Buffer, bytes]], register: Callable[[int, bytes], No
     entries = np.frombuffer(b"".join(index for _, index in chunks), np.int64).reshape(-1, 2)[:, 1]
     chunk = np.repeat(np.arange(len(chunks)), [len(index) // 16 for _, index in chunks])
     inside = (entries >= 0) & (entries <= np.diff(bounds)[chunk] - MESSAGE_HEAD.itemsize)
-    offsets = np.sort(entries[inside] + bounds[chunk[inside]])
+    # The entries are sorted by channel. The stable sort merges such runs, in a tenth of the time.
+    offsets = np.sort(entries[inside] + bounds[chunk[inside]], kind="stable")
     chunk = np.searchsorted(bounds, offsets, side="right") - 1
     heads = rows_at(buffer, offsets, MESSAGE_HEAD)
     good = (heads["opcode"] == Opcode.MESSAGE) & (heads["length"] >= HEAD_BYTES)
@@ -247,7 +248,8 @@ def scan(chunks: list[tuple[Buffer, bytes]], register: Callable[[int, bytes], No
         valid = ~np.isin(chunk, chunk[~good])
         offsets, ends, heads = offsets[valid], ends[valid], heads[valid]
     # Gaps: bytes between two messages, or between a message and the beginning or end of its chunk.
-    starts, stops = np.sort(np.append(bounds[:-1], ends)), np.sort(np.append(offsets, bounds[1:]))
+    starts = np.sort(np.append(bounds[:-1], ends), kind="stable")
+    stops = np.sort(np.append(offsets, bounds[1:]), kind="stable")
     view = memoryview(buffer.data)
     unindexed: list[int] = []
     for i in np.flatnonzero(stops > starts):

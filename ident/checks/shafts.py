@@ -5,10 +5,12 @@ The boat's response to its thrusters is checked by `seatrial.ident.checks.motion
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
 from enum import Enum
 from itertools import pairwise
 from typing import NamedTuple
+from weakref import ref
 
 import numpy as np
 from numpy.typing import NDArray
@@ -223,7 +225,35 @@ def _scale_findings(name: str, found: Response) -> Iterator[Finding]:
         )
 
 
+# Responses found last, by the arrays of both channels: two checks of a log need the response of each shaft.
+_found: deque[tuple[tuple[ref[Array], ...], Response | NoResponse]] = deque(maxlen=16)
+
+
 def response(commands: Channel, shaft: Channel) -> Response | NoResponse:
+    """Return the response of a shaft to its commands. It is estimated once for the same arrays (`_estimated_response`).
+
+    Parameters
+    ----------
+    commands
+        Commands over full command, each held until the next one.
+    shaft
+        Measured shaft speed over full speed.
+
+    Returns
+    -------
+    Response or NoResponse
+        The response with the least squared error, or the reason for which it is unknown.
+    """
+    arrays = commands.t, commands.value, shaft.t, shaft.value
+    for of, found in tuple(_found):
+        if all(known() is array for known, array in zip(of, arrays, strict=True)):
+            return found
+    found = _estimated_response(commands, shaft)
+    _found.append((tuple(ref(array) for array in arrays), found))
+    return found
+
+
+def _estimated_response(commands: Channel, shaft: Channel) -> Response | NoResponse:
     """Estimate the response of a shaft to its commands by a search over delay, time constant and dead band.
 
     Parameters

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import groupby
 from typing import Any
+from weakref import ref
 
 import casadi as ca
 import numpy as np
@@ -352,6 +353,9 @@ def equivalent_noise(whole: Model, kept: Model) -> EquivalentNoise:
     are left out.
     """
     names, kept_names = [s.name for s in whole.states], {s.name for s in kept.states}
+    zeros = np.zeros(len(whole.outputs))
+    if kept_names.issuperset(names):
+        return EquivalentNoise(np.zeros(len(kept_names)), zeros, zeros, ())
     values, compiled = whole.values, VectorisedModel(whole)
     angles = {o.name for o in whole.outputs if o.angle}
     quarter_turns = [0.5 * np.pi * (s.from_output in angles) for s in whole.states]
@@ -362,7 +366,6 @@ def equivalent_noise(whole: Model, kept: Model) -> EquivalentNoise:
     removed = [j for j, s in enumerate(whole.states) if s.name not in kept_names and A[0, j, j] < 0]
     q = np.array([values[s.noise] if isinstance(s.noise, str) else s.noise for s in (whole.states[j] for j in removed)])
     if not removed:
-        zeros = np.zeros(len(whole.outputs))
         return EquivalentNoise(np.zeros(len(kept_names)), zeros, zeros, ())
     among_removed, H = A[:, removed][:, :, removed], H[:, :, removed]
     to_rates = A[:, [names.index(s.name) for s in kept.states]][:, :, removed]
@@ -773,14 +776,12 @@ def programs(model: Model, names: Sequence[Sequence[str]]) -> tuple[Program, Pro
     tuple of Program
         Program of the rates of all states, and program of all outputs.
     """
-    symbols = [[ca.SX.sym(n) for n in part] for part in names[:3]]
-    s = model.signals(*symbols)
-    labels = dict(_named_signals(s))
-    rates = [ca.SX(s.rate[v.name]) for v in model.states]
-    outputs = [ca.SX(s.y[o.name]) for o in model.outputs]
+    found = _symbolic_model(model)
+    of_symbols = [name for part in names[:3] for name in part]
+    of_rates = [f"rate_{n.partition('_')[2]}" for n in names[0]]
     return (
-        _program(symbols, rates, labels, [f"rate_{n.partition('_')[2]}" for n in names[0]]),
-        _program(symbols, outputs, labels, names[3]),
+        _program(found.symbols, of_symbols, found.rates, found.signals, of_rates),
+        _program(found.symbols, of_symbols, found.outputs, found.signals, names[3]),
     )
 
 
@@ -789,10 +790,53 @@ def parameters_of(model: Model) -> set[str]:
 
     Parameters that only determine noise are not among them.
     """
-    parts = (("x", model.states), ("u", model.inputs), ("p", model.parameters), ("y", model.outputs))
-    names = [[f"{kind}{i}" for i in range(len(part))] for kind, part in parts]
-    used = {symbol for program in programs(model, names) for symbol in program.used}
-    return {p.name for name, p in zip(names[2], model.parameters, strict=True) if name in used}
+    found = _symbolic_model(model)
+    first = len(model.states) + len(model.inputs)
+    results = ca.densify(ca.vertcat(*found.rates, *found.outputs))
+    used = ca.which_depends(results, ca.vertcat(*found.symbols[first:]), 1, False) if model.parameters else []
+    return {p.name for p, needed in zip(model.parameters, used, strict=True) if needed}
+
+
+@dataclass(frozen=True)
+class _SymbolicModel:
+    """Expressions of a model.
+
+    Attributes
+    ----------
+    symbols
+        Symbols of the states, then those of the inputs, then those of the parameters.
+    rates, outputs
+        Expressions of the rates of the states, and of the outputs.
+    signals
+        Expressions of the signals that the model names (`_named_signals`).
+    """
+
+    symbols: list[Any]
+    rates: list[Any]
+    outputs: list[Any]
+    signals: dict[str, Any]
+
+
+# by the id of the model, so that the model is evaluated once for all parts of an exported file
+_symbolic: dict[int, tuple[ref[Model], _SymbolicModel]] = {}
+
+
+def _symbolic_model(model: Model) -> _SymbolicModel:
+    """Return the expressions of a model. They are computed once, and kept as long as the model is in memory."""
+    at = id(model)
+    of_model, found = _symbolic.get(at, (None, None))
+    if found is None or of_model is None or of_model() is not model:
+        parts = (("x", model.states), ("u", model.inputs), ("p", model.parameters))
+        symbols = [[ca.SX.sym(f"{kind}{i}") for i in range(len(part))] for kind, part in parts]
+        s = model.signals(*symbols)
+        found = _SymbolicModel(
+            [symbol for part in symbols for symbol in part],
+            [ca.SX(s.rate[v.name]) for v in model.states],
+            [ca.SX(s.y[o.name]) for o in model.outputs],
+            dict(_named_signals(s)),
+        )
+        _symbolic[at] = ref(model, lambda _: _symbolic.pop(at, None)), found
+    return found
 
 
 def _named_signals(s: Signals) -> Iterator[tuple[str, Any]]:
@@ -814,13 +858,17 @@ def _as_identifier(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9_]", "_", name)
 
 
-def _program(symbols: list[list[Any]], results: list[Any], labels: Mapping[str, Any], names: Sequence[str]) -> Program:
+def _program(
+    symbols: list[Any], of_symbols: Sequence[str], results: list[Any], labels: Mapping[str, Any], names: Sequence[str]
+) -> Program:
     """Convert CasADi expressions to a straight-line program, whose nodes are single operations.
 
     Parameters
     ----------
     symbols
         CasADi symbols of states, inputs and parameters.
+    of_symbols
+        Identifiers of the symbols.
     results
         CasADi expressions to be computed. Common subexpressions are computed once.
     labels
@@ -830,8 +878,7 @@ def _program(symbols: list[list[Any]], results: list[Any], labels: Mapping[str, 
         Names of the results. A result that is also a named intermediate expression keeps that name.
     """
     expressions = ca.cse([ca.densify(e) for e in [*results, *labels.values()]])
-    flat = [symbol for part in symbols for symbol in part]
-    f = ca.Function("lines", flat, expressions, {"allow_free": False})
+    f = ca.Function("lines", symbols, expressions, {"allow_free": False})
     nodes: list[Node] = []
     slot: dict[int, int] = {}  # index in CasADi's work vector -> index of the node whose value is there now
     ends = [0] * f.n_out()
@@ -841,7 +888,7 @@ def _program(symbols: list[list[Any]], results: list[Any], labels: Mapping[str, 
             ends[f.instruction_output(k)[0]] = slot[operands[0]]
             continue
         if code == ca.OP_INPUT:
-            node = Node(SYMBOL, symbol=str(flat[operands[0]]))
+            node = Node(SYMBOL, symbol=of_symbols[operands[0]])
         elif code == ca.OP_CONST:
             node = Node(CONSTANT, value=f.instruction_constant(k))
         else:

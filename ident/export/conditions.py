@@ -7,7 +7,9 @@ constant values of them.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
+from operator import is_
 
 from seatrial.daq.errors import SeatrialError, closest_name
 from seatrial.ident.data import TIME_INPUT, WORK_INPUT
@@ -25,6 +27,24 @@ def conditions_of(model: Model) -> tuple[str, ...]:
     They are among the inputs ``t`` and ``work`` and the states ``x``, ``y`` and ``psi``, in this order. The names are
     those of the equations: a coefficient of zero counts, too.
     """
+    parts = (model.states, model.inputs, model.parameters)
+    equations = tuple(tuple(v.name for v in part) for part in parts)
+    functions = (*model.stages, *model.effects)
+    for names, used, found in tuple(_known):
+        if names == equations and len(used) == len(functions) and all(map(is_, used, functions)):
+            return found
+    found = _dependencies(model)
+    _known.append((equations, functions, found))
+    return found
+
+
+# Conditions found last, by the names and the functions of the equations. The models of one fit, which differ in their
+# values, have the same.
+_known: deque[tuple[tuple[tuple[str, ...], ...], tuple[object, ...], tuple[str, ...]]] = deque(maxlen=8)
+
+
+def _dependencies(model: Model) -> tuple[str, ...]:
+    """Return the conditions on which the rates of velocities and shafts depend, from the symbols in the rates."""
     import casadi as ca  # imported here, because reports only need the texts
 
     parts = (("x", model.states), ("u", model.inputs), ("p", model.parameters))

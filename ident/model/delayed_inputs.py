@@ -71,7 +71,10 @@ def delay_weights(position: Any, n: int) -> list[Any]:
     list
         n weights. At an integer position, the weight of that sample is one and all others are zero.
     """
-    weights = [_keys(abs(position - k)) for k in range(n)]
+    if isinstance(position, float):  # at most four weights of a number are not zero
+        weights = [0.0 if abs(position - k) >= 2.0 else _keys(abs(position - k)) for k in range(n)]
+    else:
+        weights = [_keys(abs(position - k)) for k in range(n)]
     before, after = _keys(position + 1.0), _keys(float(n) - position)
     weights[0], weights[1] = weights[0] + 2.0 * before, weights[1] - before
     weights[-1], weights[-2] = weights[-1] + 2.0 * after, weights[-2] - after

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from functools import update_wrapper
+from functools import cached_property, update_wrapper
 from types import SimpleNamespace
 from typing import Any, Literal
 
@@ -693,13 +693,19 @@ class Model:
         ValueError
             If the number of values is wrong.
         """
+        states, inputs, parameters = self._names
         return Signals(
-            x=States(**dict(zip([v.name for v in self.states], x, strict=True))),
-            u=Inputs(**dict(zip([v.name for v in self.inputs], u, strict=True))),
-            p=Parameters(**dict(zip([v.name for v in self.parameters], p, strict=True))),
+            x=States(**dict(zip(states, x, strict=True))),
+            u=Inputs(**dict(zip(inputs, u, strict=True))),
+            p=Parameters(**dict(zip(parameters, p, strict=True))),
             rate={},
             y={},
         )
+
+    @cached_property
+    def _names(self) -> tuple[tuple[str, ...], ...]:
+        """Names of the states, of the inputs and of the parameters. A simulation needs them in each step."""
+        return tuple(tuple(v.name for v in part) for part in (self.states, self.inputs, self.parameters))
 
     def signals(self, x: Any, u: Any, p: Any) -> Signals:
         """Evaluate the model: run all stages with the hooks of all effects, and return the signals.

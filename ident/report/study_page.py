@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from scipy import stats
 
 from seatrial.daq.files import write_output
 from seatrial.ident.report import drawing, formatting
@@ -404,6 +403,8 @@ def by_chance(key: Number, n: int) -> tuple[float, float]:
     n
         Number of replicates of the study; at least 2.
     """
+    from scipy import stats  # imported here: it takes a second, and other reports load this module
+
     if key == "bias":
         return -drawing.Z95 / float(np.sqrt(n)), drawing.Z95 / float(np.sqrt(n))
     if key == "ratio":

@@ -27,7 +27,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
 from seatrial.ident.data import Record
 from seatrial.ident.estimation import (
@@ -425,6 +424,8 @@ def _parameter_coverage(name: str, rows: Sequence[Row]) -> ParameterCoverage | N
     A row is usable if it has a Cramér-Rao bound, and either a standard error or, for an estimate at its bound, the far
     end of its interval. The result is None with fewer than three usable rows.
     """
+    from scipy import stats  # imported here: it takes a second, and every process of a fleet loads this module
+
     usable = [r for r in rows if {r["se"][name], r["far"][name]} != {None} and r["bound"][name] is not None]
     n = len(usable)
     if n < 3:

@@ -238,10 +238,20 @@ def _adjusted_p_values(fitted: FittedLogs, differences: Mapping[str, CampaignDif
             if fitted.rows[0][n]["nuisance"] is nuisance and np.isfinite(d.difference.p)
         }
         if family:
-            from scipy.stats import false_discovery_control  # imported here: it takes a second
-
-            found |= dict(zip(family, false_discovery_control(list(family.values())).tolist(), strict=True))
+            found |= dict(zip(family, _q_values(np.array(list(family.values()))).tolist(), strict=True))
     return found
+
+
+def _q_values(p: Array) -> Array:
+    """Return the q values (n,) of the p values (n,) of independent tests: the smallest false discovery rate of each.
+
+    `scipy.stats.false_discovery_control` gives the same numbers, but its import takes a second of processor time.
+    """
+    order, n = np.argsort(p), p.size
+    scaled = p[order] * (n / np.arange(1, n + 1))
+    q = np.empty(n)
+    q[order] = np.minimum.accumulate(scaled[::-1])[::-1]
+    return np.clip(q, 0.0, 1.0)
 
 
 def _parameter(

@@ -86,7 +86,7 @@ def fit_page(logs: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Page
 @pytest.fixture(scope="module")
 def page(fit_page: Page) -> Page:
     """Run the other blocks of the page."""
-    bench_log(fit_page.folder / "bench.mcap", draw_bench(4), chirp_s=3.0, count=2)
+    bench_log(fit_page.folder / "bench.mcap", draw_bench(4), kind="steps", count=2)
     t = np.arange(0.0, 60.0, 0.1)
     columns = {
         "t": t,

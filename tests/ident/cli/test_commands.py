@@ -36,7 +36,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     effect.
     """
     folder = tmp_path_factory.mktemp("logs")
-    bench_log(folder / "bench.mcap", draw_bench(SEED), chirp_s=3.0, count=2)
+    bench_log(folder / "bench.mcap", draw_bench(SEED), kind="steps", count=2)
     boat = boat_with(EFFECT, SEED)
     boat_log(folder / "estimation.mcap", boat, 150.0, 101, run=1)
     boat_log(folder / "validation.mcap", boat, 100.0, 102, run=2)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -22,6 +24,14 @@ def boat(*effects: str, **values: float) -> Model:
     for name in effects:
         model = model + catalogue()[name]
     return saved(with_disturbances(model), values)
+
+
+def test_conditions_are_those_of_the_functions_of_a_model() -> None:
+    """Two models with the same names have different conditions if their functions differ."""
+    moved = boat("payload-shift", t_shift=100.0, x_shift=0.1)
+    still = replace(moved, effects=tuple(e for e in moved.effects if e.name != "payload-shift"))
+    for _ in range(2):
+        assert (conditions_of(moved), conditions_of(still)) == (("t",), ())
 
 
 def test_payload_is_where_it_is_after_its_shift() -> None:

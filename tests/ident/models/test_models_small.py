@@ -97,6 +97,7 @@ def test_delayed_taps_stay_steps() -> None:
 @pytest.mark.parametrize("position", [0.0, 0.3, 1.0, 5.5, 11.7, 12.0])
 def test_delay_weights_preserve_mean_and_variance(position: float) -> None:
     weights, at = np.array([float(w) for w in delay_weights(position, 13)]), np.arange(13)
+    assert weights.tolist() == [float(w[0]) for w in delay_weights(np.array([position]), 13)]
     assert weights.sum() == pytest.approx(1.0)
     assert weights @ at == pytest.approx(position)
     if 1.0 <= position <= 11.0:

@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 import pandas.testing
 import pytest
+import scipy.stats
 
 import seatrial as st
 from seatrial import command_line
@@ -24,7 +25,7 @@ from seatrial.ident.report.terminal import campaign_tables
 from seatrial.ident.results import CampaignsResult, NotCompared
 from seatrial.ident.results.result_file import read_result
 from seatrial.ident.workflows.campaign_errors import _campaign_values
-from seatrial.ident.workflows.campaign_fits import Comparison, FittedLogs, compare_fits, fitted_logs
+from seatrial.ident.workflows.campaign_fits import Comparison, FittedLogs, _q_values, compare_fits, fitted_logs
 from tests.missions import boat_log, boat_with
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -53,6 +54,13 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Path]]:
                 boat_log(path, replace(boat, hull=hull), 45.0, 10 * k + n, 10 * k + n)
             )
     return found
+
+
+@pytest.mark.parametrize("n", [1, 2, 30])
+def test_q_values_are_those_of_scipy(n: int) -> None:
+    p = np.random.default_rng(n).random(n) ** 3
+    np.testing.assert_allclose(_q_values(p), scipy.stats.false_discovery_control(p), rtol=1e-12)
+    assert _q_values(np.full(n, 0.2)).tolist() == [0.2] * n
 
 
 @pytest.fixture(scope="module")
