@@ -14,6 +14,7 @@ import tempfile
 from array import array
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -348,6 +349,14 @@ def _leave_out_unmeasured(columns: dict[str, Column]) -> None:
                 del columns[name]
 
 
+@cache
+def _fields_of(kind: type) -> tuple[str, ...] | None:
+    """Return the names of the fields of a type of ROS messages without header and constants; None for other types."""
+    if not is_dataclass(kind):
+        return None
+    return tuple(f.name for f in fields(kind) if f.name not in ("header", "__msgtype__") and not f.name.isupper())
+
+
 def _message_numbers(message: Any, prefix: str = "") -> Iterator[tuple[str, float]]:
     """Yield name and value of each number in a ROS message, in order. Skip header, text and constants.
 
@@ -356,18 +365,16 @@ def _message_numbers(message: Any, prefix: str = "") -> Iterator[tuple[str, floa
     1. Arrays of several dimensions, and lists and arrays of more than 16 elements, are skipped.
     """
     joints = getattr(message, "name", None)
-    for field in fields(message):
-        if field.name in ("header", "__msgtype__") or field.name.isupper():
-            continue
-        value, name = getattr(message, field.name), f"{prefix}{field.name}"
-        if is_dataclass(value):
-            yield from _message_numbers(value, f"{name}.")
+    for field in _fields_of(message.__class__) or ():
+        value, name = getattr(message, field), f"{prefix}{field}"
+        if isinstance(value, (bool, int, float, np.number)):
+            yield name, float(value)
         elif isinstance(value, list) and len(value) <= LONGEST:
             for k, element in enumerate(value):
-                if is_dataclass(element):
+                if _fields_of(element.__class__) is not None:
                     yield from _message_numbers(element, f"{name}[{k}].")
-        elif isinstance(value, (bool, int, float, np.number)):
-            yield name, float(value)
+        elif _fields_of(value.__class__) is not None:
+            yield from _message_numbers(value, f"{name}.")
         elif isinstance(value, np.ndarray) and value.ndim == 1 and len(value) <= LONGEST and value.dtype.kind in "biuf":
             named = isinstance(joints, list) and len(joints) == len(value)
             for k, element in enumerate(value.tolist()):
