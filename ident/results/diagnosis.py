@@ -24,7 +24,7 @@ from seatrial.ident.diagnosis import (
 )
 from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import FittedModel, ParameterShift, ReportedEstimates, between_runs_title
-from seatrial.ident.model import Effect, ModelKind
+from seatrial.ident.model import Effect, Model, ModelKind
 from seatrial.ident.models import scale_priors, size_of
 from seatrial.ident.results import parts
 from seatrial.ident.results.answers import (
@@ -61,6 +61,7 @@ from seatrial.ident.results.tables import (
 )
 
 MOST_CANDIDATES = 24  # best candidates of a round that are reported; others are reported if they passed
+AT_BOUND = 1.001  # factor of a lower bound up to which a noise counts as at it
 CHANCE_P = 1e-6  # larger p values of the best score test may occur by chance in data without a missing effect
 
 
@@ -728,12 +729,29 @@ def _remaining_names(diagnosis: Diagnosis) -> str:
     return ", ".join(between_runs_title(s.name) for s in diagnosis.remaining[:4])
 
 
+def assumed_noise_notes(model: Model) -> list[str]:
+    """Return a note on each noise at its assumed lower bound, on which the names of effects can depend; often none.
+
+    The log does not show the noise of a smoothed signal, so its lower bound is assumed. ``model`` has the estimates as
+    its values.
+    """
+    named = {o.noise: o.name for o in model.outputs}
+    return [
+        f"The noise {p.name} of {named[p.name]} is at its assumed bound, {p.bounds[0]:.3g} {p.unit}, and the names of "
+        f"the effects can depend on it. To test this, fit the model again with --fix {p.name}={0.5 * p.bounds[0]:.3g} "
+        f"and with --fix {p.name}={2.0 * p.bounds[0]:.3g}, and repeat the diagnosis of each: a name that stays does "
+        "not depend on it."
+        for p in model.parameters
+        if p.free and p.name in named and 0.0 < p.value <= AT_BOUND * p.bounds[0]
+    ]
+
+
 def _notes(diagnosis: Diagnosis) -> list[str]:
     """Return the notes of a diagnosis, in this order.
 
     They are about common errors in the model, candidates that still pass the score test, the reason why the search
     ended, effects that were removed again, validation runs that the model does not fit (without effects, the answer has
-    them), and parameters with a flag. A note that does not apply is left out.
+    them), a noise at its assumed bound, and parameters with a flag. A note that does not apply is left out.
     """
     notes = common_errors_notes(diagnosis.common_errors, "the effects")
     if diagnosis.remaining and not diagnosis.untried_scores:
@@ -757,5 +775,6 @@ def _notes(diagnosis: Diagnosis) -> list[str]:
     ]
     if diagnosis.effects:
         notes += [mismatch_sentence(m) for m in reported_mismatches(diagnosis)]
+        notes += assumed_noise_notes(diagnosis.after.fit.model)
     notes += [f"Parameter {name}: {flag}" for name, flag in diagnosis.after.fit.flags]
     return notes

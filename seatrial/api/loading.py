@@ -582,7 +582,7 @@ def export(
 
     Examples
     --------
-    >>> st.export(fit, "simulink", "fmu", name="boat", thruster="thruster/model.toml")
+    >>> st.export(fit, "exported_files", "fmu", name="boat", thruster="thruster/model.toml")
     PosixPath('simulink/boat.fmu')
     """
     from seatrial.daq.files import require_new, write_output

@@ -474,6 +474,20 @@ def test_linearisation_is_shown_in_a_few_lines_and_warns_outside_the_data(fit: s
         st.linearise(fit, 1.8)
 
 
+def test_operating_point_outside_the_data_warns(fit: st.FittedVehicle, tmp_path: Path) -> None:
+    model = fit.save(tmp_path / "fit") / "model.toml"
+    text = re.sub(r"(?m)^v = .*$", "v = [0.2, 0.5]", model.read_text())
+    model.write_text(text)
+    with pytest.warns(
+        SeatrialWarning, match=r"at 0.5 m/s is outside the fitted data: sway v = \S+ m/s \(data: 0.2 to 0.5"
+    ):
+        at = st.linearise(model, 0.5)
+    assert "The operating point is outside the fitted data: sway v" in at._repr_html_()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", SeatrialWarning)
+        st.linearise(fit, 0.5)
+
+
 def test_linear_model_has_table_and_figures_with_errors(fit: st.FittedVehicle, tmp_path: Path) -> None:
     at, saved = fit.linearise(0.5), st.load(fit.save(tmp_path / "fit"))
     table = at.to_pandas()
