@@ -27,7 +27,10 @@ OTHER_NAMES = {
     "pitch": "import the pitch angle by the name theta",
 }
 # Signals that a built-in model uses. Those of a thruster have its name after the quantity, such as n_cmd_left.
-OF_MODELS = frozenset("x y psi r ax ay vx vy u v phi theta p q X N n force speed speed_x speed_y X_n".split())
+OF_MODELS = frozenset(
+    {"x", "y", "psi", "r", "vx", "vy", "u", "v", "ax", "ay", "phi", "theta", "p", "q", "X", "X_n", "N"}
+)
+OF_MODELS |= {"n", "force", "speed", "speed_x", "speed_y"}
 OF_THRUSTERS = ("n", "n_cmd", "f", "voltage", "force")
 
 

@@ -44,6 +44,7 @@ from seatrial.ident.results.answers import (
 )
 from seatrial.ident.results.parts import DiagnosisResult, Provenance
 from seatrial.ident.results.tables import (
+    LEAST_GROWTH,
     all_inputs,
     calibration_tables,
     common_errors_notes,
@@ -108,6 +109,7 @@ def diagnosis_result(
     failed = not_converged(diagnosis.before.fit) or not_converged(diagnosis.after.fit)
     calibration = calibration_tables(after)
     recommended = recommended_experiment(diagnosis)
+    rounds, effects = tuple(_round_row(r) for r in diagnosis.rounds), _effect_rows(diagnosis, role)
     answer = "" if failed else diagnosis_answer(diagnosis, prediction, after.horizon, poor_channel(errors))
     course = course_sentence(dynamics.course if dynamics else None)
     return DiagnosisResult(
@@ -129,6 +131,7 @@ def diagnosis_result(
         notes=(
             *notes,
             *_notes(diagnosis),
+            *refit_error_notes(rounds, effects),
             *_blocks_note(evaluation),
             *outlier_lines(after.residuals, after.model),
             *calibration_notes(calibration, after.horizon),
@@ -159,9 +162,9 @@ def diagnosis_result(
         cross=cross_correlations(before, with_effects),
         unused_signals=tuple(unused),
         residual_forces=_residual_force_rows(diagnosis, evaluation),
-        rounds=tuple(_round_row(r) for r in diagnosis.rounds) or (_quiet_round(diagnosis),),
+        rounds=rounds or (_quiet_round(diagnosis),),
         common_errors=common_errors_row(diagnosis.common_errors, diagnosis.after, role),
-        effects=_effect_rows(diagnosis, role),
+        effects=effects,
         remaining_candidates=tuple(
             parts.RemainingCandidate(name=s.name, lm=s.lm, df=s.df, p=s.p) for s in diagnosis.remaining
         ),
@@ -727,6 +730,28 @@ def _remaining_names(diagnosis: Diagnosis) -> str:
     They are fewer if fewer pass; the text is empty if none passes.
     """
     return ", ".join(between_runs_title(s.name) for s in diagnosis.remaining[:4])
+
+
+def refit_error_notes(rounds: Sequence[parts.RoundRow], effects: Sequence[parts.EffectRow]) -> list[str]:
+    """Return a note if a parameter of an effect has a larger standard error in the answer than in the refit, or none.
+
+    Errors of the answer include other candidates that may be missing, those of a refit do not. The note has the
+    parameter whose error differs most, if the factor is above 1.05. It is left out if no error does.
+    """
+    after = {(e.name, q.name): q for e in effects for q in e.parameters}
+    pairs = [
+        (q, after.get((r.name, q.name))) for x in rounds for r in x.refits if r.name == x.chosen for q in r.parameters
+    ]
+    known = [(late.se / q.se, q, late) for q, late in pairs if late and q.se and late.se]
+    factor, early, late = max(known, key=lambda row: row[0], default=(0.0, None, None))
+    if early is None or late is None or factor < LEAST_GROWTH:
+        return []
+    return [
+        "The standard errors of an effect in the refits of the rounds are those of this fit alone. Those in the "
+        "answer, and in model.toml, are of the model with all effects, and include the shifts by other candidates that "
+        f"may be missing: of {late.name} {early.se:.2g} in the refit and {late.se:.2g} {late.unit}".rstrip()
+        + " in the answer. Use those of the answer."
+    ]
 
 
 def assumed_noise_notes(model: Model) -> list[str]:
