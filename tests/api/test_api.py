@@ -944,8 +944,14 @@ def test_navigate_returns_and_saves_the_states(logs: list[Path], fit: st.FittedV
         (lambda logs, fit: fit.simulate(-3), "on: -3 names no data"),
         (lambda logs, fit: fit.linearise("0.9"), "speed '0.9': give a number, in m/s, such as 0.5"),
         (lambda logs, fit: fit.linearise(0), "speed 0 m/s: give a number other than zero"),
-        (lambda logs, fit: fit.linearise(0.5).lqr([4, 1, 4]), "Q: give the weights by name, such as {'u': 4.0"),
-        (lambda logs, fit: fit.linearise(0.5).lqr({"u": 4.0}, 1.0), "R: give the weights by name, such as {'n_left'"),
+        (
+            lambda logs, fit: fit.linearise(0.5).lqr([4, 1, 4]),
+            "Q: give the weights of states by name, such as {'u': 4.0",
+        ),
+        (
+            lambda logs, fit: fit.linearise(0.5).lqr({"u": 4.0}, 1.0),
+            "R: give the weights of inputs by name, such as {'n_left'",
+        ),
     ],
 )
 def test_wrong_arguments_give_a_one_line_error(
