@@ -18,14 +18,23 @@ from seatrial.bench import mission_generators
 from seatrial.bench.mission_text import describe_mission, mission_content
 from seatrial.daq.config import Mission, load_mission, load_rig, save_mission
 from seatrial.daq.errors import SeatrialError, counted
-from seatrial.daq.options import Choice, FiniteRange, json_option, output_option, parsed_by, print_json, view_option
+from seatrial.daq.options import (
+    Choice,
+    ExistingPath,
+    FiniteRange,
+    json_option,
+    output_option,
+    parsed_by,
+    print_json,
+    view_option,
+)
 from seatrial.daq.rig import LOAD_CELLS, Rig
 
 if TYPE_CHECKING:
     from seatrial.daq.tools import Ros2Node
 
 FILE = click.Path(path_type=Path)
-EXISTING = click.Path(exists=True, dir_okay=False, path_type=Path)
+EXISTING = ExistingPath(dir_okay=False)
 N_MAX_BENCH = 0.9
 ROUTER_S = 3.0  # wall seconds to wait for the router of ROS 2
 _ARM = click.option("--arm", is_flag=True, help="Put an autopilot into MANUAL, arm it, and disarm it at the end.")

@@ -19,15 +19,15 @@ import click
 
 from seatrial.daq.bounds import bounded
 from seatrial.daq.console import make_console
-from seatrial.daq.errors import SeatrialError, closest_name, counted, printable
+from seatrial.daq.errors import SeatrialError, closest_file, closest_name, counted, printable
 from seatrial.daq.log import LOG
-from seatrial.daq.options import Choice, FiniteRange, json_option, output_option, print_json, view_option
+from seatrial.daq.options import Choice, ExistingPath, FiniteRange, json_option, output_option, print_json, view_option
 
 if TYPE_CHECKING:
     from seatrial.daq.tools import DiscoveredDevice
 
-_EXISTING = click.Path(exists=True, dir_okay=False, path_type=Path)
-_SOURCE = click.Path(exists=True, path_type=Path)  # a file, or the folder of a ROS 2 bag
+_EXISTING = ExistingPath(dir_okay=False)
+_SOURCE = ExistingPath()  # a file, or the folder of a ROS 2 bag
 _NEW = click.Path(dir_okay=False, path_type=Path)
 _FOLDER = click.Path(file_okay=False, path_type=Path)
 ROUTER_S = 1.0  # wall seconds to wait for the router of ROS 2
@@ -50,7 +50,7 @@ def _stop_signal() -> Iterator[threading.Event]:
 
 
 @click.command(epilog="Example: seatrial log rig.toml --duration 60 -o still.mcap")
-@click.argument("rig", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("rig", type=_EXISTING)
 @click.option(
     "--duration",
     type=FiniteRange(min=0.0, min_open=True),
@@ -236,12 +236,14 @@ class _ImportGroup(click.Group):
         """Parse the arguments, after `map` was put before them if the first one is no sub-command and no help option.
 
         Return the arguments that are left for the sub-command, as the method of click does. Without arguments the help
-        text is printed. It is a usage error if the first argument is no existing file or folder, and is probably a
-        misspelling or an abbreviation of a sub-command (`closest_name`).
+        text is printed. It is a usage error if the first argument is no existing file or folder, does not look like a
+        file, and is probably a misspelling or an abbreviation of a sub-command (`closest_name`).
         """
         if args and args[0] not in (*self.commands, "-h", "--help"):
             near = closest_name(args[0], self.commands)
-            if near and not Path(args[0]).exists():
+            # A name with an ending, or with a similar file beside it, is a misspelt file.
+            is_file = bool(Path(args[0]).suffix) or closest_file(Path(args[0])) is not None
+            if near and not is_file and not Path(args[0]).exists():
                 raise click.UsageError(f"No such file or command {args[0]!r}. Did you mean {near!r}?", ctx)
             args = [self.default, *args]
         return super().parse_args(ctx, args)

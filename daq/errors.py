@@ -5,10 +5,13 @@ from __future__ import annotations
 import sys
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import islice
+from pathlib import Path
 from typing import TypeVar
 
 NEAR = 0.75  # similarity of two names by difflib, from which one is probably a misspelling of the other
 OWN_FRAMES = ("seatrial", "contextlib")  # packages whose calls are not shown as the place of a warning
+MOST_FILES = 10_000  # of a folder that are searched for a similar name
 MAX_NAMES = 12  # names that the hint about an unknown one lists
 SHORTEST_STEM = 3  # characters of a name that may stand for a longer one, such as rate for rate_hz
 
@@ -73,6 +76,27 @@ def closest_name(name: str, known: Iterable[str]) -> str | None:
 
     best = max(((likeness(name, other), other) for other in known), key=lambda pair: pair[0], default=(0.0, ""))
     return best[1] if best[0] >= NEAR else None
+
+
+def closest_file(path: Path) -> Path | None:
+    """Return the file or folder beside a missing path of which its name is probably a misspelling; None without one.
+
+    Names with the same ending come first.
+    """
+    try:
+        entries = islice(path.parent.iterdir(), MOST_FILES)
+        names = sorted(entry.name for entry in entries if not entry.name.startswith("."))
+    except OSError:
+        return None
+    same = [name for name in names if Path(name).suffix == path.suffix]
+    near = closest_name(path.name, same) or closest_name(path.name, names)
+    return path.with_name(near) if near else None
+
+
+def file_hint(path: Path) -> str:
+    """Return a hint for a missing file, as "did you mean 'run1.mcap'? ", or an empty text without a similar name."""
+    near = closest_file(path)
+    return f"did you mean {str(near)!r}? " if near else ""
 
 
 class NamedValues(dict[str, V]):

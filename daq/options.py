@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar, final
 
 import click
 
-from seatrial.daq.errors import closest_name
+from seatrial.daq.errors import closest_file, closest_name
 
 T = TypeVar("T")
 FEW_CHOICES = 8  # values of an option that an error message lists although it suggests one
@@ -50,6 +51,25 @@ def print_json(value: Any) -> None:
 
     written = value if isinstance(value, str | bytes) else msgspec.json.encode(value, enc_hook=str)
     click.echo(msgspec.json.format(written, indent=2))
+
+
+class ExistingPath(click.Path):
+    """Type of an argument that is an existing file or folder. The error of a missing one has the closest file name."""
+
+    def __init__(self, *, dir_okay: bool = True) -> None:
+        """Make the type. With `dir_okay` false, a folder is an error. Its values become `Path` objects."""
+        super().__init__(exists=True, dir_okay=dir_okay, path_type=Path)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path. A path that does not exist, or of another kind, is a usage error."""
+        try:
+            return super().convert(value, param, ctx)
+        except click.BadParameter as error:
+            path = Path(value)
+            near = None if path.exists() else closest_file(path)
+            if near is None:
+                raise
+            self.fail(f"{error.message} Did you mean {str(near)!r}?", param, ctx)
 
 
 @final

@@ -16,7 +16,7 @@ import click
 
 from seatrial.daq.config import load_rig
 from seatrial.daq.errors import SeatrialError
-from seatrial.daq.options import Choice
+from seatrial.daq.options import Choice, ExistingPath
 from seatrial.daq.rig import LoadCellCalibration, Rig, Thruster
 from seatrial.mocks.devices import KINDS, LOOP_HZ, Faults, by_side, make_emulator, parse_fault
 from seatrial.mocks.hidden_effects import bench as bench_effects
@@ -59,7 +59,7 @@ def _shared_options(effects: Sequence[str]) -> Callable[[Command], Command]:
         """Add the argument RIG and the shared options to ``command``, in the order in which the help shows them."""
         for option in reversed(
             (
-                click.argument("rig", type=click.Path(exists=True, dir_okay=False, path_type=Path)),
+                click.argument("rig", type=ExistingPath(dir_okay=False)),
                 click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True,
                              help="Seed of parameters, current and effect."),
                 click.option("--run", type=click.IntRange(min=0), default=0, show_default=True,

@@ -151,6 +151,40 @@ def test_a_misspelt_command_or_option_names_the_closest_one(capsys, args: tuple[
     assert capsys.readouterr().err.startswith(message)
 
 
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        (("import", "mapp.toml", "run1.csv"), "Path 'mapp.toml' does not exist. Did you mean 'map.toml'?"),
+        (("import", "map.toml", "rnu1.csv"), "Path 'rnu1.csv' does not exist. Did you mean 'run1.csv'?"),
+        (("check", "rnu1.mcap"), "Path 'rnu1.mcap' does not exist. Did you mean 'run1.mcap'?"),
+        (("check", "other/nothing.mcap"), "Path 'other/nothing.mcap' does not exist; `seatrial"),
+        (("ident", "diagnose", "vehicel", "run1.mcap"), "Path 'vehicel' does not exist. Did you mean 'vehicle'?"),
+    ],
+)
+def test_a_missing_file_names_the_closest_one(
+    capsys, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, args: tuple[str, ...], message: str
+) -> None:
+    for name in ("map.toml", "run1.csv", "run1.mcap", "vehicle"):
+        (tmp_path / name).touch()
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as leaving:
+        command_line.main(args)
+    assert leaving.value.code == 2
+    assert message in capsys.readouterr().err
+
+
+def test_an_input_that_is_no_log_is_reported_before_an_output_that_exists(
+    capsys, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "trial1.mat").touch()
+    (tmp_path / "vehicle").mkdir()
+    (tmp_path / "vehicle" / "result.json").touch()
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit):
+        command_line.main(("ident", "vehicle", "trial1.mat"))
+    assert "trial1.mat: not an MCAP log; use `seatrial import`" in capsys.readouterr().err
+
+
 def test_the_table_of_groups_has_all_groups() -> None:
     context = click.Context(command_line.cli)
     commands = {name: command_line.cli.get_command(context, name) for name in command_line.COMMANDS}

@@ -97,7 +97,7 @@ def test_the_section_on_matlab_runs(folder: Path) -> None:
         foreign_runs.write_mat(folder / f"run{k}.mat", foreign_runs.run(k))
     assert follow(MATLAB, {}) > 15
     check_hull(folder / "vehicle/model.toml")
-    assert (folder / "simulink/horizontal.fmu").is_file()
+    assert (folder / "exported_files/horizontal.fmu").is_file()
 
 
 def test_the_section_on_ctsm_runs(folder: Path) -> None:

@@ -29,7 +29,7 @@ from seatrial.daq.checks import (
 from seatrial.daq.config import load_rig
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import LOG
-from seatrial.daq.options import FiniteRange, json_option, output_option, print_json
+from seatrial.daq.options import ExistingPath, FiniteRange, json_option, output_option, print_json
 from seatrial.daq.rig import Rig
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ STYLES: dict[str, dict[str, Any]] = {
 @click.option(
     "--mission",
     "mission_path",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    type=ExistingPath(dir_okay=False),
     help="Dry run of a mission: its limits, its duration, and whether its track leaves the fence.",
 )
 @click.option("--actuators", is_flag=True, help="Test each thruster at low thrust. THRUSTERS TURN.")

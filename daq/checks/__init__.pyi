@@ -16,3 +16,6 @@ from .held_values import held_signals as held_signals
 from .held_values import is_measured as is_measured
 from .import_checks import too_many_rows_missing as too_many_rows_missing
 from .import_checks import unknown_times as unknown_times
+from .signal_names import advice_on_other_name as advice_on_other_name
+from .signal_names import unknown_names as unknown_names
+from .signal_names import unknown_names_text as unknown_names_text

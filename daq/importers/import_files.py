@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seatrial.daq.checks import too_many_rows_missing, unknown_times
+from seatrial.daq.checks import too_many_rows_missing, unknown_names_text, unknown_times
 from seatrial.daq.errors import SeatrialError, counted, warn
 from seatrial.daq.importers.import_map import ImportMap, Piece, Source, load_import_map
 from seatrial.daq.importers.missing_inputs import gap_lines
@@ -58,6 +58,8 @@ def import_files(
         are out of order or have wrong stamps: 5 or more, and more than 5 %.
     """
     import_map = load_import_map(map_path)
+    if unknown := unknown_names_text(s.name for source in import_map.sources for s in source.signals):
+        warn(f"{map_path}: {unknown}")
     groups = _files_of_logs(import_map, files)
     pieces = import_map.pieces or (_WHOLE,)
     if out is not None and len(groups) * len(pieces) > 1:

@@ -8,15 +8,12 @@ from typing import final
 import click
 
 from seatrial.daq.errors import SeatrialError
+from seatrial.daq.options import ExistingPath
 
 
 @final
-class LogPath(click.Path):
+class LogPath(ExistingPath):
     """Type of an argument that is an existing log: a file, or a folder with one log, whose segments count as one."""
-
-    def __init__(self) -> None:
-        """Make the type of an argument that must be an existing file or folder. Its values become `Path` objects."""
-        super().__init__(exists=True, path_type=Path)
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> Path:
         """Return the path of the log file to open, from the text of an argument LOG.
@@ -24,7 +21,7 @@ class LogPath(click.Path):
         For a file this is the file itself, for a folder the first segment of the only log in it. A path that does not
         exist, and a folder without a log or with more than one log, are usage errors.
         """
-        path = Path(super().convert(value, param, ctx))  # type: ignore[arg-type]
+        path = Path(super().convert(value, param, ctx))
         if not path.is_dir():
             return path
         from seatrial.daq.log.segments import log_file  # imported here, because it imports numpy and --help needs none

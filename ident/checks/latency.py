@@ -137,10 +137,14 @@ def _attitude_velocity_delay(
         f"{late} {come} {abs(lag):.2f} s after {ahead}, compared by their response to the thrust "
         f"({delay_interval(abs(lag), half)})"
     )
-    if level in (OK, UNKNOWN):
-        yield Finding(level, "sensors-in-time" if level == OK else "delay-unknown", "late", turned, text)
+    if level == OK:
+        yield Finding(level, "sensors-in-time", "late", turned, text)
         return
     advice = f"check filters, output rate and time stamps of {late}"
+    if level == UNKNOWN:
+        advice += "; a longer log with changes of speed and turns narrows the interval"
+        yield Finding(level, "delay-unknown", "late", where, text, advice)
+        return
     yield Finding(level, "sensor-late", "late", where, text, advice)
 
 

@@ -6,14 +6,14 @@ report of a check: sample intervals, signals, shaft speeds, and motion against t
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from seatrial.daq.checks import FAULT, Finding, check_devices, worst_first
+from seatrial.daq.checks import FAULT, WARNING, Finding, check_devices, unknown_names, worst_first
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import Log, open_log
 from seatrial.daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar
@@ -474,9 +474,17 @@ def check_log(path: Path | str) -> list[Finding]:
     try:
         with open_log(path) as log:
             found = channels(log)
-            return [*_silent_controllers(log), *_check_segments(found, sides_of(log), log.start)]
+            names = _check_names(log.sources(Scalar))
+            return [*_silent_controllers(log), *names, *_check_segments(found, sides_of(log), log.start)]
     except SeatrialError as error:
         return [Finding("warning", "log-not-readable", "motion", Path(path).name, str(error))]
+
+
+def _check_names(signals: Iterable[str]) -> Iterator[Finding]:
+    """Yield a warning ``signal-name`` for each imported signal with another name than the built-in models use."""
+    for name, advice in unknown_names(signals).items():
+        if advice:
+            yield Finding(WARNING, "signal-name", "names", name, "no model uses a signal of this name", advice)
 
 
 def _check_segments(c: Channels, sides: Mapping[str, float], start: float) -> list[Finding]:

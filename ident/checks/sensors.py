@@ -416,15 +416,21 @@ def position_and_velocity(c: Channels, found: Match | None) -> Iterator[Finding]
         )
         return
     if not 0.75 < found.scale < 1.33:
-        units = {0.514: "knots", 0.278: "km/h", 3.6: "km/h", 1.944: "knots"}
-        unit = next((u for k, u in units.items() if abs(found.scale / k - 1.0) < 0.1), "another unit")
+        # A velocity in knots that is taken as m/s is too large, and one in m/s that is converted from knots too small.
+        units = {
+            0.514: "are its numbers in knots and taken as m/s?",
+            0.278: "are its numbers in km/h and taken as m/s?",
+            1.944: "are its numbers in m/s and converted as knots?",
+            3.6: "are its numbers in m/s and converted as km/h?",
+        }
+        question = next((q for k, q in units.items() if abs(found.scale / k - 1.0) < 0.1), "is it in another unit?")
         yield Finding(
             "fault",
             "velocity-unit",
             "units",
             where,
-            f"the position changes {found.scale:.3g} times as fast as the measured velocity: is the velocity in "
-            f"{unit}?",
+            f"the position changes {found.scale:.3g} times as fast as the measured velocity, which is too "
+            f"{'large' if found.scale < 1.0 else 'small'}: {question}",
             "correct the unit of the velocity or position in the import map, or check the rate of the time stamps",
         )
     yield from sensor_delay("position", _source_or_name(c["x"], "x"), "velocity", where, found)

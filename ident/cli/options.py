@@ -16,7 +16,7 @@ import click
 from seatrial.daq.console import make_console
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import LOG
-from seatrial.daq.options import Choice, FiniteRange, output_option, print_json
+from seatrial.daq.options import Choice, ExistingPath, FiniteRange, output_option, print_json
 from seatrial.ident.reporter import Reporter
 
 if TYPE_CHECKING:
@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 
 FOLDER = click.Path(file_okay=False, path_type=Path)
 FILE = click.Path(dir_okay=False, path_type=Path)
-SOURCE_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
+SOURCE_FILE = ExistingPath(dir_okay=False)
 
 
-class ModelPath(click.Path):
+class ModelPath(ExistingPath):
     """Type of an argument: a fitted model, given as model.toml, as its folder, or as the result.json beside it."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
@@ -52,7 +52,7 @@ class ModelPath(click.Path):
         return model_file(path)
 
 
-MODEL = ModelPath(exists=True, path_type=Path)
+MODEL = ModelPath()
 
 
 class ModelSource(click.ParamType[str]):
@@ -324,7 +324,8 @@ def check_output(context: click.Context, parameter: click.Parameter, out: Path |
     Raises
     ------
     SeatrialError
-        If ``out`` is a file, or a folder with a result.json, and ``--force`` is not given. With or without ``--force``:
+        If ``out`` is a file, or a folder with a result.json, and ``--force`` is not given; of a command with logs, an
+        input that is no log is reported first. With or without ``--force``:
         if the option takes a file and its folder does not exist;
         if ``out``, or a model.toml, result.json, result.parquet or report.html in it, is a symbolic link to a file or
         to nothing.
@@ -337,6 +338,12 @@ def check_output(context: click.Context, parameter: click.Parameter, out: Path |
                 )
     exists = out is not None and (out.is_file() or (out / "result.json").exists())
     if exists and not context.meta["force"]:
+        from seatrial.daq.log import is_log
+
+        # The input comes first: a file that is no log makes no result, so that nothing is in the way of it.
+        for path in context.params.get("logs") or ():
+            if not is_log(Path(path)):
+                raise SeatrialError(f"{path}: not an MCAP log; use `seatrial import` for logs of other formats")
         raise SeatrialError(f"{out}: exists already; --force replaces it, or give another name")
     if out is not None and parameter.type is FILE:  # a folder for results is created with its parents
         from seatrial.daq.files import require_parent

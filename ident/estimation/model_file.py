@@ -418,10 +418,10 @@ def warn_of_run_means(model: Model) -> None:
     There is no warning if no effect has a parameter with a value of its own in each run (`effects_per_run`).
     """
     for effect, names in effects_per_run(model).items():
-        listed = ", ".join(f"{n} = {model.values[n]:.3g}" for n in names)
+        listed = ", ".join(f"{n} = {model.values[n]:.3g}: {model.parameter(n).meaning}" for n in names)
         warn(
             f"{effect}: its parameters differ between the fitted runs, and the model has their means ({listed}), which "
-            "may be true for no run"
+            "may be true for no run; the report and result.json have the value of each run"
         )
 
 

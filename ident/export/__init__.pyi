@@ -3,6 +3,7 @@ from .conditions import chosen_conditions as chosen_conditions
 from .conditions import conditions_text as conditions_text
 from .conditions import frame_words as frame_words
 from .conditions import heading_sentence as heading_sentence
+from .conditions import outside_text as outside_text
 from .conditions import turn_sentence as turn_sentence
 from .formats import export as export
 from .formats import file_name as file_name
@@ -12,5 +13,6 @@ from .linearisation import LinearModel as LinearModel
 from .linearisation import linearise as linearise
 from .linearisation import pole_text as pole_text
 from .linearisation import side_inputs as side_inputs
+from .linearisation import sway_slopes as sway_slopes
 from .state_feedback import StateFeedback as StateFeedback
 from .steady_motion import steady_motion as steady_motion

@@ -9,15 +9,19 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
+from math import atan2, degrees
 from operator import is_
 
 from seatrial.daq.errors import SeatrialError, closest_name
 from seatrial.ident.data import TIME_INPUT, WORK_INPUT
+from seatrial.ident.estimation import leaves_validity
 from seatrial.ident.model import Model
 
 COMPUTED = (TIME_INPUT, WORK_INPUT)  # inputs that no user of a model provides
 POSE = ("x", "y", "psi")  # integrals of the velocities
 UNITS = {TIME_INPUT: "s", WORK_INPUT: "", "x": "m", "y": "m", "psi": "rad"}
+VELOCITIES = {"u": ("speed", "m/s"), "v": ("sway", "m/s"), "r": ("yaw rate", "rad/s")}  # their words and units
+LEAST_DRIFT_DEG = 1.0  # drift angle of an operating point from which it is described [deg]
 AFTER_S = 10.0  # time after the last change of a model at which it is evaluated without a range of the time [s]
 
 
@@ -123,6 +127,42 @@ def heading_sentence(conditions: Mapping[str, float]) -> str:
     return (
         f"The model depends on the heading (as wind does, for example): matrices and inputs hold near {at}; "
         "at={'psi': ...} gives those of the heading that you steer."
+    )
+
+
+def outside_text(values: Mapping[str, float], ranges: Mapping[str, tuple[float, float]]) -> str:
+    """List the states and inputs of an operating point that are outside their ranges in the fitted data.
+
+    Parameters
+    ----------
+    values : mapping
+        States and inputs by name.
+    ranges : mapping
+        Smallest and largest value of each signal in the fitted data by name. A signal without a range is left out.
+
+    Returns
+    -------
+    str
+        For example ``sway v = 0.265 m/s (data: -0.606 to 0.0983 m/s)``; empty if all are inside. Signals may leave
+        their range by a tenth of its width (`seatrial.ident.estimation.leaves_validity`).
+    """
+    found = []
+    for name, value in values.items():
+        low, high = ranges.get(name, (-float("inf"), float("inf")))
+        if leaves_validity(value, value, (low, high)):
+            word, unit = VELOCITIES.get(name, ("", ""))
+            shown = f"{word} {name} = {value:.3g} {unit}".strip()
+            found.append(f"{shown} (data: {low:.3g} to {high:.3g} {unit}".rstrip() + ")")
+    return ", ".join(found)
+
+
+def drift_text(forward: float, sway: float) -> str:
+    """Describe the drift of an operating point, from its forward speed and sway speed [m/s]; empty below 1 deg."""
+    angle = degrees(atan2(sway, abs(forward)))
+    if abs(angle) < LEAST_DRIFT_DEG:
+        return ""
+    return (
+        f"sway v = {sway:.3g} m/s: the boat drifts to {'starboard' if sway > 0.0 else 'port'} by {abs(angle):.2g} deg"
     )
 
 

@@ -14,7 +14,13 @@ from numpy.typing import NDArray
 from seatrial.daq.errors import NamedValues, SeatrialError, closest_name
 from seatrial.ident.estimation import PARAMETER_STEP, ParameterCovariance, principal_directions
 from seatrial.ident.export.codegen import without_nuisance
-from seatrial.ident.export.conditions import chosen_conditions, conditions_text, heading_sentence
+from seatrial.ident.export.conditions import (
+    chosen_conditions,
+    conditions_text,
+    drift_text,
+    heading_sentence,
+    outside_text,
+)
 from seatrial.ident.export.rates import Rates
 from seatrial.ident.export.state_feedback import HEADING, StateFeedback, lqr
 from seatrial.ident.model import COMMAND, SHAFT_SPEED, THRUSTER_FORCE, Model, is_of_thruster
@@ -163,6 +169,8 @@ class LinearModel:
         start of a run, ``work`` of the thrusters, place ``x`` and ``y`` [m], heading ``psi`` [rad]. Often empty.
     assumed : tuple of str
         Names of the conditions whose value is a default, because none was chosen.
+    ranges : dict of str to tuple of float
+        Smallest and largest value of the states and inputs in the fitted data by name. Empty if they are unknown.
     """
 
     speed: float
@@ -178,6 +186,21 @@ class LinearModel:
     moved: tuple[LinearModel, ...] = ()
     conditions: Mapping[str, float] = field(default_factory=dict)
     assumed: tuple[str, ...] = ()
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def outside(self) -> str:
+        """States and inputs of the operating point outside the fitted data, with value and range; empty if none is.
+
+        The model extrapolates at such a point.
+        """
+        return outside_text(dict(zip((*self.states, *self.inputs), (*self.x0, *self.u0), strict=True)), self.ranges)
+
+    @property
+    def drift(self) -> str:
+        """Sway speed and drift angle of the operating point in words; empty if the drift is below 1 deg."""
+        values = dict(zip(self.states, self.x0, strict=True))
+        return drift_text(self.speed, float(values.get("v", 0.0)))
 
     @property
     def poles(self) -> Complex:
@@ -425,7 +448,7 @@ class LinearModel:
             If the weights are not given by name, if there is no state or input of a name, if a weight is not allowed,
             or if no feedback with these weights makes the motion stable.
         """
-        return lqr(self, Q, R or {})
+        return lqr(self, Q, R)
 
     def responding(self, inputs: Inputs) -> tuple[str, ...]:
         """Return the names of the states that respond to the inputs, in the order of `states`."""
@@ -489,6 +512,10 @@ class LinearModel:
             lines.append(f"taken as constant: {conditions_text(self.conditions)}")
         if words := heading_sentence(self.conditions):
             lines.append(words)
+        if words := self.drift:
+            lines.append(words)
+        if words := self.outside:
+            lines.append(f"outside the fitted data: {words}")
         for pole, constant, error in zip(self.poles, self.time_constants, self.time_constant_errors, strict=True):
             words = "not determined" if is_undetermined(constant, error) else f"{constant:.4g} s"
             lines.append(f"pole {pole_text(pole)} 1/s, time constant {words}")
@@ -617,6 +644,31 @@ def linearise(
         return about(x0, u0, rates.values)  # the errors are too large for a linear theory
     found = tuple(about(x, u, values) for x, u, values in zip(*points, directions, strict=True))
     return about(x0, u0, rates.values, found)
+
+
+def sway_slopes(model: Model, speeds: Array, inputs: Array, conditions: Mapping[str, float]) -> Array:
+    """Return the derivatives (n_speeds,) [1/s] of the rate of sway by the sway speed, without drift and yaw rate.
+
+    A positive one is a negative damping of sway. The result is empty for a model without speed or sway.
+
+    Parameters
+    ----------
+    model : Model
+        The fitted model, with its estimates as values.
+    speeds : Array (n_speeds,)
+        Forward speeds through the water [m/s].
+    inputs : Array (n_speeds, m)
+        Inputs at each speed, in the order of those of a `LinearModel`.
+    conditions : mapping
+        Constant values of time, work, place and heading by name.
+    """
+    rates = Rates(without_nuisance(model)[0], conditions=conditions)
+    if not {"u", "v"} <= set(rates.names):
+        return np.zeros(0)
+    x, v = np.zeros((len(speeds), len(rates.names))), rates.names.index("v")
+    x[:, rates.names.index("u")] = speeds
+    found: Array = rates.by_states(x, inputs)[:, v, v]
+    return found
 
 
 def _of_parameters(known: ParameterCovariance | None, parameters: tuple[str, ...]) -> ParameterCovariance | None:

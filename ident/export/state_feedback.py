@@ -124,7 +124,7 @@ class LinearSystem(Protocol):
         """Inputs (m,) of the operating point."""
 
 
-def lqr(linear: LinearSystem, Q: Mapping[str, float], R: Mapping[str, float]) -> StateFeedback:
+def lqr(linear: LinearSystem, Q: Mapping[str, float], R: Mapping[str, float] | None = None) -> StateFeedback:
     """Return the linear quadratic regulator of a linear system, with weights of states and inputs by name.
 
     A `SeatrialWarning` is issued if the heading is controlled, and the rates depend on it, and nobody chose its value.
@@ -133,10 +133,13 @@ def lqr(linear: LinearSystem, Q: Mapping[str, float], R: Mapping[str, float]) ->
     """
     from scipy.linalg import solve_continuous_are  # imported here, as it takes 0.3 s
 
+    R = {} if R is None else R
     for what, given in (("Q", Q), ("R", R)):
         if not isinstance(given, Mapping):
             example = {"u": 4.0, "r": 1.0} if what == "Q" else dict.fromkeys(linear.inputs[:1], 2.0)
-            raise SeatrialError(f"{what}: give the weights by name, such as {example}, and not {given!r}")
+            kind = "states" if what == "Q" else "inputs"
+            shown = "a matrix" if np.ndim(given) else f"{given!r}"
+            raise SeatrialError(f"{what}: give the weights of {kind} by name, such as {example}, and not {shown}")
     known = (*linear.states, *((HEADING,) if "r" in linear.states else ()))
     _check_names("state", Q, known)
     _check_names("input", R, linear.inputs)
@@ -164,7 +167,8 @@ def lqr(linear: LinearSystem, Q: Mapping[str, float], R: Mapping[str, float]) ->
         warn(
             f"the model is unstable at this speed (a pole at {growth:.2g} 1/s), and the inputs are limited: the "
             "feedback holds the boat near this motion, and may not bring it there from rest; test it with the exported "
-            "model, and ramp the speed"
+            "model, and let the wanted speed rise from that of the boat: control(x, psi=..., u=min(speed, 0.05 * t)). "
+            "This can fail if the damping of sway is negative, or if the operating point is outside the fitted data"
         )
     weights, costs = np.diag([Q.get(s, 0.0) for s in states]), np.diag([R.get(i, 1.0) for i in linear.inputs])
     failure = "no feedback with these weights makes the motion stable: give weights to u, r and psi"

@@ -69,6 +69,7 @@ NO_DEAD_ZONE = 5e-4  # of full command: a smaller dead zone would be printed as 
 RAMP_SHARE = 0.05  # share of the rows, smallest commands first, that may belong to a ramp
 FAR_FROM_MAXIMUM = 0.5  # standard errors by which a fit can still move; less does not matter beside the errors
 UNUSUAL = 3.0  # standard deviations of its prior, from which an estimate is far from its usual size
+LARGEST_ASYMMETRY = 0.5  # of c2 over c1: one direction then has a third of the other's thrust
 UNEQUAL_THRUST = 0.05  # difference of the thrust ahead from the given mean, relative to it, from which it is reported
 MOST_ADDED = 2.5  # largest plausible mass in surge, as a multiple of the weighed mass
 SHORT_BENCH_S = 20.0  # as SHORT_DATA_S, of a thruster: some held commands of 4 s, forward and in reverse
@@ -334,7 +335,12 @@ def estimation_warnings(
         What is known of the hull. Without its ``length`` [m], the least plausible yaw inertia follows from the
         thrusters' arms alone. Without its weighed ``mass`` [kg], the mass in surge is not checked.
     """
-    warnings = [*scale_warnings(thrust_scale_of(fit.model)), *thrust_ahead_warnings(fit), *unusual_estimates(fit)]
+    warnings = [
+        *scale_warnings(thrust_scale_of(fit.model)),
+        *thrust_ahead_warnings(fit),
+        *thrust_astern_warnings(fit),
+        *unusual_estimates(fit),
+    ]
     for away in (d for d in prior_distances(fit) if d.contradicts):
         p, value = away.parameter, away.estimate
         mean, sd = p.prior or (math.nan, math.nan)
@@ -479,6 +485,27 @@ def thrust_ahead_warnings(fit: Fit) -> list[ResultWarning]:
         "fit again, or give the thrust astern too (c2 is half of ahead less astern)."
     )
     return [ResultWarning(code="thrust-ahead", text=text)]
+
+
+def thrust_astern_warnings(fit: Fit) -> list[ResultWarning]:
+    """Return a warning if the given c2 makes the thrust of one direction less than a third of that of the other.
+
+    This is so if c2 is more than half of c1. The thrust astern was then probably given as c2. The list is empty if c1
+    or c2 was not given.
+    """
+    known, given = {p.name: p for p in fit.model.parameters}, {ParameterOrigin.GIVEN, ParameterOrigin.PRIOR}
+    if any(n not in known or known[n].origin not in given for n in ("c1", "c2")):
+        return []
+    c1, c2 = (known[n].value for n in ("c1", "c2"))
+    if not abs(c2) > LARGEST_ASYMMETRY * c1:
+        return []
+    text = (
+        f"The given c1 = {c1:.4g} N and c2 = {c2:.4g} N are {c1 + c2:.4g} N ahead (c1 + c2) and {c1 - c2:.4g} N astern "
+        "(c1 - c2): one is less than a third of the other. From two measured thrusts, c1 = (ahead + astern) / 2 and c2 "
+        f"= (ahead - astern) / 2. If {c1:.4g} N is the thrust ahead and {abs(c2):.4g} N that astern, give c1 = "
+        f"{0.5 * (c1 + abs(c2)):.4g} and c2 = {0.5 * (c1 - abs(c2)):.4g}."
+    )
+    return [ResultWarning(code="thrust-astern", text=text)]
 
 
 def unusual_estimates(fit: Fit) -> list[ResultWarning]:
@@ -909,16 +936,19 @@ def course_sentence(course: CourseStability | None) -> str:
     """Return the sentence on a boat that is directionally unstable, with the time constant and its 95 % interval.
 
     If the interval of the pole contains zero, the sentence says that the boat is not distinguishable from a stable one.
-    If the estimated damping of sway is negative, there is no statement on the stability, but one on the hull form. The
-    text is empty for a stable estimate and for None.
+    If the estimated damping of sway is negative, there is no statement on the stability, but one on the hull form,
+    with the lowest speed at which it is negative. The text is empty for a stable estimate and for None.
     """
     if course is None:
         return ""
-    if course.sway is not None and course.sway > 0.0:
+    lowest = course.sway_from
+    if lowest is not None or (course.sway is not None and course.sway > 0.0):
+        at = f"At {course.speed:.3g} m/s" if lowest is None else f"From {lowest:.2g} m/s on"
+        speeds = "that speed" if lowest is None else "these speeds"
         return (
-            f"At {course.speed:.3g} m/s the estimated damping of sway is negative, which no hull has: the data do not "
-            "determine the form of the hull there (lift, cross-flow). Do not design a controller with this model at "
-            "that speed; record turns at it."
+            f"{at} the estimated damping of sway is negative, which no hull has: the data do not determine the form of "
+            f"the hull there (lift, cross-flow). Do not design a controller with this model at {speeds}; record turns "
+            f"at {'it' if lowest is None else 'them'}."
         )
     if not course.unstable:
         return ""

@@ -24,7 +24,7 @@ from seatrial.ident.diagnosis import (
 )
 from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import FittedModel, ParameterShift, ReportedEstimates, between_runs_title
-from seatrial.ident.model import Effect, ModelKind
+from seatrial.ident.model import Effect, Model, ModelKind
 from seatrial.ident.models import scale_priors, size_of
 from seatrial.ident.results import parts
 from seatrial.ident.results.answers import (
@@ -44,6 +44,7 @@ from seatrial.ident.results.answers import (
 )
 from seatrial.ident.results.parts import DiagnosisResult, Provenance
 from seatrial.ident.results.tables import (
+    LEAST_GROWTH,
     all_inputs,
     calibration_tables,
     common_errors_notes,
@@ -61,6 +62,7 @@ from seatrial.ident.results.tables import (
 )
 
 MOST_CANDIDATES = 24  # best candidates of a round that are reported; others are reported if they passed
+AT_BOUND = 1.001  # factor of a lower bound up to which a noise counts as at it
 CHANCE_P = 1e-6  # larger p values of the best score test may occur by chance in data without a missing effect
 
 
@@ -107,6 +109,7 @@ def diagnosis_result(
     failed = not_converged(diagnosis.before.fit) or not_converged(diagnosis.after.fit)
     calibration = calibration_tables(after)
     recommended = recommended_experiment(diagnosis)
+    rounds, effects = tuple(_round_row(r) for r in diagnosis.rounds), _effect_rows(diagnosis, role)
     answer = "" if failed else diagnosis_answer(diagnosis, prediction, after.horizon, poor_channel(errors))
     course = course_sentence(dynamics.course if dynamics else None)
     return DiagnosisResult(
@@ -128,6 +131,7 @@ def diagnosis_result(
         notes=(
             *notes,
             *_notes(diagnosis),
+            *refit_error_notes(rounds, effects),
             *_blocks_note(evaluation),
             *outlier_lines(after.residuals, after.model),
             *calibration_notes(calibration, after.horizon),
@@ -158,9 +162,9 @@ def diagnosis_result(
         cross=cross_correlations(before, with_effects),
         unused_signals=tuple(unused),
         residual_forces=_residual_force_rows(diagnosis, evaluation),
-        rounds=tuple(_round_row(r) for r in diagnosis.rounds) or (_quiet_round(diagnosis),),
+        rounds=rounds or (_quiet_round(diagnosis),),
         common_errors=common_errors_row(diagnosis.common_errors, diagnosis.after, role),
-        effects=_effect_rows(diagnosis, role),
+        effects=effects,
         remaining_candidates=tuple(
             parts.RemainingCandidate(name=s.name, lm=s.lm, df=s.df, p=s.p) for s in diagnosis.remaining
         ),
@@ -728,12 +732,51 @@ def _remaining_names(diagnosis: Diagnosis) -> str:
     return ", ".join(between_runs_title(s.name) for s in diagnosis.remaining[:4])
 
 
+def refit_error_notes(rounds: Sequence[parts.RoundRow], effects: Sequence[parts.EffectRow]) -> list[str]:
+    """Return a note if a parameter of an effect has a larger standard error in the answer than in the refit, or none.
+
+    Errors of the answer include other candidates that may be missing, those of a refit do not. The note has the
+    parameter whose error differs most, if the factor is above 1.05. It is left out if no error does.
+    """
+    after = {(e.name, q.name): q for e in effects for q in e.parameters}
+    pairs = [
+        (q, after.get((r.name, q.name))) for x in rounds for r in x.refits if r.name == x.chosen for q in r.parameters
+    ]
+    known = [(late.se / q.se, q, late) for q, late in pairs if late and q.se and late.se]
+    factor, early, late = max(known, key=lambda row: row[0], default=(0.0, None, None))
+    if early is None or late is None or factor < LEAST_GROWTH:
+        return []
+    return [
+        "The standard errors of an effect in the refits of the rounds are those of this fit alone. Those in the "
+        "answer, and in model.toml, are of the model with all effects, and include the shifts by other candidates that "
+        f"may be missing: of {late.name} {early.se:.2g} in the refit and {late.se:.2g} {late.unit}".rstrip()
+        + " in the answer. Use those of the answer."
+    ]
+
+
+def assumed_noise_notes(model: Model) -> list[str]:
+    """Return a note on each noise at its assumed lower bound, on which the names of effects can depend; often none.
+
+    The log does not show the noise of a smoothed signal, so its lower bound is assumed. ``model`` has the estimates as
+    its values.
+    """
+    named = {o.noise: o.name for o in model.outputs}
+    return [
+        f"The noise {p.name} of {named[p.name]} is at its assumed bound, {p.bounds[0]:.3g} {p.unit}, and the names of "
+        f"the effects can depend on it. To test this, fit the model again with --fix {p.name}={0.5 * p.bounds[0]:.3g} "
+        f"and with --fix {p.name}={2.0 * p.bounds[0]:.3g}, and repeat the diagnosis of each: a name that stays does "
+        "not depend on it."
+        for p in model.parameters
+        if p.free and p.name in named and 0.0 < p.value <= AT_BOUND * p.bounds[0]
+    ]
+
+
 def _notes(diagnosis: Diagnosis) -> list[str]:
     """Return the notes of a diagnosis, in this order.
 
     They are about common errors in the model, candidates that still pass the score test, the reason why the search
     ended, effects that were removed again, validation runs that the model does not fit (without effects, the answer has
-    them), and parameters with a flag. A note that does not apply is left out.
+    them), a noise at its assumed bound, and parameters with a flag. A note that does not apply is left out.
     """
     notes = common_errors_notes(diagnosis.common_errors, "the effects")
     if diagnosis.remaining and not diagnosis.untried_scores:
@@ -757,5 +800,6 @@ def _notes(diagnosis: Diagnosis) -> list[str]:
     ]
     if diagnosis.effects:
         notes += [mismatch_sentence(m) for m in reported_mismatches(diagnosis)]
+        notes += assumed_noise_notes(diagnosis.after.fit.model)
     notes += [f"Parameter {name}: {flag}" for name, flag in diagnosis.after.fit.flags]
     return notes

@@ -132,6 +132,7 @@ WarningCode = Literal[
     "track-not-predicted",
     "thrust-sides-differ",
     "thrust-ahead",
+    "thrust-astern",
     "unusual-estimate",
     "compared-on-fitted-log",
     "compared-on-validation-log",
@@ -756,6 +757,9 @@ class OperatingPoint(Part, frozen=True, kw_only=True):
         Array | None,
         Meta(description="standard errors of the real parts [1/s], NaN if unknown; null: result of an earlier version"),
     ] = None
+    states: Annotated[
+        dict[str, float], Meta(description="states of the operating point by name; empty: result of an earlier version")
+    ] = msgspec.field(default_factory=dict)
 
 
 class StepResponse(Part, frozen=True, kw_only=True):
@@ -825,6 +829,13 @@ class CourseStability(Part, frozen=True, kw_only=True):
             "negative, which no hull has; null: no sway"
         ),
     ] = None
+    sway_from: Annotated[
+        float | None,
+        Meta(
+            description="lowest speed in the data at which the damping of sway without drift is negative [m/s]; null: "
+            "it is at none"
+        ),
+    ] = None
 
     @property
     def unstable(self) -> bool:
@@ -855,6 +866,10 @@ class Dynamics(Part, frozen=True, kw_only=True):
         tuple[float, float] | None,
         Meta(description="smallest and largest forward speed in the data of the fit [m/s]; null: unknown"),
     ] = None
+    ranges: Annotated[
+        dict[str, tuple[float, float]],
+        Meta(description="smallest and largest value of velocities and inputs in the data of the fit, by name"),
+    ] = msgspec.field(default_factory=dict)
     course: Annotated[
         CourseStability | None, Meta(description="stability of a straight course; null: no pole of sway and yaw")
     ] = None

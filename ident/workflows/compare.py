@@ -451,7 +451,8 @@ def _warnings_of_effects(
             code="compared-in-blocks",
             text=f"Effects have parameters of their own for each log: {of}. All models are therefore compared on "
             f"{each} blocks in time of each log, with the estimates of these parameters from the other blocks. The "
-            "simulation starts anew in each block.",
+            "simulation starts anew in each block. Errors and verdicts therefore differ from those on whole logs, also "
+            f"between other models; {_how_to_compare_whole_logs(list(found), len(compared))}.",
         )
         return
     for label, names in found.items():
@@ -462,6 +463,15 @@ def _warnings_of_effects(
             f"a shorter horizon: {FEWEST_BLOCKS} blocks in time, each longer than {WARM_UP:g} s and the horizon, could "
             "be predicted with the estimates from one another.",
         )
+
+
+def _how_to_compare_whole_logs(per_log: Sequence[str], n_models: int) -> str:
+    """Return the advice how to compare on whole logs: without the models ``per_log``, of ``n_models`` in all."""
+    others = n_models - len(per_log)
+    models = " and ".join(f"({label})" for label in per_log)
+    if others < 2:
+        return "whole logs are possible only between models without such effects"
+    return f"compare without {models} for those"
 
 
 def _notes_on_logs(models: Sequence[ComparedModel]) -> list[str]:

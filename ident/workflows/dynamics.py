@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Literal
 
+import msgspec
 import numpy as np
 
 from seatrial.daq.errors import SeatrialError
@@ -16,6 +17,7 @@ from seatrial.ident.export import (
     linearise,
     side_inputs,
     steady_motion,
+    sway_slopes,
     turn_sentence,
 )
 from seatrial.ident.model import COMMAND, SHAFT_SPEED, Model, ModelKind, is_of_thruster
@@ -34,6 +36,7 @@ from seatrial.ident.workflows.output import validity
 POINTS = 41  # of a steady curve
 MEANS = (0.0, 0.5)  # means of both sides in turns, as parts of the largest command
 SPEEDS = (0.25, 0.5, 0.75, 1.0)  # speeds of the linear models, as parts of the largest steady speed
+SPEEDS_OF_DAMPING = 101  # speeds at which the damping of sway is computed
 COMMAND_STEP = 0.1  # size of the steps of the command, as a part of the largest command
 Z95 = 1.96  # half the width of a 95 % interval in standard errors
 UNKNOWN_GAIN = float(np.log(np.sqrt(2.0)))  # standard error of the logarithm of a gain that is unknown: 3 dB
@@ -72,9 +75,13 @@ def dynamics_of(fitted: FittedModel) -> Dynamics | None:
         middle = linear[(len(linear) - 1) // 2]
         steps, responses = _steps(middle, drives), _responses(middle, drives)
         course = _course_stability(linear, ranges.get("u"))
+        if course is not None:
+            lowest = _negative_sway_damping_from(model, linear, ranges.get("u"), conditions)
+            course = msgspec.structs.replace(course, sway_from=lowest)
     return Dynamics(
         steady=tuple(curves), points=tuple(_point(x) for x in linear), steps=tuple(steps), responses=tuple(responses),
-        delays=dict(linear[0].delays) if linear else {}, conditions=conditions, speeds=ranges.get("u"), course=course,
+        delays=dict(linear[0].delays) if linear else {}, conditions=conditions, speeds=ranges.get("u"), ranges=ranges,
+        course=course,
     )  # fmt: skip
 
 
@@ -103,6 +110,27 @@ def _course_stability(linear: Sequence[LinearModel], speeds: tuple[float, float]
     v = at.states.index("v") if "v" in at.states else None
     sway = None if v is None else float(at.A[v, v])
     return CourseStability(speed=at.speed, pole=real, low=finite(real - half), high=finite(real + half), sway=sway)
+
+
+def _negative_sway_damping_from(
+    model: Model,
+    linear: Sequence[LinearModel],
+    speeds: tuple[float, float] | None,
+    conditions: Mapping[str, float],
+) -> float | None:
+    """Return the lowest forward speed [m/s] at which the damping of sway is negative without drift; None if at none.
+
+    The speeds are those of the data, to the largest one of the linear models ``linear``. Each has the inputs of the
+    linear model whose speed is nearest. With drift, as in wind, the quadratic damping of sway adds to the linear one,
+    so that the poles may be stable all the same.
+    """
+    if speeds is None:
+        return None
+    own = np.array([x.speed for x in linear])
+    forward = np.linspace(max(speeds[0], 0.0), min(speeds[1], own.max()), SPEEDS_OF_DAMPING)
+    inputs = np.array([linear[int(np.argmin(np.abs(own - speed)))].u0 for speed in forward])
+    negative = forward[sway_slopes(model, forward, inputs, conditions) > 0.0]
+    return float(negative[0]) if negative.size else None
 
 
 def covariance_of(fit: Fit) -> ParameterCovariance:
@@ -256,6 +284,7 @@ def _point(linear: LinearModel) -> OperatingPoint:
         imaginary=poles.imag,
         stable=linear.stable,
         error=linear.pole_errors,
+        states={name: float(value) for name, value in zip(linear.states, linear.x0, strict=True)},
     )
 
 

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from seatrial.daq.checks import advice_on_other_name
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.characterisation import (
     THRUSTER_RATE,
@@ -179,7 +180,7 @@ def choose_model(source: str, loaded: Sequence[LoadedLog]) -> Model:
         options = {"shaft": {"n_left", "n_right"}, "force": {"f_left", "f_right"}, "general": {"X", "N"}}
         fitting = [kind for kind, wanted in options.items() if wanted <= names]
         if not fitting:
-            hints = dict.fromkeys(h for n in sorted(names) if (h := _advice_on_other_name(n)) and "shaft speed" in h)
+            hints = dict.fromkeys(h for n in sorted(names) if (h := advice_on_other_name(n)) and "shaft speed" in h)
             advice = "; ".join(hints) or "import such signals, or give another --model"
             raise SeatrialError(
                 f"{loaded[0].about['path']}: no inputs for the horizontal model (n_left and n_right, or f_left and "
@@ -191,22 +192,6 @@ def choose_model(source: str, loaded: Sequence[LoadedLog]) -> Model:
     sensors = [n for n, s in SENSORS.items() if all(o.name in anywhere for o in s.outputs)]
     model = with_logged_holds(make_model(source, sensors), loaded[0].holds)
     return model + telemetry_age() if late else model
-
-
-# Names that other programs use for signals (also followed by _ and any text), and advice on the name or unit to use
-OTHER_NAMES = {
-    "speed_x": "import the velocity over ground to the north by the name vx",
-    "speed_y": "import the velocity over ground to the east by the name vy",
-    "lat": "import positions as x, y in metres north and east",
-    "lon": "import positions as x, y in metres north and east",
-    "sog": "import the velocity over ground as vx, vy (m/s, north and east)",
-    "cog": "import the velocity over ground as vx, vy (m/s, north and east)",
-    "pwm": "a pulse width is no shaft speed: import it as n_left, n_right (-1..1) by scale and offset",
-    "servo": "a pulse width is no shaft speed: import it as n_left, n_right (-1..1) by scale and offset",
-    "yaw": "import the heading by the name psi",
-    "heading": "import the heading by the name psi",
-    "yaw_rate": "import the yaw rate by the name r",
-}
 
 
 def unused_signals(
@@ -245,14 +230,6 @@ def unused_signals(
     return found
 
 
-def _advice_on_other_name(name: str) -> str | None:
-    """Return advice on a logged signal with a name that other programs use, for example ``sog`` or ``yaw``.
-
-    The names are those of the table `OTHER_NAMES`, alone or followed by ``_`` and more. None for other names.
-    """
-    return next((text for alias, text in OTHER_NAMES.items() if name == alias or name.startswith(f"{alias}_")), None)
-
-
 def _unused_signal(name: str, logs: tuple[str, ...], model: Model, there: set[str]) -> UnusedSignal:
     """Return the entry of the result for one logged signal that the model does not use, with the reason.
 
@@ -260,7 +237,7 @@ def _unused_signal(name: str, logs: tuple[str, ...], model: Model, there: set[st
     reason is, in this order: a missing signal of the same sensor, a name that other programs use, a signal of other
     models, or an unknown name.
     """
-    advice = _advice_on_other_name(name)
+    advice = advice_on_other_name(name)
     sensors = [[o.name for o in s.outputs] for s in SENSORS.values()]
     needs = [missing for names in sensors if name in names for missing in names if missing not in there]
     if needs:

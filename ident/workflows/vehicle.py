@@ -156,11 +156,14 @@ def _command_scale_warning(model: Model, logs: Sequence[LoadedLog]) -> ResultWar
     """Return a warning if the thrust was given for full shaft speed, and full commands do not reach this speed.
 
     It concerns models whose inputs are commands, on logs that have the shaft speeds too. A low battery is the usual
-    reason. None if the thrust was not given, if no log has both signals, or if the speeds are those of the commands.
+    reason. Nothing in the logs or the options says for which of both a thrust was given. The text therefore has the
+    given value and the one to give instead, for a reader who has corrected it already. None if the thrust was not
+    given, if no log has both signals, or if the speeds are those of the commands.
     """
     c1 = next((p for p in model.parameters if p.name == "c1"), None)
-    given = c1 is not None and c1.origin in (ParameterOrigin.GIVEN, ParameterOrigin.PRIOR)
-    if not given or not any(is_of_thruster(i.tap_of or i.name, COMMAND) for i in model.inputs):
+    if c1 is None or c1.origin not in (ParameterOrigin.GIVEN, ParameterOrigin.PRIOR):
+        return None
+    if not any(is_of_thruster(i.tap_of or i.name, COMMAND) for i in model.inputs):
         return None
     known = {log.run.name: ratio for log in logs if (ratio := speed_over_command(log.run.channels)) is not None}
     share = float(np.mean([ratio**2 for ratio in known.values()])) if known else 1.0
@@ -168,9 +171,10 @@ def _command_scale_warning(model: Model, logs: Sequence[LoadedLog]) -> ResultWar
         return None
     listed = first_names([f"{ratio:.2f} ({name})" for name, ratio in known.items()])
     text = (
-        f"The shaft speeds over the commands, each as a share of full, are {listed}. If the thrust was given for full "
-        f"shaft speed, the commands give {share:.2f} of it, and all masses are wrong by this factor: fit with the "
-        f"shaft speeds, or multiply c1 and c2 by {share:.2f}."
+        f"The shaft speeds over the commands, each as a share of full, are {listed}. If the given c1 = {c1.value:.4g} "
+        f"N is the thrust at full shaft speed, the commands give {share:.2f} of it, and all masses are wrong by this "
+        f"factor: fit with the shaft speeds, or multiply c1 and c2 by {share:.2f} (c1 = {share * c1.value:.4g} N). If "
+        f"{c1.value:.4g} N is the thrust at full command already, nothing is to change."
     )
     return ResultWarning(code="command-scale", text=text)
 

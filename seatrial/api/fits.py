@@ -23,7 +23,7 @@ from seatrial.api.logs import Log, PathLike, as_list, as_paths
 from seatrial.api.messages import Messages, errors_of_users, warn_of_logs
 from seatrial.api.series import ByRecord, Prediction, Series
 from seatrial.api.shown import Content, Shown
-from seatrial.daq.errors import NamedValues, SeatrialError, closest_name
+from seatrial.daq.errors import NamedValues, SeatrialError, closest_name, file_hint
 from seatrial.daq.log import is_log
 
 if TYPE_CHECKING:
@@ -742,7 +742,9 @@ def model_path(model: PathLike | FittedResult | Saved) -> Iterator[Path]:
         )
     path = model_file(Path(model))
     if not path.exists():
-        raise SeatrialError(f"{path}: no such file; give a model.toml, a folder with one, or a fitted model")
+        raise SeatrialError(
+            f"{path}: no such file; {file_hint(path)}give a model.toml, a folder with one, or a fitted model"
+        )
     yield path
 
 

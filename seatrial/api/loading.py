@@ -19,7 +19,7 @@ from seatrial.api.messages import errors_of_users, text_of
 from seatrial.api.plots import comparison_figure, prediction_figure
 from seatrial.api.series import Series, Simulation
 from seatrial.api.shown import Content, Shown, number
-from seatrial.daq.errors import NamedValues, SeatrialError, closest_name, counted, warn
+from seatrial.daq.errors import NamedValues, SeatrialError, closest_name, counted, file_hint, warn
 from seatrial.daq.log import import_library
 
 if TYPE_CHECKING:
@@ -344,7 +344,9 @@ def load(path: PathLike) -> Saved:
         text = f"give the path of a {MODEL}, of a {RESULT}, or of their folder"
         raise SeatrialError(f"{type(path).__name__}: this is no path; {text}") from None
     if not path.exists():
-        raise SeatrialError(f"{path}: no such file or folder; give a {MODEL}, a {RESULT}, or their folder")
+        raise SeatrialError(
+            f"{path}: no such file or folder; {file_hint(path)}give a {MODEL}, a {RESULT}, or their folder"
+        )
     if path.suffix == ".mcap":
         raise SeatrialError(f"{path}: is a log, not a model or a result; open it with st.open_log")
     if path.is_file() and path.suffix not in (".toml", ".json"):
@@ -582,7 +584,7 @@ def export(
 
     Examples
     --------
-    >>> st.export(fit, "simulink", "fmu", name="boat", thruster="thruster/model.toml")
+    >>> st.export(fit, "exported_files", "fmu", name="boat", thruster="thruster/model.toml")
     PosixPath('simulink/boat.fmu')
     """
     from seatrial.daq.files import require_new, write_output

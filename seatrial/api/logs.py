@@ -15,7 +15,7 @@ from seatrial.api.figures import Figure
 from seatrial.api.messages import errors_of_users
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.checks import FAULT, WARNING, Finding, findings_lines, findings_summary, worst_first
-from seatrial.daq.errors import SeatrialError, closest_name, counted, warn
+from seatrial.daq.errors import SeatrialError, closest_name, counted, file_hint, warn
 from seatrial.daq.log import import_library, log_file
 
 if TYPE_CHECKING:
@@ -362,5 +362,5 @@ def as_paths(
         return paths
     for path in paths:
         if not path.exists():
-            raise SeatrialError(f"{path}: no such file or folder; give the path of a log")
+            raise SeatrialError(f"{path}: no such file or folder; {file_hint(path)}give the path of a log")
     return [log_file(path) for path in paths] if folders else paths

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -68,6 +68,9 @@ class Linearisation(Shown, LinearModel):
         place ``x`` and ``y`` [m], heading ``psi`` [rad]. Empty if the model depends on none of them.
     assumed : tuple of str
         Names of the conditions whose value is a default, because ``at`` did not have them.
+    ranges : dict of str to tuple of float
+        Smallest and largest value of the states and inputs in the fitted data by name. `outside` lists those of the
+        operating point that leave them. Empty if the model has no ranges.
     """
 
     def to_pandas(self) -> Any:
@@ -206,7 +209,10 @@ class Linearisation(Shown, LinearModel):
             answer += f" Taken as constant: {conditions_text(self.conditions)}."
         if words := heading_sentence(self.conditions):
             answer += f" {words}"
-        return Content(answer, (), ("pole [1/s]", "time constant [s]", "s.e. [s]"), rows)
+        if words := self.drift:
+            answer += f" Operating point with {words}."
+        notes = [f"The operating point is outside the fitted data: {self.outside}."] if self.outside else []
+        return Content(answer, notes, ("pole [1/s]", "time constant [s]", "s.e. [s]"), rows)
 
 
 @dataclass(frozen=True, repr=False)
@@ -382,8 +388,8 @@ def linearise(
     -------
     Linearisation
         Matrices A and B with their states and inputs, the operating point, poles, time constants, and responses to
-        steps and over the frequency. A speed outside those of the fitted data, and a heading of more than one turn,
-        give a `SeatrialWarning`.
+        steps and over the frequency. A speed outside those of the fitted data, other states and inputs of the
+        operating point outside them, and a heading of more than one turn give a `SeatrialWarning`.
 
     Raises
     ------
@@ -411,7 +417,14 @@ def linearise(
         )
         warn(text)
     assumed = tuple(n for n in found.conditions if n not in (at or {}))
-    return Linearisation(**{**vars(found), "assumed": assumed})
+    linear = Linearisation(**{**vars(found), "assumed": assumed, "ranges": ranges})
+    beside = {n: v for n, v in linear.ranges.items() if n != "u"}  # the speed has a warning of its own
+    if words := replace(linear, ranges=beside).outside:
+        warn(
+            f"the operating point at {speed:g} m/s is outside the fitted data: {words}; the model extrapolates there: "
+            "record data at it, or choose another speed or heading (at={'psi': ...})"
+        )
+    return linear
 
 
 def steady(

@@ -474,6 +474,20 @@ def test_linearisation_is_shown_in_a_few_lines_and_warns_outside_the_data(fit: s
         st.linearise(fit, 1.8)
 
 
+def test_operating_point_outside_the_data_warns(fit: st.FittedVehicle, tmp_path: Path) -> None:
+    model = fit.save(tmp_path / "fit") / "model.toml"
+    text = re.sub(r"(?m)^v = .*$", "v = [0.2, 0.5]", model.read_text())
+    model.write_text(text)
+    with pytest.warns(
+        SeatrialWarning, match=r"at 0.5 m/s is outside the fitted data: sway v = \S+ m/s \(data: 0.2 to 0.5"
+    ):
+        at = st.linearise(model, 0.5)
+    assert "The operating point is outside the fitted data: sway v" in at._repr_html_()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", SeatrialWarning)
+        st.linearise(fit, 0.5)
+
+
 def test_linear_model_has_table_and_figures_with_errors(fit: st.FittedVehicle, tmp_path: Path) -> None:
     at, saved = fit.linearise(0.5), st.load(fit.save(tmp_path / "fit"))
     table = at.to_pandas()
@@ -930,8 +944,14 @@ def test_navigate_returns_and_saves_the_states(logs: list[Path], fit: st.FittedV
         (lambda logs, fit: fit.simulate(-3), "on: -3 names no data"),
         (lambda logs, fit: fit.linearise("0.9"), "speed '0.9': give a number, in m/s, such as 0.5"),
         (lambda logs, fit: fit.linearise(0), "speed 0 m/s: give a number other than zero"),
-        (lambda logs, fit: fit.linearise(0.5).lqr([4, 1, 4]), "Q: give the weights by name, such as {'u': 4.0"),
-        (lambda logs, fit: fit.linearise(0.5).lqr({"u": 4.0}, 1.0), "R: give the weights by name, such as {'n_left'"),
+        (
+            lambda logs, fit: fit.linearise(0.5).lqr([4, 1, 4]),
+            "Q: give the weights of states by name, such as {'u': 4.0",
+        ),
+        (
+            lambda logs, fit: fit.linearise(0.5).lqr({"u": 4.0}, 1.0),
+            "R: give the weights of inputs by name, such as {'n_left'",
+        ),
     ],
 )
 def test_wrong_arguments_give_a_one_line_error(

@@ -7,14 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from seatrial.ident.export import conditions_text, frame_words, turn_sentence
+from seatrial.ident.export import conditions_text, frame_words, outside_text, turn_sentence
 from seatrial.ident.model import THRUSTER_FORCE, drive_word, is_of_thruster
 from seatrial.ident.numerics import is_undetermined
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Canvas, Cell, Grid, Heading, Plot, Prose, Section, Table
 from seatrial.ident.report.bode import FREQUENCY, frequency_axis, gain_traces, phase_traces
 from seatrial.ident.results import (
-    CourseStability,
     Dynamics,
     FrequencyResponse,
     OperatingPoint,
@@ -48,7 +47,7 @@ def section(canvas: Canvas, dynamics: Dynamics | None) -> Section:
         blocks.append(Prose(why, "caption"))
     driving = [n for curve in dynamics.steady for n in curve.inputs]
     drive = drive_word([*driving, *(n for point in dynamics.points for n in point.inputs)])
-    blocks += _pole_blocks(dynamics.points, dynamics.course, drive) + _step_blocks(canvas, dynamics, drive)
+    blocks += _pole_blocks(dynamics, drive) + _step_blocks(canvas, dynamics, drive)
     blocks += _bode_blocks(canvas, dynamics, drive)
     lead = (
         f"Computed from the model {frame_words(dynamics.conditions)}, and within the {drive}s of the data. Bands are "
@@ -109,13 +108,14 @@ def _turn_plot(canvas: Canvas, curves: Sequence[SteadyCurve]) -> Plot:
     return canvas.plot(figure, 320, against, "Steady turn rate")
 
 
-def _pole_blocks(points: Sequence[OperatingPoint], course: CourseStability | None, drive: str) -> list[Any]:
+def _pole_blocks(dynamics: Dynamics, drive: str) -> list[Any]:
     """Return heading and table of the poles at each speed; an empty list without linear models.
 
-    If the model is unstable at a speed, a sentence on the lowest such speed follows, and one on the least stable pole
-    of sway and yaw (``course``) at the speeds of the data, if it is unstable. ``drive`` is what the inputs are, in
-    words.
+    A sentence on the operating points outside the fitted data follows, if there are any. If the model is unstable at a
+    speed, there is one on the lowest such speed. There is also one on the least stable pole of sway and yaw at the
+    speeds of the data, if it is unstable, or on a negative damping of sway. ``drive`` is what the inputs are, in words.
     """
+    points, course = dynamics.points, course_sentence(dynamics.course)
     if not points:
         return []
     rows: list[list[Cell | str]] = []
@@ -137,16 +137,29 @@ def _pole_blocks(points: Sequence[OperatingPoint], course: CourseStability | Non
     blocks: list[Any] = [Heading("Poles on a straight course", "of the model linearised at each speed")]
     note = "Not determined: the standard error of the pole is more than half of its size."
     blocks.append(Table(columns, rows, note if any_lost else ""))
+    if beyond := _outside_sentence(dynamics):
+        blocks.append(Prose(beyond, "callout"))
     if not all(p.stable for p in points):
         slowest = min(p.speed for p in points if not p.stable)
         blocks.append(
             Prose(
                 f"From {slowest:g} m/s on, the boat does not hold a straight course without a heading controller: a "
-                f"small yaw rate grows until the boat turns. {course_sentence(course)}".rstrip(),
+                f"small yaw rate grows until the boat turns. {course}".rstrip(),
                 "callout",
             )
         )
+    elif course:
+        blocks.append(Prose(course, "callout"))
     return blocks
+
+
+def _outside_sentence(dynamics: Dynamics) -> str:
+    """Return a sentence on the operating points whose states or inputs are outside the fitted data; often empty."""
+    found = [(p.speed, outside_text({**p.states, **p.inputs}, dynamics.ranges)) for p in dynamics.points]
+    words = "; ".join(f"at {speed:g} m/s {text}" for speed, text in found if text)
+    return (
+        f"Outside the fitted data, where the model extrapolates and its poles may be wrong: {words}." if words else ""
+    )
 
 
 def _inputs_in_words(point: OperatingPoint) -> str:

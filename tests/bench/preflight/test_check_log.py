@@ -140,7 +140,10 @@ def test_units_of_velocity_and_shaft_speed_are_recognised() -> None:
     assert not [f for f in check_signals(c, sides) if f.is_problem]
     knots = c | {n: Channel(c[n].t, c[n].value / 0.5144) for n in ("vx", "vy")}
     findings = [f for f in check_signals(knots, sides) if f.code == "velocity-unit"]
-    assert any("knots" in f.text for f in findings)
+    assert any("is too large: are its numbers in knots and taken as m/s?" in f.text for f in findings)
+    converted = c | {n: Channel(c[n].t, c[n].value * 0.5144) for n in ("vx", "vy")}  # m/s, declared as kn in the map
+    findings = [f for f in check_signals(converted, sides) if f.code == "velocity-unit"]
+    assert any("is too small: are its numbers in m/s and converted as knots?" in f.text for f in findings)
     slow = c | {"n_left": Channel(c["n_left"].t, c["n_left"].value * 2 * np.pi / 60)}
     (found,) = [f for f in check_signals(slow, sides) if f.check == "units"]
     assert (found.where, found.code) == ("left", "shaft-speed-in-rad-per-s")

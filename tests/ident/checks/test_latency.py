@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from seatrial.daq.checks import Finding
-from seatrial.ident.checks.latency import check_latency
+from seatrial.ident.checks.latency import _attitude_velocity_delay, check_latency
+from seatrial.ident.checks.sensors import LagEstimate
 from seatrial.ident.data import Channel
 
 SIDES = {"left": -0.35, "right": 0.35}
@@ -117,6 +118,15 @@ def test_unknown_delay_is_reported() -> None:
     constant |= {n: Channel(constant[n].t, np.full(constant[n].t.size, 0.5), hold="zero") for n in COMMANDS}
     assert {(f.code, f.level) for f in check_latency(constant, SIDES)} == {("delay-unknown", "unknown")}
     assert "not known" in next(check_latency(constant, SIDES)).text
+
+
+@pytest.mark.parametrize(("lag", "where"), [(0.41, "ahrs"), (-0.41, "gnss")])
+def test_delay_that_is_not_decided_is_shown_at_the_late_signal(lag: float, where: str) -> None:
+    """The interval of 0.41 s reaches down to small delays: the log does not decide, and says what to check."""
+    yaw, speed = (LagEstimate(x, 0.1, 0.95) for x in (max(lag, 0.0), max(-lag, 0.0)))
+    (found,) = _attitude_velocity_delay(yaw, speed, "ahrs", "gnss")
+    assert (found.code, found.level, found.where) == ("delay-unknown", "unknown", where)
+    assert f"time stamps of {'velocity' if where == 'gnss' else 'heading and yaw rate'}; a longer log" in found.advice
 
 
 def test_pauses_of_a_receiver_are_ignored() -> None:

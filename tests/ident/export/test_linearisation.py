@@ -20,7 +20,7 @@ from seatrial.ident.data.record import Channel, build_record
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.output_error import simulate
 from seatrial.ident.estimation.parameter_covariance import ParameterCovariance
-from seatrial.ident.export.linearisation import LinearModel, linearise
+from seatrial.ident.export.linearisation import LinearModel, linearise, sway_slopes
 from seatrial.ident.model.structure import Model
 from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
@@ -59,6 +59,41 @@ def test_matrices_are_the_derivatives_of_the_equations_of_motion(found: LinearMo
     assert found.A[2, 1] == pytest.approx((p["m_u"] - p["m_v"]) * u / p["m_r"], rel=1e-6)
     assert found.A[2, 2] == pytest.approx(-p["d_r"] / p["m_r"], rel=1e-3)
     assert found.delays == {}
+
+
+def test_operating_point_outside_the_data_is_named_with_its_drift(found: LinearModel) -> None:
+    """In a wind from the side, straight motion has a drift, which the data may not contain."""
+    wind = {"F_wx": -6.0, "F_wy": 8.0, "w_n": 0.4, "V_x": 0.0, "V_y": 0.0}
+    inside = {"v": (-1.0, 1.0), "n_left": (-1.0, 1.0)}
+    at = replace(linearise(saved(horizontal_model("shaft") + catalogue()["wind"], wind), 0.7), ranges=inside)
+    sway = float(at.x0[1])
+    assert sway > 0.05
+    angle = np.degrees(np.arctan2(sway, 0.7))
+    assert f"sway v = {sway:.3g} m/s: the boat drifts to starboard by {angle:.2g} deg" in repr(at)
+    assert at.outside == ""
+    assert "outside the fitted data" not in repr(at)
+    beside = replace(at, ranges={"v": (-0.6, 0.5 * sway), "n_left": (-1.0, 1.0)})
+    assert beside.outside == "" if 0.05 * sway + 0.06 > 0.5 * sway else "sway v" in beside.outside
+    far = replace(at, ranges={"v": (-0.02, 0.01), "n_left": (0.9, 1.0)})
+    left = float(at.u0[0])
+    assert far.outside == f"sway v = {sway:.3g} m/s (data: -0.02 to 0.01 m/s), n_left = {left:.3g} (data: 0.9 to 1)"
+    assert f"outside the fitted data: {far.outside}" in repr(far)
+    assert found.drift == ""
+
+
+def test_slope_of_sway_is_its_damping_at_each_speed() -> None:
+    """With lift, the damping of sway is d_v + Y_uv u: linear in the speed."""
+    model = saved(horizontal_model("shaft") + catalogue()["lift"], {"Y_uv": 80.0, "d_v": 40.0, "V_x": 0.0, "V_y": 0.0})
+    speeds = np.array([0.2, 0.45, 1.2])
+    found = sway_slopes(model, speeds, np.full((3, 2), 0.3), {})
+    np.testing.assert_allclose(found, -(40.0 + 80.0 * speeds) / VALUES["m_v"], rtol=0.01)
+    surge = surge_model("shaft")
+    assert (
+        sway_slopes(
+            surge.with_values({n: v for n, v in VALUES.items() if n in surge.values}), speeds, np.full((3, 2), 0.3), {}
+        ).size
+        == 0
+    )
 
 
 def test_poles_and_time_constants(found: LinearModel) -> None:

@@ -50,6 +50,18 @@ def test_feedback_of_an_unstable_boat_warns_of_motions_far_away() -> None:
         unstable.lqr(Q)
 
 
+def test_weights_as_matrices_are_refused_in_one_line(linear: LinearModel) -> None:
+    given: Any = np.eye(2)
+    with pytest.raises(
+        SeatrialError, match=r"R: give the weights of inputs by name, such as \{'\w+': 2.0\}, .* a matrix"
+    ):
+        linear.lqr(Q, given)
+    with pytest.raises(SeatrialError, match=r"Q: give the weights of states by name, such as .* and not a matrix$"):
+        linear.lqr(given)
+    with pytest.raises(SeatrialError, match=r"and not 3.0$"):
+        linear.lqr(Q, 3.0)  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize("propulsion", ["shaft", "command"])
 def test_feedback_steers_the_exported_boat(propulsion: Any) -> None:
     """The same lines work for both kinds of input: the shaft states have no weight."""

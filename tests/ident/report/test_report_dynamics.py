@@ -111,6 +111,20 @@ def test_poles_are_in_words(shown: Page) -> None:
     assert "Taken as constant: t = 240 s." in words
 
 
+def test_operating_points_outside_the_data_are_named() -> None:
+    found = dynamics()
+    points = tuple(
+        msgspec.structs.replace(p, states={"u": p.speed, "v": 0.3 * p.speed, "r": 0.0}) for p in found.points
+    )
+    ranges = {"u": (-2.0, 1.5), "v": (-0.6, 0.1), "n_left": (-1.0, 1.0)}
+    outside = msgspec.structs.replace(found, points=points, ranges=ranges)
+    words = " ".join(
+        Page(page.render(msgspec.structs.replace(loaded(KINDS["diagnosis"]()), dynamics=outside))).words.split()
+    )
+    assert "may be wrong: at 1 m/s sway v = 0.3 m/s (data: -0.6 to 0.1 m/s)." in words
+    assert "at 0.5 m/s sway" not in words
+
+
 def test_poles_and_time_constants_that_are_not_determined_are_marked() -> None:
     found = dynamics()
     errors = (np.array([0.3, 0.3]), np.array([0.06, 0.5]))

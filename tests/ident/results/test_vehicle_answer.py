@@ -36,6 +36,7 @@ from seatrial.ident.results.answers import (
     smallest_command,
     stuck_sensors,
     thrust_ahead_warnings,
+    thrust_astern_warnings,
     thruster_answer,
     unusual_estimates,
     vehicle_answer,
@@ -423,6 +424,9 @@ def test_sentence_on_a_directionally_unstable_boat(
     assert course_sentence(None) == ""
     negative = CourseStability(speed=0.9, pole=pole, low=low, high=high, sway=0.02)
     assert course_sentence(negative).startswith("At 0.9 m/s the estimated damping of sway is negative, which no hull")
+    lowest = course_sentence(CourseStability(speed=0.9, pole=pole, low=low, high=high, sway=-0.02, sway_from=0.451))
+    assert lowest.startswith("From 0.45 m/s on the estimated damping of sway is negative, which no hull")
+    assert "with this model at these speeds; record turns at them." in lowest
     assert course_sentence(CourseStability(speed=0.9, pole=pole, low=low, high=high, sway=-0.02)) == begin + sentence
 
 
@@ -447,6 +451,21 @@ def test_thrust_that_may_be_that_ahead_is_reported(
     if warned and c2 > 0.0:
         assert "is 7.77 N ahead and 5.91 N astern by this fit; c1 = 6.84 N, which was given" in found[0].text
         assert "multiply it by 0.880" in found[0].text
+
+
+@pytest.mark.parametrize(("c1", "c2", "warned"), [(239.0, 179.0, True), (209.0, 30.0, False), (40.0, -25.0, True)])
+def test_thrust_astern_that_was_given_as_c2_is_reported(c1: float, c2: float, warned: bool) -> None:
+    model = horizontal_model("shaft")
+    own = [replace(p, value=v, origin=ParameterOrigin.GIVEN) for p in model.parameters
+           for n, v in (("c1", c1), ("c2", c2)) if p.name == n]  # fmt: skip
+    fit: Any = SimpleNamespace(model=model.replace_parameters(*own))
+    found = thrust_astern_warnings(fit)
+    assert [w.code for w in found] == ["thrust-astern"] * warned
+    if c1 == 239.0:
+        assert "c2 = 179 N are 418 N ahead (c1 + c2) and 60 N astern (c1 - c2)" in found[0].text
+        assert found[0].text.endswith("239 N is the thrust ahead and 179 N that astern, give c1 = 209 and c2 = 30.")
+    fit.model = model.replace_parameters(own[0])  # c2 is estimated
+    assert thrust_astern_warnings(fit) == []
 
 
 @pytest.mark.parametrize(("value", "warned"), [(4.1, True), (0.5, False), (0.02, True)])

@@ -501,7 +501,7 @@ def test_effects_that_are_estimated_on_the_compared_log_are_named(logs: list[Pat
     assert result.models[1].score is not None
     assert not result.models[1].score.held_out
     folders = [file.parent for file in weedy_models]
-    message = r"growing-drag: its parameters differ between the fitted runs, and the model has their means \(g_before ="
+    message = r"its parameters differ between the fitted runs, and the model has their means \(g_before = \S+: \w"
     with pytest.warns(SeatrialWarning, match=message):
         st.linearise(folders[1], 0.5)
     with warnings.catch_warnings():

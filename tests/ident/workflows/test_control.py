@@ -34,13 +34,13 @@ def output(code: str, number: int = 0) -> str:
     return re.findall(r"^```text\n(.*?)^```$", after, re.MULTILINE | re.DOTALL)[number]
 
 
-@pytest.mark.parametrize("block", range(4), ids=["slope", "pid", "lqr", "mpc"])
+@pytest.mark.parametrize("block", range(5), ids=["slope", "pid", "lqr", "ramp", "mpc"])
 def test_controller_of_the_page(block: int, folder: Path) -> None:
     code = blocks(PAGE, "python")[block]
     assert run(code, folder) == output(code)
 
 
-@pytest.mark.parametrize("block", [1, 2], ids=["pid", "lqr"])
+@pytest.mark.parametrize("block", [1, 2, 3], ids=["pid", "lqr", "ramp"])
 def test_controller_of_the_page_with_a_model_of_commands(block: int, folder: Path) -> None:
     """The page tells to change one line."""
     code = blocks(PAGE, "python")[block]
@@ -51,7 +51,7 @@ def test_controller_of_the_page_with_a_model_of_commands(block: int, folder: Pat
 
 def test_mpc_with_shaft_speeds_stays_at_rest(folder: Path) -> None:
     """The page states that zero is a stationary point of the optimisation with shaft speeds."""
-    code = blocks(PAGE, "python")[3]
+    code = blocks(PAGE, "python")[4]
     for old, new in (
         ("boat_casadi import DEFAULTS, make_step, shaft_speed", "shafts_casadi import DEFAULTS, make_step"),
         ("LIMIT = 0.2, 25, 38.0", "LIMIT = 0.2, 25, 1.0"),
@@ -66,7 +66,7 @@ def test_mpc_with_shaft_speeds_stays_at_rest(folder: Path) -> None:
 
 def test_mpc_with_do_mpc(folder: Path) -> None:
     pytest.importorskip("do_mpc", reason="do-mpc is not installed: it needs matplotlib, which no other test uses")
-    found = re.search(r"after 15 s: x = ([\d.]+) m, y = ([\d.]+) m", run(blocks(PAGE, "python")[4], folder))
+    found = re.search(r"after 15 s: x = ([\d.]+) m, y = ([\d.]+) m", run(blocks(PAGE, "python")[5], folder))
     assert found
     assert float(found[1]) == pytest.approx(4.0, abs=0.3)
     assert float(found[2]) == pytest.approx(2.0, abs=0.3)

@@ -115,6 +115,23 @@ def test_unstable_boat_is_named_with_its_time_constant() -> None:
     assert json.loads(to_json(result))["dynamics"]["course"]["pole"] == pytest.approx(course.pole, rel=1e-6)
 
 
+def test_negative_damping_of_sway_has_its_lowest_speed(fitted: FittedModel) -> None:
+    """With lift of the wrong sign the damping of sway, d_v + Y_uv u, is negative from -d_v / Y_uv on."""
+    fit = fitted.fit
+    assert dynamics_of(fitted).course.sway_from is None  # type: ignore[union-attr]
+    _, fastest = validity(fitted)["u"]
+    from_speed = 0.5 * fastest
+    d_v = fit.model.values["d_v"]
+    lifted = (fit.model + catalogue()["lift"]).with_values({"Y_uv": -d_v / from_speed})
+    found = dynamics_of(replace(fitted, fit=replace(fit, model=lifted)))
+    assert found is not None
+    assert found.course is not None
+    assert found.course.sway_from == pytest.approx(from_speed, abs=0.02 * fastest)
+    assert f"From {found.course.sway_from:.2g} m/s on the estimated damping of sway" in course_sentence(found.course)
+    assert {"u", "v", "n_left"} <= set(found.ranges)
+    assert all(p.states["u"] == p.speed for p in found.points)
+
+
 def test_conditions_of_the_end_of_the_data_are_in_the_result(fitted: FittedModel) -> None:
     model = fitted.fit.model + catalogue()["payload-shift"]
     late = replace(fitted, fit=replace(fitted.fit, model=model))

@@ -251,7 +251,7 @@ def test_log_is_loaded_with_times_from_its_own_start(tmp_path: Path) -> None:
     assert about["warnings"] == []
 
 
-@pytest.mark.parametrize(("reached", "words"), [(0.9, "are 0.90 (run). If the thrust"), (0.99, "")])
+@pytest.mark.parametrize(("reached", "words"), [(0.9, "are 0.90 (run). If the given c1 = 40 N"), (0.99, "")])
 def test_thrust_for_commands_that_do_not_reach_full_speed_gives_a_warning(reached: float, words: str) -> None:
     t = np.arange(0.0, 120.0, 0.1)
     command = np.repeat(np.random.default_rng(2).uniform(0.2, 0.9, 20), 60)
@@ -263,5 +263,8 @@ def test_thrust_for_commands_that_do_not_reach_full_speed_gives_a_warning(reache
         model, _ = fix_parameters(horizontal_model(inputs), None, {"c1": 40.0, "c2": 0.0})
         found = _command_scale_warning(model, [log])
         assert (found is not None) == bool(words and inputs == "command")
-        assert found is None or (words in found.text and "multiply c1 and c2 by 0.81" in found.text)
+        assert found is None or (words in found.text and "multiply c1 and c2 by 0.81 (c1 = 32.4 N)" in found.text)
+        assert found is None or found.text.endswith(
+            "If 40 N is the thrust at full command already, nothing is to change."
+        )
     assert _command_scale_warning(horizontal_model("command"), [log]) is None
