@@ -585,7 +585,7 @@ def export(
     Examples
     --------
     >>> st.export(fit, "exported_files", "fmu", name="boat", thruster="thruster/model.toml")
-    PosixPath('simulink/boat.fmu')
+    PosixPath('exported_files/boat.fmu')
     """
     from seatrial.daq.files import require_new, write_output
     from seatrial.ident.workflows.export import ExportRequest, Target, export_model
