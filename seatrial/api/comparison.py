@@ -6,9 +6,12 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, cast, overload
+
+import numpy as np
 
 from seatrial.api import tables
+from seatrial.api.arguments import as_path, check_above_zero, check_rate, output_folder
 from seatrial.api.figures import Figure
 from seatrial.api.fits import FittedResult, Logs, model_path, python_call, refuse_log, window_of
 from seatrial.api.logs import PathLike, as_paths
@@ -121,7 +124,7 @@ class Comparison(Shown):
         """
         from seatrial.ident.workflows.compare import write_comparison
 
-        return write_comparison(self.result, Path(folder))
+        return write_comparison(self.result, output_folder(folder))
 
     def _content(self) -> Content:
         """Return the answer, and the RMS errors over the first horizon: a row for each channel, a column per model."""
@@ -232,7 +235,12 @@ def compare(
     for model in chosen.values() if isinstance(chosen, Mapping) else chosen:
         refuse_log(model)
     named = chosen if isinstance(chosen, Mapping) else {_name_of(m, k): m for k, m in enumerate(chosen)}
-    horizons = () if horizon is None else (horizon,) if isinstance(horizon, int | float) else tuple(horizon)
+    several = isinstance(horizon, Sequence | np.ndarray) and not isinstance(horizon, str)
+    horizons = tuple(cast(Any, horizon)) if several else () if horizon is None else (cast(float, horizon),)
+    for seconds in horizons:
+        check_above_zero("horizon", seconds)
+    if rate is not None:
+        check_rate(rate)
     with errors_of_users(), ExitStack() as stack:
         if len(named) == 1 < len(chosen):
             raise SeatrialError(f"{next(iter(named))} is given twice; give another model to compare it with")
@@ -247,7 +255,7 @@ def compare(
             files,
             horizons,
             rate,
-            None if thruster is None else str(thruster),
+            None if thruster is None else str(as_path(thruster, "thruster")),
             window=window_of(data),
             names=tuple(named),
             workers=Workers(jobs, backend, scheduler),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from seatrial.api.messages import in_python
+from seatrial.api.messages import OF_THRUSTER, in_python
 
 
 @pytest.mark.parametrize(
@@ -21,3 +21,9 @@ from seatrial.api.messages import in_python
 )
 def test_commands_and_options_become_functions_and_arguments(text: str, expected: str) -> None:
     assert in_python(text) == expected
+
+
+def test_the_thruster_of_a_bench_is_chosen_by_its_name() -> None:
+    text = "the log has left, right; give one of them as --thruster"
+    assert in_python(text, OF_THRUSTER) == "the log has left, right; give one of them as name"
+    assert in_python(text) == "the log has left, right; give one of them as thruster"
