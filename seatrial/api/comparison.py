@@ -16,6 +16,7 @@ from seatrial.api.figures import Figure
 from seatrial.api.fits import FittedResult, Logs, model_path, python_call, refuse_log, window_of
 from seatrial.api.logs import PathLike, as_paths
 from seatrial.api.messages import Messages, errors_of_users, text_of
+from seatrial.api.series import ByRecord, ComparedPredictions, Prediction
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import import_library
@@ -90,6 +91,33 @@ class Comparison(Shown):
         frame = import_library("pandas").DataFrame(rows)
         numbers = ["seconds", "rms", "fit", "ratio", "low", "high", "blocks"]
         return frame.astype(dict.fromkeys(numbers, float))
+
+    def predictions(self) -> ComparedPredictions:
+        """Return the predictions of all models over each horizon and in simulation, with the measured samples.
+
+        They are those of `plot`. There are none one step ahead. A simulation filters the first 15 s of a record, or of
+        each block if the logs are cut into blocks; its values there are no predictions.
+
+        Returns
+        -------
+        ComparedPredictions
+            ``predictions[model][horizon][record][channel]`` is a `Prediction`: ``model`` is the name of a model, and
+            ``horizon`` a time [s] or ``"simulation"``. `to_pandas` gives one table of all. ``sd`` is that of the model
+            itself, which the validation data do not widen. ``predicted`` is NaN from the time on at which a prediction
+            diverged. ``measured`` is interpolated if the rows of the models differ. Angles are not wrapped: the
+            prediction is within half a turn of the sample.
+        """
+        names = {m.label: m.name for m in self.result.models}
+        found = ComparedPredictions()
+        for x in self.result.traces:
+            for p in x.predictions:
+                measured = np.interp(p.t, x.t, x.measured, left=np.nan, right=np.nan)
+                turns = np.round((measured - p.predicted) / (2.0 * np.pi)) if x.angle else 0.0
+                horizon: float | Literal["simulation"] = "simulation" if p.seconds is None else p.seconds
+                by_record = found.setdefault(names[p.model], {}).setdefault(horizon, ByRecord[Prediction]())
+                samples = Prediction(p.t, measured, p.predicted + 2.0 * np.pi * turns, p.sd)
+                by_record.setdefault(x.record, {})[x.channel] = samples
+        return found
 
     def plot(self, *channels: str, horizon: float | Literal["simulation"] | None = None) -> Figure:
         """Return a figure of the measured channels with the predictions of all models, each with its 95 % band.

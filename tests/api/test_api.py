@@ -745,6 +745,22 @@ def test_comparison_prefers_the_model_with_the_effect(
     assert (nominal.changes, nominal.score) == ((), None)
     assert compared.best == "mismatch"
     assert set(compared.to_pandas()["model"]) == {"nominal", "mismatch"}
+    predictions = compared.predictions()
+    seconds = compared.result.horizons[0]
+    assert list(predictions) == ["nominal", "mismatch"]
+    assert list(predictions["nominal"]) == [seconds, "simulation"]
+    for k, name in enumerate(predictions):
+        rate = predictions[name][seconds]["run3"]["r"]
+        # The errors of the table are those of the samples that both models predict, which are all of the curve here.
+        assert rate.rms == pytest.approx(turn.errors[k].rms, rel=1e-6)
+        heading = predictions[name]["simulation"]["run3"]["psi"]
+        assert np.abs(heading.measured - heading.predicted).max() <= np.pi
+        assert np.isfinite(heading.sd).all()
+    table = predictions.to_pandas()
+    assert [*table.columns] == [*"record model kind horizon channel t measured predicted sd".split()]
+    assert set(table["kind"]) == {"horizon", "simulation"}
+    (rows,) = (len(x) for key, x in table.groupby(["model", "kind", "channel"]) if key == ("mismatch", "horizon", "r"))
+    assert rows == predictions["mismatch"][seconds]["run3"]["r"].t.size
     assert better.no_criteria == "not all models were fitted to exactly these logs"
     # On the log of the fit the summary says that the errors are too small.
     own = st.compare(fit, found, logs[0])
