@@ -855,6 +855,10 @@ class Dynamics(Part, frozen=True, kw_only=True):
         tuple[float, float] | None,
         Meta(description="smallest and largest forward speed in the data of the fit [m/s]; null: unknown"),
     ] = None
+    turn_rates: Annotated[
+        tuple[float, float] | None,
+        Meta(description="smallest and largest turn rate in the data of the fit [rad/s]; null: unknown"),
+    ] = None
     course: Annotated[
         CourseStability | None, Meta(description="stability of a straight course; null: no pole of sway and yaw")
     ] = None

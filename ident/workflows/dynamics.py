@@ -74,7 +74,8 @@ def dynamics_of(fitted: FittedModel) -> Dynamics | None:
         course = _course_stability(linear, ranges.get("u"))
     return Dynamics(
         steady=tuple(curves), points=tuple(_point(x) for x in linear), steps=tuple(steps), responses=tuple(responses),
-        delays=dict(linear[0].delays) if linear else {}, conditions=conditions, speeds=ranges.get("u"), course=course,
+        delays=dict(linear[0].delays) if linear else {}, conditions=conditions, speeds=ranges.get("u"),
+        turn_rates=ranges.get("r"), course=course,
     )  # fmt: skip
 
 

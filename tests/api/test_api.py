@@ -608,6 +608,10 @@ def test_steady_motion_is_that_of_a_long_simulation(fit: st.FittedVehicle, tmp_p
     assert line["line"]["dash"] == "dot"
     frame = steady.to_pandas()
     assert len(frame) == steady.straight.command.size + turn.command.size
+    reached = replace(steady, turn_rates=(-0.02, 0.01)).answer
+    assert ", beyond the turn rates of the data (up to 1.1 deg/s)" in reached
+    assert "turn rates of the data" not in replace(steady, turn_rates=(-9.0, 9.0)).answer
+    assert steady.turn_rates == st.load(fit.save(tmp_path / "saved")).saved_model().validity["r"]
     with pytest.raises(SeatrialError, match="means 2: give parts of the largest command"):
         fit.steady(means=(2.0,))
     with pytest.raises(SeatrialError, match="points 2: give at least 3"):
