@@ -15,7 +15,7 @@ from seatrial.api.arguments import as_path, check_above_zero, check_rate, output
 from seatrial.api.figures import Figure
 from seatrial.api.fits import FittedResult, Logs, model_path, python_call, refuse_log, window_of
 from seatrial.api.logs import PathLike, as_paths
-from seatrial.api.messages import Messages, errors_of_users, text_of
+from seatrial.api.messages import Messages, errors_of_users, text_of, warn_of_result
 from seatrial.api.series import ByRecord, ComparedPredictions, Prediction
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError
@@ -288,7 +288,9 @@ def compare(
             names=tuple(named),
             workers=Workers(jobs, backend, scheduler),
         )
-        result = compare_models(request, python_call("compare", files, models=str(list(named))), Messages(False))
+        messages = Messages(False)
+        result = compare_models(request, python_call("compare", files, models=str(list(named))), messages)
+    warn_of_result(result, messages)
     return Comparison(result)
 
 

@@ -21,7 +21,7 @@ from seatrial.api.arguments import as_path, check_values, output_folder, shorten
 from seatrial.api.figures import Figure
 from seatrial.api.findings import DiagnosisFindings
 from seatrial.api.logs import Log, PathLike, as_list, as_paths
-from seatrial.api.messages import Messages, errors_of_users, warn_of_logs
+from seatrial.api.messages import Messages, errors_of_users, warn_of_result
 from seatrial.api.series import ByRecord, Prediction, Series
 from seatrial.api.shown import Content, Shown
 from seatrial.daq.errors import NamedValues, SeatrialError, closest_name
@@ -571,8 +571,9 @@ def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[
 
     with errors_of_users():
         request, progress = vehicle_request(as_paths(logs), _paths_or_none(validate), model, window_of(logs), options)
-        done: VehicleFit = fit_vehicle(request, python_call("fit", request.logs, model=model), Messages(progress))
-    warn_of_logs(done.result)
+        messages = Messages(progress)
+        done: VehicleFit = fit_vehicle(request, python_call("fit", request.logs, model=model), messages)
+    warn_of_result(done.result, messages)
     return FittedVehicle(done.result, done.fitted)
 
 
@@ -680,7 +681,7 @@ def diagnose(
     from seatrial.ident.workflows.diagnose import DiagnosisRequest, diagnose_model
 
     given = known_options(options, DiagnosisOptions)
-    progress = given.pop("progress", False)
+    messages = Messages(given.pop("progress", False))
     estimation = {n: given.pop(n) for n in ("outlier_model", "horizon") if n in given}
     if "effects_file" in given:
         given["effects_file"] = Path(given["effects_file"])
@@ -694,12 +695,12 @@ def diagnose(
             window=window_of(logs),
             **given,
         )
-        done: DiagnosedModel = diagnose_model(request, python_call("diagnose", request.logs), Messages(progress))
+        done: DiagnosedModel = diagnose_model(request, python_call("diagnose", request.logs), messages)
         result, advice = done.result, done.result.recommended_experiment
         if isinstance(model, FittedResult) and advice:
             # The file of a fitted model was temporary. The user saves the model to run the command.
             result = structs.replace(result, recommended_experiment=advice.replace(str(path), "model.toml"))
-    warn_of_logs(result)
+    warn_of_result(result, messages)
     return FittedDiagnosis(result, done.found.after, done.found, done.effects_file)
 
 

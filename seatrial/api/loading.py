@@ -161,6 +161,24 @@ class Saved(MotionMethods, Shown):
         """
         return "" if self.result is None else tables.conclusion(self.result)
 
+    @property
+    def warnings(self) -> list[str]:
+        """Warnings of the loaded result, one text for each. The list is empty without a result or warnings."""
+        return [] if self.result is None else tables.warning_texts(self.result)
+
+    @property
+    def converged(self) -> bool:
+        """Whether the search for the maximum of the likelihood converged, of the loaded result of a fit or diagnosis.
+
+        Raises
+        ------
+        SeatrialError
+            If no result of a fit was loaded.
+        """
+        if not hasattr(self.result, "converged"):
+            raise SeatrialError(f"{self.path}: no {RESULT} of a fit was loaded; load the folder that contains it")
+        return bool(self.result.converged)
+
     def summary(self) -> str:
         """Return the loaded result as text.
 
@@ -294,7 +312,7 @@ class Saved(MotionMethods, Shown):
         if computed is not None:
             content: Content = computed._content()
             return content
-        notes = [] if self.result is None else tables.warning_texts(self.result)
+        notes = self.warnings
         if self.model is None:
             return Content(self.answer, notes)
         errors = self.standard_errors

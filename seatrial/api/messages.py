@@ -77,6 +77,7 @@ class Messages:
     def __init__(self, progress: bool) -> None:
         """Store whether to print a line for each step of the computation (``progress``)."""
         self._progress = progress
+        self.issued: set[str] = set()  # texts of the warnings
 
     def progress(self, text: str) -> None:
         """Print the line `text` about a step of the computation to stderr, if progress is printed; else do nothing."""
@@ -85,17 +86,18 @@ class Messages:
 
     def warning(self, text: str) -> None:
         """Issue a Python warning with this text and the category `SeatrialWarning`, which the user may filter."""
+        self.issued.add(in_python(text))
         warn(in_python(text))
 
 
-def warn_of_logs(result: Result) -> None:
-    """Issue a Python warning for each finding of the checks of the logs (warning or fault), such as a gap of a sensor.
+def warn_of_result(result: Result, messages: Messages) -> None:
+    """Issue each warning of a result once as a Python warning, except those that the computation has issued before.
 
-    Other warnings of a result are in its summary.
+    ``messages`` are those of the computation.
     """
-    for warning in result.warnings:
-        if warning.code == "log-check":
-            warn(in_python(warning.text))
+    for text in dict.fromkeys(in_python(w.text) for w in result.warnings):
+        if text not in messages.issued:
+            warn(text)
 
 
 def text_of(result: Result) -> str:

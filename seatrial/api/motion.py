@@ -248,8 +248,8 @@ class Steady(Shown):
     def answer(self) -> str:
         """Largest steady speed and turn rate within the commands of the data, and the conditions, in sentences.
 
-        A speed or turn rate beyond those of the data is marked. A sentence says why a model that depends on heading or place has no
-        steady turn rate.
+        A speed or turn rate beyond those of the data is marked. A sentence says why a model that depends on heading or
+        place has no steady turn rate.
         """
         words = {"u": ("speed", 1.0, "m/s"), "r": ("turn rate", np.degrees(1.0), "deg/s")}
         found = []

@@ -25,7 +25,7 @@ from seatrial.api.fits import (
     window_of,
 )
 from seatrial.api.logs import PathLike, as_paths
-from seatrial.api.messages import OF_THRUSTER, Messages, errors_of_users, warn_of_logs
+from seatrial.api.messages import OF_THRUSTER, Messages, errors_of_users, warn_of_result
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.files import write_output
@@ -355,7 +355,7 @@ def thruster(logs: Logs, **options: Unpack[ThrusterOptions]) -> FittedThruster |
         return found
 
     found, files = _with_files(work, OF_THRUSTER)
-    warn_of_logs(found.result)
+    warn_of_result(found.result, reporter)
     if isinstance(found, ThrusterFit):
         return FittedThruster(result=found.result, files=files, fitted=found.fitted)
     return ThrustCurve(found.result, files)
@@ -410,10 +410,13 @@ def navigate(
     def work(out: Path) -> Any:
         """Estimate the states, write the files of the command to the folder `out`, and return the result."""
         request = NavigationRequest(path, paths, out, smoothed, gnss_outages, window_of(logs), rate, curve)
-        return navigate_logs(request, python_call("navigate", paths), Messages(False))
+        return navigate_logs(request, python_call("navigate", paths), messages)
 
+    messages = Messages(False)
     with model_path(model) as path:
-        return Navigated(*_with_files(work))
+        found = Navigated(*_with_files(work))
+    warn_of_result(found.result, messages)
+    return found
 
 
 def design(

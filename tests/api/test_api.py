@@ -611,7 +611,11 @@ def test_steady_motion_is_that_of_a_long_simulation(fit: st.FittedVehicle, tmp_p
     reached = replace(steady, turn_rates=(-0.02, 0.01)).answer
     assert ", beyond the turn rates of the data (up to 1.1 deg/s)" in reached
     assert "turn rates of the data" not in replace(steady, turn_rates=(-9.0, 9.0)).answer
-    assert steady.turn_rates == st.load(fit.save(tmp_path / "saved")).saved_model().validity["r"]
+    saved = st.load(fit.save(tmp_path / "saved"))
+    assert (saved.warnings, saved.converged) == (fit.warnings, True)
+    with pytest.raises(SeatrialError, match=r"no result.json of a fit was loaded"):
+        _ = st.load(tmp_path / "saved/model.toml").converged
+    assert steady.turn_rates == saved.saved_model().validity["r"]
     with pytest.raises(SeatrialError, match="means 2: give parts of the largest command"):
         fit.steady(means=(2.0,))
     with pytest.raises(SeatrialError, match="points 2: give at least 3"):
@@ -761,7 +765,7 @@ def test_comparison_prefers_the_model_with_the_effect(
         assert np.abs(heading.measured - heading.predicted).max() <= np.pi
         assert np.isfinite(heading.sd).all()
     table = predictions.to_pandas()
-    assert [*table.columns] == [*"record model kind horizon channel t measured predicted sd".split()]
+    assert [*table.columns] == [*["record", "model", "kind", "horizon", "channel", "t", "measured", "predicted", "sd"]]
     assert set(table["kind"]) == {"horizon", "simulation"}
     (rows,) = (len(x) for key, x in table.groupby(["model", "kind", "channel"]) if key == ("mismatch", "horizon", "r"))
     assert rows == predictions["mismatch"][seconds]["run3"]["r"].t.size
