@@ -32,6 +32,7 @@ from .api.runs import design as design
 from .api.runs import navigate as navigate
 from .api.runs import thruster as thruster
 from .api.series import ByRecord as ByRecord
+from .api.series import ComparedPredictions as ComparedPredictions
 from .api.series import Prediction as Prediction
 from .api.series import Series as Series
 from .api.series import Simulation as Simulation

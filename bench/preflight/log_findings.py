@@ -7,7 +7,7 @@ from pathlib import Path
 
 from seatrial.daq.checks import FAULT, OK, WARNING, Finding, check_devices
 from seatrial.daq.errors import SeatrialError
-from seatrial.daq.log import open_log
+from seatrial.daq.log import bag_of_ros, open_log
 from seatrial.daq.samples import MEASURED
 
 
@@ -42,6 +42,9 @@ def log_findings(check_motion: Callable[[Path], list[Finding]], paths: Sequence[
             samples = any(log.sources(kind) for kind in MEASURED)
         if samples:
             here += _motion_findings(check_motion, path)
+        elif (bag := bag_of_ros(path)) is not None:
+            advice = f"import it, and check the log: seatrial import --guess {bag}"
+            here.append(Finding(FAULT, "ros-bag", "log", path.name, "it is a bag of ROS 2, not a log", advice))
         else:
             advice = "`seatrial info` shows what it contains; if devices were connected, record it again"
             here.append(Finding(FAULT, "log-empty", "log", path.name, "it contains no sample of any device", advice))

@@ -13,6 +13,7 @@ from .recorder import Recorder as Recorder
 from .recorder import check_room as check_room
 from .recovery import recover_log as recover_log
 from .schema import NODE_TOPICS as NODE_TOPICS
+from .segments import bag_of_ros as bag_of_ros
 from .segments import first_segment_of as first_segment_of
 from .segments import is_log as is_log
 from .segments import log_file as log_file

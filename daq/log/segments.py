@@ -22,6 +22,9 @@ from seatrial.daq.log.mcap_reader import LAST_NS, MAX_WARNINGS, RawLog
 
 _NUMBER = r"[1-9]\d{0,5}"  # number of a later segment in its name
 MAX_NAMED = 8  # logs that an error message names
+ROS_PROFILE = b"\x04\x00\x00\x00ros2"  # profile in the header of a .mcap file of ROS 2, with its length
+OWN_LIBRARY = b"\x08\x00\x00\x00seatrial"  # program in the header of a log, with its length
+HEADER_BYTES = 64  # of a .mcap file after its first bytes, in which both stand
 BAG = b"rosbag2_bagfile_information"  # first key of the metadata.yaml of a bag of ROS 2
 RESULT_FILES = ("model.toml", "result.json")  # files of a fit, by which its folder is recognised
 SHARED_METADATA = ("origin", "rig", "host")  # metadata that are equal in all segments of one log
@@ -282,6 +285,24 @@ def log_file(path: Path) -> Path:
         names = ", ".join(file.name for file in found[:MAX_NAMED]) + (", ..." if len(found) > MAX_NAMED else "")
         raise SeatrialError(f"{path} is a folder of {len(found)} logs: name one of {names}")
     return found[0]
+
+
+def bag_of_ros(path: Path) -> Path | None:
+    """Return the bag of ROS 2 to which a .mcap file belongs: its folder, or the file itself without a metadata.yaml.
+
+    None for a log, and for a file of other programs than those of ROS 2, or one that cannot be read. A log has the
+    profile of ROS 2 too, but names seatrial as the program that wrote it.
+    """
+    try:
+        bag = path.parent / "metadata.yaml"
+        if bag.is_file() and BAG in bag.read_bytes():
+            return path.parent
+        with path.open("rb") as file:
+            head = file.read(len(MCAP0_MAGIC) + HEADER_BYTES)
+    except OSError:
+        return None
+    is_of_ros = head.startswith(MCAP0_MAGIC) and ROS_PROFILE in head and OWN_LIBRARY not in head
+    return path if is_of_ros else None
 
 
 def is_log(path: Path) -> bool:

@@ -254,7 +254,7 @@ def thruster_name(loaded: LoadedLog) -> str:
         found = ", ".join(moved) if moved else "none"
         raise SeatrialError(
             f"{loaded.about['path']}: exactly one thruster with a changing command and a shaft speed is needed; the "
-            f"log has {found}; name one with --thruster"
+            f"log has {found}; give one of them as --thruster"
         )
     return moved[0]
 

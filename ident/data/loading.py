@@ -40,7 +40,7 @@ from seatrial.daq.checks import Finding, unknown_times
 from seatrial.daq.config import parse_toml
 from seatrial.daq.errors import SeatrialError, counted, warn
 from seatrial.daq.geometry import local_ned
-from seatrial.daq.log import Log, open_log
+from seatrial.daq.log import Log, bag_of_ros, open_log
 from seatrial.daq.rig import Rig, Thruster
 from seatrial.daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar, Servo
 from seatrial.ident.data.gaps import (
@@ -986,6 +986,8 @@ def load_run(path: Path, role: str, window: TimeWindow = WHOLE, device_faults: D
             origin = _origin_of_positions(log, found, path.stem)
             unknown = _unknown_inputs(log)
             faults = tuple(device_faults(log)) if device_faults is not None and found else None
+        if not found and (bag := bag_of_ros(path)) is not None:
+            raise SeatrialError(f"{path} is a bag of ROS 2; import it first: seatrial import --guess {bag}")
         if not found:
             raise SeatrialError(
                 f"{path}: has no signal that an identification can use; list its signals with `seatrial info {path}`"

@@ -15,6 +15,8 @@ from seatrial.ident.model import COMMAND, SHAFT_SPEED, is_of_thruster
 from seatrial.ident.numerics import Array
 
 UNSTABLE = 0.05  # 1/s: poles below it grow by a factor of e in more than 20 s, which any feedback holds
+TURN = 2.0 * np.pi  # rad
+MOST_TURNS = 5.0  # of a heading that counts them; more are degrees
 HEADING = "psi"  # further state of the feedback: the integral of the yaw rate
 
 
@@ -60,6 +62,12 @@ class StateFeedback:
         ------
         SeatrialError
             If a state is missing, or if there is no state of a name.
+
+        Warns
+        -----
+        SeatrialWarning
+            If the heading is more than five turns, or the wanted one more than one turn although the heading is not:
+            its unit is then probably the degree.
         """
         if missing := [n for n in self.states if n not in x]:
             raise SeatrialError(f"the state {missing[0]} is missing; the feedback needs {', '.join(self.states)}")
@@ -67,6 +75,8 @@ class StateFeedback:
         goal = {n: wanted.get(n, float(v)) for n, v in zip(self.states, self.x0, strict=True)}
         error = np.array([x[n] - goal[n] for n in self.states])
         turn = [n == HEADING for n in self.states]
+        if any(turn):
+            _warn_of_degrees(float(x[HEADING]), float(goal[HEADING]))
         error[turn] = np.remainder(error[turn] + np.pi, 2.0 * np.pi) - np.pi
         u = self.u0 - self.gain @ error
         relative = [is_of_thruster(n, COMMAND, SHAFT_SPEED) for n in self.inputs]
@@ -182,6 +192,17 @@ def lqr(linear: LinearSystem, Q: Mapping[str, float], R: Mapping[str, float] | N
     poles = poles[np.argsort(np.abs(poles.real), kind="stable")]
     x0 = np.append(linear.x0, np.full(len(states) - n, linear.conditions.get(HEADING, 0.0)))
     return StateFeedback(states, linear.inputs, gain, x0, linear.u0, poles)
+
+
+def _warn_of_degrees(psi: float, wanted: float) -> None:
+    """Warn if the heading or the wanted heading [rad] are probably in degrees.
+
+    A heading may count its turns, as that of a log and of a simulation does. Then the wanted heading may do so too.
+    """
+    if MOST_TURNS * TURN < abs(psi) < np.inf:
+        warn(f"the state psi = {psi:g} rad; if these are degrees, give np.radians({psi:g})")
+    elif abs(psi) <= TURN < abs(wanted) < np.inf:
+        warn(f"psi = {wanted:g} rad is the wanted heading; if these are degrees, give np.radians({wanted:g})")
 
 
 def _check_names(kind: str, given: Mapping[str, float], known: tuple[str, ...]) -> None:

@@ -24,8 +24,9 @@ from seatrial.ident.diagnosis import (
 )
 from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import FittedModel, ParameterShift, ReportedEstimates, between_runs_title
-from seatrial.ident.model import Effect, Model, ModelKind
+from seatrial.ident.model import Effect, EffectKind, Model, ModelKind
 from seatrial.ident.models import scale_priors, size_of
+from seatrial.ident.numerics import is_undetermined
 from seatrial.ident.results import parts
 from seatrial.ident.results.answers import (
     NAMES,
@@ -413,6 +414,8 @@ def what_is_lacking(diagnosis: Diagnosis, *, fell: bool) -> str:
     titles: dict[str, list[str]] = {"identified": [], "ambiguous": [], "nonparametric": []}
     for r, judged in zip(diagnosis.effects, diagnosis.attributions, strict=True):
         words = in_words(r.effect, diagnosis.after)
+        if _is_size_undetermined(r.effect, diagnosis):
+            words = "its size is not determined"
         titles[judged.attribution].append(f"{r.effect.title} ({words})" if words else r.effect.title)
     identified, ambiguous, nonparametric = titles.values()
     if nonparametric and diagnosis.attributions[0].attribution == "nonparametric":
@@ -428,6 +431,20 @@ def what_is_lacking(diagnosis: Diagnosis, *, fell: bool) -> str:
     else:
         found = _resemblance_clause(ambiguous)
     return f"{found}, and also {_joined_titles(nonparametric)}" if nonparametric else found
+
+
+def _is_size_undetermined(effect: Effect, diagnosis: Diagnosis) -> bool:
+    """Return whether the data do not determine the size of an added effect, and the prediction is not better with it.
+
+    The sizes are the parameters that are zero without the effect. The size is undetermined if the standard error of
+    each of them is more than half of its estimate. The prediction is that over the horizon.
+    """
+    sizes = [p for p in effect.parameters if p.free and p.value == 0.0]
+    change = next((w.prediction for w in diagnosis.importances if w.effect == effect.name), None)
+    fell = change is not None and change.verdict == "fell"
+    if not sizes or effect.kind is EffectKind.BETWEEN_RUNS or fell:
+        return False
+    return all(is_undetermined(*diagnosis.after.fit.estimate(p.name)) for p in sizes)
 
 
 def in_words(effect: Effect, fitted: FittedModel) -> str:

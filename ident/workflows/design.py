@@ -525,12 +525,16 @@ def _discrimination_design(
     the wrong model.
     """
     a, b = (h.model for h in compared)
+    total = max(request.evaluations // 8, 500)
     made: DiscriminationDesign = discriminate(
         a,
         b,
         task,
-        evaluations=max(request.evaluations // 8, 500),
-        progress=lambda n, merit: reporter.progress(f"design: {n} comparisons, T {np.exp(merit):.3g}"),
+        evaluations=total,
+        progress=lambda n, merit: reporter.progress(
+            f"design: {n} of about {total} comparisons, separation of the two effects (T) "
+            f"{float(f'{np.exp(merit):.3g}'):g}"
+        ),
         phase=lambda words: reporter.progress(f"design: {words}"),
     )
     reporter.progress("design: information of the mission")

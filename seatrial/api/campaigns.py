@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 from seatrial.api import tables
+from seatrial.api.arguments import as_path
 from seatrial.api.fits import FitOptions, Logs, vehicle_request
 from seatrial.api.fleet import common_window
 from seatrial.api.logs import PathLike, as_paths
@@ -140,7 +140,7 @@ def compare_campaigns(
     window = common_window(options, before, after)
     with errors_of_users():
         vehicle, progress = vehicle_request((), (), str(model), window, {"score_tests": False, **options})
-        folder = None if out is None else Path(out)
+        folder = None if out is None else as_path(out, "out")
         request = ChangesRequest(
             earlier, later, vehicle, folder, Workers(jobs, backend, scheduler), force, false_discovery_rate
         )

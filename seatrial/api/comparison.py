@@ -6,13 +6,17 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, cast, overload
+
+import numpy as np
 
 from seatrial.api import tables
+from seatrial.api.arguments import as_path, check_above_zero, check_rate, output_folder
 from seatrial.api.figures import Figure
 from seatrial.api.fits import FittedResult, Logs, model_path, python_call, refuse_log, window_of
 from seatrial.api.logs import PathLike, as_paths
-from seatrial.api.messages import Messages, errors_of_users, text_of
+from seatrial.api.messages import Messages, errors_of_users, text_of, warn_of_result
+from seatrial.api.series import ByRecord, ComparedPredictions, Prediction
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import import_library
@@ -88,6 +92,33 @@ class Comparison(Shown):
         numbers = ["seconds", "rms", "fit", "ratio", "low", "high", "blocks"]
         return frame.astype(dict.fromkeys(numbers, float))
 
+    def predictions(self) -> ComparedPredictions:
+        """Return the predictions of all models over each horizon and in simulation, with the measured samples.
+
+        They are those of `plot`. There are none one step ahead. A simulation filters the first 15 s of a record, or of
+        each block if the logs are cut into blocks; its values there are no predictions.
+
+        Returns
+        -------
+        ComparedPredictions
+            ``predictions[model][horizon][record][channel]`` is a `Prediction`: ``model`` is the name of a model, and
+            ``horizon`` a time [s] or ``"simulation"``. `to_pandas` gives one table of all. ``sd`` is that of the model
+            itself, which the validation data do not widen. ``predicted`` is NaN from the time on at which a prediction
+            diverged. ``measured`` is interpolated if the rows of the models differ. Angles are not wrapped: the
+            prediction is within half a turn of the sample.
+        """
+        names = {m.label: m.name for m in self.result.models}
+        found = ComparedPredictions()
+        for x in self.result.traces:
+            for p in x.predictions:
+                measured = np.interp(p.t, x.t, x.measured, left=np.nan, right=np.nan)
+                turns = np.round((measured - p.predicted) / (2.0 * np.pi)) if x.angle else 0.0
+                horizon: float | Literal["simulation"] = "simulation" if p.seconds is None else p.seconds
+                by_record = found.setdefault(names[p.model], {}).setdefault(horizon, ByRecord[Prediction]())
+                samples = Prediction(p.t, measured, p.predicted + 2.0 * np.pi * turns, p.sd)
+                by_record.setdefault(x.record, {})[x.channel] = samples
+        return found
+
     def plot(self, *channels: str, horizon: float | Literal["simulation"] | None = None) -> Figure:
         """Return a figure of the measured channels with the predictions of all models, each with its 95 % band.
 
@@ -121,7 +152,7 @@ class Comparison(Shown):
         """
         from seatrial.ident.workflows.compare import write_comparison
 
-        return write_comparison(self.result, Path(folder))
+        return write_comparison(self.result, output_folder(folder))
 
     def _content(self) -> Content:
         """Return the answer, and the RMS errors over the first horizon: a row for each channel, a column per model."""
@@ -232,7 +263,12 @@ def compare(
     for model in chosen.values() if isinstance(chosen, Mapping) else chosen:
         refuse_log(model)
     named = chosen if isinstance(chosen, Mapping) else {_name_of(m, k): m for k, m in enumerate(chosen)}
-    horizons = () if horizon is None else (horizon,) if isinstance(horizon, int | float) else tuple(horizon)
+    several = isinstance(horizon, Sequence | np.ndarray) and not isinstance(horizon, str)
+    horizons = tuple(cast(Any, horizon)) if several else () if horizon is None else (cast(float, horizon),)
+    for seconds in horizons:
+        check_above_zero("horizon", seconds)
+    if rate is not None:
+        check_rate(rate)
     with errors_of_users(), ExitStack() as stack:
         if len(named) == 1 < len(chosen):
             raise SeatrialError(f"{next(iter(named))} is given twice; give another model to compare it with")
@@ -247,12 +283,14 @@ def compare(
             files,
             horizons,
             rate,
-            None if thruster is None else str(thruster),
+            None if thruster is None else str(as_path(thruster, "thruster")),
             window=window_of(data),
             names=tuple(named),
             workers=Workers(jobs, backend, scheduler),
         )
-        result = compare_models(request, python_call("compare", files, models=str(list(named))), Messages(False))
+        messages = Messages(False)
+        result = compare_models(request, python_call("compare", files, models=str(list(named))), messages)
+    warn_of_result(result, messages)
     return Comparison(result)
 
 

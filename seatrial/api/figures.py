@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from seatrial.api.arguments import as_path
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.files import write_output
 
@@ -88,4 +89,4 @@ class Figure:
         """
         from seatrial.ident.report import figure_page
 
-        write_output(Path(path), figure_page(self.title, self.to_dict()).encode())
+        write_output(as_path(path, "path"), figure_page(self.title, self.to_dict()).encode())

@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.api import plots, tables
+from seatrial.api.arguments import as_path, check_values, output_folder, shortened
 from seatrial.api.figures import Figure
 from seatrial.api.findings import DiagnosisFindings
 from seatrial.api.logs import Log, PathLike, as_list, as_paths
-from seatrial.api.messages import Messages, errors_of_users, warn_of_logs
+from seatrial.api.messages import Messages, errors_of_users, warn_of_result
 from seatrial.api.series import ByRecord, Prediction, Series
 from seatrial.api.shown import Content, Shown
 from seatrial.daq.errors import NamedValues, SeatrialError, closest_name, file_hint
@@ -45,8 +46,6 @@ ARGUMENTS = ("validate", "model", "logs")  # arguments that are no options, for 
 LISTS = ("effects", "profiles", "homogeneity")  # options with a list of names, for which one name may be given
 # Options with values of parameters by name, with an example of each for the messages
 PARAMETER_VALUES = {"fixed": '{"c1": 6.85}', "initial": '{"m_u": 30.0}', "priors": '{"c1": (6.85, 0.3)}'}
-LONGEST_VALUE = 60  # characters of a value that a message repeats
-RATES = (1.0, 200.0)  # smallest and largest rate of the rows [Hz], as those of --rate
 
 
 class FitOptions(TypedDict, total=False):
@@ -495,8 +494,9 @@ class FittedVehicle(MotionMethods, FittedResult):
         """
         from seatrial.ident.workflows.vehicle import VehicleFit, write_vehicle_fit
 
-        write_vehicle_fit(VehicleFit(self.fitted, self.result), Path(folder))
-        return Path(folder)
+        out = output_folder(folder)
+        write_vehicle_fit(VehicleFit(self.fitted, self.result), out)
+        return out
 
 
 @dataclass(frozen=True, repr=False)
@@ -529,8 +529,9 @@ class FittedDiagnosis(DiagnosisFindings, MotionMethods, FittedResult):
         """
         from seatrial.ident.workflows.diagnose import DiagnosedModel, write_diagnosed_model
 
-        write_diagnosed_model(DiagnosedModel(self.found, self.result, self.effects_file), Path(folder))
-        return Path(folder)
+        out = output_folder(folder)
+        write_diagnosed_model(DiagnosedModel(self.found, self.result, self.effects_file), out)
+        return out
 
 
 def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[FitOptions]) -> FittedVehicle:
@@ -570,8 +571,9 @@ def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[
 
     with errors_of_users():
         request, progress = vehicle_request(as_paths(logs), _paths_or_none(validate), model, window_of(logs), options)
-        done: VehicleFit = fit_vehicle(request, python_call("fit", request.logs, model=model), Messages(progress))
-    warn_of_logs(done.result)
+        messages = Messages(progress)
+        done: VehicleFit = fit_vehicle(request, python_call("fit", request.logs, model=model), messages)
+    warn_of_result(done.result, messages)
     return FittedVehicle(done.result, done.fitted)
 
 
@@ -605,7 +607,7 @@ def vehicle_request(
     progress = given.pop("progress", False)
     estimation = {n: given.pop(n) for n in ("outlier_model", "reml", "mean_order", "horizon") if n in given}
     if "thruster" in given:
-        given["thruster"] = model_file(Path(given["thruster"]))
+        given["thruster"] = model_file(as_path(given["thruster"], "thruster"))
     how = replace(EstimationOptions(reml=True, mean_order=2), **estimation)
     return VehicleRequest(logs, validation, Path(), how, model, window=window, **given), progress
 
@@ -616,24 +618,25 @@ def _check_parameters(given: Mapping[str, Any]) -> None:
     Raises
     ------
     SeatrialError
-        If one is no dict, if a value is no number, or if a prior is no pair of mean and standard deviation.
+        If one is no dict, if a value is no number, if a prior is no pair of mean and standard deviation, or if this
+        deviation is not above zero.
     """
     for option, example in PARAMETER_VALUES.items():
         values = given.get(option, {})
         if not isinstance(values, Mapping):
-            raise SeatrialError(f"{option}: give a dict, such as {example}, not {_shortened(values)}")
+            raise SeatrialError(f"{option}: give a dict, such as {example}, not {shortened(values)}")
         for name, value in values.items():
             if option == "priors" and np.shape(value) != (2,):
                 text = f"give a pair of mean and standard deviation, such as ({value}, 1.0)"
                 raise SeatrialError(f"priors: {name}: {text}")
             if not all(isinstance(x, Real) for x in (value if option == "priors" else [value])):
                 raise SeatrialError(f"{option}: {name}: {value!r} is no number; give a dict, such as {example}")
-
-
-def _shortened(value: object) -> str:
-    """Return a value of the user for a message: as Python writes it, or its type if that is long or several lines."""
-    text = repr(value)
-    return text if len(text) <= LONGEST_VALUE and "\n" not in text else f"a {type(value).__name__}"
+            if option == "priors" and not 0.0 < value[1] < math.inf:
+                known = f"fixed={{{name!r}: {value[0]:g}}}"
+                raise SeatrialError(
+                    f"priors: {name}: the standard deviation {value[1]:g} is not above zero; if the value is known, "
+                    f"give {known}"
+                )
 
 
 def diagnose(
@@ -678,7 +681,7 @@ def diagnose(
     from seatrial.ident.workflows.diagnose import DiagnosisRequest, diagnose_model
 
     given = known_options(options, DiagnosisOptions)
-    progress = given.pop("progress", False)
+    messages = Messages(given.pop("progress", False))
     estimation = {n: given.pop(n) for n in ("outlier_model", "horizon") if n in given}
     if "effects_file" in given:
         given["effects_file"] = Path(given["effects_file"])
@@ -692,12 +695,12 @@ def diagnose(
             window=window_of(logs),
             **given,
         )
-        done: DiagnosedModel = diagnose_model(request, python_call("diagnose", request.logs), Messages(progress))
+        done: DiagnosedModel = diagnose_model(request, python_call("diagnose", request.logs), messages)
         result, advice = done.result, done.result.recommended_experiment
         if isinstance(model, FittedResult) and advice:
             # The file of a fitted model was temporary. The user saves the model to run the command.
             result = structs.replace(result, recommended_experiment=advice.replace(str(path), "model.toml"))
-    warn_of_logs(result)
+    warn_of_result(result, messages)
     return FittedDiagnosis(result, done.found.after, done.found, done.effects_file)
 
 
@@ -780,8 +783,8 @@ def _paths_or_none(logs: Logs) -> list[Path]:
 def known_options(given: Mapping[str, Any], options: type) -> dict[str, Any]:
     """Return the options as a new dict, after a check of their names. A list of names may be given as one name.
 
-    One name of effects, profiles or homogeneity becomes a list of one. All other values are not changed or checked,
-    except the horizon and the rate.
+    One name of effects, profiles or homogeneity becomes a list of one. The other values are not changed. Numbers and
+    paths are checked as `check_values` does.
 
     Parameters
     ----------
@@ -793,8 +796,7 @@ def known_options(given: Mapping[str, Any], options: type) -> dict[str, Any]:
     Raises
     ------
     SeatrialError
-        If there is no option of a name, with the options in the message, if the horizon is not positive, or if the
-        rate is not from 1 to 200 Hz.
+        If there is no option of a name, with the options in the message, or if a value cannot be used.
     """
     known = sorted(options.__annotations__)
     for name in given:
@@ -802,17 +804,8 @@ def known_options(given: Mapping[str, Any], options: type) -> dict[str, Any]:
             similar = closest_name(name, (*known, *ARGUMENTS))
             hint = f"did you mean {similar!r}? The options are" if similar else "the options are"
             raise SeatrialError(f"there is no option {name!r}; {hint} {', '.join(known)}")
-    if (horizon := given.get("horizon")) is not None and not horizon > 0.0:
-        raise SeatrialError(f"horizon {horizon:g}: give a time above zero, in s")
-    if given.get("rate") is not None:
-        check_rate(given["rate"])
+    check_values(given)
     return {n: [v] if n in LISTS and isinstance(v, str) else v for n, v in given.items()}
-
-
-def check_rate(rate: object) -> None:
-    """Raise SeatrialError if a rate of rows is no number from 1 to 200 Hz, the limits of the command line."""
-    if not isinstance(rate, Real) or not RATES[0] <= float(rate) <= RATES[1]:
-        raise SeatrialError(f"rate {rate!r}: give a number from {RATES[0]:g} to {RATES[1]:g}, in Hz")
 
 
 def python_call(function: str, logs: Sequence[Path], **more: str) -> str:

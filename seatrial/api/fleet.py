@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 from seatrial.api import tables
+from seatrial.api.arguments import as_path
 from seatrial.api.fits import FitOptions, Logs, vehicle_request, window_of
 from seatrial.api.logs import PathLike, as_paths
 from seatrial.api.messages import Messages, errors_of_users, text_of
@@ -156,7 +156,7 @@ def fit_many(
     window = common_window(options, logs)
     with errors_of_users():
         vehicle, progress = vehicle_request((), (), model, window, options)
-        paths, folder = as_paths(logs, existing=False), None if out is None else Path(out)
+        paths, folder = as_paths(logs, existing=False), None if out is None else as_path(out, "out")
         request = FleetRequest(paths, vehicle, folder, Workers(jobs, backend, scheduler), force)
         done = fit_fleet(request, f"seatrial.fit_many({len(paths)} logs, model={model!r})", Messages(progress))
     return FittedFleet(done.result, done.table)

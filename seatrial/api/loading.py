@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from seatrial.api import tables
+from seatrial.api.arguments import as_path, shortened
 from seatrial.api.findings import DiagnosisFindings
 from seatrial.api.fits import FittedResult, MotionMethods, known_options, model_path
 from seatrial.api.logs import PathLike
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from seatrial.ident.model import Model, Parameter
 
 MODEL, RESULT, ESTIMATES = "model.toml", "result.json", "fits.parquet"
+EXPORTED = (".py", ".h", ".yaml", ".fmu", ".sdf")  # endings of exported files
 NEED_LOGS = ("residuals", "predict", "simulate", "plot_residuals", "fitted")  # attributes of a fit of this process
 SHORTEST_STEP = 1e-5  # s between two times of a simulation; closer ones would be one row
 FARTHEST = 10.0  # largest input of a simulation, as a multiple of the largest one in the fitted data
@@ -158,6 +160,24 @@ class Saved(MotionMethods, Shown):
         The caveat of a diagnosis follows its conclusion.
         """
         return "" if self.result is None else tables.conclusion(self.result)
+
+    @property
+    def warnings(self) -> list[str]:
+        """Warnings of the loaded result, one text for each. The list is empty without a result or warnings."""
+        return [] if self.result is None else tables.warning_texts(self.result)
+
+    @property
+    def converged(self) -> bool:
+        """Whether the search for the maximum of the likelihood converged, of the loaded result of a fit or diagnosis.
+
+        Raises
+        ------
+        SeatrialError
+            If no result of a fit was loaded.
+        """
+        if not hasattr(self.result, "converged"):
+            raise SeatrialError(f"{self.path}: no {RESULT} of a fit was loaded; load the folder that contains it")
+        return bool(self.result.converged)
 
     def summary(self) -> str:
         """Return the loaded result as text.
@@ -292,7 +312,7 @@ class Saved(MotionMethods, Shown):
         if computed is not None:
             content: Content = computed._content()
             return content
-        notes = [] if self.result is None else tables.warning_texts(self.result)
+        notes = self.warnings
         if self.model is None:
             return Content(self.answer, notes)
         errors = self.standard_errors
@@ -558,7 +578,8 @@ def export(
     model : path, `Saved`, `FittedVehicle`, `FittedDiagnosis` or `FittedThruster`
         The model.
     folder : path
-        Folder for the file; it is created if it does not exist.
+        Folder for the file, which then has the name below; it is created if it does not exist. Or the file itself, such
+        as ``boat.yaml``, with the ending of the format.
     format : str
         ``python``, ``casadi``, ``c``, ``ros2``, ``fmu`` (FMI 2.0 co-simulation), ``gazebo`` or ``vrx``.
     **options
@@ -568,13 +589,14 @@ def export(
     Returns
     -------
     Path
-        The file: NAME.py, NAME_casadi.py, NAME.h, NAME.yaml, NAME.fmu, NAME.sdf or NAME_vrx.sdf.
+        The file: ``folder`` itself, or in it NAME.py, NAME_casadi.py, NAME.h, NAME.yaml, NAME.fmu, NAME.sdf or
+        NAME_vrx.sdf.
 
     Raises
     ------
     SeatrialError
         If the model cannot be exported in this format, if an option is unknown or does not fit the model or the format,
-        or if the file exists and ``force`` is False.
+        if ``folder`` has the ending of another format, or if the file exists and ``force`` is False.
 
     Warns
     -----
@@ -588,23 +610,45 @@ def export(
     PosixPath('exported_files/boat.fmu')
     """
     from seatrial.daq.files import require_new, write_output
-    from seatrial.ident.workflows.export import ExportRequest, Target, export_model
+    from seatrial.ident.workflows.export import ExportRequest, Target, export_model, warn_of_module_name
 
     given: dict[str, Any] = known_options(options, ExportOptions)
     if format not in (targets := get_args(Target)):
         raise SeatrialError(f"there is no format {format!r}; choose {', '.join(targets)}")
-    benches, force = given.pop("thruster", {}), given.pop("force", False)
+    out, benches, force = as_path(folder, "folder"), given.pop("thruster", {}), given.pop("force", False)
+    if not isinstance(benches, str | Path | Mapping):
+        example = '{"left": "left/model.toml"}'
+        raise SeatrialError(f"thruster: give a path, or a dict of them, such as {example}, not {shortened(benches)}")
     thrusters = benches if isinstance(benches, Mapping) else {"": benches}
     with errors_of_users(), model_path(model) as path:
-        exported = export_model(
-            ExportRequest(path, format, thrusters={n: Path(p) for n, p in thrusters.items()}, **given)
-        )
-    file = Path(folder) / exported.file_name
+        benches = {n: as_path(p, "thruster") for n, p in thrusters.items()}
+        exported = export_model(ExportRequest(path, format, thrusters=benches, **given))
+    file = _export_file(out, exported.file_name)
     file.parent.mkdir(parents=True, exist_ok=True)
     with errors_of_users():
         require_new(file, force, "folder or name")
         write_output(file, exported.content, force)
+    if file == out:
+        warn_of_module_name(file, format)
     return file
+
+
+def _export_file(out: Path, name: str) -> Path:
+    """Return the path of an exported file: `out` itself if it has the ending of the file, otherwise `name` in it.
+
+    An existing folder is always a folder, also with such an ending. SeatrialError is raised if `out` is an existing
+    file with another ending, or has the ending of another format.
+    """
+    ending = Path(name).suffix
+    if out.is_dir():
+        return out / name
+    if out.suffix == ending:
+        return out
+    if out.exists() or out.suffix in EXPORTED:
+        raise SeatrialError(
+            f"{out}: is not the name of a folder, nor of a file with the ending {ending} of this format"
+        )
+    return out / name
 
 
 def _structure(model: PathLike | Saved | FittedResult) -> tuple[Model, Mapping[str, tuple[float, float]]]:

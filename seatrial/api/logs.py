@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from seatrial.api.arguments import as_path, check_number
 from seatrial.api.figures import Figure
 from seatrial.api.messages import errors_of_users
 from seatrial.api.shown import Content, Shown, number
@@ -178,7 +179,11 @@ def open_log(path: PathLike, start: float = 0.0, end: float = np.inf) -> Log:
     """
     from seatrial.ident.data import TimeWindow, load_run
 
-    (file,) = as_paths(path)
+    if len(files := as_paths(path)) > 1:
+        raise SeatrialError(f"{len(files)} logs: st.open_log opens one log; give the path of one, or call it for each")
+    (file,) = files
+    check_number("start", start, "s")
+    check_number("end", end, "s")
     window = TimeWindow(start, end)
     with errors_of_users():
         window.check()
@@ -235,12 +240,13 @@ def import_log(
     from seatrial.daq.importers.guess import guess_maps
     from seatrial.daq.importers.import_files import import_files
 
-    sources, folder = as_paths(files, folders=False), Path(out_dir)
+    sources, folder = as_paths(files, folders=False), as_path(out_dir, "out_dir")
+    import_map = None if map_path is None else as_path(map_path, "map_path")
     folder.mkdir(parents=True, exist_ok=True)
     made: list[Path] = []
     with errors_of_users():
-        if map_path is not None:
-            return import_files(Path(map_path), sources, out_dir=folder, force=force)
+        if import_map is not None:
+            return import_files(import_map, sources, out_dir=folder, force=force)
         for source, guess in zip(sources, guess_maps(sources), strict=True):
             with TemporaryDirectory() as scratch:
                 if caveats := dict.fromkeys(re.findall(r"# caveat: (.+)", guess.text)):

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from seatrial.daq.errors import SeatrialError, warn
@@ -38,20 +39,26 @@ FUNCTIONS = {
 }  # fmt: skip
 
 
-def in_python(text: str) -> str:
+# Arguments of `st.thruster` that differ from those of the other functions
+OF_THRUSTER = {"--thruster": "name"}
+
+
+def in_python(text: str, own: Mapping[str, str] = MappingProxyType({})) -> str:
     """Return a message with commands and their options replaced by functions and arguments of the Python interface.
 
     For example, ``--fix e_psi=0.03`` becomes ``fixed={'e_psi': 0.03}``, and a command without arguments between
     backticks becomes the function that it calls. Options without an entry in the tables stay. So does a command with
-    arguments, which can be run as it is.
+    arguments, which can be run as it is. ``own`` has the arguments of a function that differ from those of the others,
+    by the option.
     """
+    arguments = {**ARGUMENTS, **own}
 
     def replaced(part: str, between_backticks: bool) -> str:
         """Return a part of the message, between two backticks or outside of them, in the words of Python."""
         if between_backticks and part.startswith("seatrial "):
             return FUNCTIONS.get(part, part)
         part = VALUE_OF_PARAMETER.sub(_as_dictionary, part)
-        return re.sub(r"--[a-z]+(?:-[a-z]+)*", lambda found: ARGUMENTS.get(found.group(), found.group()), part)
+        return re.sub(r"--[a-z]+(?:-[a-z]+)*", lambda found: arguments.get(found.group(), found.group()), part)
 
     return "`".join(replaced(part, i % 2 == 1) for i, part in enumerate(text.split("`")))
 
@@ -70,6 +77,7 @@ class Messages:
     def __init__(self, progress: bool) -> None:
         """Store whether to print a line for each step of the computation (``progress``)."""
         self._progress = progress
+        self.issued: set[str] = set()  # texts of the warnings
 
     def progress(self, text: str) -> None:
         """Print the line `text` about a step of the computation to stderr, if progress is printed; else do nothing."""
@@ -78,17 +86,18 @@ class Messages:
 
     def warning(self, text: str) -> None:
         """Issue a Python warning with this text and the category `SeatrialWarning`, which the user may filter."""
+        self.issued.add(in_python(text))
         warn(in_python(text))
 
 
-def warn_of_logs(result: Result) -> None:
-    """Issue a Python warning for each finding of the checks of the logs (warning or fault), such as a gap of a sensor.
+def warn_of_result(result: Result, messages: Messages) -> None:
+    """Issue each warning of a result once as a Python warning, except those that the computation has issued before.
 
-    Other warnings of a result are in its summary.
+    ``messages`` are those of the computation.
     """
-    for warning in result.warnings:
-        if warning.code == "log-check":
-            warn(in_python(warning.text))
+    for text in dict.fromkeys(in_python(w.text) for w in result.warnings):
+        if text not in messages.issued:
+            warn(text)
 
 
 def text_of(result: Result) -> str:
@@ -105,19 +114,19 @@ def text_of(result: Result) -> str:
 
 
 @contextmanager
-def errors_of_users() -> Iterator[None]:
+def errors_of_users(own: Mapping[str, str] = MappingProxyType({})) -> Iterator[None]:
     """Context that turns ValueError and KeyError of a computation into SeatrialError with the same text.
 
     A SeatrialError, and the new text of ValueError and KeyError, get the arguments of the Python interface in place of
     command-line options, for example ``fixed`` for ``--fix``. Classes derived from SeatrialError and other errors pass
-    unchanged. The new error has the old one as its cause.
+    unchanged. The new error has the old one as its cause. ``own`` is that of `in_python`.
     """
     try:
         yield
     except SeatrialError as problem:
-        text = in_python(str(problem))
+        text = in_python(str(problem), own)
         if type(problem) is not SeatrialError or text == str(problem):
             raise
         raise SeatrialError(text) from problem
     except (ValueError, KeyError) as problem:
-        raise SeatrialError(in_python(str(problem).strip("'\""))) from problem
+        raise SeatrialError(in_python(str(problem).strip("'\""), own)) from problem

@@ -228,11 +228,14 @@ class Steady(Shown):
         Conditions that the motions take as constant, as those of a `Linearisation`.
     speeds : tuple of float or None
         Smallest and largest forward speed [m/s] in the data of the fit; None if unknown.
+    turn_rates : tuple of float or None
+        Smallest and largest turn rate [rad/s] in the data of the fit; None if unknown.
     """
 
     curves: tuple[SteadyCurve, ...]
     conditions: Mapping[str, float] = field(default_factory=dict)
     speeds: tuple[float, float] | None = None
+    turn_rates: tuple[float, float] | None = None
 
     @property
     def straight(self) -> SteadyCurve | None:
@@ -251,8 +254,8 @@ class Steady(Shown):
     def answer(self) -> str:
         """Largest steady speed and turn rate within the commands of the data, and the conditions, in sentences.
 
-        A speed beyond those of the data is marked. A sentence says why a model that depends on heading or place has no
-        steady turn rate.
+        A speed or turn rate beyond those of the data is marked. A sentence says why a model that depends on heading or
+        place has no steady turn rate.
         """
         words = {"u": ("speed", 1.0, "m/s"), "r": ("turn rate", np.degrees(1.0), "deg/s")}
         found = []
@@ -272,6 +275,10 @@ class Steady(Shown):
                 beyond = ""
                 if quantity == "u" and self.speeds is not None and value > self.speeds[1]:
                     beyond = f", beyond the speeds of the data (up to {number(self.speeds[1], 2)} m/s)"
+                if quantity == "r" and self.turn_rates is not None:
+                    reached = factor * max(-self.turn_rates[0], self.turn_rates[1])  # to either side
+                    if value > reached:
+                        beyond = f", beyond the turn rates of the data (up to {number(reached, 2)} deg/s)"
                 drive = drive_word(curve.inputs)
                 if is_undetermined(float(value), float(sd)):
                     found.append(
@@ -487,7 +494,7 @@ def steady(
             f"model {structure.name} has no steady motion: it needs a speed u or turn rate r, and commands whose range "
             "in the fitted data is known; use a model of a boat, such as horizontal"
         )
-    return Steady(tuple(curves), conditions, ranges.get("u"))
+    return Steady(tuple(curves), conditions, ranges.get("u"), ranges.get("r"))
 
 
 def _warn_of_degrees(at: Mapping[str, float] | None) -> None:

@@ -13,19 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.api import tables
+from seatrial.api.arguments import as_path, check_number, check_rate, output_folder
 from seatrial.api.fits import (
     FittedDiagnosis,
     FittedResult,
     FittedVehicle,
     Logs,
-    check_rate,
     known_options,
     model_path,
     python_call,
     window_of,
 )
 from seatrial.api.logs import PathLike, as_paths
-from seatrial.api.messages import Messages, errors_of_users, warn_of_logs
+from seatrial.api.messages import OF_THRUSTER, Messages, errors_of_users, warn_of_result
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.files import write_output
@@ -157,7 +157,7 @@ class WrittenResult(Shown):
         folder : path
             Folder, which is created if it does not exist. Existing files of the same names are replaced.
         """
-        out = Path(folder)
+        out = output_folder(folder)
         out.mkdir(parents=True, exist_ok=True)
         for name, content in self.files.items():
             write_output(out / name, content)
@@ -337,6 +337,8 @@ def thruster(logs: Logs, **options: Unpack[ThrusterOptions]) -> FittedThruster |
     from seatrial.ident.workflows.thruster import ThrusterFit, ThrusterRequest, fit_thruster
 
     given = known_options(options, ThrusterOptions)
+    if "settle" in given:
+        check_number("settle", given["settle"], "s")
     reporter = Messages(given.pop("progress", False))
     estimation = {n: given.pop(n) for n in ("outlier_model", "reml", "horizon") if n in given}
     how = replace(EstimationOptions(reml=True), **estimation)
@@ -352,8 +354,8 @@ def thruster(logs: Logs, **options: Unpack[ThrusterOptions]) -> FittedThruster |
         found.write(out)
         return found
 
-    found, files = _with_files(work)
-    warn_of_logs(found.result)
+    found, files = _with_files(work, OF_THRUSTER)
+    warn_of_result(found.result, reporter)
     if isinstance(found, ThrusterFit):
         return FittedThruster(result=found.result, files=files, fitted=found.fitted)
     return ThrustCurve(found.result, files)
@@ -403,15 +405,18 @@ def navigate(
     from seatrial.ident.workflows.navigate import NavigationRequest, navigate_logs
 
     check_rate(rate)
-    paths, curve = as_paths(logs), None if thruster is None else model_file(Path(thruster))
+    paths, curve = as_paths(logs), None if thruster is None else model_file(as_path(thruster, "thruster"))
 
     def work(out: Path) -> Any:
         """Estimate the states, write the files of the command to the folder `out`, and return the result."""
         request = NavigationRequest(path, paths, out, smoothed, gnss_outages, window_of(logs), rate, curve)
-        return navigate_logs(request, python_call("navigate", paths), Messages(False))
+        return navigate_logs(request, python_call("navigate", paths), messages)
 
+    messages = Messages(False)
     with model_path(model) as path:
-        return Navigated(*_with_files(work))
+        found = Navigated(*_with_files(work))
+    warn_of_result(found.result, messages)
+    return found
 
 
 def design(
@@ -453,19 +458,19 @@ def design(
     from seatrial.api.loading import Saved
     from seatrial.ident.workflows.design import DesignRequest, make_design
 
-    given = known_options(options, DesignOptions)
+    given, file = known_options(options, DesignOptions), as_path(out, "out")
     reporter = Messages(given.pop("progress", False))
     fitted = isinstance(model, FittedVehicle | FittedDiagnosis | Saved) or Path(str(model)).exists()
     with errors_of_users(), model_path(model) if fitted else nullcontext(Path(str(model))) as source:
         request = DesignRequest(**given)
-        return make_design(str(source), request, Path(out), f"seatrial.design(out={str(out)!r})", reporter, force)
+        return make_design(str(source), request, file, f"seatrial.design(out={str(out)!r})", reporter, force)
 
 
-def _with_files(work: Callable[[Path], T]) -> tuple[T, Files]:
+def _with_files(work: Callable[[Path], T], own: Mapping[str, str] | None = None) -> tuple[T, Files]:
     """Call `work` with a temporary folder; return its result, and the contents of the files in the folder by name.
 
-    ValueError and KeyError become SeatrialError.
+    ValueError and KeyError become SeatrialError. ``own`` has the arguments that differ from those of other functions.
     """
-    with errors_of_users(), TemporaryDirectory() as folder:
+    with errors_of_users(own or {}), TemporaryDirectory() as folder:
         result = work(Path(folder))
         return result, {path.name: path.read_bytes() for path in sorted(Path(folder).iterdir())}

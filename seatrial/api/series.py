@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,6 +116,37 @@ class ByRecord(dict[str, dict[str, T]]):
             for channel, values in channels.items()
         ]
         return pandas.concat(parts, ignore_index=True) if parts else pandas.DataFrame(columns=["record", "channel"])
+
+
+class ComparedPredictions(dict[str, dict[float | Literal["simulation"], ByRecord[Prediction]]]):
+    """Predictions of several models: a dict by name of the model of a dict by horizon, which also makes a table.
+
+    A horizon is a time [s], or ``"simulation"``. For each, the predictions are a `ByRecord`: by record and channel.
+    """
+
+    def to_pandas(self) -> Any:
+        """Return all predictions as a ``pandas.DataFrame`` with a row for each predicted sample.
+
+        The columns are ``record``, ``model`` (its name), ``kind`` (horizon or simulation), ``horizon`` [s] (NaN: a
+        simulation), ``channel``, ``t`` [s], ``measured``, ``predicted`` and ``sd``.
+
+        Raises
+        ------
+        SeatrialError
+            If pandas is not installed.
+        """
+        pandas = import_library("pandas")
+        first = ["record", "model", "kind", "horizon", "channel"]
+        parts = []
+        for model, by_horizon in self.items():
+            for horizon, found in by_horizon.items():
+                simulated = horizon == "simulation"
+                about = {"kind": "simulation" if simulated else "horizon", "horizon": np.nan if simulated else horizon}
+                parts.append(found.to_pandas().assign(model=model, **about))
+        if not parts:
+            return pandas.DataFrame(columns=first)
+        table = pandas.concat(parts, ignore_index=True)
+        return table[[*first, *(c for c in table.columns if c not in first)]]
 
 
 class Simulation(dict[str, Series]):

@@ -20,11 +20,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mcap.writer import Writer
 from msgspec import structs
 
 import seatrial as st
 from seatrial import command_line
 from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.daq.log import bag_of_ros
 from seatrial.ident.results import read_result
 from seatrial.mocks.plant.bench import draw_bench
 from tests.missions import bench_log, boat_log, boat_with
@@ -121,6 +123,17 @@ def bag_in(folder: Path) -> Path:
     bag.mkdir(exist_ok=True)
     (bag / "metadata.yaml").write_text("rosbag2_bagfile_information:\n  version: 5\n", encoding="utf-8")
     return bag
+
+
+def file_of_ros(folder: Path) -> Path:
+    """Return a .mcap file without messages in a folder, whose header is that of a bag of ROS 2."""
+    path = folder / "of_ros/of_ros.mcap"
+    path.parent.mkdir(exist_ok=True)
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2", library="libmcap 1.0")
+        writer.finish()
+    return path
 
 
 def csv_in(folder: Path) -> Path:
@@ -609,6 +622,14 @@ def test_steady_motion_is_that_of_a_long_simulation(fit: st.FittedVehicle, tmp_p
     assert line["line"]["dash"] == "dot"
     frame = steady.to_pandas()
     assert len(frame) == steady.straight.command.size + turn.command.size
+    reached = replace(steady, turn_rates=(-0.02, 0.01)).answer
+    assert ", beyond the turn rates of the data (up to 1.1 deg/s)" in reached
+    assert "turn rates of the data" not in replace(steady, turn_rates=(-9.0, 9.0)).answer
+    saved = st.load(fit.save(tmp_path / "saved"))
+    assert (saved.warnings, saved.converged) == (fit.warnings, True)
+    with pytest.raises(SeatrialError, match=r"no result.json of a fit was loaded"):
+        _ = st.load(tmp_path / "saved/model.toml").converged
+    assert steady.turn_rates == saved.saved_model().validity["r"]
     with pytest.raises(SeatrialError, match="means 2: give parts of the largest command"):
         fit.steady(means=(2.0,))
     with pytest.raises(SeatrialError, match="points 2: give at least 3"):
@@ -690,6 +711,9 @@ def test_export_writes_the_file_of_the_command(fit: st.FittedVehicle, tmp_path: 
         path = st.export(model, tmp_path / "out", "c", name="boat", force=k > 0)
         assert path == tmp_path / "out/boat.h"
         assert path.read_text() == (tmp_path / "command.h").read_text()
+    path = st.export(fit, tmp_path / "new/boat.h", "c", name="boat")
+    assert path == tmp_path / "new/boat.h"
+    assert path.read_text() == (tmp_path / "command.h").read_text()
     path = st.export(fit, tmp_path / "out", "fmu", source_only=True)
     assert path.name == "horizontal.fmu"
     assert path.read_bytes().startswith(b"PK")
@@ -743,6 +767,22 @@ def test_comparison_prefers_the_model_with_the_effect(
     assert (nominal.changes, nominal.score) == ((), None)
     assert compared.best == "mismatch"
     assert set(compared.to_pandas()["model"]) == {"nominal", "mismatch"}
+    predictions = compared.predictions()
+    seconds = compared.result.horizons[0]
+    assert list(predictions) == ["nominal", "mismatch"]
+    assert list(predictions["nominal"]) == [seconds, "simulation"]
+    for k, name in enumerate(predictions):
+        rate = predictions[name][seconds]["run3"]["r"]
+        # The errors of the table are those of the samples that both models predict, which are all of the curve here.
+        assert rate.rms == pytest.approx(turn.errors[k].rms, rel=1e-6)
+        heading = predictions[name]["simulation"]["run3"]["psi"]
+        assert np.abs(heading.measured - heading.predicted).max() <= np.pi
+        assert np.isfinite(heading.sd).all()
+    table = predictions.to_pandas()
+    assert [*table.columns] == [*["record", "model", "kind", "horizon", "channel", "t", "measured", "predicted", "sd"]]
+    assert set(table["kind"]) == {"horizon", "simulation"}
+    (rows,) = (len(x) for key, x in table.groupby(["model", "kind", "channel"]) if key == ("mismatch", "horizon", "r"))
+    assert rows == predictions["mismatch"][seconds]["run3"]["r"].t.size
     assert better.no_criteria == "not all models were fitted to exactly these logs"
     # On the log of the fit the summary says that the errors are too small.
     own = st.compare(fit, found, logs[0])
@@ -937,6 +977,41 @@ def test_navigate_returns_and_saves_the_states(logs: list[Path], fit: st.FittedV
         (lambda logs, fit: st.open_log(logs[0], 500.0), "no data are left from 500 s on"),
         (lambda logs, fit: st.fit(logs[0], effects="umbilical"), "did you mean towed-line (a line or umbilical that"),
         (lambda logs, fit: st.fit(logs[0], effects="towed"), "did you mean towed-line (a line or"),
+        (lambda logs, fit: st.fit(logs[0], horizon="10"), "horizon '10': give a time above zero, in s"),
+        (lambda logs, fit: st.fit(logs[0], mass="32.5 kg"), "mass '32.5 kg': give a mass above zero, in kg"),
+        (lambda logs, fit: st.compare([fit, logs[1]], logs[0], horizon="3"), "run2.mcap: is a log, not a model"),
+        (lambda logs, fit: st.compare([fit, "b"], logs[0], horizon="3"), "horizon '3': give a time above zero, in s"),
+        (
+            lambda logs, fit: st.diagnose(fit, logs[0], max_effects=0),
+            "max_effects 0: give a whole number of at least 1",
+        ),
+        (lambda logs, fit: st.diagnose(fit, logs[0], max_effects="2"), "max_effects '2': give a whole number of at"),
+        (lambda logs, fit: st.open_log(logs[0], start="10"), "start '10': give a number, in s"),
+        (lambda logs, fit: st.open_log(logs), "3 logs: st.open_log opens one log; give the path of one"),
+        (
+            lambda logs, fit: st.import_log(logs[0], map_path=["map.toml"]),
+            "map_path: ['map.toml'] is no path; give the",
+        ),
+        (lambda logs, fit: st.import_log(logs[0], out_dir=["logs"]), "out_dir: ['logs'] is no path; give the path of"),
+        (lambda logs, fit: st.export(fit, ["boat"], "c"), "folder: ['boat'] is no path; give the path of one file"),
+        (
+            lambda logs, fit: st.export(fit, "boat.h", "ros2"),
+            "boat.h: is not the name of a folder, nor of a file with the ending .yaml of this format",
+        ),
+        (
+            lambda logs, fit: st.export(fit, "boat", "c", thruster=["left=left/model.toml"]),
+            'thruster: give a path, or a dict of them, such as {"left": "left/model.toml"}, not [',
+        ),
+        (lambda logs, fit: fit.plot().save(["figure.html"]), "path: ['figure.html'] is no path; give the path of one"),
+        (lambda logs, fit: fit.save(csv_in(logs[0].parent)), "is a file, and save writes several files to a folder;"),
+        (
+            lambda logs, fit: st.fit(logs[0], priors={"c1": (32, 0)}),
+            "priors: c1: the standard deviation 0 is not above zero; if the value is known, give fixed={'c1': 32}",
+        ),
+        (
+            lambda logs, fit: st.open_log(file_of_ros(logs[0].parent)),
+            "of_ros.mcap is a bag of ROS 2; import it first: se",
+        ),
         (lambda logs, fit: fit.predict(horizon=-1.0), "horizon -1.0: give a time above zero [s]"),
         (lambda logs, fit: fit.predict(horizon="5"), "horizon '5': give a time above zero [s]"),
         (lambda logs, fit: fit.predict(horizon=500.0), "horizon 500: the longest record lasts "),
@@ -962,6 +1037,16 @@ def test_wrong_arguments_give_a_one_line_error(
         call(logs, fit)
     assert message in str(raised.value)
     assert "\n" not in str(raised.value)
+
+
+def test_a_file_of_a_ros_bag_is_named_with_the_way_to_import_it(logs: list[Path], tmp_path: Path) -> None:
+    (fault,) = st.check(file_of_ros(tmp_path)).faults
+    assert (fault.code, fault.text) == ("ros-bag", "it is a bag of ROS 2, not a log")
+    assert fault.advice.endswith(f"seatrial import --guess {tmp_path / 'of_ros/of_ros.mcap'}")
+    (tmp_path / "of_ros/metadata.yaml").write_text("rosbag2_bagfile_information:\n  version: 5\n", encoding="utf-8")
+    with pytest.raises(SeatrialError, match=rf"import it first: seatrial import --guess {tmp_path / 'of_ros'}$"):
+        st.fit(tmp_path / "of_ros/of_ros.mcap")
+    assert bag_of_ros(logs[0]) is None  # a log has the profile of ROS 2 too
 
 
 def test_comparison_of_a_model_with_itself_is_rejected() -> None:

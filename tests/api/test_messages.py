@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
+from types import SimpleNamespace
+from typing import Any
+
 import pytest
 
-from seatrial.api.messages import in_python
+from seatrial.api.messages import OF_THRUSTER, Messages, in_python, warn_of_result
+from seatrial.daq.errors import SeatrialWarning
 
 
 @pytest.mark.parametrize(
@@ -21,3 +26,21 @@ from seatrial.api.messages import in_python
 )
 def test_commands_and_options_become_functions_and_arguments(text: str, expected: str) -> None:
     assert in_python(text) == expected
+
+
+def test_the_thruster_of_a_bench_is_chosen_by_its_name() -> None:
+    text = "the log has left, right; give one of them as --thruster"
+    assert in_python(text, OF_THRUSTER) == "the log has left, right; give one of them as name"
+    assert in_python(text) == "the log has left, right; give one of them as thruster"
+
+
+def test_each_warning_of_a_result_is_issued_once() -> None:
+    texts = ["not used: give --model", "the data contradict the prior", "the data contradict the prior"]
+    result: Any = SimpleNamespace(warnings=[SimpleNamespace(text=text) for text in texts])
+    with warnings.catch_warnings(record=True) as issued:
+        warnings.simplefilter("always")
+        messages = Messages(False)
+        messages.warning(texts[0])
+        warn_of_result(result, messages)
+    assert [str(w.message) for w in issued] == ["not used: give model", "the data contradict the prior"]
+    assert {w.category for w in issued} == {SeatrialWarning}

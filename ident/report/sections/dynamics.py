@@ -40,7 +40,7 @@ def section(canvas: Canvas, dynamics: Dynamics | None) -> Section:
         return Section("dynamics", "", [])
     curves = [_straight_plot(canvas, c, dynamics.speeds) for c in dynamics.steady if c.motion == "straight"]
     turns = [c for c in dynamics.steady if c.motion == "turn"]
-    curves += [_turn_plot(canvas, turns)] if turns else []
+    curves += [_turn_plot(canvas, turns, dynamics.ranges.get("r"))] if turns else []
     blocks: list[Any] = [Grid(curves, 320)] if curves else []
     two_sided = any(len(c.inputs) > 1 for c in dynamics.steady)
     if two_sided and not turns and (why := turn_sentence(dynamics.conditions)):
@@ -82,10 +82,11 @@ def _straight_plot(canvas: Canvas, curve: SteadyCurve, speeds: tuple[float, floa
     return canvas.plot(figure, 320, f"Steady speed against {drive_word(curve.inputs)}", title)
 
 
-def _turn_plot(canvas: Canvas, curves: Sequence[SteadyCurve]) -> Plot:
+def _turn_plot(canvas: Canvas, curves: Sequence[SteadyCurve], rates: tuple[float, float] | None) -> Plot:
     """Return the plot of the steady turn rate over half the difference of the commands, a line for each mean command.
 
-    The plot is added to ``canvas``.
+    The plot is added to ``canvas``. ``rates`` are the smallest and the largest turn rate of the data [rad/s]. If a line
+    is beyond them, the title says so. None: unknown.
     """
     traces = []
     for i, curve in enumerate(curves):
@@ -105,7 +106,13 @@ def _turn_plot(canvas: Canvas, curves: Sequence[SteadyCurve]) -> Plot:
         legend={"orientation": "h", "y": 1.0, "yanchor": "bottom", "x": 0.0},
     )
     against = f"Steady turn rate against difference of the {drive_word(curves[0].inputs)}s"
-    return canvas.plot(figure, 320, against, "Steady turn rate")
+    title = "Steady turn rate"
+    if rates is not None:
+        reached = max(-rates[0], rates[1])  # to either side
+        if any(np.nanmax(np.abs(c.value), initial=0.0) > reached for c in curves):
+            title += f"; beyond {formatting.plain(float(np.degrees(reached)), 2)} deg/s, the largest of the data, "
+            title += "extrapolated"
+    return canvas.plot(figure, 320, against, title)
 
 
 def _pole_blocks(dynamics: Dynamics, drive: str) -> list[Any]:

@@ -304,8 +304,21 @@ def _calibration_cells(channel: str, row: CalibrationRow) -> list[Cell | str]:
         Cell("–" if low is None or high is None else f"{formatting.plain(low)} to {formatting.plain(high)}", "num"),
         Cell(formatting.plain(row.n_effective, 2), "num"),
         Cell("–" if row.widening is None else formatting.plain(row.widening), "num"),
-        VERDICTS[row.verdict],
+        _verdict_cell(row),
     ]
+
+
+def _verdict_cell(row: CalibrationRow) -> Cell:
+    """Return the verdict of a channel in words.
+
+    A calibrated channel has no check mark if the 95 % interval of its ratio excludes 1: the ratio then differs from 1,
+    by an amount that the data do not distinguish from the 10 % which still count as calibrated.
+    """
+    excludes_one = row.low is not None and row.high is not None and not row.low <= 1.0 <= row.high
+    if row.verdict != "right" or not excludes_one:
+        return VERDICTS[row.verdict]
+    words = "narrow" if row.scale is None or row.scale > 1.0 else "wide"
+    return Cell(f"too {words}, but not distinguishable from calibrated within 10 %", "weak")
 
 
 def _reliability_plot(canvas: Canvas, title: str, found: Mapping[str, CalibrationRow]) -> Plot | None:

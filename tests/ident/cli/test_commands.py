@@ -294,7 +294,7 @@ def test_fixed_and_initial_values_are_used(fitted: Path, tmp_path: Path, run: Ru
             "vehicle {estimation} --from 20.0001 --to 20.0002",
             "there is no sample from 20.0001 s to 20.0002 s; choose a",
         ),
-        ("thruster {estimation}", "a shaft speed is needed; the log has left, right; name one with --thruster"),
+        ("thruster {estimation}", "a shaft speed is needed; the log has left, right; give one of them as --thruster"),
         ("thruster {bench} --thruster port", "no signal 'n_cmd_port'"),
         ("diagnose {rig} {estimation}", "not 'seatrial-model 1': give a model.toml of seatrial"),
         ("diagnose {model} {bench}", "none of the sensors of"),

@@ -239,6 +239,23 @@ def test_curve_without_a_better_prediction_is_described_as_a_resemblance(fell: b
     assert (f"One step ahead the validation data support it: {support} Prediction" in answer) is not fell
 
 
+@pytest.mark.parametrize(("error", "change", "said"), [(0.07, SAME, True), (0.002, SAME, False), (0.07, FELL, False)])
+def test_headline_says_that_the_size_of_an_effect_is_not_determined(
+    error: float, change: PredictionChange, said: bool
+) -> None:
+    walk = Effect("walk", "propeller walk", {}, (Parameter("k", 0.0), Parameter("x_walk", -0.8)))
+    fit = type("Fit", (), {"estimate": lambda _, name: {"k": (0.006, error)}[name]})()
+    chosen = Refit(walk, blank(fit=fit), 90.0, 1, 82.0, 30.0, 4.0)
+    found = Diagnosis(
+        blank(), blank(fit=fit, cross_validated=False), (Round((), (), (chosen,), chosen),), (), (),
+        (EffectAttribution("walk", "ambiguous"),),
+        (EffectImportance("walk", 90.0, 1.02, 41.2, 5.34, prediction=change),),
+    )  # fmt: skip
+    answer = diagnosis_answer(found, None, 10.0)
+    assert answer.startswith("The missing effect resembles propeller walk")
+    assert ("(its size is not determined)" in answer) is said
+
+
 def test_round_without_a_significant_score_lists_the_tested_candidates() -> None:
     scores = tuple(Score(f"effect{k}", 3.0, 1, 2.0, {}, {}, threshold=12.0) for k in range(40))
     short = ShortData(60.0, 105.0, 3, 40)

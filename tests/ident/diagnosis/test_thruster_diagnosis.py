@@ -159,7 +159,7 @@ def test_log_gives_the_thruster_name_and_errors_name_missing_signals() -> None:
     moved, still = Channel(t, np.sin(t)), Channel(t, 0.0 * t)
     log = loaded(n_cmd_port=moved, n_port=moved, n_cmd_stern=still, n_stern=still)
     assert thruster.thruster_name(log) == "port"
-    with pytest.raises(SeatrialError, match=r"bench.mcap: exactly one thruster .* the log has none; name one"):
+    with pytest.raises(SeatrialError, match=r"bench.mcap: exactly one thruster .* the log has none; give one"):
         thruster.thruster_name(loaded(n_cmd_port=still, n_port=still))
     with pytest.raises(SeatrialError, match=r"bench.mcap: the log has no load cell, but the model has a force"):
         thruster.thruster_runs([log], thruster_model(), None)

@@ -62,6 +62,18 @@ def test_weights_as_matrices_are_refused_in_one_line(linear: LinearModel) -> Non
         linear.lqr(Q, 3.0)  # type: ignore[arg-type]
 
 
+def test_headings_in_degrees_give_a_warning(linear: LinearModel) -> None:
+    control = linear.lqr(Q)
+    x = dict.fromkeys(linear.states, 0.0) | {"psi": 0.1}
+    with pytest.warns(SeatrialWarning, match=r"psi = 40 rad is the wanted heading; if these are degrees, give np\.rad"):
+        control(x, psi=40.0)
+    with pytest.warns(SeatrialWarning, match=r"the state psi = 90 rad; if these are degrees, give np\.radians\(90\)"):
+        control({**x, "psi": 90.0}, psi=0.7)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # a heading that counts its turns, and a wanted one that does so too
+        control({**x, "psi": 13.0}, psi=12.6)
+
+
 @pytest.mark.parametrize("propulsion", ["shaft", "command"])
 def test_feedback_steers_the_exported_boat(propulsion: Any) -> None:
     """The same lines work for both kinds of input: the shaft states have no weight."""

@@ -73,6 +73,13 @@ def test_steady_curves_have_their_units_and_bands(shown: Page) -> None:
     )
 
 
+def test_turn_rates_beyond_the_data_are_marked() -> None:
+    for rates, marked in (((-0.3, 0.1), True), ((-0.3, 0.6), False), (None, False)):
+        found = msgspec.structs.replace(dynamics(), ranges={"r": rates} if rates else {})
+        shown = str(section(Canvas(Budget()), found))
+        assert ("beyond 17 deg/s, the largest of the data, extrapolated" in shown) == marked, rates
+
+
 @pytest.mark.parametrize(("quantity", "word"), [("n", "shaft speed"), ("n_cmd", "command"), ("f", "thrust")])
 def test_the_inputs_have_their_own_name(quantity: str, word: str) -> None:
     """A model with shaft speeds as inputs has no command."""

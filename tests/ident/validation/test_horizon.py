@@ -21,6 +21,7 @@ from seatrial.ident.estimation.likelihood import Likelihood
 from seatrial.ident.estimation.stochastic_simulation import simulate_stochastic
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.models.thruster import thruster_model
+from seatrial.ident.report.sections.predictions import _verdict_cell
 from seatrial.ident.results import read_result, to_json
 from seatrial.ident.results.answers import calibration_notes
 from seatrial.ident.results.parts import CalibrationRow, Calibrations, CalibrationTable
@@ -142,6 +143,23 @@ def test_horizon_longer_than_the_logs_is_rejected(boat: list[Path], bench: list[
         )
         assert "fitting" not in failed.output
     assert CliRunner().invoke(ident, ["vehicle", str(boat[0]), "--horizon", "0"]).exit_code == 2
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "words"),
+    [
+        (0.9, 1.2, "✓ calibrated"),
+        (1.07, 1.84, "too narrow, but not distinguishable from calibrated within 10 %"),
+        (0.7, 0.95, "too wide, but not distinguishable from calibrated within 10 %"),
+    ],
+)
+def test_check_mark_needs_an_interval_with_one(low: float, high: float, words: str) -> None:
+    scale = 0.5 * (low + high)
+    row = CalibrationRow(
+        n=90, n_effective=20.0, inside_50=0.4, inside_95=0.84, scale=scale, low=low, high=high,
+        pit=np.full(10, 0.1), verdict="right",
+    )  # fmt: skip
+    assert _verdict_cell(row).words == words
 
 
 def test_notes_contain_the_horizon() -> None:

@@ -191,7 +191,7 @@ def test_weighed_mass_checks_the_mass_in_surge(tmp_path: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SeatrialWarning)
         light = st.fit(log, mass=4.0, score_tests=False)
-        with pytest.raises(SeatrialError, match="the weighed mass must be positive"):
+        with pytest.raises(SeatrialError, match="mass 0: give a mass above zero, in kg"):
             st.fit(log, mass=0.0, score_tests=False)
     (warning,) = light.result.warnings
     assert warning.code == "mass-implausible"

@@ -1,0 +1,93 @@
+"""Checks of the arguments of the Python interface, each with an error of one line."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from numbers import Real
+from pathlib import Path
+from typing import Any
+
+from seatrial.daq.errors import SeatrialError
+
+LONGEST_VALUE = 60  # characters of a value that a message repeats
+RATES = (1.0, 200.0)  # smallest and largest rate of the rows [Hz], as those of --rate
+# Options that are a number above zero: what to give, and its unit
+ABOVE_ZERO = {
+    "horizon": ("a time", "s"),
+    "duration": ("a time", "s"),
+    "mass": ("a mass", "kg"),
+    "inertia": ("an inertia", "kg m2"),
+}
+PATHS = ("effects_file",)  # options that are the path of a file
+
+
+def shortened(value: object) -> str:
+    """Return a value of the user for a message: as Python writes it, or its type if that is long or several lines."""
+    text = repr(value)
+    return text if len(text) <= LONGEST_VALUE and "\n" not in text else f"a {type(value).__name__}"
+
+
+def as_path(value: object, what: str) -> Path:
+    """Return the argument with the name ``what`` as a path. SeatrialError if it is neither a str nor a Path."""
+    if not isinstance(value, str | Path):
+        raise SeatrialError(f"{what}: {shortened(value)} is no path; give the path of one file or folder as text")
+    return Path(value)
+
+
+def output_folder(value: object) -> Path:
+    """Return the folder of a ``save`` as a path. It need not exist.
+
+    Raises
+    ------
+    SeatrialError
+        If it is no path, or if it is that of a file.
+    """
+    folder = as_path(value, "folder")
+    if folder.exists() and not folder.is_dir():
+        raise SeatrialError(
+            f"{folder}: is a file, and save writes several files to a folder; give the path of a folder"
+        )
+    return folder
+
+
+def check_number(name: str, value: object, unit: str) -> None:
+    """Raise SeatrialError if the argument ``name`` is not a number. Infinity and NaN are numbers."""
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise SeatrialError(f"{name} {shortened(value)}: give a number, in {unit}")
+
+
+def check_rate(rate: object) -> None:
+    """Raise SeatrialError if a rate of rows is no number from 1 to 200 Hz, the limits of the command line."""
+    if not isinstance(rate, Real) or not RATES[0] <= float(rate) <= RATES[1]:
+        raise SeatrialError(f"rate {rate!r}: give a number from {RATES[0]:g} to {RATES[1]:g}, in Hz")
+
+
+def check_above_zero(name: str, value: object) -> None:
+    """Raise SeatrialError if the option ``name`` of `ABOVE_ZERO` is no finite number above zero."""
+    what, unit = ABOVE_ZERO[name]
+    if isinstance(value, bool) or not isinstance(value, Real) or not 0.0 < float(value) < math.inf:
+        shown = f"{value:g}" if isinstance(value, int | float) else shortened(value)
+        raise SeatrialError(f"{name} {shown}: give {what} above zero, in {unit}")
+
+
+def check_values(given: Mapping[str, Any]) -> None:
+    """Check the values of the options in ``given`` that are a number, a number of effects, or a path. None is kept.
+
+    Raises
+    ------
+    SeatrialError
+        If ``horizon``, ``mass``, ``duration`` or ``inertia`` is no number above zero, ``rate`` no number from 1 to
+        200, ``max_effects`` no whole number of at least 1, or a path neither text nor a Path.
+    """
+    for name, value in given.items():
+        if value is None:
+            continue
+        if name in ABOVE_ZERO:
+            check_above_zero(name, value)
+        elif name == "rate":
+            check_rate(value)
+        elif name in PATHS:
+            as_path(value, name)
+        elif name == "max_effects" and (isinstance(value, bool) or not isinstance(value, int) or value < 1):
+            raise SeatrialError(f"max_effects {shortened(value)}: give a whole number of at least 1")
