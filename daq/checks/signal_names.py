@@ -26,6 +26,12 @@ OTHER_NAMES = {
     "roll": "import the roll angle by the name phi",
     "pitch": "import the pitch angle by the name theta",
 }
+# The signal of a model whose place each of these names takes; ``n`` stands for the input of a thruster
+MEANT = {
+    "speed_x": "vx", "speed_y": "vy", "lat": "x", "lon": "y", "latitude": "x", "longitude": "y", "sog": "vx",
+    "cog": "vx", "pwm": "n", "servo": "n", "yaw": "psi", "heading": "psi", "hdg": "psi", "yaw_rate": "r",
+    "yawrate": "r", "roll": "phi", "pitch": "theta",
+}  # fmt: skip
 # Signals that a built-in model uses. Those of a thruster have its name after the quantity, such as n_cmd_left.
 OF_MODELS = frozenset(
     {"x", "y", "psi", "r", "vx", "vy", "u", "v", "ax", "ay", "phi", "theta", "p", "q", "X", "X_n", "N"}
@@ -40,22 +46,32 @@ def advice_on_other_name(name: str) -> str | None:
     The names are those of the table `OTHER_NAMES`, alone or followed by ``_`` and more. The longest one counts. None
     for other names.
     """
+    alias = _alias(name)
+    return None if alias is None else OTHER_NAMES[alias]
+
+
+def _alias(name: str) -> str | None:
+    """Return the longest name in `OTHER_NAMES` that a signal has, alone or followed by ``_`` and more; else None."""
     found = [alias for alias in OTHER_NAMES if name == alias or name.startswith(f"{alias}_")]
-    return OTHER_NAMES[max(found, key=len)] if found else None
+    return max(found, key=len, default=None)
 
 
 def unknown_names(names: Iterable[str]) -> dict[str, str]:
     """Return the signals that no built-in model uses by this name, each with advice on the name to use.
 
-    The advice is empty if the name resembles none of a model. A user-defined model may use any name.
+    The advice is empty if the name resembles none of a model, or if the log has the signal that is meant: a log may
+    contain ``pwm_left`` beside ``n_left``. A user-defined model may use any name.
     """
-    found = {}
+    names, found = list(names), {}
+    quantities = {name.rpartition("_")[0] for name in names}
+    present = {*names, *["n"] * (not quantities.isdisjoint(OF_THRUSTERS))}
     for name in names:
-        quantity = name.rpartition("_")[0]
-        if name in OF_MODELS or quantity in OF_THRUSTERS:
+        if name in OF_MODELS or name.rpartition("_")[0] in OF_THRUSTERS:
             continue
-        near = closest_name(name, OF_MODELS)
-        found[name] = advice_on_other_name(name) or (f"did you mean {near!r}?" if near else "")
+        alias, near = _alias(name), closest_name(name, OF_MODELS)
+        meant = near if alias is None else MEANT[alias]
+        advice = f"did you mean {near!r}?" if alias is None else OTHER_NAMES[alias]
+        found[name] = "" if meant is None or meant in present else advice
     return found
 
 

@@ -35,7 +35,12 @@ def test_signals_of_the_models_are_known() -> None:
 )
 def test_other_name_has_its_advice(name: str, advice: str) -> None:
     assert unknown_names([name]) == {name: advice}
-    assert unknown_names_text(["psi", name]) == (f"{name}: no model uses this name; {advice}" if advice else "")
+    assert unknown_names_text(["X", name]) == (f"{name}: no model uses this name; {advice}" if advice else "")
+
+
+def test_a_name_beside_the_signal_that_it_may_mean_is_not_named() -> None:
+    assert unknown_names_text(["pwm_left", "n_left", "heading", "psi", "lat", "x", "sog", "vx"]) == ""
+    assert unknown_names_text(["pwm_left", "psi"]).startswith("pwm_left: no model uses this name")
 
 
 def test_signals_with_the_same_advice_are_joined() -> None:
