@@ -11,7 +11,8 @@ BIN := .venv/bin
 PIP := $(BIN)/pip --quiet --disable-pip-version-check --no-input
 # --no-compile: Python compiles the few modules that are used when they are first used, which is sooner done.
 # --only-binary: a package that has no wheel for this platform is named at once instead of failing in a compiler.
-# --no-deps: constraints.txt lists all packages. Two halves are installed side by side, since pip uses one core.
+# --no-deps: constraints.txt lists all packages. In a new environment two halves are installed side by side, since pip
+# uses one core; setuptools, the only package there that is in constraints.txt too, is taken away first.
 LOCKED := --no-compile --only-binary :all: --require-hashes --no-deps
 SEED_OPTION = $(if $(SEED),--seed $(SEED))
 # Of pytest: one more than two cores, since one of them mostly waits for ports (tests/conftest.py).
@@ -46,12 +47,19 @@ help:
 	    echo "setting up .venv with $$python (first time, about half a minute)"; \
 	    $$python -m venv --clear .venv || \
 	        { echo "$$python makes no environments: install its venv module (python3-venv)" >&2; exit 1; }; \
+	    touch .venv/new; \
 	fi
 	@rm -f $@
-	@mkdir -p build
-	@awk '/^[^ #]/ { n++ } { print > "build/locked-" n % 2 ".txt" }' constraints.txt
-	@$(PIP) install $(LOCKED) -r build/locked-0.txt & other=$$!; \
-	    $(PIP) install $(LOCKED) -r build/locked-1.txt; failed=$$?; wait $$other && exit $$failed
+	@if [ -e .venv/new ]; then \
+	    mkdir -p build; \
+	    awk '/^[^ #]/ { n++ } { print > "build/locked-" n % 2 ".txt" }' constraints.txt; \
+	    $(PIP) uninstall --yes setuptools >/dev/null 2>&1; \
+	    $(PIP) install $(LOCKED) -r build/locked-0.txt & other=$$!; \
+	    $(PIP) install $(LOCKED) -r build/locked-1.txt; failed=$$?; \
+	    wait $$other && [ $$failed = 0 ] && rm .venv/new; \
+	else \
+	    $(PIP) install $(LOCKED) -r constraints.txt; \
+	fi
 	@echo "installing seatrial into .venv"
 	@$(PIP) install --no-compile --no-deps --no-build-isolation --editable .
 	@touch $@
