@@ -3,35 +3,51 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import NamedTuple
 
 from seatrial.daq.errors import closest_name
 
-# Names that other programs use for signals (also followed by _ and any text), and advice on the name or unit to use
+
+class OtherName(NamedTuple):
+    """What a name of another program means.
+
+    Attributes
+    ----------
+    meant
+        Signal of a model whose place it takes; ``n`` stands for the input of a thruster.
+    advice
+        Name or unit to use instead.
+    """
+
+    meant: str
+    advice: str
+
+
+_POSITION = "import positions as x, y in metres north and east"
+_OVER_GROUND = "import the velocity over ground as vx, vy (m/s, north and east)"
+_PULSE = OtherName("n", "a pulse width is no shaft speed: import it as n_left, n_right (-1..1) by scale and offset")
+_HEADING = OtherName("psi", "import the heading by the name psi")
+_YAW_RATE = OtherName("r", "import the yaw rate by the name r")
+# Names that other programs use for signals, alone or followed by _ and any text
 OTHER_NAMES = {
-    "speed_x": "import the velocity over ground to the north by the name vx",
-    "speed_y": "import the velocity over ground to the east by the name vy",
-    "lat": "import positions as x, y in metres north and east",
-    "lon": "import positions as x, y in metres north and east",
-    "latitude": "import positions as x, y in metres north and east",
-    "longitude": "import positions as x, y in metres north and east",
-    "sog": "import the velocity over ground as vx, vy (m/s, north and east)",
-    "cog": "import the velocity over ground as vx, vy (m/s, north and east)",
-    "pwm": "a pulse width is no shaft speed: import it as n_left, n_right (-1..1) by scale and offset",
-    "servo": "a pulse width is no shaft speed: import it as n_left, n_right (-1..1) by scale and offset",
-    "yaw": "import the heading by the name psi",
-    "heading": "import the heading by the name psi",
-    "hdg": "import the heading by the name psi",
-    "yaw_rate": "import the yaw rate by the name r",
-    "yawrate": "import the yaw rate by the name r",
-    "roll": "import the roll angle by the name phi",
-    "pitch": "import the pitch angle by the name theta",
+    "speed_x": OtherName("vx", "import the velocity over ground to the north by the name vx"),
+    "speed_y": OtherName("vy", "import the velocity over ground to the east by the name vy"),
+    "lat": OtherName("x", _POSITION),
+    "lon": OtherName("y", _POSITION),
+    "latitude": OtherName("x", _POSITION),
+    "longitude": OtherName("y", _POSITION),
+    "sog": OtherName("vx", _OVER_GROUND),
+    "cog": OtherName("vx", _OVER_GROUND),
+    "pwm": _PULSE,
+    "servo": _PULSE,
+    "yaw": _HEADING,
+    "heading": _HEADING,
+    "hdg": _HEADING,
+    "yaw_rate": _YAW_RATE,
+    "yawrate": _YAW_RATE,
+    "roll": OtherName("phi", "import the roll angle by the name phi"),
+    "pitch": OtherName("theta", "import the pitch angle by the name theta"),
 }
-# The signal of a model whose place each of these names takes; ``n`` stands for the input of a thruster
-MEANT = {
-    "speed_x": "vx", "speed_y": "vy", "lat": "x", "lon": "y", "latitude": "x", "longitude": "y", "sog": "vx",
-    "cog": "vx", "pwm": "n", "servo": "n", "yaw": "psi", "heading": "psi", "hdg": "psi", "yaw_rate": "r",
-    "yawrate": "r", "roll": "phi", "pitch": "theta",
-}  # fmt: skip
 # Signals that a built-in model uses. Those of a thruster have its name after the quantity, such as n_cmd_left.
 OF_MODELS = frozenset(
     {"x", "y", "psi", "r", "vx", "vy", "u", "v", "ax", "ay", "phi", "theta", "p", "q", "X", "X_n", "N"}
@@ -46,14 +62,14 @@ def advice_on_other_name(name: str) -> str | None:
     The names are those of the table `OTHER_NAMES`, alone or followed by ``_`` and more. The longest one counts. None
     for other names.
     """
-    alias = _alias(name)
-    return None if alias is None else OTHER_NAMES[alias]
+    other = _other_name(name)
+    return None if other is None else other.advice
 
 
-def _alias(name: str) -> str | None:
-    """Return the longest name in `OTHER_NAMES` that a signal has, alone or followed by ``_`` and more; else None."""
+def _other_name(name: str) -> OtherName | None:
+    """Return the meaning of a signal's name by the longest entry of `OTHER_NAMES` that it begins with, else None."""
     found = [alias for alias in OTHER_NAMES if name == alias or name.startswith(f"{alias}_")]
-    return max(found, key=len, default=None)
+    return OTHER_NAMES[max(found, key=len)] if found else None
 
 
 def unknown_names(names: Iterable[str]) -> dict[str, str]:
@@ -68,10 +84,9 @@ def unknown_names(names: Iterable[str]) -> dict[str, str]:
     for name in names:
         if name in OF_MODELS or name.rpartition("_")[0] in OF_THRUSTERS:
             continue
-        alias, near = _alias(name), closest_name(name, OF_MODELS)
-        meant = near if alias is None else MEANT[alias]
-        advice = f"did you mean {near!r}?" if alias is None else OTHER_NAMES[alias]
-        found[name] = "" if meant is None or meant in present else advice
+        near = closest_name(name, OF_MODELS)
+        other = _other_name(name) or (None if near is None else OtherName(near, f"did you mean {near!r}?"))
+        found[name] = "" if other is None or other.meant in present else other.advice
     return found
 
 

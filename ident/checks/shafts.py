@@ -225,12 +225,14 @@ def _scale_findings(name: str, found: Response) -> Iterator[Finding]:
         )
 
 
-# Responses found last, by the arrays of both channels: two checks of a log need the response of each shaft.
+# Responses found last, by the arrays of both channels
 _found: deque[tuple[tuple[ref[Array], ...], Response | NoResponse]] = deque(maxlen=16)
 
 
 def response(commands: Channel, shaft: Channel) -> Response | NoResponse:
-    """Return the response of a shaft to its commands. It is estimated once for the same arrays (`_estimated_response`).
+    """Return the response of a shaft to its commands.
+
+    The response to the same arrays is estimated only once, because two checks of a log need it.
 
     Parameters
     ----------
@@ -256,17 +258,7 @@ def response(commands: Channel, shaft: Channel) -> Response | NoResponse:
 def _estimated_response(commands: Channel, shaft: Channel) -> Response | NoResponse:
     """Estimate the response of a shaft to its commands by a search over delay, time constant and dead band.
 
-    Parameters
-    ----------
-    commands
-        Commands over full command, each held until the next one.
-    shaft
-        Measured shaft speed over full speed.
-
-    Returns
-    -------
-    Response or NoResponse
-        The response with the least squared error, or the reason for which it is unknown.
+    Arguments and result are those of `response`.
 
     Notes
     -----

@@ -190,9 +190,9 @@ class LinearModel:
 
     @property
     def outside(self) -> str:
-        """States and inputs of the operating point outside the fitted data, with value and range; empty if none is.
+        """List of the states and inputs of the operating point that leave their ranges in the fitted data.
 
-        The model extrapolates at such a point.
+        Each has its value and its range. The text is empty if all are inside. Otherwise the model extrapolates.
         """
         return outside_text(dict(zip((*self.states, *self.inputs), (*self.x0, *self.u0), strict=True)), self.ranges)
 

@@ -108,10 +108,7 @@ class Budget:
 
 
 def drawable(y: Array | None) -> Array | None:
-    """Return the curve ``y`` if at least one of its values is finite, else None.
-
-    The result is also None if ``y`` is None.
-    """
+    """Return the curve ``y``, or None if the page cannot draw it: it is missing, or it has no finite value."""
     return y if y is not None and np.isfinite(y).any() else None
 
 

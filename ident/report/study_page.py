@@ -581,5 +581,5 @@ def page(result: StudyResult) -> str:
 
 
 def _milliseconds(seconds: float | None) -> str:
-    """Return a time [s] as text in whole milliseconds; a dash for None."""
+    """Return a time [s] as text in whole milliseconds. The text is a dash if the time is None."""
     return "–" if seconds is None else f"{1e3 * seconds:.0f}"

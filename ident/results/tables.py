@@ -63,7 +63,7 @@ NO_PREDICTION = HorizonPrediction(*(np.zeros(0),) * 3)  # empty: of a channel wi
 
 
 def finite(value: float | None) -> float | None:
-    """Return a number for result.json; NaN, infinity and None become None, because JSON lacks such numbers."""
+    """Return a number for result.json. NaN and infinity are replaced by None, because JSON has no such numbers."""
     return None if value is None or not math.isfinite(value) else float(value)
 
 

@@ -527,7 +527,7 @@ def _traces(
 
 
 def _joined(parts: Sequence[PredictedRecord], kind: Kind, channel: str) -> Curve | None:
-    """Return a predicted channel over all blocks of a record; None if it is predicted in none of them."""
+    """Join the curves of a channel over all blocks of a record. Return None if no block has a prediction of it."""
     curves = [c for part in parts if (c := part.curves[kind].get(channel)) is not None]
     return Curve(*map(np.concatenate, zip(*curves, strict=True))) if curves else None
 

@@ -32,7 +32,15 @@ from seatrial.ident.validation import (
 
 
 class Kind(NamedTuple):
-    """Kind of prediction, with its horizon [s]; None: one step ahead, or simulation."""
+    """Kind of prediction and its horizon.
+
+    Attributes
+    ----------
+    kind
+        One step ahead, over a horizon, or a simulation.
+    seconds
+        Horizon [s]. None for the other kinds.
+    """
 
     kind: PredictionKind
     seconds: float | None = None

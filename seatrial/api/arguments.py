@@ -29,7 +29,13 @@ def shortened(value: object) -> str:
 
 
 def as_path(value: object, what: str) -> Path:
-    """Return the argument with the name ``what`` as a path. SeatrialError if it is neither a str nor a Path."""
+    """Convert an argument to a path. ``what`` is its name.
+
+    Raises
+    ------
+    SeatrialError
+        If the argument is neither a str nor a Path.
+    """
     if not isinstance(value, str | Path):
         raise SeatrialError(f"{what}: {shortened(value)} is no path; give the path of one file or folder as text")
     return Path(value)

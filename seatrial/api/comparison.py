@@ -20,6 +20,7 @@ from seatrial.api.series import ByRecord, ComparedPredictions, Prediction
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import import_library
+from seatrial.ident.numerics import wrap
 
 if TYPE_CHECKING:
     from seatrial.ident.results import ComparisonResult
@@ -112,10 +113,10 @@ class Comparison(Shown):
         for x in self.result.traces:
             for p in x.predictions:
                 measured = np.interp(p.t, x.t, x.measured, left=np.nan, right=np.nan)
-                turns = np.round((measured - p.predicted) / (2.0 * np.pi)) if x.angle else 0.0
                 horizon: float | Literal["simulation"] = "simulation" if p.seconds is None else p.seconds
                 by_record = found.setdefault(names[p.model], {}).setdefault(horizon, ByRecord[Prediction]())
-                samples = Prediction(p.t, measured, p.predicted + 2.0 * np.pi * turns, p.sd)
+                predicted = measured - wrap(measured - p.predicted, True) if x.angle else p.predicted
+                samples = Prediction(p.t, measured, predicted, p.sd)
                 by_record.setdefault(x.record, {})[x.channel] = samples
         return found
 

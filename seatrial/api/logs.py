@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from seatrial.api.arguments import as_path, check_number
 from seatrial.api.figures import Figure
 from seatrial.api.messages import errors_of_users
+from seatrial.api.series import Series
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.checks import FAULT, WARNING, Finding, findings_lines, findings_summary, worst_first
 from seatrial.daq.errors import SeatrialError, closest_name, counted, file_hint, warn
@@ -62,8 +63,7 @@ class Signal:
         SeatrialError
             If pandas is not installed.
         """
-        pandas = import_library("pandas")
-        return pandas.Series(self.value, index=pandas.Index(self.t, name="t"), name=self.name)
+        return Series(self.t, self.value).to_pandas().rename(self.name)
 
 
 @dataclass(frozen=True, repr=False)
