@@ -9,11 +9,9 @@ unexport PYTHONDONTWRITEBYTECODE
 
 BIN := .venv/bin
 PIP := $(BIN)/pip --quiet --disable-pip-version-check --no-input
-# --no-compile: Python compiles the few modules that are used when they are first used, which is sooner done.
 # --only-binary: a package that has no wheel for this platform is named at once instead of failing in a compiler.
-# --no-deps: constraints.txt lists all packages. In a new environment two halves are installed side by side, since pip
-# uses one core; setuptools, the only package there that is in constraints.txt too, is taken away first.
-LOCKED := --no-compile --only-binary :all: --require-hashes --no-deps
+# --no-deps: constraints.txt lists all packages.
+LOCKED := --only-binary :all: --require-hashes --no-deps
 SEED_OPTION = $(if $(SEED),--seed $(SEED))
 # Of pytest: one more than two cores, since one of them mostly waits for ports (tests/conftest.py).
 WORKERS ?= 3
@@ -29,11 +27,13 @@ help:
 	@echo "make study   known truth in, same truth out: bias, coverage, detection rates"
 	@echo "make docs    the documentation as a site, in build/site"
 	@echo "make dist    wheel and sdist, in dist"
-	@echo "make lock    resolve constraints.txt anew (needs uv)"
+	@echo "make lock    resolve constraints.txt anew "
 	@echo "make clean   remove the environment, builds and caches"
 
 # The stamp is taken away first and written last: with it the environment is brought up to date in place, without it
-# (new, or interrupted half-way) it is made from nothing.
+# (new, or interrupted half-way) it is made from nothing. uv, itself from constraints.txt, takes a quarter of pip's time;
+# pip does it where uv cannot, as on a platform without a wheel of uv or with an index that only pip's settings name.
+# --no-compile: Python compiles the few modules that are used when they are first used, which is sooner done.
 .venv/ready: constraints.txt pyproject.toml
 	@if [ -e $@ ]; then \
 	    echo "bringing .venv up to date"; \
@@ -47,19 +47,13 @@ help:
 	    echo "setting up .venv with $$python (first time, about half a minute)"; \
 	    $$python -m venv --clear .venv || \
 	        { echo "$$python makes no environments: install its venv module (python3-venv)" >&2; exit 1; }; \
-	    touch .venv/new; \
 	fi
 	@rm -f $@
-	@if [ -e .venv/new ]; then \
-	    mkdir -p build; \
-	    awk '/^[^ #]/ { n++ } { print > "build/locked-" n % 2 ".txt" }' constraints.txt; \
-	    $(PIP) uninstall --yes setuptools >/dev/null 2>&1; \
-	    $(PIP) install $(LOCKED) -r build/locked-0.txt & other=$$!; \
-	    $(PIP) install $(LOCKED) -r build/locked-1.txt; failed=$$?; \
-	    wait $$other && [ $$failed = 0 ] && rm .venv/new; \
-	else \
-	    $(PIP) install $(LOCKED) -r constraints.txt; \
-	fi
+	@mkdir -p build
+	@awk '/^[^ #]/ { wanted = /^uv==/ } wanted' constraints.txt > build/locked-uv.txt
+	@{ $(PIP) install --no-compile $(LOCKED) -r build/locked-uv.txt && \
+	    $(BIN)/uv pip install --quiet --no-cache --python $(BIN)/python $(LOCKED) -r constraints.txt; } 2>build/uv-errors.txt || \
+	    $(PIP) install --no-compile $(LOCKED) -r constraints.txt
 	@echo "installing seatrial into .venv"
 	@$(PIP) install --no-compile --no-deps --no-build-isolation --editable .
 	@touch $@
@@ -117,8 +111,8 @@ dist: .venv/ready
 	    >build/dist.log 2>&1 || { cat build/dist.log >&2; exit 1; }
 	@ls dist/*
 
-lock:
-	@uv pip compile --quiet --universal --python-version 3.11 --upgrade --generate-hashes --no-emit-index-url \
+lock: .venv/ready
+	@$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --upgrade --generate-hashes --no-emit-index-url \
 	    --no-annotate --no-header --extra dev --output-file constraints.txt pyproject.toml
 
 clean:
