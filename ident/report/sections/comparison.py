@@ -254,8 +254,8 @@ def _likelihood_cells(m: ComparedModel) -> list[Cell | str]:
 
 
 def signed(value: float) -> str:
-    """Return a number as text with its sign and one decimal: ``+12.3``; the minus sign is typographic."""
-    return f"{value:+.1f}".replace("-", "−")
+    """Return a number as text with its sign, with one decimal below 100: ``+12.3``; the minus sign is typographic."""
+    return f"{value:+.{int(abs(value) < 100.0)}f}".replace("-", "−")
 
 
 def overlay_section(canvas: Canvas, result: ComparisonResult) -> Section:
