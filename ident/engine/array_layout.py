@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 # Names of the data arrays in the graphs: inputs at both ends of the interval, outputs, and length of the interval
 ROWS = frozenset({"u", "u_next", "y", "h"})
 
@@ -36,7 +38,9 @@ class Layout:
         Names of the results that are matrices of inner products between all lanes (`loop_plan.GramStage`), in blocks
         of (width, width). Only blocks on and above the diagonal are written.
     width : int
-        Number of lanes in one group: the number of doubles in a vector register (2, 4 or 8).
+        Number of lanes in one group: the numbers that a vector register holds (2, 4 or 8 in double precision).
+    single : frozenset[str]
+        Names of the arrays in single precision. All others are in double precision.
     """
 
     sizes: Mapping[str, int]
@@ -46,6 +50,11 @@ class Layout:
     summed: tuple[str, ...]
     grams: frozenset[str]
     width: int
+    single: frozenset[str] = frozenset()
+
+    def dtype(self, name: str) -> type[np.floating]:
+        """Return the type of the numbers of the array ``name``: float32 for an array of `single`, otherwise float64."""
+        return np.float32 if name in self.single else np.float64
 
     def shape(self, name: str, n_rows: int, groups: int, per_row: bool = False) -> tuple[int, ...]:
         """Return the shape of an array of the kernel for a given number of rows and lanes.

@@ -131,9 +131,14 @@ class FilterKernels:
     def tangent(self) -> Kernel:
         """Kernel (program over all rows of a record) of log-likelihood, score and Fisher information.
 
-        The score is the gradient of the log-likelihood by chosen parameters.
+        The score is the gradient of the log-likelihood by chosen parameters. The derivatives are in single precision.
         """
         return self._kernel("tangent")
+
+    @cached_property
+    def tangent_double(self) -> Kernel:
+        """Kernel (program over all rows of a record) that computes what `tangent` does, in double precision."""
+        return self._kernel("tangent_double")
 
     @cached_property
     def filter(self) -> Kernel:

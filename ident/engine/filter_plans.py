@@ -13,6 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from seatrial.ident.engine import jit
 from seatrial.ident.engine.array_layout import ROWS
 from seatrial.ident.engine.ekf_adjoint import Adjoint, adjoint_of_prediction, adjoint_of_update
 from seatrial.ident.engine.ekf_graph import EkfGraphs, Update
@@ -86,7 +87,11 @@ class Plans:
             for tape, u, _ in self._forward_steps()
         ]
 
-    def tangent(self) -> Plan:
+    def tangent_double(self) -> Plan:
+        """Return the plan of ``tangent`` in double precision, for derivatives outside the range of single precision."""
+        return self.tangent(double=True)
+
+    def tangent(self, double: bool = False) -> Plan:
         """Return the plan of the forward sensitivities, with one lane for each chosen parameter.
 
         A lane is one element of the processor's vector registers. Arrays in lanes: ``ds`` (carried), the derivatives of
@@ -95,13 +100,23 @@ class Plans:
         expected Fisher information between all lanes, of which only blocks on and above the diagonal are written.
         ``ll`` and ``s`` are those of ``value``.
 
+        Parameters
+        ----------
+        double : bool
+            Whether the derivatives are in double precision. Otherwise they are in single precision, and only their sums
+            over the rows are in double precision. ``ll`` and ``s`` are always in double precision.
+
         Notes
         -----
+        A vector register holds twice as many numbers in single precision. Rounding then matters only where a sample
+        reduces a variance by orders of magnitude. The array ``reduction`` of a plan in single precision is therefore
+        the sum over all samples of the squared ratio of the innovation's variance to that of the noise.
+
         The Fisher information of Gaussian innovations e with variance S is the sum of
         ``de de' / S + dS dS' / (2 S^2)``. If the density of the noise includes outliers, both terms are reduced by a
         few per cent.
         """
-        g, lanes = self.graphs, {"ds", "dp", "dll"}
+        g, lanes, single = self.graphs, {"ds", "dp", "dll"}, {"ds", "dp"}
         stages: list[ExpressionStage | GramStage] = []
         ds, dp = ca.SX.sym("ds", self.n_s), ca.SX.sym("dp", self.n_parameters)
         for q, (_, u, bit) in enumerate(self._forward_steps()):
@@ -113,10 +128,17 @@ class Plans:
                 part = ca.sqrt(u.information)
                 results[f"v{q}"] = ca.vertcat(part[:, 0] * de / ca.sqrt(u.S), np.sqrt(0.5) * part[:, 1] * dS / u.S)
                 lanes.add(f"v{q}")
-            stages += split_by_lanes(g.inputs, self._stage_results(u), seeds, results, bit, f"w{q}")
+                single.add(f"v{q}")
+            single.add(f"w{q}")
+            scalars = self._stage_results(u)
+            if u.corrections and not double:
+                scalars["reduction"] = sum((step.S / step.sample.R) ** 2 for step in u.corrections)
+            stages += split_by_lanes(g.inputs, scalars, seeds, results, bit, f"w{q}")
             if u.e is not None:
                 stages.append(GramStage(f"v{q}", "fisher", int(results[f"v{q}"].numel()), bit))
-        return Plan(tuple(stages), ROWS, frozenset(lanes))
+        if double:
+            return Plan(tuple(stages), ROWS, frozenset(lanes))
+        return Plan(tuple(stages), ROWS, frozenset(lanes), 2 * jit.WIDTH, single=frozenset(single))
 
     def filter(self) -> Plan:
         """Return the plan of the kernel that returns the filter output for each row.

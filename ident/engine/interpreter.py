@@ -71,7 +71,9 @@ def _run_expression_stage(plan: Plan, stage: ExpressionStage, now: Mapping[str, 
     for group in range(groups):
         for lane in range(plan.width):
             lane_arrays = {name: now[name][group, :, lane] if name in plan.lanes else now[name] for name in now}
-            for name, value in zip(names_out, f.call([lane_arrays[name] for name in names_in]), strict=True):
+            for name, value in zip(
+                names_out, f.call([lane_arrays[name].astype(float) for name in names_in]), strict=True
+            ):
                 _store_result(plan, name, lane_arrays[name], np.array(value).ravel())
 
 

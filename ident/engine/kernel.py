@@ -28,21 +28,21 @@ if TYPE_CHECKING:
     from seatrial.ident.engine.loop_plan import Plan
 
 Mask = NDArray[np.uint32]
-CACHE_LINE = 8  # doubles in a cache line
+CACHE_LINE = 64  # bytes in a cache line of the processor
 ALL_BITS = 0xFFFFFFFF  # mask of a row in which all sensors have a sample: all 32 bits are set
 MAX_BITS = 32  # bits of a mask, one for each sensor
 
 
-def allocate(shape: Sequence[int], zero: bool = True) -> Array:
-    """Return a new float64 array of the given shape whose memory starts at a multiple of 64 bytes.
+def allocate(shape: Sequence[int], zero: bool = True, dtype: type[np.floating] = np.float64) -> Array:
+    """Return a new array of the given shape and type whose memory starts at a multiple of 64 bytes.
 
     This is the start of a cache line of the processor, so that vector instructions are fast. The values are zero if
     ``zero`` is true, otherwise arbitrary.
     """
-    size = math.prod(shape)
-    a = (np.zeros if zero else np.empty)(size + CACHE_LINE)
-    first = -a.ctypes.data // 8 % CACHE_LINE
-    return a[first : first + size].reshape(tuple(shape))
+    n_bytes = math.prod(shape) * np.dtype(dtype).itemsize
+    a = (np.zeros if zero else np.empty)(n_bytes + CACHE_LINE, np.uint8)
+    first = -a.ctypes.data % CACHE_LINE
+    return a[first : first + n_bytes].view(dtype).reshape(tuple(shape))
 
 
 @dataclass
@@ -59,16 +59,17 @@ class Arena:
 
     arrays: dict[str, Array] = field(default_factory=dict)
 
-    def take(self, name: str, shape: Sequence[int], zero: bool = True) -> Array:
-        """Return a float64 array of the given shape in the memory with this name.
+    def take(self, name: str, shape: Sequence[int], zero: bool = True, dtype: type[np.floating] = np.float64) -> Array:
+        """Return an array of the given shape and type in the memory with this name.
 
-        The next call with the same name returns the same memory, unless it is too small. The array is set to zero if
-        ``zero`` is true; otherwise it has arbitrary values.
+        The next call with the same name returns the same memory, unless it is too small or of another type. The array
+        is set to zero if ``zero`` is true; otherwise it has arbitrary values.
         """
         size = math.prod(shape)
-        if name not in self.arrays or self.arrays[name].size < size:
-            self.arrays[name] = allocate((size,), zero=False)
-        a = self.arrays[name][:size].reshape(tuple(shape))
+        known = self.arrays.get(name)
+        if known is None or known.size < size or known.dtype != dtype:
+            known = self.arrays[name] = allocate((size,), zero=False, dtype=dtype)
+        a = known[:size].reshape(tuple(shape))
         if zero:
             a[...] = 0.0
         return a
@@ -223,9 +224,12 @@ class Kernel:
         arrays: dict[str, Array] = {}
         for name in layout.sizes:
             shape = layout.shape(name, n_rows, groups, name in per_row)
-            a = arguments[name] if name in arguments else take(name, shape, name not in layout.rows)
-            if a.dtype != np.float64 or a.size != math.prod(shape) or not a.flags.c_contiguous:
-                raise ValueError(f"{name}: expected contiguous doubles of shape {shape}, got {a.dtype} {a.shape}")
+            a = arguments[name] if name in arguments else take(name, shape, name not in layout.rows, layout.dtype(name))
+            if a.dtype != layout.dtype(name) or a.size != math.prod(shape) or not a.flags.c_contiguous:
+                raise ValueError(
+                    f"{name}: expected contiguous {np.dtype(layout.dtype(name))} of shape {shape}, got {a.dtype} "
+                    f"{a.shape}"
+                )
             arrays[name] = a
         self._loop(n_rows, groups, mask, arrays, per_row)
         return arrays
@@ -324,7 +328,7 @@ class Kernel:
         """
         width = self.layout.width
         groups = groups or self.groups(len(chosen))
-        unit = np.zeros((groups, size, width))
+        unit = np.zeros((groups, size, width), self.layout.dtype("dp"))
         lane = np.arange(len(chosen))
         unit[lane // width, list(chosen), lane % width] = 1.0
         return unit

@@ -232,7 +232,7 @@ def load_kernel(key: str, name: str) -> tuple[Layout, str] | None:
     if content is None:
         return None
     table = json.loads(content)
-    sets = {field: frozenset(table[field]) for field in ("rows", "lanes", "carried", "grams")}
+    sets = {field: frozenset(table[field]) for field in ("rows", "lanes", "carried", "grams", "single")}
     layout = Layout(sizes=table["sizes"], summed=tuple(table["summed"]), width=table["width"], **sets)
     return layout, str(table["code"])
 

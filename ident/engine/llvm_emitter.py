@@ -18,6 +18,7 @@ from functools import partial, reduce
 from typing import Any, NamedTuple
 
 import casadi as ca
+import numpy as np
 
 from seatrial.ident.engine.expressions import evaluate_instructions
 from seatrial.ident.engine.llvm_operations import (
@@ -53,11 +54,21 @@ class Value(NamedTuple):
 
 
 def _hexadecimal_literal(x: float) -> Value:
-    """Return the number x as a constant scalar in LLVM IR, written as a hexadecimal literal without rounding."""
+    """Return the number x as a constant scalar in LLVM IR, written as a hexadecimal literal without rounding.
+
+    A literal of single precision has the same form; x must then be a number of this precision.
+    """
     return Value(f"0x{struct.unpack('<Q', struct.pack('<d', float(x)))[0]:016X}", False, True)
 
 
 ZERO, ONE = _hexadecimal_literal(0.0), _hexadecimal_literal(1.0)
+
+
+def _load(name: str, kind: str, wanted: str) -> list[str]:
+    """Return lines of LLVM IR that load ``name`` of the type ``kind`` from ``name.p`` and convert it to ``wanted``."""
+    if kind == wanted:
+        return [f"{name} = load {kind}, ptr {name}.p, align 4"]
+    return [f"{name}.0 = load {kind}, ptr {name}.p, align 4", f"{name} = fpext {kind} {name}.0 to {wanted}"]
 
 
 def _pointer_arguments(names: Iterable[str], attribute: str = "") -> str:
@@ -99,7 +110,9 @@ class LlvmEmitter:
     in_lane_function : bool
         Whether the current stage is written as a separate function, because it has arrays in lanes.
     width : int
-        Number of doubles in the current vectors.
+        Numbers in the current vectors.
+    number : str
+        LLVM's name of the present type of numbers, ``double`` or ``float``.
     register_values : dict[str, list[Value]]
         Present value of each entry of the carried arrays that are kept in registers, by name of the array.
     new_values : dict[tuple[str, int], Value]
@@ -114,12 +127,12 @@ class LlvmEmitter:
         self.function_lines: list[str] = []
         self.declarations: set[str] = set()
         self.values_by_instruction: dict[Any, Value] = {}
-        self.instruction_forms: dict[tuple[str, bool, int, str], str] = {}
+        self.instruction_forms: dict[tuple[str, bool, int, str, str], str] = {}
         self.n_values = 0
         self.flags = FAST
         self.stage_index = 0
         self.in_lane_function = False
-        self.width = plan.width
+        self.width, self.number = plan.width, "double"
         self.register_values = {
             name: [Value(f"%held.{name}.{j}", False, False) for j in range(plan.sizes[name])]
             for name in plan.sizes
@@ -277,7 +290,9 @@ class LlvmEmitter:
         used = list(dict.fromkeys([*f.name_in(), *f.name_out()]))
         steps = [name for name in used if name in self.plan.summed]
         outer, self.loop_lines, self.in_lane_function = self.loop_lines, [], True
+        self.number = "double" if self.plan.single.isdisjoint(used) else "float"
         self._write_instructions(stage)
+        self.number = "double"
         declared = "".join(f", i64 %step.{name}" for name in steps)
         self.function_lines += [
             f"define internal void @stage{q}(i64 %k, i64 %g, i64 %groups, "
@@ -345,21 +360,22 @@ class LlvmEmitter:
 
         It adds the inner products of each lane of group a with each lane of group b to a block of the result matrix.
         """
-        width, vector = self.plan.width, self._type_text(True)
+        width, vector, number = self.plan.width, self._type_text(True), self._number_of(stage.source)
+        source = f"<{width} x {number}>"
         lines = [
             f"%left = mul i64 %a, {stage.entries * width}",
             f"%right = mul i64 %b, {stage.entries}",
             "%line = mul i64 %a, %groups",
             "%block = add i64 %line, %b",
             f"%first = mul i64 %block, {width}",
-            f"%scalars = getelementptr double, ptr %{stage.source}, i64 %left",
-            f"%vectors = getelementptr {vector}, ptr %{stage.source}, i64 %right",
+            f"%scalars = getelementptr {number}, ptr %{stage.source}, i64 %left",
+            f"%vectors = getelementptr {source}, ptr %{stage.source}, i64 %right",
             f"%sums = getelementptr {vector}, ptr %{stage.result}, i64 %first",
         ]
         for e in range(stage.entries):
             lines += [
-                f"%b{e}.p = getelementptr {vector}, ptr %vectors, i64 {e}",
-                f"%b{e} = load {vector}, ptr %b{e}.p, align 8",
+                f"%b{e}.p = getelementptr {source}, ptr %vectors, i64 {e}",
+                *_load(f"%b{e}", source, vector),
             ]
         for i in range(width):
             lines += [
@@ -369,8 +385,8 @@ class LlvmEmitter:
             for e in range(stage.entries):
                 t = f"{i}.{e}"
                 lines += [
-                    f"%a{t}.p = getelementptr double, ptr %scalars, i64 {e * width + i}",
-                    f"%a{t} = load double, ptr %a{t}.p, align 8",
+                    f"%a{t}.p = getelementptr {number}, ptr %scalars, i64 {e * width + i}",
+                    *_load(f"%a{t}", number, "double"),
                     f"%i{t} = insertelement {vector} poison, double %a{t}, i32 0",
                     f"%v{t} = shufflevector {vector} %i{t}, {vector} poison, <{width} x i32> zeroinitializer",
                     f"%m{t} = fmul {FAST} {vector} %v{t}, %b{e}",
@@ -436,7 +452,7 @@ class LlvmEmitter:
             raise ValueError(
                 "the model converts its symbols to numbers (math.sin, float(), np.zeros); use numpy's functions"
             )
-        return _hexadecimal_literal(x)
+        return _hexadecimal_literal(x if self.number == "double" else float(np.float32(x)))
 
     def _write_operation(self, code: int, *a: Value) -> Value:
         """Write the IR of one CasADi operation on the one or two operands ``a``, and return its result.
@@ -509,14 +525,15 @@ class LlvmEmitter:
 
     def _instruction_form(self, template: str, vector: bool) -> str:
         """Return a template of an instruction with its types and flags, in which only the operands are missing."""
-        key = template, vector, self.width, self.flags
+        key = template, vector, self.width, self.number, self.flags
         if (form := self.instruction_forms.get(key)) is None:
             form = self.instruction_forms[key] = self._with_types(template, vector)
         return form
 
     def _with_types(self, template: str, vector: bool) -> str:
         """Return a template with its types (``{T}``, ``{S}``) and flags (``{F}``) inserted."""
-        kind, suffix = self._type_text(vector), f"v{self.width}f64" if vector else "f64"
+        bits = "f64" if self.number == "double" else "f32"
+        kind, suffix = self._type_text(vector), f"v{self.width}{bits}" if vector else bits
         return template.replace("{T}", kind).replace("{S}", suffix).replace("{F}", self.flags)
 
     def _write_select(self, comparison: str, x: Value, y: Value, result: Value) -> Value:
@@ -564,9 +581,9 @@ class LlvmEmitter:
         if a.vector:
             return a.text
         if a.text[0] != "%":
-            return f"splat (double {a.text})"
+            return f"splat ({self.number} {a.text})"
         first = self._write_instruction(
-            f"insertelement {{T}} poison, double {a.text}, i32 0", vector=True, constant=a.constant
+            f"insertelement {{T}} poison, {self.number} {a.text}, i32 0", vector=True, constant=a.constant
         )
         zeros = f"<{self.width} x i32> zeroinitializer"
         return self._write_instruction(f"shufflevector {{T}} {{0}}, {{T}} poison, {zeros}", first).text
@@ -579,7 +596,7 @@ class LlvmEmitter:
         The address is that of the current row if the array has entries for each row or is a summed result, and that of
         the current group of lanes (vector) if the array is in lanes.
         """
-        kind, size, pointer = self._type_text(name in self.plan.lanes), self.plan.sizes[name], f"%{name}"
+        kind, size, pointer = self._array_type(name), self.plan.sizes[name], f"%{name}"
         offsets: list[str] = []
         if name in self.plan.rows or name in self.plan.summed:
             row = "%k"
@@ -606,12 +623,13 @@ class LlvmEmitter:
         if name in self.register_values:
             return self.register_values[name][j]
         varies = name in self.plan.rows or name in self.plan.carried or again
-        return self._write_instruction(
-            f"load {{T}}, ptr {self._write_address(name, j)}, align 8",
+        stored = self._write_instruction(
+            f"load {self._array_type(name)}, ptr {self._write_address(name, j)}, align {self._alignment(name)}",
             vector=name in self.plan.lanes,
             constant=not varies,
             again=again,
         )
+        return self._converted(stored, self._number_of(name), self.number)
 
     def _store_entry(self, name: str, j: int, value: Value) -> None:
         """Write the assignment of a value to entry j of the array ``name``, or its addition if the array is summed.
@@ -621,15 +639,47 @@ class LlvmEmitter:
         if name in self.register_values:
             self.new_values[name, j] = value
             return
-        lane = name in self.plan.lanes
+        number = self.number
+        value, self.number = self._converted(value, number, self._number_of(name)), self._number_of(name)
         if name in self.plan.summed:
             value = self._write_operation(ca.OP_ADD, value, self._load_entry(name, j, again=True))
-        text = self._vector_text(value) if lane else value.text
-        self._append_lines(f"store {self._type_text(lane)} {text}, ptr {self._write_address(name, j)}, align 8")
+        text = self._vector_text(value) if name in self.plan.lanes else value.text
+        self._append_lines(
+            f"store {self._array_type(name)} {text}, ptr {self._write_address(name, j)}, align {self._alignment(name)}"
+        )
+        self.number = number
+
+    def _converted(self, value: Value, number: str, wanted: str) -> Value:
+        """Return a value of the type ``number`` (double or float) as a value of the type ``wanted``.
+
+        The instruction that converts it is written, unless the types are the same.
+        """
+        if number == wanted:
+            return value
+        vector = f"<{self.width} x {{}}>" if value.vector else "{}"
+        operation = "fptrunc" if wanted == "float" else "fpext"
+        return self._write_instruction(
+            f"{operation} {vector.format(number)} {value.text} to {vector.format(wanted)}",
+            vector=value.vector,
+            constant=value.constant,
+        )
+
+    def _number_of(self, name: str) -> str:
+        """Return LLVM's name of the type of the numbers of the array ``name``: ``double`` or ``float``."""
+        return "float" if name in self.plan.single else "double"
+
+    def _array_type(self, name: str) -> str:
+        """Return LLVM's name of the type of an entry of the array ``name``: a number, or a vector of one per lane."""
+        number = self._number_of(name)
+        return f"<{self.width} x {number}>" if name in self.plan.lanes else number
+
+    def _alignment(self, name: str) -> int:
+        """Return the bytes of which the address of an entry of the array ``name`` is a multiple."""
+        return 4 if name in self.plan.single else 8
 
     def _type_text(self, vector: bool) -> str:
         """Return LLVM's name of the type: a vector of ``width`` doubles if ``vector`` is true, else ``double``."""
-        return f"<{self.width} x double>" if vector else "double"
+        return f"<{self.width} x {self.number}>" if vector else self.number
 
     def _append_lines(self, *lines: str) -> None:
         """Append lines of IR to the loop over the rows.

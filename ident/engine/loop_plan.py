@@ -137,6 +137,9 @@ class Plan:
         Number of lanes in one group; by default the number of doubles in a vector register (2, 4 or 8).
     backward : bool
         Whether the loop runs from the last row to the first.
+    single : frozenset[str]
+        Names of the arrays in single precision. A stage in lanes that uses one of them computes in single precision.
+        Its summed results are nevertheless added in double precision.
     """
 
     stages: tuple[ExpressionStage | GramStage | ProductStage, ...]
@@ -144,6 +147,7 @@ class Plan:
     lanes: frozenset[str] = frozenset()
     width: int = jit.WIDTH
     backward: bool = False
+    single: frozenset[str] = frozenset()
 
     @cached_property
     def sizes(self) -> dict[str, int]:
@@ -200,7 +204,7 @@ class Plan:
     @cached_property
     def layout(self) -> Layout:
         """Names, sizes and kinds of the arrays, without CasADi objects, so that they can be stored in a file."""
-        return Layout(self.sizes, self.rows, self.lanes, self.carried, self.summed, self.grams, self.width)
+        return Layout(self.sizes, self.rows, self.lanes, self.carried, self.summed, self.grams, self.width, self.single)
 
     def shape(self, name: str, n_rows: int, groups: int, per_row: bool = False) -> tuple[int, ...]:
         """Return the shape of the array ``name`` for ``n_rows`` rows and ``groups`` groups of ``width`` lanes.

@@ -28,6 +28,9 @@ from seatrial.ident.numerics import Array
 # therefore processed in pieces of PIECE rows. Only one piece is in memory. Of the others only the state at their start
 # is kept, from which the filter runs again when needed. A piece fits into the cache of the processor.
 WHOLE, PIECE = 16384, 1024  # rows
+# Largest ratio of an innovation's variance to that of the noise at which derivatives are in single precision. Their
+# relative error of 6e-8 is multiplied by this ratio where a sample reduces the variance to that of the noise
+LARGEST_REDUCTION = 3e4
 
 
 @dataclass(frozen=True)
@@ -262,7 +265,13 @@ class Likelihood:
         return value, gradient
 
     def scores(
-        self, record: Record, values: Array, free: Sequence[str] | None = None, *, by_row: bool = False
+        self,
+        record: Record,
+        values: Array,
+        free: Sequence[str] | None = None,
+        *,
+        by_row: bool = False,
+        double: bool = False,
     ) -> LikelihoodAndScore:
         """Return log-likelihood, score and expected Fisher information of a record, by forward sensitivities.
 
@@ -278,15 +287,37 @@ class Likelihood:
             free in the model.
         by_row
             Whether to return the contributions of the rows (instants of the record) to the score, too.
+        double
+            Whether to compute the derivatives in double precision. Single precision takes 0.6 of the time, and its
+            errors are far below a standard error. Where they could be larger, double precision is used in any case: if
+            a sample reduces a variance by a factor above 30 000, or if a number exceeds 1e38.
         """
         free = self.model.free if free is None else free
         data, start = self._prepare_with_initial_state(record, values)
-        kernel = self._kernels.tangent
+        if not double:
+            found, accurate = self._forward_sensitivities(data, start, values, free, by_row, self._kernels.tangent)
+            if accurate or np.isnan(found.value):
+                return found
+        return self._forward_sensitivities(data, start, values, free, by_row, self._kernels.tangent_double)[0]
+
+    def _forward_sensitivities(
+        self,
+        data: Prepared,
+        start: InitialCondition,
+        values: Array,
+        free: Sequence[str],
+        by_row: bool,
+        kernel: Kernel,
+    ) -> tuple[LikelihoodAndScore, bool]:
+        """Run a kernel of forward sensitivities on a prepared record, and return the result of `scores`.
+
+        The second value is False if the kernel's precision may not suffice. ``start`` is not changed.
+        """
         chosen = [self._index[name] for name in free]
         groups, width, n = kernel.groups(len(free)), kernel.layout.width, len(free)
         lane_of = {parameter: lane for lane, parameter in enumerate(chosen)}
         with self._arenas.borrow() as arena:
-            ds = arena.take("ds", (groups, start.s.size, width))
+            ds = arena.take("ds", (groups, start.s.size, width), dtype=kernel.layout.dtype("ds"))
             for entry, parameter, slope in start.tangent:
                 if parameter in lane_of:
                     lane = lane_of[parameter]
@@ -294,7 +325,7 @@ class Likelihood:
             arrays = {
                 **_kernel_inputs(kernel, data),
                 "p": _contiguous_doubles(values),
-                "s": start.s,
+                "s": start.s.copy(),
                 "ds": ds,
                 "dp": kernel.seeds(len(self._index), chosen, groups),
             }
@@ -303,8 +334,10 @@ class Likelihood:
             )
             dll = done["dll"].reshape(-1, groups * width)[:, :n].copy()
             information = _symmetric_from_blocks(done["fisher"])[:n, :n]
-            value = float(done["ll"][0])
-        return LikelihoodAndScore(value, dll.sum(axis=0), information, dll if by_row else None)
+            value, reduction = float(done["ll"][0]), float(done["reduction"][0]) if "reduction" in done else 0.0
+        result = LikelihoodAndScore(value, dll.sum(axis=0), information, dll if by_row else None)
+        finite = np.isfinite(result.gradient).all() and np.isfinite(information).all()
+        return result, bool(finite and reduction < LARGEST_REDUCTION**2)
 
     def value_by_row(self, record: Record, values: Array) -> Array:
         """Return the contribution of each row (instant of the record) to the log-likelihood (n_rows,).

@@ -69,11 +69,15 @@ def check_gradient(likelihood: Likelihood) -> None:
     model = likelihood.model
     record, v = record_of(model), np.array(list(model.values.values()))
     value, gradient = likelihood.gradient(record, v)
-    tangents = likelihood.scores(record, v, list(model.values))
+    tangents = likelihood.scores(record, v, list(model.values), double=True)
     assert np.isfinite(value)
     assert value == pytest.approx(tangents.value, rel=1e-12)
     scale = np.sqrt(np.diag(tangents.information)) + 1e-6  # Standard deviation of a gradient.
     assert np.abs((gradient - tangents.gradient) / scale).max() < 1e-7
+    single = likelihood.scores(record, v, list(model.values))
+    assert single.value == pytest.approx(value, rel=1e-12)
+    assert 1e-12 < np.abs((gradient - single.gradient) / scale).max() < 1e-4
+    assert np.abs((single.information - tangents.information) / np.outer(scale, scale)).max() < 1e-4
     assert np.count_nonzero(gradient) > len(model.values) // 2
 
 

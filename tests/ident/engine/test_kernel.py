@@ -94,7 +94,7 @@ def data_of(kernel: Kernel, seed: int = 0) -> tuple[int, np.ndarray, dict[str, n
 
 
 @needs_llvm
-@pytest.mark.parametrize("name", ["value", "forward", "tangent", "filter", "simulate"])
+@pytest.mark.parametrize("name", ["value", "forward", "tangent", "tangent_double", "filter", "simulate"])
 def test_interpreted_and_compiled_kernels_agree(name: str) -> None:
     programs: FilterKernels = filter_kernels_for(turning(), covariance=name != "simulate")
     fast: Kernel = getattr(programs, name)
@@ -104,15 +104,19 @@ def test_interpreted_and_compiled_kernels_agree(name: str) -> None:
     for kernel in (fast, slow):
         n, mask, arrays = data_of(kernel)
         s = np.array([3.0, 0.1, 0.01, 0.0, 0.09])[: fast.plan.sizes["s"]]
-        groups = kernel.groups(len(chosen)) if name == "tangent" else 1
+        groups = kernel.groups(len(chosen)) if name.startswith("tangent") else 1
         arrays |= {"p": values_of(turning()), "s": s}
-        if name == "tangent":
+        if name.startswith("tangent"):
             arrays["dp"] = kernel.seeds(9, chosen)
         rows = {r: np.zeros((n, kernel.plan.sizes[r])) for r in kernel.plan.rows & set(kernel.plan.sizes) - set(arrays)}
         per_row = frozenset({"ll"} & set(kernel.plan.summed))
         results.append(kernel(n, mask, {**arrays, **rows}, groups=groups, per_row=per_row))
-    for key in results[0]:
-        np.testing.assert_allclose(results[0][key], results[1][key], rtol=1e-9, atol=1e-11, err_msg=key)
+    for key, found in results[0].items():
+        rounding = (
+            1e-5 if kernel.layout.single and key in kernel.layout.lanes | {"fisher"} | kernel.layout.single else 1e-9
+        )
+        atol = rounding * (1e-2 if rounding == 1e-9 else np.abs(found).max())
+        np.testing.assert_allclose(found, results[1][key], rtol=rounding, atol=atol, err_msg=key)
 
 
 @needs_llvm
@@ -171,7 +175,7 @@ def test_arrays_are_aligned_to_cache_lines_and_reused() -> None:
 def test_invalid_arrays_are_rejected() -> None:
     x = ca.SX.sym("x")
     kernel = Kernel(Plan((stage({"x": x}, {"y": x}),), frozenset({"x", "y"})))
-    with pytest.raises(ValueError, match="x: expected contiguous doubles of shape"):
+    with pytest.raises(ValueError, match="x: expected contiguous float64 of shape"):
         kernel(3, None, {"x": np.zeros(4)})
     with pytest.raises(ValueError, match="mask"):
         kernel(3, np.ones(3, np.uint8), {"x": np.zeros(3)})  # type: ignore[arg-type]

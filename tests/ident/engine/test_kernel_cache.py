@@ -211,7 +211,7 @@ def test_quickly_compiled_kernel_gives_the_same_numbers(tmp_path: Path, monkeypa
         monkeypatch.setenv("SEATRIAL_CACHE", str(tmp_path / place))
         monkeypatch.setattr(filter_kernels, "_known", WeakValueDictionary())
         with jit.quick_compilation(n_rows):
-            found.append(Likelihood(turning()).scores(record, values))
+            found.append(Likelihood(turning()).scores(record, values, double=True))
     careful, quick = found
     np.testing.assert_allclose(quick.value, careful.value, rtol=1e-12)
     np.testing.assert_allclose(quick.gradient, careful.gradient, rtol=1e-9, atol=1e-9)

@@ -198,15 +198,33 @@ def test_gradient_of_a_long_record_computed_in_pieces_is_the_same(piece: int, mo
 def test_tangents_equal_the_adjoint_for_any_subset_of_parameters() -> None:
     likelihood, record, v = Likelihood(turning()), turning_record(), values_of(turning())
     gradient = dict(zip(FREE, likelihood.gradient(record, v)[1], strict=True))
-    everything = likelihood.scores(record, v, FREE)
+    everything = likelihood.scores(record, v, FREE, double=True)
     for chosen in (FREE, ("e_r", "m"), ("psi0",), FREE[::-1]):
-        scores = likelihood.scores(record, v, chosen, by_row=True)
+        scores = likelihood.scores(record, v, chosen, by_row=True, double=True)
         np.testing.assert_allclose(scores.gradient, [gradient[n] for n in chosen], rtol=1e-9, atol=1e-8)
         places = [FREE.index(n) for n in chosen]
         np.testing.assert_allclose(scores.information, everything.information[np.ix_(places, places)], rtol=1e-9)
         assert scores.by_row is not None
         assert scores.by_row.shape == (record.n_rows, len(chosen))
         np.testing.assert_allclose(scores.by_row.sum(axis=0), scores.gradient, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("process_noise", "changed", "is_single"),
+    [(True, {}, True), (True, {"sd0": 300.0}, False), (False, {}, True), (False, {"e_psi": 1e-22}, False)],
+    ids=["usual", "unknown initial rate", "output error", "out of range"],
+)
+def test_scores_are_in_double_precision_where_single_would_be_inaccurate(
+    process_noise: bool, changed: dict[str, float], is_single: bool
+) -> None:
+    model = turning().with_values(changed)
+    record, v = turning_record(), values_of(model)
+    likelihood, double = (Likelihood(model, process_noise=process_noise) for _ in range(2))
+    for _ in range(2):
+        found, wanted = likelihood.scores(record, v, FREE), double.scores(record, v, FREE, double=True)
+        assert found.value == wanted.value
+        assert np.isfinite(found.information).all()
+        assert np.array_equal(found.information, wanted.information) != is_single
 
 
 @pytest.mark.study

@@ -302,7 +302,8 @@ def test_posterior_gradients_of_adjoint_and_tangents_are_equal() -> None:
     at = problem.evaluate(z)
     assert value == pytest.approx(at.value, rel=1e-12)
     assert problem.value(z) == pytest.approx(at.value, rel=1e-12)
-    np.testing.assert_allclose(gradient, at.gradient, rtol=1e-8, atol=1e-7)
+    # The forward sensitivities are in single precision.
+    assert np.abs((gradient - at.gradient) / np.sqrt(np.diag(at.hessian))).max() < 1e-4
 
 
 def test_only_the_record_of_a_moved_per_record_parameter_is_evaluated_again(monkeypatch: pytest.MonkeyPatch) -> None:

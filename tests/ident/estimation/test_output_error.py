@@ -64,7 +64,7 @@ def test_sensitivities_to_parameters_and_initial_state_are_exact() -> None:
     record = replace(record, y=simulated.y + 0.01 * np.random.default_rng(0).normal(size=simulated.y.shape))
     v, likelihood = values_of(model), output_error(model)
     names = ("m_r", "d_r", "d_rr", "e_r", "x0_r")
-    scores = likelihood.scores(record, v, names)
+    scores = likelihood.scores(record, v, names, double=True)
     value, gradient = likelihood.gradient(record, v)
     assert value == pytest.approx(scores.value, rel=1e-14)  # two programs, which round differently
     for i, name in enumerate(names):

@@ -135,7 +135,7 @@ def test_gradient_and_tangents_are_exact(process_noise: bool) -> None:
     record, v = spoiled(turning_record(), 1, 0.1), values_of(model)
     value, gradient = likelihood.gradient(record, v)
     assert value == pytest.approx(likelihood.value(record, v), rel=1e-13)
-    scores = likelihood.scores(record, v, list(model.values))
+    scores = likelihood.scores(record, v, list(model.values), double=True)
     np.testing.assert_allclose(scores.gradient, gradient, rtol=1e-9, atol=1e-8)
     assert (np.linalg.eigvalsh(scores.information) > -1e-6).all()
     for i in range(v.size):
