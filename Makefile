@@ -1,4 +1,4 @@
-# make demo | test | bench | study | docs | dist | lint | clean. Each sets up its own environment.
+# make demo | test | pages | bench | study | docs | dist | lint | clean. Each sets up its own environment.
 # `SEED=3 make demo` passes a seed.
 SHELL := /bin/sh
 .DEFAULT_GOAL := help
@@ -17,11 +17,12 @@ SEED_OPTION = $(if $(SEED),--seed $(SEED))
 WORKERS ?= 3
 PYTHONS := $(or $(PYTHON),python3.13 python3.12 python3.11 python3)
 
-.PHONY: help demo test compiled bench study docs dist lint lock clean
+.PHONY: help demo test pages compiled bench study docs dist lint lock clean
 
 help:
 	@echo "make demo    the whole loop on mock devices, to a report"
-	@echo "make test    every check: ruff, mypy, import contracts, pytest"
+	@echo "make test    ruff, mypy, import contracts, pytest"
+	@echo "make pages   every page of the documentation, as its reader would run it"
 	@echo "make lint    the checks without pytest"
 	@echo "make bench   speed, accuracy and loss, side by side with peers"
 	@echo "make study   known truth in, same truth out: bias, coverage, detection rates"
@@ -65,7 +66,11 @@ demo: .venv/ready
 test: .venv/ready
 	@$(MAKE) -j 2 lint compiled
 	@echo "pytest"
-	@$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup
+	@$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "not study and not pages"
+
+# Two minutes apart from `make test`: whole analyses, whose parts `make test` tests one by one. `.ci/run` does both.
+pages: .venv/ready
+	@$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m pages
 
 # What the tests import is compiled once, beside mypy: the workers begin together and would each do all of it.
 compiled: .venv/ready

@@ -19,7 +19,7 @@ from tests.page_runner import command_lines, edited, run_commands, run_python
 from tests.test_docs import PAGES, ROOT, blocks, name
 from tests.test_tutorials import environment
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
+pytestmark = [pytest.mark.pages, pytest.mark.usefixtures("quick_compilation")]
 
 __all__ = ["environment"]
 

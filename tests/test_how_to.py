@@ -34,7 +34,7 @@ from tests.own_boats import BOATS, HULL, import_map, write_run
 from tests.page_runner import run_command, run_commands
 from tests.test_docs import shell_commands
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
+pytestmark = [pytest.mark.pages, pytest.mark.usefixtures("quick_compilation")]
 
 ROOT = Path(__file__).resolve().parents[1]
 

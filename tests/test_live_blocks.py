@@ -6,12 +6,16 @@ import json
 import shutil
 from pathlib import Path
 
+import pytest
+
 from tests.page_runner import command_lines
 from tests.test_blocks import block, empty
 from tests.test_docs import ROOT, blocks
 from tests.test_tutorials import environment, mock, run
 
 __all__ = ["empty", "environment"]
+
+pytestmark = pytest.mark.pages
 
 
 def test_the_rig_of_the_check_page_passes(empty: Path, environment: dict[str, str]) -> None:

@@ -32,6 +32,7 @@ def test_notebook_is_stored_without_outputs(path: Path) -> None:
     assert f"]({path.name})" in page
 
 
+@pytest.mark.pages
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # the client of the kernel has warnings of its own
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
