@@ -14,10 +14,14 @@ _attribute, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 
 def __getattr__(name: str) -> object:
-    """Import a public name at its first use.
+    """Import a public name at its first use. The version is that of the installed package.
 
     The AttributeError of an unknown name names the most similar public one.
     """
+    if name == "__version__":
+        from importlib.metadata import version  # imported here, because it takes a fifth of `import seatrial`
+
+        return version("seatrial")
     try:
         return _attribute(name)
     except AttributeError:

@@ -39,3 +39,5 @@ from .api.series import Simulation as Simulation
 from .daq.errors import SeatrialError as SeatrialError
 from .daq.errors import SeatrialWarning as SeatrialWarning
 from .ident.export import StateFeedback as StateFeedback
+
+__version__: str

@@ -15,6 +15,7 @@ from pathlib import Path
 import click
 import pytest
 
+import seatrial as st
 from seatrial import command_line
 from seatrial.daq.errors import SafetyStop, SeatrialError, SeatrialWarning
 
@@ -73,6 +74,7 @@ def test_runs_as_a_module() -> None:
     words = [sys.executable, "-m", "seatrial", "--version"]
     done = subprocess.run(words, capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stdout, done.stderr) == (0, "seatrial 0.2.0\n", "")
+    assert st.__version__ == "0.2.0"
 
 
 @pytest.mark.parametrize(

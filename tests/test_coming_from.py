@@ -19,7 +19,12 @@ from tests.own_boats import HULL
 from tests.page_runner import edited, run_commands, run_python
 
 # two dozen fits
-pytestmark = [pytest.mark.pages, pytest.mark.slow, pytest.mark.timeout(900), pytest.mark.usefixtures("quick_compilation")]
+pytestmark = [
+    pytest.mark.pages,
+    pytest.mark.slow,
+    pytest.mark.timeout(900),
+    pytest.mark.usefixtures("quick_compilation"),
+]
 
 PAGE = Path(__file__).resolve().parents[1] / "docs/how-to/coming-from.md"
 MATLAB, CTSM, ROS, PLOTJUGGLER, ARDUPILOT = "MATLAB", "ctsmTMB", "ROS 2", "PlotJuggler", "ArduPilot"
