@@ -10,6 +10,7 @@ from .findings import Refit as Refit
 from .findings import RemovedEffect as RemovedEffect
 from .findings import Round as Round
 from .findings import ValidationMismatch as ValidationMismatch
+from .model_uncertainty import untested_uncertainty as untested_uncertainty
 from .model_uncertainty import with_model_uncertainty as with_model_uncertainty
 from .policy import SearchPolicy as SearchPolicy
 from .power import detectable_sizes as detectable_sizes

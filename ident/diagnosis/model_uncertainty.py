@@ -15,7 +15,7 @@ A difference of the thrust of both sides makes the scale of the forces uncertain
 difference: with a half difference e, the left thrust is (1 + e) and the right thrust (1 - e) times the given curve, or
 both are this times an unknown factor. If one side alone differs from its curve, because its propeller is fouled or
 damaged, the factor is 1 - e or 1 + e. So a relative standard deviation of e is added to all masses and force
-coefficients.
+coefficients. If a mass has a prior too, the scale follows the given thrust only by its share in the precision of both.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from seatrial.ident.diagnosis.common_errors import COMMON_ERRORS, best_columns, 
 from seatrial.ident.diagnosis.findings import ModelUncertainty
 from seatrial.ident.diagnosis.score_test import Score, ScoreEquations
 from seatrial.ident.estimation import Fit, thrust_scale_of
-from seatrial.ident.model import Effect, Model, ParameterOrigin
+from seatrial.ident.model import Effect, Model, Parameter, ParameterOrigin
 from seatrial.ident.models import force_power
 from seatrial.ident.numerics import Array
 
@@ -81,8 +81,7 @@ def model_uncertainty(
             shift[_replaced_sizes(equations, at, fit)] = 0.0
         shifts.append(shift)
         steps[name] = dict(zip(placed.names, step.tolist(), strict=True))
-    given = has_given_thrust(fit)
-    difference = _thrust_difference(passing, effects, steps, fit.model) if given else 0.0
+    difference = thrust_share(fit) * _thrust_difference(passing, effects, steps, fit.model)
     tested = {i.columns.name for i in equations.indices}
     incomplete = any(s.name in tested for s in passing)
     if not incomplete and not difference:
@@ -92,6 +91,20 @@ def model_uncertainty(
     of_common = _error_without(equations, common if incomplete else {})
     of_scale = difference * _force_part(parameters, fit)
     return ModelUncertainty(parameters, tuple(names), shifted, of_common, difference, of_scale)
+
+
+def untested_uncertainty(fit: Fit) -> ModelUncertainty | None:
+    """Return the uncertainty of a fit without score tests: that of the scale by the thrusts of both sides.
+
+    None if the model has no difference of the sides, or if its scale does not follow from a given thrust.
+    """
+    difference = thrust_share(fit) * _thrust_difference((), {}, {}, fit.model)
+    if not difference:
+        return None
+    n = len(fit.names)
+    return ModelUncertainty(
+        tuple(fit.names), (), np.zeros((0, n)), np.zeros((n, n)), difference, difference * _force_part(fit.names, fit)
+    )
 
 
 def _replaced_sizes(equations: ScoreEquations, at: NDArray[np.int64], fit: Fit) -> NDArray[np.bool_]:
@@ -148,18 +161,27 @@ def _thrust_difference(
     return math.hypot(*found)
 
 
-def has_given_thrust(fit: Fit) -> bool:
-    """Return whether the scale of the forces follows from a given thrust, exact or with a standard deviation.
+def thrust_share(fit: Fit) -> float:
+    """Return the share of the given thrust in what determines the scale of the forces, 0 to 1.
 
-    It does not if the thrust is built in, if a given mass determines it, or in a model without thrust or mass.
+    It is 1 if all masses are estimated without priors from the user. It is 0 if the thrust is built in or estimated, if
+    a given mass determines the scale, or in a model without thrust or mass. If both have a prior, it is the precision
+    of the thrust's prior, relative to its mean, over the sum of all such precisions.
     """
-    scale = thrust_scale_of(fit.model)
+    origin = thrust_scale_of(fit.model).thrust
     masses = [p for p in fit.model.parameters if p.name in ("m_u", "m_v")]
-    return (
-        scale.thrust not in (None, ParameterOrigin.BUILT_IN, ParameterOrigin.ESTIMATED)
-        and bool(masses)
-        and all(p.provenance is ParameterOrigin.ESTIMATED for p in masses)
-    )
+    if origin in (None, ParameterOrigin.BUILT_IN, ParameterOrigin.ESTIMATED) or not masses:
+        return 0.0
+    of_masses = sum(_relative_precision(p) for p in masses if p.provenance is not ParameterOrigin.ESTIMATED)
+    of_thrust = _relative_precision(fit.model.parameter("c1"))
+    if not of_masses:
+        return 1.0
+    return 0.0 if math.isinf(of_masses) else 1.0 / (1.0 + of_masses / of_thrust)
+
+
+def _relative_precision(p: Parameter) -> float:
+    """Return the precision of a prior relative to its mean, (mean / sd)^2; infinite for an exact value."""
+    return math.inf if p.prior is None or p.exact else (p.prior[0] / p.prior[1]) ** 2
 
 
 def _force_part(names: Sequence[str], fit: Fit) -> Array:

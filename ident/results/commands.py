@@ -13,7 +13,7 @@ import msgspec
 from msgspec import Meta
 
 from seatrial.ident.characterisation import directions
-from seatrial.ident.diagnosis import ModelAssessment
+from seatrial.ident.diagnosis import ModelAssessment, ModelUncertainty
 from seatrial.ident.estimation import FittedModel, HomogeneityTest, Profile, ReportedEstimates
 from seatrial.ident.models import residuals_of
 from seatrial.ident.numerics import Array
@@ -87,10 +87,12 @@ class FitContext:
     hull
         What the user knows of the hull, if anything: ``length`` [m] and weighed ``mass`` [kg].
     assessment
-        Result of the score tests of the model: the common errors that were added, and the shifts of the estimates by
-        other missing effects. None if the model was not tested.
+        Result of the score tests of the model, with the common errors that were added. None if it was not tested.
     dynamics
         Steady motion, poles and step responses of the fitted model; None if it has none.
+    uncertainty
+        Shifts of the estimates by missing effects and by another scale of the forces, which the standard errors
+        include; None if there are none.
     """
 
     start: Mapping[str, float]
@@ -99,6 +101,7 @@ class FitContext:
     hull: Mapping[str, float] = field(default_factory=dict)
     assessment: ModelAssessment | None = None
     dynamics: Dynamics | None = None
+    uncertainty: ModelUncertainty | None = None
 
 
 def vehicle_result(
@@ -139,7 +142,7 @@ def vehicle_result(
     course = course_sentence(posed.dynamics.course if posed.dynamics else None)
     sentences = [fit_answer, course, *(homogeneity_sentence(a) for a in homogeneity)]
     answer = not_converged(fitted.fit) or " ".join(filter(None, sentences))
-    uncertainty = None if posed.assessment is None else posed.assessment.uncertainty
+    uncertainty = posed.uncertainty
     return VehicleResult(
         **msgspec.structs.asdict(made),
         answer=faults_first(made) + answer,

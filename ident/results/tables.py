@@ -746,12 +746,11 @@ def thrust_difference_warnings(found: ModelUncertainty | None) -> list[ResultWar
     """
     if found is None or found.thrust_difference < LEAST_DIFFERENCE:
         return []
-    share = f"{100 * found.thrust_difference:.0f} %"
+    share, whole = (f"{100 * part * found.thrust_difference:.0f} %" for part in (1, 2))
     text = (
-        f"The left and the right thruster may deviate by {share} in opposite directions from the given thrust. The "
-        f"data do not show whether one of them is right. So all masses, damping and forces may be {share} too large "
-        "or too small, and their standard errors include this. Measure the thrust of both thrusters as they are now "
-        "(seatrial bench)."
+        f"The thrusts of both sides differ by {whole} of their mean. The data do not show which side deviates from the "
+        f"given thrust. So all masses, damping and forces may be {share} too large or too small, and their standard "
+        "errors include this. Measure the thrust of both sides as they are now (seatrial bench)."
     )
     return [ResultWarning(code="thrust-sides-differ", text=text)]
 

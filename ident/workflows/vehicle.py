@@ -12,7 +12,13 @@ import numpy as np
 from seatrial.daq.errors import first_names
 from seatrial.ident.checks import device_faults, speed_over_command
 from seatrial.ident.data import LoadedLog, load_all
-from seatrial.ident.diagnosis import COMMON_SEARCH, ModelAssessment, assess_model, with_model_uncertainty
+from seatrial.ident.diagnosis import (
+    COMMON_SEARCH,
+    ModelAssessment,
+    assess_model,
+    untested_uncertainty,
+    with_model_uncertainty,
+)
 from seatrial.ident.estimation import FIT_ERRORS, FittedModel, fit_nominal_model, homogeneity_test, profile
 from seatrial.ident.model import COMMAND, Model, ParameterOrigin, is_of_thruster, with_outlier_model
 from seatrial.ident.models import is_own_model
@@ -127,7 +133,7 @@ def fit_vehicle(request: VehicleRequest, command: str, reporter: Reporter, with_
         settings=None if common is None else COMMON_SEARCH,
         reporter=reporter,
     )
-    uncertainty = None if tested is None else tested.uncertainty
+    uncertainty = untested_uncertainty(fitted.fit) if tested is None else tested.uncertainty
     fitted = replace(fitted, fit=with_model_uncertainty(fitted.fit, uncertainty))
     evaluation = evaluate(fitted, request.estimation.horizon)
     profiles = [profile(fitted.fit, fitted.records, name) for name in request.profiles]
@@ -145,6 +151,7 @@ def fit_vehicle(request: VehicleRequest, command: str, reporter: Reporter, with_
             loaded[0].hull(request.mass),
             tested,
             dynamics_of(fitted) if with_dynamics else None,
+            uncertainty,
         ),
     )
     if (warning := _command_scale_warning(fitted.fit.model, loaded)) is not None:

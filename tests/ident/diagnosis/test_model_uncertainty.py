@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from seatrial.ident.diagnosis.findings import ModelUncertainty
-from seatrial.ident.diagnosis.model_uncertainty import model_uncertainty, with_model_uncertainty
+from seatrial.ident.diagnosis.model_uncertainty import model_uncertainty, untested_uncertainty, with_model_uncertainty
 from seatrial.ident.diagnosis.score_test import (
     ColumnIndex,
     NormalEquations,
@@ -170,6 +170,22 @@ def test_no_scale_is_uncertain_for_ratios_to_the_thrust_or_with_a_given_mass() -
     mass = replace(given.model.parameter("m_u"), free=False, origin=ParameterOrigin.GIVEN)
     for fit in (fitted("built-in", 0.2), replace(given, model=given.model.replace_parameters(mass))):
         assert model_uncertainty(regression()[2], [], {}, fit) is None
+
+
+@pytest.mark.parametrize(("thrust_sd", "mass_sd", "share"), [(0.04, 4.0, 0.5), (0.0, 4.0, 1.0), (0.4, 4.0, 1 / 101)])
+def test_a_prior_of_a_mass_takes_its_share_of_the_scale(thrust_sd: float, mass_sd: float, share: float) -> None:
+    """The difference of the sides makes the scale uncertain only as far as the scale follows from the given thrust."""
+    fit = fitted(difference=0.2)
+    c1, m_u = fit.model.parameter("c1"), fit.model.parameter("m_u")
+    c1 = (
+        replace(c1, prior=(c1.value, thrust_sd * c1.value), free=True, origin=ParameterOrigin.PRIOR)
+        if thrust_sd
+        else c1
+    )
+    m_u = replace(m_u, prior=(100.0, mass_sd), free=True, origin=ParameterOrigin.PRIOR)
+    found = untested_uncertainty(replace(fit, model=fit.model.replace_parameters(c1, m_u)))
+    assert found is not None
+    assert found.thrust_difference == pytest.approx(0.2 * share)
 
 
 def test_difference_of_a_candidate_counts_by_its_share_of_the_largest_score() -> None:
