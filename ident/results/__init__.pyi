@@ -123,6 +123,7 @@ from .parts import Track as Track
 from .parts import UnusedSignal as UnusedSignal
 from .parts import VehicleResult as VehicleResult
 from .parts import Verdict as Verdict
+from .parts import WarningCode as WarningCode
 from .parts import WhitenessTests as WhitenessTests
 from .result_file import AnyResult as AnyResult
 from .result_file import read_result as read_result

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import resource
 import socket
 import sys
@@ -23,20 +24,30 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from seatrial.daq.errors import SeatrialError, counted
+from seatrial.daq.errors import SeatrialError, counted, first_names
 from seatrial.daq.log import open_log
 from seatrial.ident.estimation import LEAST_OWN, ReportedEstimates, between_log_variance, load_model
 from seatrial.ident.models import accepting_code, code_digest, is_own_model
 from seatrial.ident.numerics import Array, chi2_sf
 from seatrial.ident.parallel import ResultTable, TaskOutcome, Workers, run_many
 from seatrial.ident.reporter import Reporter
-from seatrial.ident.results import FailedLog, FleetParameter, FleetResult, ParameterRow, provenance, write_result
+from seatrial.ident.results import (
+    FailedLog,
+    FleetParameter,
+    FleetResult,
+    ParameterRow,
+    ResultWarning,
+    WarningCode,
+    provenance,
+    write_result,
+)
 from seatrial.ident.studies import estimator_code_hash
 from seatrial.ident.workflows.vehicle import VehicleFit, fit_vehicle, is_tested
 from seatrial.ident.workflows.vehicle_model import VehicleRequest, is_saved_model
 
 TABLE = "fits.parquet"
 CORRELATION_DIGITS = 9  # decimals of a correlation in the table
+NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")
 LEVEL = 0.01  # significance level of all parameters together that the logs differ
 COLUMNS: dict[str, type] = {
     "log": str,  # path as given
@@ -60,6 +71,7 @@ COLUMNS: dict[str, type] = {
     "log_likelihood": float,
     "duration": float,  # s
     "warnings": int,
+    "warning_texts": str,  # JSON: code and text of each warning of the fit
     "answer": str,
     "cpu": float,  # s
     "memory": float,  # bytes, the largest so far of the process
@@ -311,6 +323,7 @@ def _fit_log(vehicle: VehicleRequest, code: frozenset[str], log: FleetLog) -> li
         "log_likelihood": result.fit.log_likelihood,
         "duration": sum(x.duration for x in result.logs),
         "warnings": len(result.warnings),
+        "warning_texts": json.dumps([[w.code, w.text] for w in result.warnings]),
         "answer": result.answer,
         "cpu": time.process_time() - began,
         "memory": _peak_memory(),
@@ -475,11 +488,38 @@ def fleet_result(table: Any, n_logs: int, vehicle: VehicleRequest, file: str, co
     return FleetResult(
         created=made.created, seatrial=made.seatrial, command=made.command,
         answer=_answer(n_logs, len(fitted), failed, len(bad), parameters),
-        notes=(score_test_note(vehicle, rows),), model=vehicle.model, table=file, score_tests=is_tested(vehicle),
+        warnings=warnings_of_logs(rows), notes=(score_test_note(vehicle, rows),),
+        model=vehicle.model, table=file, score_tests=is_tested(vehicle),
         n_logs=n_logs, fitted=len(fitted), failed=failed,
         unconverged=tuple(FailedLog(log=log, reason=reason) for log, reason in bad.items()),
         parameters=parameters,
     )  # fmt: skip
+
+
+def warnings_of_logs(rows: Sequence[Mapping[str, Any]]) -> tuple[ResultWarning, ...]:
+    """Return the warnings of the fits of many logs, each once, with the names of the logs that have it.
+
+    Warnings that differ only in numbers and in the name of the log are one warning. It has the text of its first log.
+
+    Parameters
+    ----------
+    rows
+        Rows of the table. Those of one log have the same warnings.
+    """
+    texts = {row["log"]: row["warning_texts"] for row in rows if row.get("warning_texts")}
+    first: dict[tuple[str, str], tuple[WarningCode, str]] = {}
+    logs: dict[tuple[str, str], list[str]] = {}
+    for log, found in texts.items():
+        for code, text in json.loads(found):
+            kind = code, NUMBER.sub("", text.replace(Path(log).name, ""))
+            first.setdefault(kind, (code, text if Path(log).name in text else f"{log}: {text}"))
+            logs.setdefault(kind, []).append(log)
+    warnings = []
+    for kind, (code, text) in first.items():
+        others = list(dict.fromkeys(logs[kind]))[1:]
+        also = f" The same, with other numbers, holds for {first_names(others)}." if others else ""
+        warnings.append(ResultWarning(code=code, text=f"{text.removesuffix('.')}.{also}"))
+    return tuple(warnings)
 
 
 def score_test_note(vehicle: VehicleRequest, rows: Sequence[Mapping[str, Any]]) -> str:

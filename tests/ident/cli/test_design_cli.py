@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import seatrial as st
 from seatrial import command_line
 from seatrial.daq.config.mission_file import dump_mission, load_mission, parse_mission
 from seatrial.daq.errors import SeatrialError
@@ -373,3 +374,11 @@ def test_no_track_is_predicted_if_many_simulated_boats_have_no_finite_one(
     assert ("track-not-predicted" in codes) == unbounded
     assert ("No track is predicted" in output) == unbounded
     assert (load_mission(out).prediction is None) == unbounded
+
+
+def test_warnings_of_a_design_are_python_warnings(tmp_path: Path) -> None:
+    with pytest.warns(st.SeatrialWarning) as caught:
+        found = st.design("horizontal:shaft", tmp_path / "d.toml", duration=60.0, steps=5, evaluations=60)
+    texts = [str(w.message) for w in caught if issubclass(w.category, st.SeatrialWarning)]
+    assert {"shaft-lag-built-in", "rates-assumed"} <= {w.code for w in found.warnings}
+    assert len(texts) == len(set(texts)) == len(found.warnings)
