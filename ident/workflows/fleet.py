@@ -30,7 +30,7 @@ from seatrial.ident.estimation import LEAST_OWN, ReportedEstimates, between_log_
 from seatrial.ident.models import accepting_code, code_digest, is_own_model
 from seatrial.ident.numerics import Array, chi2_sf
 from seatrial.ident.parallel import ResultTable, TaskOutcome, Workers, run_many
-from seatrial.ident.reporter import Reporter
+from seatrial.ident.reporter import Reporter, TimeLeft
 from seatrial.ident.results import (
     FailedLog,
     FleetParameter,
@@ -224,19 +224,13 @@ def fit_logs(logs: Sequence[FleetLog], request: FleetRequest, code: frozenset[st
         todo = [log for log in logs if log.sha256 not in finished]
         if len(todo) < len(logs):
             reporter.progress(f"{len(logs) - len(todo)} of {len(logs)} logs have a fit already")
-        began = time.monotonic()
+        left = TimeLeft(len(todo))
         for n, outcome in enumerate(run_many(todo, partial(_fit_log, vehicle, code), request.workers, reporter), 1):
             table.add(_rows_of(outcome))
-            left = (time.monotonic() - began) / n * (len(todo) - n)
             end = f"failed: {_reason(outcome)}" if outcome.error else "fitted"
-            reporter.progress(f"{n} of {len(todo)}: {outcome.task.name} {end} ({_duration(left)} to go)")
+            reporter.progress(f"{n} of {len(todo)}: {outcome.task.name} {end} ({left.text(n)})")
         table.sort("log")
     return _rows_of_logs(table.table(), logs)
-
-
-def _duration(seconds: float) -> str:
-    """Return a duration as text: ``40 s`` or ``3 min``."""
-    return f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
 
 
 def portable(vehicle: VehicleRequest) -> VehicleRequest:
