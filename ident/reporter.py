@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from typing import Protocol
 
 
@@ -28,6 +29,30 @@ class Quiet:
     def warning(self, text: str) -> None:
         """Print ``seatrial: `` and the text in one line to the standard error stream."""
         print(f"seatrial: {text}", file=sys.stderr)
+
+
+def duration_text(seconds: float) -> str:
+    """Return a duration as text: ``40 s`` or ``3 min``."""
+    return f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
+
+
+class TimeLeft:
+    """Time that a computation of a known number of equal parts still needs, by the time of the parts so far.
+
+    Parameters
+    ----------
+    total
+        Number of parts.
+    """
+
+    def __init__(self, total: int) -> None:
+        """Store the number of parts. The time counts from here on."""
+        self._total, self._began = total, time.monotonic()
+
+    def text(self, done: int) -> str:
+        """Return the time left after ``done`` parts as text: ``40 s to go``."""
+        seconds = (time.monotonic() - self._began) / max(done, 1) * max(self._total - done, 0)
+        return f"{duration_text(seconds)} to go"
 
 
 QUIET: Reporter = Quiet()

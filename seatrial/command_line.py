@@ -238,6 +238,20 @@ class MotionChecksOfIdent:
             raise SeatrialError(_missing_module_message("the check of the motion", error.name or "ident")) from error
         return check_log(path)
 
+    def compare_logs(self, paths: Sequence[Path]) -> list[tuple[Path, Finding]]:
+        """Return findings about differences between the logs `paths`, each with the path of its log.
+
+        Raises
+        ------
+        SeatrialError
+            If ident or one of its libraries is not installed.
+        """
+        try:
+            from seatrial.ident.checks.log_checks import compare_logs
+        except ModuleNotFoundError as error:
+            raise SeatrialError(_missing_module_message("the check of the motion", error.name or "ident")) from error
+        return compare_logs(paths)
+
     def write_check_page(self, report: CheckReport, out: Path) -> None:
         """Write the HTML page of a check to the file ``out``. The page contains the command line of this process.
 

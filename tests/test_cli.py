@@ -187,6 +187,51 @@ def test_an_input_that_is_no_log_is_reported_before_an_output_that_exists(
     assert "trial1.mat: not an MCAP log; use `seatrial import`" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    "words",
+    ["vehicle LOG", "thruster LOG", "diagnose model.toml LOG", "noise LOG", "information model.toml LOG",
+     "navigate model.toml LOG", "compare model.toml --on LOG", "vehicle good.mcap --validate LOG"],
+)  # fmt: skip
+@pytest.mark.parametrize("place", ["first", "last"])
+@pytest.mark.parametrize(
+    ("log", "message"), [("none.mcap", "'none.mcap' does not exist"), ("a.mat", "not an MCAP log")]
+)
+def test_a_wrong_log_is_reported_before_an_output_that_exists(
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    words: str,
+    place: str,
+    log: str,
+    message: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("a.mat", "model.toml"):
+        (tmp_path / name).touch()
+    (tmp_path / "good.mcap").write_bytes(b"\x89MCAP0\r\n")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "result.json").touch()
+    command, *rest = words.replace("LOG", log).split()
+    given = ["--out", "out", *rest] if place == "first" else [*rest, "--out", "out"]
+    with pytest.raises(SystemExit):
+        command_line.main(("ident", command, *given))
+    err = capsys.readouterr().err
+    assert message in " ".join(err.split())
+    assert "exists already" not in err
+
+
+def test_an_output_that_exists_is_reported_if_the_log_is_right(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "good.mcap").write_bytes(b"\x89MCAP0\r\n")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "result.json").touch()
+    with pytest.raises(SystemExit):
+        command_line.main(("ident", "vehicle", "--out", "out", "good.mcap"))
+    assert "out: exists already; --force replaces it" in capsys.readouterr().err
+
+
 def test_the_table_of_groups_has_all_groups() -> None:
     context = click.Context(command_line.cli)
     commands = {name: command_line.cli.get_command(context, name) for name in command_line.COMMANDS}

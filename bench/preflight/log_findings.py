@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -11,7 +12,11 @@ from seatrial.daq.log import bag_of_ros, open_log
 from seatrial.daq.samples import MEASURED
 
 
-def log_findings(check_motion: Callable[[Path], list[Finding]], paths: Sequence[Path]) -> list[Finding]:
+def log_findings(
+    check_motion: Callable[[Path], list[Finding]],
+    paths: Sequence[Path],
+    compare: Callable[[Sequence[Path]], list[tuple[Path, Finding]]] | None = None,
+) -> list[Finding]:
     """Check logs, and return the findings on their devices and on the recorded motion.
 
     Parameters
@@ -22,6 +27,9 @@ def log_findings(check_motion: Callable[[Path], list[Finding]], paths: Sequence[
         place of its findings.
     paths : sequence of Path
         The logs.
+    compare : Callable, optional
+        Function of the paths of several logs that returns the findings on differences between them, each with the path
+        of its log. Not called for one log, and not used if it raises SeatrialError.
 
     Returns
     -------
@@ -60,6 +68,9 @@ def log_findings(check_motion: Callable[[Path], list[Finding]], paths: Sequence[
             ]
         prefix = f"{path.stem}: " if len(paths) > 1 else ""
         found += [finding._replace(where=f"{prefix}{finding.where}") for finding in here]
+    if compare is not None and len(paths) > 1:
+        with contextlib.suppress(SeatrialError):  # without ident, each log has the warning already
+            found += [f._replace(where=f"{path.stem}: {f.where}") for path, f in compare(paths)]
     return found
 
 

@@ -18,11 +18,18 @@ class MotionChecks(Protocol):
     """Interface of the checks of recorded motion that the package `seatrial.ident` provides for `seatrial check`.
 
     `seatrial.command_line` puts an object of this kind into the context of the command, because the package bench must
-    not import ident, which may not be installed. Both methods raise SeatrialError if ident is not installed.
+    not import ident, which may not be installed. All methods raise SeatrialError if ident is not installed.
     """
 
     def check_log(self, path: Path) -> list[Finding]:
         """Return the findings on the motion in the log ``path``: whether its sensors and thrusters agree.
+
+        Raises SeatrialError if the package ident is not installed.
+        """
+        ...
+
+    def compare_logs(self, paths: Sequence[Path]) -> list[tuple[Path, Finding]]:
+        """Return the findings on differences between the logs ``paths``, each with the path of its log.
 
         Raises SeatrialError if the package ident is not installed.
         """

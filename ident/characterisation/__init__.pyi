@@ -1,4 +1,8 @@
 from .allan import allan_deviation as allan_deviation
+from .bench_conditions import MOVING as MOVING
+from .bench_conditions import TurningShaft as TurningShaft
+from .bench_conditions import speed_over_ground as speed_over_ground
+from .bench_conditions import turning_inside_dead_zone as turning_inside_dead_zone
 from .cell_zero import zero_drift as zero_drift
 from .sensor_noise import NoiseFit as NoiseFit
 from .sensor_noise import band_spectrum as band_spectrum

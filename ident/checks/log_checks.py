@@ -50,6 +50,7 @@ from seatrial.ident.checks.sensors import (
     sensor_matches,
     velocity_and_acceleration,
 )
+from seatrial.ident.checks.shaft_gain import check_shaft_gain, compare_shaft_gains
 from seatrial.ident.checks.shaft_sign import check_wrapped, one_sided_shafts
 from seatrial.ident.checks.shafts import check_shafts
 from seatrial.ident.checks.signals import (
@@ -480,6 +481,34 @@ def check_log(path: Path | str) -> list[Finding]:
         return [Finding("warning", "log-not-readable", "motion", Path(path).name, str(error))]
 
 
+def compare_logs(paths: Sequence[Path]) -> list[tuple[Path, Finding]]:
+    """Return the findings on differences between logs: shafts whose speed at equal commands differs.
+
+    Parameters
+    ----------
+    paths
+        Files or folders of the logs. One that cannot be read is left out, because `check_log` reports it.
+
+    Returns
+    -------
+    list of tuple
+        Path of a log, and its finding.
+    """
+    found: list[tuple[str, Channels]] = []
+    for path in paths:
+        try:
+            with open_log(path) as log:
+                found.append((str(path), channels(log)))
+        except SeatrialError:
+            continue
+    names = [Path(path).stem for path, _ in found]
+    if len(set(names)) < len(names):
+        names = [path for path, _ in found]
+    of_names = dict(zip(names, (Path(path) for path, _ in found), strict=True))
+    gains = compare_shaft_gains([(name, c) for name, (_, c) in zip(names, found, strict=True)])
+    return [(of_names[name], finding) for name, finding in gains]
+
+
 def _check_names(signals: Iterable[str]) -> Iterator[Finding]:
     """Yield a warning ``signal-name`` for each imported signal with another name than the built-in models use."""
     for name, advice in unknown_names(signals).items():
@@ -601,8 +630,11 @@ def check_signals(c: Channels, sides: Mapping[str, float], known_noise: Collecti
     # Zero speed in one direction would look like a dead band.
     stuck = {f.where for f in of_inputs if f.code == "shaft-speed-stuck"}
     wrong = {*one_sided, *(SignalId.parse(n).source for n in wraps | stuck)}
-    of_shafts = list(check_shafts({n: x for n, x in c.items() if SignalId.parse(n).source not in wrong}))
+    right = {n: x for n, x in c.items() if SignalId.parse(n).source not in wrong}
+    of_shafts = list(check_shafts(right))
     yield from of_shafts
+    faulty = {f.where for f in of_shafts if f.is_problem}  # a shaft that is limited or drops out has no slope
+    yield from check_shaft_gain({n: x for n, x in right.items() if SignalId.parse(n).source not in faulty})
     wrong_inputs = [*of_wraps, *one_sided.values()]
     if wrong_inputs or any(f.level == FAULT and f.check in ("units", "stuck", "alike") for f in (*ranges, *of_sensors)):
         return

@@ -22,6 +22,8 @@ from seatrial.ident.cli.options import (
     MODEL_SOURCE,
     SOURCE_FILE,
     GatheringCommand,
+    InputsFirst,
+    InputsFirstGroup,
     LineReporter,
     LiveLine,
     SpacedLines,
@@ -52,7 +54,7 @@ from seatrial.ident.cli.options import (
 )
 
 
-@click.group()
+@click.group(cls=InputsFirstGroup)
 def ident() -> None:
     """Identify models from logs, and find effects that they lack."""
 
@@ -156,7 +158,7 @@ def compare(models: tuple[Path, ...], logs: tuple[Path, ...], out: Path | None, 
         click.echo(f"report: {out / 'report.html'}", err=as_json)
 
 
-@click.command(short_help="Estimate position, speeds and current with a fitted model.")
+@click.command(cls=InputsFirst, short_help="Estimate position, speeds and current with a fitted model.")
 @click.argument("model", type=MODEL)
 @click.argument("logs", nargs=-1, required=True, type=LOG)
 @click.option(
@@ -200,7 +202,9 @@ def navigate(model: Path, logs: tuple[Path, ...], out: Path, as_json: bool, **ho
 ident.add_command(navigate)
 
 
-@click.command(short_help="Write a fitted model for Python, CasADi, C, ROS 2, Simulink (FMU), Gazebo or VRX.")
+@click.command(
+    cls=InputsFirst, short_help="Write a fitted model for Python, CasADi, C, ROS 2, Simulink (FMU), Gazebo or VRX."
+)
 @click.argument("model", type=MODEL)
 @click.option(
     "--to",
@@ -272,7 +276,7 @@ def export(out: Path | None, **how: Any) -> None:
 ident.add_command(export)
 
 
-@click.command(short_help="Fisher information per log segment and parameter.")
+@click.command(cls=InputsFirst, short_help="Fisher information per log segment and parameter.")
 @click.argument("model", type=MODEL)
 @click.argument("logs", nargs=-1, required=True, type=LOG)
 @click.option("--seconds", type=FiniteRange(2.0), default=30.0, show_default=True, help="Length of a segment [s].")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 import sys
@@ -341,7 +342,8 @@ def check_output(context: click.Context, parameter: click.Parameter, out: Path |
         from seatrial.daq.log import is_log
 
         # The input comes first: a file that is no log makes no result, so that nothing is in the way of it.
-        for path in context.params.get("logs") or ():
+        logs = [context.params.get(p.name or "") or () for p in context.command.params if p.type is LOG]
+        for path in itertools.chain(*logs):
             if not is_log(Path(path)):
                 raise SeatrialError(f"{path}: not an MCAP log; use `seatrial import` for logs of other formats")
         raise SeatrialError(f"{out}: exists already; --force replaces it, or give another name")
@@ -612,7 +614,30 @@ def with_estimation_options(options: dict[str, Any]) -> dict[str, Any]:
     return {n: v for n, v in options.items() if n not in ESTIMATION} | {"estimation": EstimationOptions(**shared)}
 
 
-class GatheringCommand(click.Command):
+class InputsFirst(click.Command):
+    """Command that checks its output last, so that a wrong input is reported first, wherever ``--out`` stands."""
+
+    def make_parser(self, ctx: click.Context) -> Any:
+        """Return the parser of click, whose order of the given parameters lacks the output."""
+        parser = super().make_parser(ctx)
+        parse = parser.parse_args
+
+        def parse_inputs_first(args: list[str]) -> Any:
+            """Return values, remaining words, and given parameters in order. A parameter not in it is checked last."""
+            values, rest, order = parse(args=args)
+            return values, rest, [parameter for parameter in order if parameter.name != "out"]
+
+        vars(parser)["parse_args"] = parse_inputs_first
+        return parser
+
+
+class InputsFirstGroup(click.Group):
+    """Group whose commands check their output last."""
+
+    command_class = InputsFirst
+
+
+class GatheringCommand(InputsFirst):
     """Command whose options in `GATHERED` take all words up to the next option, so that a shell may expand ``*.mcap``.
 
     The command has no arguments: every word belongs to an option.

@@ -265,8 +265,9 @@ def design(
         of 512 random sequences. For prediction error it starts from a shorter block that is designed first and
         repeated, if the experiment can be divided into such blocks of 100 to 200 s with at least 8 steps.
     progress
-        Function that is called after each batch of points, with the number of evaluations and the best merit of the
-        current search (one for each start point). The merit is a large negative number if limits are violated.
+        Function that is called after each batch of points, with the number of evaluations so far and the best merit of
+        the current search (one for each start point). The evaluations of a block count by their time, so that all are
+        ``evaluations`` at most. The merit is a large negative number if limits are violated.
 
     Returns
     -------
@@ -281,7 +282,9 @@ def design(
     """
     if warm is None and problem.process_noise:
         warm = _repeated_block(problem, evaluations, progress)
-        evaluations = evaluations if warm is None else evaluations // 2
+        if warm is not None:
+            progress = _counted_from(evaluations // 2, 1, progress)
+            evaluations //= 2
     evaluator = DesignEvaluator(problem)
     found = _search_within_limits(evaluator, evaluations, warm, progress)
     levels, durations = (a[..., 0] for a in problem.steps.unpack(found.z[None]))
@@ -324,9 +327,17 @@ def _repeated_block(problem: DesignProblem, evaluations: int, progress: Progress
         return None
     k = min(parts, key=lambda n: abs(steps.duration / n - 1.4 * SHORTEST_DESIGN_BLOCK_S))
     short = replace(problem, steps=replace(steps, n_steps=steps.n_steps // k, duration=steps.duration / k))
-    z = _search_within_limits(DesignEvaluator(short), evaluations * k // 2, None, progress).z
+    counted = _counted_from(0, k, progress)
+    z = _search_within_limits(DesignEvaluator(short), evaluations * k // 2, None, counted).z
     n_levels = short.steps.n_steps * short.steps.n_channels
     return np.append(np.tile(z[:n_levels], k), np.tile(z[n_levels:], k))[None]
+
+
+def _counted_from(before: int, parts: int, progress: Progress | None) -> Progress | None:
+    """Return ``progress`` with another count: ``before`` and the evaluations of its search, divided by ``parts``."""
+    if progress is None:
+        return None
+    return lambda n, merit: progress(before + n // parts, merit)
 
 
 def _search_within_limits(
@@ -379,8 +390,8 @@ def search_design(
         Search points (n, size) to start from. None: the best four of ``n_start`` random points, those without violation
         first.
     progress
-        Function that is called after each batch of points, with the number of evaluations and the best merit of the
-        current search (one for each start). The merit is the value, or a large negative number with a violation.
+        Function that is called after each batch of points, with the number of evaluations so far and the best merit of
+        the current search (one for each start). The merit is the value, or a large negative number with a violation.
     n_start
         Number of random points.
     above

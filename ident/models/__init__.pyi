@@ -53,6 +53,7 @@ from .scaling import scale_priors as scale_priors
 from .scaling import size_of as size_of
 from .scaling import unit_over as unit_over
 from .surge import surge_model as surge_model
+from .thruster import DEAD_ZONE_EDGE as DEAD_ZONE_EDGE
 from .thruster import DELAY_STEP as DELAY_STEP
 from .thruster import START_POLES as START_POLES
 from .thruster import delay_step as delay_step

@@ -181,8 +181,8 @@ class PatternSearch:
             Total number of evaluations, without those of the starts and of the result. The last batch of each search
             may exceed it. A search ends earlier if its mesh becomes finer than 0.001 of the range of a coordinate.
         progress
-            Function that is called after each batch with the number of evaluations and the best merit of the current
-            search.
+            Function that is called after each batch with the number of evaluations of all searches, and the best merit
+            of the current search.
 
         Returns
         -------
@@ -194,30 +194,34 @@ class PatternSearch:
             SearchState(z.copy(), m)
             for z, m in zip(starts, penalised_objective(value, violation).tolist(), strict=True)
         ]
+
+        def report(merit: float) -> None:
+            """Call ``progress`` with the number of evaluations so far, and the best merit of the current search."""
+            if progress is not None:
+                progress(sum(s.evaluations for s in searches), merit)
+
         share = evaluations // (2 * len(searches)) if len(searches) > 1 else evaluations
         for search in searches:
-            self._continue_search(search, share, progress)
+            self._continue_search(search, share, report)
         merits = tuple(s.merit for s in searches)
         best = max(searches, key=lambda s: s.merit)
         if len(searches) > 1:
             best.mesh = max(best.mesh, FIRST_MESH / 4)
-            self._continue_search(best, best.evaluations + evaluations - sum(s.evaluations for s in searches), progress)
+            self._continue_search(best, best.evaluations + evaluations - sum(s.evaluations for s in searches), report)
         value, violation = self.evaluate(best.z[None])
         spent = sum(s.evaluations for s in searches)
         return SearchResult(best.z, float(value[0]), float(violation[0]), spent, tuple(best.history), merits)
 
-    def _continue_search(self, search: SearchState, until: int, progress: Callable[[int, float], None] | None) -> None:
+    def _continue_search(self, search: SearchState, until: int, report: Callable[[float], None]) -> None:
         """Continue a search until it has used ``until`` evaluations in all or its mesh is below 0.001 of the range.
 
         It changes ``search`` in place, and appends to its ``history`` after each batch. The last batch is completed,
-        so that it may exceed ``until``. After each batch it calls ``progress`` with the number of evaluations and the
-        best merit of the search; None: no call.
+        so that it may exceed ``until``. After each batch it calls ``report`` with the best merit of the search.
         """
         while search.evaluations < until and not search.done:
             self._evaluate_batch(search)
             search.history.append((search.evaluations, search.merit))
-            if progress is not None:
-                progress(search.evaluations, search.merit)
+            report(search.merit)
 
     def _evaluate_batch(self, search: SearchState) -> None:
         """Evaluate one batch of points and move to its best point if that is an improvement; else count an idle batch.

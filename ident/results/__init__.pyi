@@ -6,6 +6,7 @@ from .answers import design_warnings as design_warnings
 from .answers import estimation_warnings as estimation_warnings
 from .answers import faults_first as faults_first
 from .answers import frame_warnings as frame_warnings
+from .answers import moving_boat_warnings as moving_boat_warnings
 from .answers import plus_minus as plus_minus
 from .answers import scale_warnings as scale_warnings
 from .campaigns import Campaign as Campaign
@@ -122,6 +123,7 @@ from .parts import Track as Track
 from .parts import UnusedSignal as UnusedSignal
 from .parts import VehicleResult as VehicleResult
 from .parts import Verdict as Verdict
+from .parts import WarningCode as WarningCode
 from .parts import WhitenessTests as WhitenessTests
 from .result_file import AnyResult as AnyResult
 from .result_file import read_result as read_result

@@ -14,7 +14,7 @@ import numpy as np
 
 from seatrial.daq.checks import FAULT
 from seatrial.daq.errors import first_names
-from seatrial.ident.characterisation import Levels, Quadratic, ThrustCurve, steady_thrust
+from seatrial.ident.characterisation import MOVING, Levels, Quadratic, ThrustCurve, TurningShaft, steady_thrust
 from seatrial.ident.data import ORIGIN, Record
 from seatrial.ident.estimation import (
     FailedRun,
@@ -794,6 +794,7 @@ def thruster_answer(
     directions: Sequence[float] = (1.0, -1.0),
     calibration: float | None = None,
     smallest: float = 0.0,
+    contradicted: bool = False,
 ) -> str:
     """Return the answer of a thruster fit: thrust at full shaft speed, delay, time constant and dead zone.
 
@@ -815,14 +816,19 @@ def thruster_answer(
     smallest : float
         Smallest command that was tried, as a part of full command. If the fitted dead zone is below 0.05 % of full
         command, the answer states that there is none above this command.
+    contradicted : bool
+        Whether the shaft turns at commands inside the fitted dead zone. The answer then states that the dead zone is
+        not determined.
     """
     a, tau, d = (fitted.estimate(n) for n in ("a", "tau", "d"))
     constant = "that is not determined" if is_undetermined(*a) else f"of {1e3 / a[0]:.0f} ms"
-    shaft = f"the shaft follows its command with a delay of {1e3 * tau[0]:.0f} ms and a time constant {constant} " + (
-        f"and does not turn below {100 * d[0]:.1f} % of full command"
-        if d[0] >= NO_DEAD_ZONE
-        else f"and has no dead zone above the smallest command tried, {format_number(100 * smallest)} %"
-    )
+    if contradicted:
+        zone = "; its dead zone is not determined"
+    elif d[0] >= NO_DEAD_ZONE:
+        zone = f" and does not turn below {100 * d[0]:.1f} % of full command"
+    else:
+        zone = f" and has no dead zone above the smallest command tried, {format_number(100 * smallest)} %"
+    shaft = f"the shaft follows its command with a delay of {1e3 * tau[0]:.0f} ms and a time constant {constant}{zone}"
     if not has_force:
         return shaft[0].upper() + shaft[1:] + "; its thrust is unknown without a load cell."
     included = "errors: statistical only" if calibration is None else "errors include the load cell's calibration"
@@ -858,6 +864,58 @@ def thruster_warnings(directions: Sequence[float]) -> list[ResultWarning]:
         f"{measured}, which was not measured. Add a log with steps {unmeasured}."
     )
     return [ResultWarning(code="one-direction", text=text)]
+
+
+def moving_boat_warnings(speeds: Mapping[str, float | None], has_force: bool) -> list[ResultWarning]:
+    """Return a warning if a log of a thruster is that of a moving boat, not of a bench.
+
+    Parameters
+    ----------
+    speeds
+        Speed over ground [m/s] that the boat exceeded for a tenth of each log, by name of the log; None: unknown.
+    has_force
+        Whether the logs have the force of a load cell.
+    """
+    moving = {name: speed for name, speed in speeds.items() if speed is not None and speed > MOVING}
+    if not moving:
+        return []
+    fastest = max(moving, key=lambda name: moving[name])
+    usable = (
+        "The thrust is that of the moving boat, less than at rest, and mixed with its drag and inertia"
+        if has_force
+        else "The delay and the time constant of the shaft are those of the boat under way, for comparison only"
+    )
+    text = (
+        f"{_first_names(list(moving), MOST_NAMES)}: the boat moves (more than {moving[fastest]:.2g} m/s over ground in "
+        f"a tenth of {fastest}), so this is no bench run. {usable}; the dead zone depends on the few small commands of "
+        "a voyage. To characterise the thruster, moor the boat and hold each command for some seconds, small ones too "
+        "(seatrial bench steps). For a model of the boat, use seatrial ident vehicle."
+    )
+    return [ResultWarning(code="boat-moves", text=text)]
+
+
+def dead_zone_warnings(turning: Mapping[str, TurningShaft | None], dead_zone: float) -> list[ResultWarning]:
+    """Return a warning if a shaft turned at a command inside its fitted dead zone.
+
+    Parameters
+    ----------
+    turning
+        Held command inside the dead zone at which the shaft turned fastest, by name of the log; None: it did not turn.
+    dead_zone
+        End of the fitted dead zone, as a part of full command.
+    """
+    found = {name: x for name, x in turning.items() if x is not None}
+    if not found:
+        return []
+    name, held = max(found.items(), key=lambda item: abs(item[1].speed))
+    text = (
+        f"{name}: the data contradict the fitted dead zone of {100 * dead_zone:.1f} % of full command: at a command of "
+        f"{100 * held.command:.1f} % the shaft turns at {100 * held.speed:.1f} % of full speed (from {held.start:.1f} "
+        f"to {held.end:.1f} s). The model has a shaft that follows the whole command outside its dead zone; a "
+        "controller that subtracts its dead zone, or a low battery, gives less. Do not use d; hold more small commands "
+        "(seatrial bench steps) to see where the shaft begins to turn."
+    )
+    return [ResultWarning(code="dead-zone-contradicted", text=text)]
 
 
 def curve_warnings(levels: Levels) -> list[ResultWarning]:

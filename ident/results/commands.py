@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-from seatrial.ident.characterisation import directions
+from seatrial.ident.characterisation import TurningShaft, directions
 from seatrial.ident.diagnosis import ModelAssessment, ModelUncertainty
 from seatrial.ident.estimation import FittedModel, HomogeneityTest, Profile, ReportedEstimates
 from seatrial.ident.models import residuals_of
@@ -21,12 +21,14 @@ from seatrial.ident.results.answers import (
     calibration_notes,
     check_warnings,
     course_sentence,
+    dead_zone_warnings,
     estimation_warnings,
     failed_run_warnings,
     faults_first,
     frames_assumed,
     homogeneity_sentence,
     late_sensor_warnings,
+    moving_boat_warnings,
     not_converged,
     outlier_lines,
     short_data_warnings,
@@ -191,11 +193,18 @@ class BenchTables:
         Steady-state table; None if no command was held.
     response
         Frequency response of the shaft; None if it is unknown.
+    speeds
+        Speed over ground [m/s] that the boat exceeded for a tenth of each log, by name of the log; None: unknown.
+    turning
+        Held command inside the fitted dead zone at which the shaft turned fastest, by name of the log; None: it did not
+        turn.
     """
 
     static: StaticForce | None = None
     steady: SteadyBench | None = None
     response: ShaftResponse | None = None
+    speeds: Mapping[str, float | None] = field(default_factory=dict)
+    turning: Mapping[str, TurningShaft | None] = field(default_factory=dict)
 
 
 def thruster_result(
@@ -231,15 +240,19 @@ def thruster_result(
     """
     static = bench.static
     bands, ways = calibration_tables(evaluation), directions(fitted.records)
+    contradictions = dead_zone_warnings(bench.turning, fitted.fit.estimate("d")[0])
+    smallest = smallest_command(fitted.records)
     return ThrusterResult(
         **msgspec.structs.asdict(made),
         answer=faults_first(made)
         + (
             not_converged(fitted.fit)
-            or thruster_answer(fitted.fit, static is not None, ways, calibration, smallest_command(fitted.records))
+            or thruster_answer(fitted.fit, static is not None, ways, calibration, smallest, bool(contradictions))
         ),
         warnings=(
             *check_warnings(made),
+            *moving_boat_warnings(bench.speeds, static is not None),
+            *contradictions,
             *(thruster_warnings(ways) if static is not None else ()),
             *estimation_warnings(fitted.fit, fitted.records),
             *short_data_warnings(fitted, evaluation.horizon),

@@ -139,6 +139,8 @@ WarningCode = Literal[
     "compared-in-blocks",
     "effect-estimated-on-compared-log",
     "command-scale",
+    "boat-moves",
+    "dead-zone-contradicted",
 ]
 
 

@@ -27,7 +27,15 @@ from seatrial.ident.results import (
 )
 from seatrial.ident.workflows.campaign_errors import prediction_errors
 from seatrial.ident.workflows.campaign_fits import FALSE_DISCOVERY_RATE, Row, campaign_of, compare_fits, fitted_logs
-from seatrial.ident.workflows.fleet import TABLE, FleetRequest, checked_code, fit_logs, hashed_logs, score_test_note
+from seatrial.ident.workflows.fleet import (
+    TABLE,
+    FleetRequest,
+    checked_code,
+    fit_logs,
+    hashed_logs,
+    score_test_note,
+    warnings_of_logs,
+)
 from seatrial.ident.workflows.vehicle import is_tested
 from seatrial.ident.workflows.vehicle_model import VehicleRequest
 
@@ -125,8 +133,8 @@ def find_changes(request: ChangesRequest, command: str, reporter: Reporter) -> C
     made = provenance([], command)
     result = CampaignsResult(
         created=made.created, seatrial=made.seatrial, command=made.command, answer="",
-        notes=(*comparison.notes, score_test_note(request.vehicle, rows)), model=request.vehicle.model,
-        score_tests=is_tested(request.vehicle),
+        warnings=warnings_of_logs(rows), notes=(*comparison.notes, score_test_note(request.vehicle, rows)),
+        model=request.vehicle.model, score_tests=is_tested(request.vehicle),
         table="" if request.out is None else str(request.out / TABLE),
         horizon=horizon, false_discovery_rate=request.false_discovery_rate,
         campaigns=_campaign_logs(rows, later), failed=_failed(rows), parameters=comparison.parameters,

@@ -19,6 +19,7 @@ from seatrial.ident.checks import (
     IMPORTED,
     check_copies,
     check_signals,
+    compare_shaft_gains,
     estimated,
     invalidates_fit,
     log_evidence,
@@ -67,7 +68,7 @@ def write_check(report: CheckReport, command: str, out: Path) -> None:
 def check_first(
     loaded: Sequence[LoadedLog], validation_logs: Sequence[LoadedLog], model: Model, despite_faults: bool
 ) -> tuple[list[LoadedLog], list[LoadedLog]]:
-    """Check the estimation and validation logs of a command before its fit, also for copies of each other.
+    """Check the estimation and validation logs of a command before its fit, also against each other.
 
     Parameters
     ----------
@@ -92,16 +93,18 @@ def check_first(
     """
     logs = [*loaded, *validation_logs]
     copies = check_copies([(x.about["path"], x.run.channels) for x in logs])
+    gains = compare_shaft_gains([(x.about["path"], x.run.channels) for x in logs])
     checked = []
     for log in logs:
-        its_copies = [f for f in copies if f.where == log.about["path"]]
+        more = [f for f in copies if f.where == log.about["path"]]
+        more += [finding for path, finding in gains if path == log.about["path"]]
         sides, by_shafts = sides_of_model(model, log), _has_shaft_speeds(model)
         checked.append(
             with_findings(
                 log,
                 sides,
                 despite_faults,
-                its_copies,
+                more,
                 uses_shaft_speeds=by_shafts,
                 known_noise=signals_of_given_noise(model),
             )

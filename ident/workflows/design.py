@@ -58,7 +58,7 @@ from seatrial.ident.model import Effect, Model, Parameter
 from seatrial.ident.models import make_model, scale_priors, size_of
 from seatrial.ident.numerics import Array
 from seatrial.ident.report import typeset_unit, write_design_page
-from seatrial.ident.reporter import QUIET, Reporter
+from seatrial.ident.reporter import QUIET, Reporter, TimeLeft
 from seatrial.ident.results import (
     Baseline,
     CommandTrace,
@@ -197,10 +197,14 @@ def make_design(
     if request.between:
         made, apart = _discrimination_design(task, compared, request, reporter)
     else:
+        left = TimeLeft(request.evaluations)
         made = design(
             task,
             evaluations=request.evaluations,
-            progress=lambda n, merit: reporter.progress(f"design: {n} simulations, {request.criterion} {merit:.2f}"),
+            progress=lambda n, merit: reporter.progress(
+                f"design: {n} of at most {request.evaluations} simulations, {request.criterion} {merit:.2f} "
+                f"({left.text(n)})"
+            ),
         )
     reporter.progress("design: baseline signals")
     found = baseline_signals(task, seed=request.seed)
@@ -526,6 +530,7 @@ def _discrimination_design(
     """
     a, b = (h.model for h in compared)
     total = max(request.evaluations // 8, 500)
+    left = TimeLeft(total)
     made: DiscriminationDesign = discriminate(
         a,
         b,
@@ -533,7 +538,7 @@ def _discrimination_design(
         evaluations=total,
         progress=lambda n, merit: reporter.progress(
             f"design: {n} of about {total} comparisons, separation of the two effects (T) "
-            f"{float(f'{np.exp(merit):.3g}'):g}"
+            f"{float(f'{np.exp(merit):.3g}'):g} ({left.text(n)})"
         ),
         phase=lambda words: reporter.progress(f"design: {words}"),
     )

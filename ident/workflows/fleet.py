@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import resource
 import socket
 import sys
@@ -23,20 +24,30 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from seatrial.daq.errors import SeatrialError, counted
+from seatrial.daq.errors import SeatrialError, counted, first_names
 from seatrial.daq.log import open_log
 from seatrial.ident.estimation import LEAST_OWN, ReportedEstimates, between_log_variance, load_model
 from seatrial.ident.models import accepting_code, code_digest, is_own_model
 from seatrial.ident.numerics import Array, chi2_sf
 from seatrial.ident.parallel import ResultTable, TaskOutcome, Workers, run_many
-from seatrial.ident.reporter import Reporter
-from seatrial.ident.results import FailedLog, FleetParameter, FleetResult, ParameterRow, provenance, write_result
+from seatrial.ident.reporter import Reporter, TimeLeft
+from seatrial.ident.results import (
+    FailedLog,
+    FleetParameter,
+    FleetResult,
+    ParameterRow,
+    ResultWarning,
+    WarningCode,
+    provenance,
+    write_result,
+)
 from seatrial.ident.studies import estimator_code_hash
 from seatrial.ident.workflows.vehicle import VehicleFit, fit_vehicle, is_tested
 from seatrial.ident.workflows.vehicle_model import VehicleRequest, is_saved_model
 
 TABLE = "fits.parquet"
 CORRELATION_DIGITS = 9  # decimals of a correlation in the table
+NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")
 LEVEL = 0.01  # significance level of all parameters together that the logs differ
 COLUMNS: dict[str, type] = {
     "log": str,  # path as given
@@ -60,6 +71,7 @@ COLUMNS: dict[str, type] = {
     "log_likelihood": float,
     "duration": float,  # s
     "warnings": int,
+    "warning_texts": str,  # JSON: code and text of each warning of the fit
     "answer": str,
     "cpu": float,  # s
     "memory": float,  # bytes, the largest so far of the process
@@ -212,19 +224,13 @@ def fit_logs(logs: Sequence[FleetLog], request: FleetRequest, code: frozenset[st
         todo = [log for log in logs if log.sha256 not in finished]
         if len(todo) < len(logs):
             reporter.progress(f"{len(logs) - len(todo)} of {len(logs)} logs have a fit already")
-        began = time.monotonic()
+        left = TimeLeft(len(todo))
         for n, outcome in enumerate(run_many(todo, partial(_fit_log, vehicle, code), request.workers, reporter), 1):
             table.add(_rows_of(outcome))
-            left = (time.monotonic() - began) / n * (len(todo) - n)
             end = f"failed: {_reason(outcome)}" if outcome.error else "fitted"
-            reporter.progress(f"{n} of {len(todo)}: {outcome.task.name} {end} ({_duration(left)} to go)")
+            reporter.progress(f"{n} of {len(todo)}: {outcome.task.name} {end} ({left.text(n)})")
         table.sort("log")
     return _rows_of_logs(table.table(), logs)
-
-
-def _duration(seconds: float) -> str:
-    """Return a duration as text: ``40 s`` or ``3 min``."""
-    return f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
 
 
 def portable(vehicle: VehicleRequest) -> VehicleRequest:
@@ -311,6 +317,7 @@ def _fit_log(vehicle: VehicleRequest, code: frozenset[str], log: FleetLog) -> li
         "log_likelihood": result.fit.log_likelihood,
         "duration": sum(x.duration for x in result.logs),
         "warnings": len(result.warnings),
+        "warning_texts": json.dumps([[w.code, w.text] for w in result.warnings]),
         "answer": result.answer,
         "cpu": time.process_time() - began,
         "memory": _peak_memory(),
@@ -475,11 +482,38 @@ def fleet_result(table: Any, n_logs: int, vehicle: VehicleRequest, file: str, co
     return FleetResult(
         created=made.created, seatrial=made.seatrial, command=made.command,
         answer=_answer(n_logs, len(fitted), failed, len(bad), parameters),
-        notes=(score_test_note(vehicle, rows),), model=vehicle.model, table=file, score_tests=is_tested(vehicle),
+        warnings=warnings_of_logs(rows), notes=(score_test_note(vehicle, rows),),
+        model=vehicle.model, table=file, score_tests=is_tested(vehicle),
         n_logs=n_logs, fitted=len(fitted), failed=failed,
         unconverged=tuple(FailedLog(log=log, reason=reason) for log, reason in bad.items()),
         parameters=parameters,
     )  # fmt: skip
+
+
+def warnings_of_logs(rows: Sequence[Mapping[str, Any]]) -> tuple[ResultWarning, ...]:
+    """Return the warnings of the fits of many logs, each once, with the names of the logs that have it.
+
+    Warnings that differ only in numbers and in the name of the log are one warning. It has the text of its first log.
+
+    Parameters
+    ----------
+    rows
+        Rows of the table. Those of one log have the same warnings.
+    """
+    texts = {row["log"]: row["warning_texts"] for row in rows if row.get("warning_texts")}
+    first: dict[tuple[str, str], tuple[WarningCode, str]] = {}
+    logs: dict[tuple[str, str], list[str]] = {}
+    for log, found in texts.items():
+        for code, text in json.loads(found):
+            kind = code, NUMBER.sub("", text.replace(Path(log).name, ""))
+            first.setdefault(kind, (code, text if Path(log).name in text else f"{log}: {text}"))
+            logs.setdefault(kind, []).append(log)
+    warnings = []
+    for kind, (code, text) in first.items():
+        others = list(dict.fromkeys(logs[kind]))[1:]
+        also = f" The same, with other numbers, holds for {first_names(others)}." if others else ""
+        warnings.append(ResultWarning(code=code, text=f"{text.removesuffix('.')}.{also}"))
+    return tuple(warnings)
 
 
 def score_test_note(vehicle: VehicleRequest, rows: Sequence[Mapping[str, Any]]) -> str:

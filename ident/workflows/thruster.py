@@ -23,6 +23,7 @@ from seatrial.ident.characterisation import (
     Quadratic,
     SteadyRow,
     ThrustCurve,
+    TurningShaft,
     adequate,
     check_signs,
     clearly_falls,
@@ -36,11 +37,13 @@ from seatrial.ident.characterisation import (
     measured_response,
     save_curve,
     shaft_guess,
+    speed_over_ground,
     steady_rows,
     steady_thrust,
     thrust_expo,
     thruster_channels,
     thruster_name,
+    turning_inside_dead_zone,
     zero_drift,
 )
 from seatrial.ident.checks import device_faults
@@ -63,6 +66,7 @@ from seatrial.ident.results import (
     curve_notes,
     curve_warnings,
     faults_first,
+    moving_boat_warnings,
     plus_minus,
     provenance,
     thruster_result,
@@ -247,7 +251,11 @@ def fit_thruster(request: ThrusterRequest, command: str, reporter: Reporter) -> 
         provenance(loaded, command),
         [profile(fit, records, p) for p in profiles],
         BenchTables(
-            _static_force(fit, records, steady) if has_force else None, steady, _shaft_response(fit, loaded, name)
+            _static_force(fit, records, steady) if has_force else None,
+            steady,
+            _shaft_response(fit, loaded, name),
+            _speeds(loaded),
+            _turning(fit, loaded, name),
         ),
         FitContext(model.values, [*notes, *fitted.outlier_notes]),
         calibration,
@@ -379,6 +387,24 @@ def _shaft_response(fitted: Fit, loaded: Sequence[LoadedLog], name: str) -> Shaf
     )
 
 
+def _speeds(loaded: Sequence[LoadedLog]) -> dict[str, float | None]:
+    """Return the speed over ground [m/s] that the boat exceeded for a tenth of each log, by name; None: unknown."""
+    return {x.about["path"]: speed_over_ground(x.run.channels) for x in loaded}
+
+
+def _turning(fitted: Fit, loaded: Sequence[LoadedLog], name: str) -> dict[str, TurningShaft | None]:
+    """Return the held command inside the fitted dead zone at which the shaft turned fastest, for each log by name.
+
+    The value is None if the shaft did not turn there. ``name``: name of the thruster.
+    """
+    d, tau, a = (fitted.estimate(parameter)[0] for parameter in ("d", "tau", "a"))
+    command, shaft = command_of(name), shaft_speed_of(name)
+    return {
+        x.about["path"]: turning_inside_dead_zone(x.run.channels[command], x.run.channels[shaft], d, tau, 1.0 / a)
+        for x in loaded
+    }
+
+
 def _without_zero_drift(loaded: Sequence[LoadedLog], command: str, settle: float) -> tuple[list[LoadedLog], list[str]]:
     """Subtract the drift of the load cell's zero from the force of each bench log.
 
@@ -495,7 +521,7 @@ def static_curve(loaded: Sequence[LoadedLog], request: ThrusterRequest, command:
     result = ThrustCurveResult(
         **msgspec.structs.asdict(origin),
         answer=faults_first(origin) + curve_answer(levels, measured, quadratic),
-        warnings=(*check_warnings(origin), *curve_warnings(levels)),
+        warnings=(*check_warnings(origin), *moving_boat_warnings(_speeds(loaded), True), *curve_warnings(levels)),
         static=_curve_points(levels, curve, quadratic),
         notes=(*drifts, *curve_notes(levels, measured, quadratic)),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -164,8 +165,9 @@ def _command_scale_warning(model: Model, logs: Sequence[LoadedLog]) -> ResultWar
 
     It concerns models whose inputs are commands, on logs that have the shaft speeds too. A low battery is the usual
     reason. Nothing in the logs or the options says for which of both a thrust was given. The text therefore has the
-    given value and the one to give instead, for a reader who has corrected it already. None if the thrust was not
-    given, if no log has both signals, or if the speeds are those of the commands.
+    given value and the one to give instead, for a reader who has corrected it already, and for each case the scale in
+    the import map with which commands and shaft speeds agree, so that the warning does not come again. None if the
+    thrust was not given, if no log has both signals, or if the speeds are those of the commands.
     """
     c1 = next((p for p in model.parameters if p.name == "c1"), None)
     if c1 is None or c1.origin not in (ParameterOrigin.GIVEN, ParameterOrigin.PRIOR):
@@ -176,12 +178,15 @@ def _command_scale_warning(model: Model, logs: Sequence[LoadedLog]) -> ResultWar
     share = float(np.mean([ratio**2 for ratio in known.values()])) if known else 1.0
     if abs(share - 1.0) < LARGEST_SHARE_LOST:
         return None
-    listed = first_names([f"{ratio:.2f} ({name})" for name, ratio in known.items()])
+    listed = first_names([f"{own:.2f} ({name})" for name, own in known.items()])
+    ratio = math.sqrt(share)
     text = (
         f"The shaft speeds over the commands, each as a share of full, are {listed}. If the given c1 = {c1.value:.4g} "
         f"N is the thrust at full shaft speed, the commands give {share:.2f} of it, and all masses are wrong by this "
-        f"factor: fit with the shaft speeds, or multiply c1 and c2 by {share:.2f} (c1 = {share * c1.value:.4g} N). If "
-        f"{c1.value:.4g} N is the thrust at full command already, nothing is to change."
+        f"factor: fit with the shaft speeds, or multiply the scale of the commands in the import map by {ratio:.2f}, "
+        f"which has the effect of c1 and c2 multiplied by {share:.2f} (c1 = {share * c1.value:.4g} N). If "
+        f"{c1.value:.4g} N is the thrust at full command already, the masses are right; divide the scale of the shaft "
+        f"speeds in the import map by {ratio:.2f}, or multiply rpm_max in the rig file by it, and this warning ends."
     )
     return ResultWarning(code="command-scale", text=text)
 

@@ -10,7 +10,7 @@ from seatrial.api.arguments import as_path
 from seatrial.api.fits import FitOptions, Logs, vehicle_request
 from seatrial.api.fleet import common_window
 from seatrial.api.logs import PathLike, as_paths
-from seatrial.api.messages import Messages, errors_of_users, text_of
+from seatrial.api.messages import Messages, errors_of_users, text_of, warn_of_result
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import import_library
@@ -145,5 +145,7 @@ def compare_campaigns(
             earlier, later, vehicle, folder, Workers(jobs, backend, scheduler), force, false_discovery_rate
         )
         command = f"seatrial.compare_campaigns({len(earlier)} logs, {len(later)} logs, model={str(model)!r})"
-        done = find_changes(request, command, Messages(progress))
+        messages = Messages(progress)
+        done = find_changes(request, command, messages)
+        warn_of_result(done.result, messages)
     return CampaignComparison(done.result, done.table)

@@ -10,7 +10,7 @@ from seatrial.api import tables
 from seatrial.api.arguments import as_path
 from seatrial.api.fits import FitOptions, Logs, vehicle_request, window_of
 from seatrial.api.logs import PathLike, as_paths
-from seatrial.api.messages import Messages, errors_of_users, text_of
+from seatrial.api.messages import Messages, errors_of_users, text_of, warn_of_result
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import import_library
@@ -158,7 +158,9 @@ def fit_many(
         vehicle, progress = vehicle_request((), (), model, window, options)
         paths, folder = as_paths(logs, existing=False), None if out is None else as_path(out, "out")
         request = FleetRequest(paths, vehicle, folder, Workers(jobs, backend, scheduler), force)
-        done = fit_fleet(request, f"seatrial.fit_many({len(paths)} logs, model={model!r})", Messages(progress))
+        messages = Messages(progress)
+        done = fit_fleet(request, f"seatrial.fit_many({len(paths)} logs, model={model!r})", messages)
+        warn_of_result(done.result, messages)
     return FittedFleet(done.result, done.table)
 
 

@@ -322,9 +322,9 @@ def check(logs: PathLike | Sequence[PathLike]) -> Findings:
     []
     """
     from seatrial.bench.preflight.log_findings import log_findings
-    from seatrial.ident.checks import check_log
+    from seatrial.ident.checks import check_log, compare_logs
 
-    return Findings(worst_first(log_findings(check_log, as_paths(logs))))
+    return Findings(worst_first(log_findings(check_log, as_paths(logs), compare_logs)))
 
 
 def as_list(logs: PathLike | Log | Sequence[PathLike | Log]) -> list[PathLike | Log]:

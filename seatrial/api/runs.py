@@ -463,7 +463,9 @@ def design(
     fitted = isinstance(model, FittedVehicle | FittedDiagnosis | Saved) or Path(str(model)).exists()
     with errors_of_users(), model_path(model) if fitted else nullcontext(Path(str(model))) as source:
         request = DesignRequest(**given)
-        return make_design(str(source), request, file, f"seatrial.design(out={str(out)!r})", reporter, force)
+        found = make_design(str(source), request, file, f"seatrial.design(out={str(out)!r})", reporter, force)
+    warn_of_result(found, reporter)
+    return found
 
 
 def _with_files(work: Callable[[Path], T], own: Mapping[str, str] | None = None) -> tuple[T, Files]:

@@ -6,10 +6,13 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+import seatrial as st
 from seatrial import command_line
 from seatrial.daq.config.mission_file import dump_mission, load_mission, parse_mission
 from seatrial.daq.errors import SeatrialError
@@ -20,7 +23,7 @@ from seatrial.ident.experiment_design.prior import prior_from_fit
 from seatrial.ident.experiment_design.problem import COAST_S, REST_S
 from seatrial.ident.model.structure import Model
 from seatrial.ident.models.horizontal import horizontal_model
-from seatrial.ident.workflows.design import DesignRequest, hypotheses, make_task
+from seatrial.ident.workflows.design import DesignRequest, hypotheses, make_design, make_task
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "formats" / "model.md"
 QUICK = ("--evaluations", "500", "--duration", "40", "--steps", "8")
@@ -92,6 +95,21 @@ def test_designed_mission_is_read_by_the_bench_and_shown(tmp_path: Path, capsys:
     for words_ in ("Expected standard errors", "Predicted track", "Comparison with random sequences", "PRBS"):
         assert words_ in page
     assert "http://" not in re.sub(r"<script>.*?</script>", "", page, flags=re.DOTALL)
+
+
+@pytest.mark.parametrize(("duration", "steps"), [(40.0, 8), (240.0, 16)])  # the second one designs a block first
+def test_progress_counts_all_simulations_and_has_the_time_to_go(duration: float, steps: int, tmp_path: Path) -> None:
+    lines = list[str]()
+    reporter: Any = SimpleNamespace(progress=lines.append, warning=lines.append)
+    request = DesignRequest(duration=duration, steps=steps, evaluations=900)
+    make_design("horizontal:shaft:no-current", request, tmp_path / "m.toml", "", reporter)
+    pattern = r"design: (\d+) of at most 900 simulations, \w+ .*\((\d+) (s|min) to go\)"
+    found = [match for line in lines if (match := re.fullmatch(pattern, line))]
+    counts = [int(match[1]) for match in found]
+    assert len(counts) > 5
+    assert counts == sorted(counts)
+    assert 800 < counts[-1] < 1000
+    assert found[-1][2] == "0"
 
 
 def test_design_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -373,3 +391,11 @@ def test_no_track_is_predicted_if_many_simulated_boats_have_no_finite_one(
     assert ("track-not-predicted" in codes) == unbounded
     assert ("No track is predicted" in output) == unbounded
     assert (load_mission(out).prediction is None) == unbounded
+
+
+def test_warnings_of_a_design_are_python_warnings(tmp_path: Path) -> None:
+    with pytest.warns(st.SeatrialWarning) as caught:
+        found = st.design("horizontal:shaft", tmp_path / "d.toml", duration=60.0, steps=5, evaluations=60)
+    texts = [str(w.message) for w in caught if issubclass(w.category, st.SeatrialWarning)]
+    assert {"shaft-lag-built-in", "rates-assumed"} <= {w.code for w in found.warnings}
+    assert len(texts) == len(set(texts)) == len(found.warnings)

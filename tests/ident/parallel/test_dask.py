@@ -64,6 +64,7 @@ def test_tasks_run_on_the_workers_of_a_dask_cluster(cluster: Any, workers: Worke
     assert not reporter.warnings
 
 
+@pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")
 def test_fleet_has_the_numbers_of_one_process(
     logs: list[Path], workers: Workers, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

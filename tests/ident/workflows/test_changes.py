@@ -138,6 +138,7 @@ def test_report_and_tables(fouled: CampaignsResult, folder: Path, capsys: pytest
     assert "V_x" not in text
 
 
+@pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")
 def test_scatter_of_the_mass_is_no_change(logs: dict[str, list[Path]], folder: Path, fouled: CampaignsResult) -> None:
     """The fits of the logs before are those of the first comparison."""
     found = st.compare_campaigns(logs["before"], logs["same"], fixed=FIXED, out=folder, jobs=1)
@@ -164,7 +165,11 @@ def test_scatter_of_the_mass_is_no_change(logs: dict[str, list[Path]], folder: P
 
 
 def test_one_log_before_and_one_after_claim_nothing(logs: dict[str, list[Path]], folder: Path) -> None:
-    found = st.compare_campaigns(logs["before"][0], logs["fouled"][0], fixed=FIXED, out=folder, jobs=1)
+    with pytest.warns(st.SeatrialWarning) as caught:
+        found = st.compare_campaigns(logs["before"][0], logs["fouled"][0], fixed=FIXED, out=folder, jobs=1)
+    texts = [str(w.message) for w in caught if issubclass(w.category, st.SeatrialWarning)]
+    assert found.result.warnings
+    assert len(texts) == len(set(texts)) == len(found.result.warnings)
     assert found.answer.startswith("The scatter between logs is unknown with one log before and one after")
     drag = next(p for p in found.result.parameters if p.name == "d_uu")
     assert (drag.p, drag.q, drag.low, drag.scatter, drag.changed) == (None, None, None, None, False)

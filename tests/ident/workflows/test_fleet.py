@@ -96,6 +96,35 @@ def test_rows_equal_the_result_of_a_single_fit(logs: list[Path]) -> None:
         st.fit_many([st.open_log(logs[0], start=5.0), logs[1]])
 
 
+def test_warnings_of_the_fits_are_python_warnings_once_for_each_kind(logs: list[Path]) -> None:
+    with pytest.warns(st.SeatrialWarning) as caught:
+        many = st.fit_many(logs[:3], score_tests=False, fixed={"c2": 1.1}, priors={"c1": (40.0, 2.0)}, jobs=1)
+    texts = [str(w.message) for w in caught if issubclass(w.category, st.SeatrialWarning)]
+    (short,) = [w for w in many.result.warnings if w.code == "short-data"]
+    assert short.text.startswith(f"{logs[0]}: ")
+    assert short.text.endswith(f" The same, with other numbers, holds for {logs[1]}, {logs[2]}.")
+    assert texts.count(short.text) == 1
+    assert len(texts) == len(many.result.warnings)
+    assert "holds for" in " ".join(many.summary().split())
+
+
+def test_warnings_of_different_kinds_stay_apart() -> None:
+    def rows(log: str, *found: tuple[str, str]) -> Any:
+        return {"log": log, "warning_texts": json.dumps(found)}
+
+    found = fleet.warnings_of_logs([
+        rows("a/1.mcap", ("log-check", "1.mcap: r: gap of 2.5 s"), ("short-data", "30 s are short.")),
+        rows("a/1.mcap", ("log-check", "1.mcap: r: gap of 2.5 s"), ("short-data", "30 s are short.")),
+        rows("2.mcap", ("log-check", "2.mcap: r: gap of 7 s"), ("log-check", "2.mcap: psi: a filter")),
+        {"log": "3.mcap", "warning_texts": None},  # its fit has failed
+    ])  # fmt: skip
+    assert [(w.code, w.text) for w in found] == [
+        ("log-check", "1.mcap: r: gap of 2.5 s. The same, with other numbers, holds for 2.mcap."),
+        ("short-data", "a/1.mcap: 30 s are short."),
+        ("log-check", "2.mcap: psi: a filter."),
+    ]
+
+
 def test_failed_log_is_a_row_with_its_reason(
     logs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -124,6 +153,7 @@ def test_failed_log_is_a_row_with_its_reason(
     run("ident", "fleet", broken, *QUICK, "--out", tmp_path / "none", status=1)
 
 
+@pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")
 def test_saved_fleet_is_loaded_with_its_table(logs: list[Path], tmp_path: Path) -> None:
     many = st.fit_many(logs[:2], score_tests=False, fixed={"c2": 1.1}, priors={"c1": (40.0, 2.0)}, jobs=1, out=tmp_path)
     saved = st.load(tmp_path)
@@ -227,6 +257,7 @@ def test_fit_of_a_killed_process_is_done_again(many: list[Path], tmp_path: Path)
     assert (result.fitted, result.failed) == (len(many), ())
 
 
+@pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")
 def test_part_of_a_prior_is_the_change_by_its_mean(logs: list[Path]) -> None:
     """The prior's mean is moved by a quarter of its standard deviation."""
 

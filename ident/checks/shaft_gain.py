@@ -1,0 +1,171 @@
+"""Change of the shaft speed at equal commands, within a log and between logs, as that of a battery that empties.
+
+The steady shaft speed is a quadratic of the command with an offset for each direction (dead zone, limit, sag under
+load), which is common to all times. Only its slope differs between two groups of held commands: the first and the last
+third of a log, or two logs. The relative difference of the slopes is the change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seatrial.daq.checks import WARNING, Finding
+from seatrial.ident.checks.sensors import Channels
+from seatrial.ident.checks.shaft_sign import IMPOSSIBLE, TURNS
+from seatrial.ident.checks.shafts import held_commands
+from seatrial.ident.model import command_of, commanded_thrusters, shaft_speed_of
+from seatrial.ident.numerics import Array
+
+LEAST_CHANGE = 0.03  # of the shaft speed, which is 6 % of the thrust; smaller changes do not matter
+CLEAR = 4.0  # standard errors; a change is reported above them
+LEAST_COMMAND = 0.2  # of full command; at smaller ones the dead zone matters more than the slope
+FEWEST = 3  # held commands of a group
+FEWEST_DOF = 5  # held commands beyond the coefficients, for a standard error
+
+
+class Change(NamedTuple):
+    """Relative change of the shaft speed at equal commands, with its standard error."""
+
+    change: float
+    error: float
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether the change matters and is no chance: it is above 3 % and above four standard errors."""
+        return abs(self.change) > max(LEAST_CHANGE, CLEAR * self.error)
+
+    @property
+    def text(self) -> str:
+        """Size of the change in per cent, with its standard error: ``5.1 % (± 0.6 %) lower``."""
+        way = "lower" if self.change < 0.0 else "higher"
+        return f"{100 * abs(self.change):.1f} % (± {100 * self.error:.1g} %) {way}"
+
+
+class Held(NamedTuple):
+    """Commands that were held for at least 4 s, and the shaft speeds that they reached.
+
+    Attributes
+    ----------
+    t
+        Start of each command [s] (n,).
+    command
+        Commands over full command (n,), all above 0.2 in size.
+    speed
+        Shaft speeds over full speed (n,).
+    begin, end
+        Times [s] of the first and the last sample of the shaft speed.
+    """
+
+    t: Array
+    command: Array
+    speed: Array
+    begin: float
+    end: float
+
+
+def check_shaft_gain(c: Channels) -> Iterator[Finding]:
+    """Yield a warning for each shaft whose speed at equal commands differs between the thirds of a log.
+
+    Parameters
+    ----------
+    c
+        Channels (signals) of a log by name. A thruster needs both a command and a measured shaft speed.
+
+    Yields
+    ------
+    Finding
+        Warning ``shaft-speed-drifts``, with the change from the first to the last third of the log.
+    """
+    for name, held in _held_of_thrusters(c).items():
+        third = (held.end - held.begin) / 3.0
+        first, last = held.t < held.begin + third, held.t >= held.end - third
+        used = first | last
+        change = _change(held.command[used], held.speed[used], last[used])
+        if change is not None and change.is_clear:
+            text = f"in the last third of the log the shaft speed at equal commands is {change.text} than in the first"
+            yield _finding("shaft-speed-drifts", name, text)
+
+
+def compare_shaft_gains(logs: Sequence[tuple[str, Channels]]) -> list[tuple[str, Finding]]:
+    """Return a warning for each shaft whose speed at equal commands differs between logs.
+
+    Parameters
+    ----------
+    logs
+        Name and channels of each log.
+
+    Returns
+    -------
+    list of tuple
+        Name of a log, and its finding ``shaft-speed-differs``: the log that differs most from the first log of the same
+        thruster. At most one for each thruster.
+    """
+    of_logs: dict[str, list[tuple[str, Held]]] = {}
+    for log, c in logs:
+        for thruster, held in _held_of_thrusters(c).items():
+            of_logs.setdefault(thruster, []).append((log, held))
+    found = []
+    for thruster, ((first_log, first), *others) in of_logs.items():
+        changes: dict[str, Change] = {}
+        for log, held in others:
+            of_second = np.repeat([False, True], [first.t.size, held.t.size])
+            command, speed = (np.concatenate([getattr(x, key) for x in (first, held)]) for key in ("command", "speed"))
+            change = _change(command, speed, of_second)
+            if change is not None and change.is_clear:
+                changes[log] = change
+        if changes:
+            log = max(changes, key=lambda name: abs(changes[name].change))
+            text = f"the shaft speed at equal commands is {changes[log].text} than in {first_log}"
+            found.append((log, _finding("shaft-speed-differs", thruster, text)))
+    return found
+
+
+def _finding(code: str, thruster: str, text: str) -> Finding:
+    """Return the warning of a change of the shaft speed of a thruster."""
+    advice = (
+        "look at the voltage of the battery, and for weed or a slipping propeller; a model with the shaft speeds as "
+        "inputs is not affected, but one of commands alone takes their ratio as constant"
+    )
+    return Finding(WARNING, code, "shaft", thruster, text, advice)
+
+
+def _held_of_thrusters(c: Channels) -> Mapping[str, Held]:
+    """Return the held commands of each thruster by name, in which the shaft turned with its command.
+
+    A shaft speed with the same array of times as its command is a copy of it. Its thruster is left out.
+    """
+    found = {}
+    for name in sorted(commanded_thrusters(c)):
+        command, shaft = c[command_of(name)], c.get(shaft_speed_of(name))
+        if shaft is None or shaft.t is command.t:
+            continue
+        all_held = [h for h in held_commands(command, shaft) if abs(h.level) > LEAST_COMMAND]
+        turning = [h for h in all_held if TURNS < h.settled / h.level < IMPOSSIBLE]
+        t, level, speed = (np.array([getattr(h, key) for h in turning]) for key in ("t", "level", "settled"))
+        found[name] = Held(t, level, speed, float(shaft.t[0]), float(shaft.t[-1]))
+    return found
+
+
+def _change(command: Array, speed: Array, second: NDArray[np.bool_]) -> Change | None:
+    """Return the relative change of the shaft speed at equal commands from the first to the second group.
+
+    ``command`` and ``speed`` are held commands and their shaft speeds (n,), and ``second`` is true for those of the
+    second group (n,). None if a group is too small for a comparison.
+    """
+    if min(np.count_nonzero(second), np.count_nonzero(~second)) < FEWEST:
+        return None
+    size, ways = np.abs(command), [way for way in (command > 0.0, command < 0.0) if way.any()]
+    design = np.column_stack([size, size * second, size**2, *ways])
+    dof = command.size - design.shape[1]
+    if dof < FEWEST_DOF or np.linalg.matrix_rank(design) < design.shape[1]:
+        return None
+    coefficients = np.linalg.lstsq(design, np.abs(speed), rcond=None)[0]
+    misfit = np.abs(speed) - design @ coefficients
+    variance = float(misfit @ misfit) / dof * float(np.linalg.inv(design.T @ design)[1, 1])
+    # Relative to the mean shaft speed of the first group per command.
+    mean = float(np.mean(np.abs(speed[~second])) / np.mean(size[~second]))
+    return Change(float(coefficients[1]) / mean, float(np.sqrt(variance)) / mean)

@@ -1,0 +1,86 @@
+"""Tests of the change of the shaft speed at equal commands, within a log and between logs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import seatrial as st
+from seatrial.ident.checks.shaft_gain import check_shaft_gain, compare_shaft_gains
+from seatrial.ident.data.record import Channel
+from tests.measured.data import import_boat, realistic_boats
+
+HOLD, RATE = 6.0, 10.0
+DEAD, SAG = 0.04, 0.05
+
+
+def log_of(seed: int, gain: Any = 1.0, n_held: int = 24, noise: float = 0.005) -> dict[str, Channel]:
+    """Return command and speed of the left shaft, with a dead zone and sag; ``gain`` is a factor or a slope of time."""
+    rng = np.random.default_rng(seed)
+    level = rng.uniform(0.25, 1.0, n_held) * rng.choice([-1.0, 1.0], n_held)
+    command = np.repeat(level, round(HOLD * RATE))
+    t = np.arange(command.size) / RATE
+    factor = gain(t / t[-1]) if callable(gain) else gain
+    n = factor * np.sign(command) * (np.abs(command) - DEAD) * (1.0 - SAG * command**2)
+    return {
+        "n_cmd_left": Channel(t, command),
+        "n_left": Channel(t + 0.01, n + noise * rng.standard_normal(t.size)),
+    }
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.15])
+def test_shaft_that_slows_down_within_a_log_is_named(lost: float) -> None:
+    found = list(check_shaft_gain(log_of(0, lambda part: 1.0 - lost * part)))
+    assert [(f.level, f.code, f.where) for f in found] == [("warning", "shaft-speed-drifts", "left")] * bool(lost)
+    if lost:
+        # The thirds have their middle at 1/6 and 5/6.
+        change = float(found[0].text.split("equal commands is ")[1].split(" %")[0])
+        assert change == pytest.approx(100 * lost * (4 / 6) / (1 - lost / 6), abs=1.5)
+        assert " lower than in the first" in found[0].text
+
+
+def test_log_that_differs_most_from_the_first_is_named() -> None:
+    logs = [("a", log_of(1)), ("b", log_of(2, 0.95)), ("c", log_of(3, 0.88)), ("d", log_of(4, 0.99))]
+    ((log, finding),) = compare_shaft_gains(logs)
+    assert (log, finding.code, finding.where) == ("c", "shaft-speed-differs", "left")
+    assert finding.text.startswith("the shaft speed at equal commands is 1")
+    assert finding.text.endswith("lower than in a")
+    assert float(finding.text.split("commands is ")[1].split(" %")[0]) == pytest.approx(12.0, abs=0.7)
+
+
+def test_equal_shafts_with_other_commands_give_no_finding() -> None:
+    """Dead zone and sag change the ratio with the size of the command, so that its mean differs between logs."""
+    for seed in range(60):
+        slow, fast = log_of(seed), log_of(100 + seed)
+        assert compare_shaft_gains([("slow", slow), ("fast", fast)]) == []
+        assert list(check_shaft_gain(log_of(200 + seed))) == []
+
+
+def test_noise_and_few_commands_claim_nothing() -> None:
+    assert list(check_shaft_gain(log_of(0, lambda part: 1.0 - 0.15 * part, n_held=8))) == []
+    copied = log_of(0, lambda part: 1.0 - 0.15 * part)
+    copied["n_left"] = Channel(copied["n_cmd_left"].t, copied["n_left"].value)
+    assert list(check_shaft_gain(copied)) == []  # the shaft speed is a copy of the command
+    del copied["n_left"]
+    assert list(check_shaft_gain(copied)) == []
+
+
+@pytest.mark.skipif(not realistic_boats().is_dir(), reason="SEATRIAL_DATA has no boats of a realistic plant")
+def test_battery_of_a_realistic_boat_is_found_by_check_and_fit(tmp_path: Path) -> None:
+    """The voltage of this boat falls by 4.8 % of the full one from run to run."""
+    import_boat("asv12-none", ["run1", "run3"], tmp_path)
+    logs = [tmp_path / "run1.mcap", tmp_path / "run3.mcap"]
+    found = [f for f in st.check(logs).warnings if f.code == "shaft-speed-differs"]
+    assert [f.where for f in found] == ["run3: left", "run3: right"]
+    for finding in found:
+        change = float(finding.text.split("commands is ")[1].split(" %")[0])
+        assert change == pytest.approx(2 * 4.78, abs=1.2)
+        assert finding.text.endswith("lower than in run1")
+    assert [f for f in st.check(logs[0]).warnings if f.code.startswith("shaft-speed-d")] == []
+    with pytest.warns(st.SeatrialWarning) as caught:
+        st.fit(logs[0], validate=logs[1], score_tests=False)
+    named = [w for w in caught if "run3.mcap: left: the shaft speed at equal commands is" in str(w.message)]
+    assert len(named) == 1
