@@ -320,18 +320,20 @@ def _keeping_repeats(source: Source) -> Source:
 def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, float]:
     """Return the numbers of the boat in the table [geometry] or [scale] of an import map, by name.
 
-    `names` are the keys that the table may have. Standard uncertainties ``NAME_sd`` are included if the table has them;
-    without the key NAME they are unknown keys.
-    The result is empty if `table` is None. Raise SeatrialError if a number is impossible or a key is unknown: c1,
+    `names` are the keys that the table may have. Standard uncertainties ``NAME_sd`` are included if the table has them.
+    The result is empty if `table` is None. Raise SeatrialError if a number is impossible, a key is unknown, or the
+    number of an uncertainty is missing: c1,
     length, mass and standard uncertainties must be positive, the size of c2 less than c1, y_left less than y_right, and
     both at most `length` from the middle.
     """
     if table is None:
         return {}
     found = {name: table.number(name) for name in names if table.has(name)}
-    for name in tuple(found):
-        if table.has(f"{name}_sd"):
-            found[f"{name}_sd"] = table.number(f"{name}_sd", positive=True)
+    for name in names:
+        if table.has(uncertainty := f"{name}_sd"):
+            found[uncertainty] = table.number(uncertainty, positive=True)
+            if name not in found:
+                raise table.error(uncertainty, f"is the standard uncertainty of {name}; give {name} too")
     for name in ("c1", "length", "mass"):
         if found.get(name, 1.0) <= 0.0:
             raise table.error(name, f"must be positive, not {found[name]:g}")

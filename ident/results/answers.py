@@ -1030,8 +1030,9 @@ def homogeneity_sentence(a: HomogeneityTest) -> str:
     the scatter between the logs. Logs that do not inform the parameter are named. If fewer than two logs inform it, the
     sentence states only that, and these names.
     """
-    each = ", ".join(f"{v:.3g} ± {e:.2g}" for v, e in zip(a.values, a.errors, strict=True))
+    each = ", ".join(plus_minus(v, e) for v, e in zip(a.values, a.errors, strict=True))
     low, high = a.interval
+    unit = f" {a.unit}" if a.unit else ""
     verdict = "agree" if a.agree else "do not agree"
     use = "the mean with this scatter is" if a.agree else "use the mean with this scatter,"
     one = len(a.left_out) == 1
@@ -1042,9 +1043,9 @@ def homogeneity_sentence(a: HomogeneityTest) -> str:
             f"logs.{silent}"
         )
     return (
-        f"{a.name}: {a.value:.3g} ± {a.error:.2g} {a.unit} from all logs together (robust error {a.robust_error:.2g}); "
+        f"{a.name}: {plus_minus(a.value, a.error)}{unit} from all logs together (robust error {a.robust_error:.2g}); "
         f"from each log alone {each}. The logs {verdict} in one value (likelihood ratio {a.lr:.1f}, chi-square with "
         f"{a.df} degree{'s' if a.df > 1 else ''} of freedom: p = {a.p:.2g}). The scatter between the logs is "
-        f"{a.scatter:.2g}; {use} {a.mean:.3g} ± {a.mean_error:.2g}, "
-        f"95 % interval {low:.3g} to {high:.3g} {a.unit}.{silent}"
+        f"{a.scatter:.2g}; {use} {plus_minus(a.mean, a.mean_error)}, "
+        f"95 % interval {low:.3g} to {high:.3g}{unit}.{silent}"
     )

@@ -63,7 +63,7 @@ class ParameterDifference(Part, frozen=True, kw_only=True):
     high: Annotated[float | None, Meta(description="upper end of the interval")]
     relative: Annotated[
         float | None,
-        Meta(description="difference / size of the mean before; null: that is within 3 standard errors of zero"),
+        Meta(description="difference / mean before; null: that is negative, or within 3 standard errors of zero"),
     ]
     scatter: Annotated[
         float | None,

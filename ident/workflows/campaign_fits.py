@@ -264,7 +264,8 @@ def _parameter(
     own = own_variances(rows, common_errors(rows))
     estimates = zip(part.logs, part.after.tolist(), rows, np.sqrt(own).tolist(), strict=True)
     difference, mean = found.difference, found.before
-    far = abs(mean.value) > FAR_FROM_ZERO * mean.error
+    # Per cent of a negative value would have the wrong sign, or hide that its size falls.
+    far = mean.value > FAR_FROM_ZERO * mean.error
     return ParameterDifference(
         name=name,
         meaning=rows[0]["meaning"],
@@ -277,7 +278,7 @@ def _parameter(
         se=difference.error,
         low=finite(difference.low),
         high=finite(difference.high),
-        relative=difference.value / abs(mean.value) if far else None,
+        relative=difference.value / mean.value if far else None,
         scatter=finite(found.scatter),
         p=finite(difference.p),
         q=finite(q),

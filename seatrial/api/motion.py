@@ -15,7 +15,7 @@ from seatrial.api.loading import Saved
 from seatrial.api.logs import PathLike
 from seatrial.api.messages import errors_of_users
 from seatrial.api.shown import Content, Shown, number
-from seatrial.daq.errors import SeatrialError, warn
+from seatrial.daq.errors import SeatrialError, counted, warn
 from seatrial.daq.log import import_library
 from seatrial.ident.export import Inputs, LinearModel, conditions_text, heading_sentence, pole_text, turn_sentence
 from seatrial.ident.model import THRUSTER_FORCE, drive_word, is_of_thruster
@@ -361,7 +361,7 @@ class Steady(Shown):
 
     def __repr__(self) -> str:
         """Return a short text for the interpreter: number of curves, and `answer`."""
-        return f"<Steady: {len(self.curves)} curves>\n{self.answer}"
+        return f"<Steady: {counted(len(self.curves), 'curve')}>\n{self.answer}"
 
 
 def _legend_below(layout: dict[str, Any], height: int) -> dict[str, Any]:

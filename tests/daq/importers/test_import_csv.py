@@ -289,6 +289,8 @@ def test_an_invalid_iso_time_is_refused(folder: Path) -> None:
         ("[csv]", '[[log]]\nname = "a"\nt_from = 3\nt_to = 2\n[csv]', r"log\[1\]\.t_to: must be later than t_from"),
         ("[csv]", "[scale]\nc1 = -12.0\n[csv]", r"scale\.c1: must be positive, not -12"),
         ("[csv]", "[scale]\nc1 = 6.85\nc2 = 12.0\n[csv]", r"scale\.c2: 12 N is not smaller than c1 = 6\.85 N: the"),
+        ("[csv]", "[scale]\nc1_sd = 0.3\n[csv]", r"scale\.c1_sd: is the standard uncertainty of c1; give c1 too"),
+        ("[csv]", "[scale]\nC1 = 6.0\n[csv]", r"did you mean 'c1'\? Known here: c1, c2, c1_sd, c2_sd"),
         ("[csv]", "[scale]\nc1 = 6.0\nc2 = -6.0\n[csv]", r"scale\.c2: -6 N is not smaller than c1 = 6 N: the thrust"),
         ("[csv]", "[scale]\nthrust = 12.0\n[csv]", r"scale\.thrust: unknown key"),
         ("[csv]", "[geometry]\ny_left = 0.2\ny_right = -0.2\n[csv]", r"geometry\.y_left: must be less than y_right"),

@@ -84,6 +84,10 @@ def test_different_logs_are_found_to_differ() -> None:
     assert found.mean_error > 3 * plain_error
     assert found.mean_error > 1.5 * found.error > 1.5 * plain_error
     assert "do not agree" in homogeneity_sentence(found)
+    plain = homogeneity_sentence(replace(found, unit="", value=0.17, error=0.0025))
+    assert ": 0.1700 ± 0.0025 from all logs together" in plain
+    assert "  " not in plain
+    assert " ." not in plain
     row = homogeneity_row(found)
     assert row.records == ("run0", "run1", "run2")
     assert row.low is not None

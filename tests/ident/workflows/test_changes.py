@@ -303,6 +303,15 @@ def test_parameters_that_cannot_be_compared_have_a_reason() -> None:
     )
 
 
+def test_only_changes_of_positive_values_are_relative() -> None:
+    """Per cent of a negative value would read as a growth where its size falls."""
+    after, noise = np.arange(6) >= 3, 0.02 * np.random.default_rng(9).normal(size=6)
+    found = {p.name: p for p in compared(rows_of({"a": 3.0 + after + noise, "b": noise + after - 3.0}), 3).parameters}
+    assert found["a"].relative == pytest.approx(1 / 3, abs=0.02)
+    assert found["b"].relative is None
+    assert found["b"].difference == pytest.approx(1.0, abs=0.05)
+
+
 def test_effects_of_the_model_are_present_or_not() -> None:
     rng = np.random.default_rng(7)
     after = np.arange(8) >= 4
