@@ -27,12 +27,13 @@ from seatrial.ident.estimation import (
     thrust_scale_of,
     unexcited_motion,
 )
-from seatrial.ident.model import Model, ModelKind, ParameterOrigin
+from seatrial.ident.model import Model, ModelKind, ParameterOrigin, drive_word
 from seatrial.ident.numerics import is_undetermined
 from seatrial.ident.results.parts import (
     Calibrations,
     CourseStability,
     CrossCorrelationRow,
+    Dynamics,
     Errors,
     PredictionChangeRow,
     PredictionFit,
@@ -73,6 +74,7 @@ LARGEST_ASYMMETRY = 0.5  # of c2 over c1: one direction then has a third of the 
 UNEQUAL_THRUST = 0.05  # difference of the thrust ahead from the given mean, relative to it, from which it is reported
 MOST_ADDED = 2.5  # largest plausible mass in surge, as a multiple of the weighed mass
 SHORT_BENCH_S = 20.0  # as SHORT_DATA_S, of a thruster: some held commands of 4 s, forward and in reverse
+LEAST_PULL = 0.03  # difference of the inputs of both sides on a straight course, relative to their mean, to report
 SHORT_DATA_S = 60.0  # of all estimation data; shorter data hardly contain a turn and a stop
 FEWEST_SAMPLES = 10  # equal samples from which a sensor is called stuck
 
@@ -988,6 +990,31 @@ def curve_notes(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) -> 
             f"neighbours: {shown}. Repeat these levels if this matters."
         )
     return notes
+
+
+def straight_sentence(dynamics: Dynamics | None) -> str:
+    """Return the sentence on a boat that turns although both sides have the same input: what a straight course needs.
+
+    It has the inputs of the linear model in the middle of the speeds. The text is empty for None, for a model without
+    an input for each side, and if the inputs differ by less than 3 % of their mean.
+    """
+    if dynamics is None or not dynamics.points:
+        return ""
+    point = dynamics.points[(len(dynamics.points) - 1) // 2]
+    sides = {name.rpartition("_")[2]: (name, value) for name, value in point.inputs.items()}
+    if len(point.inputs) != 2 or set(sides) != {"left", "right"}:
+        return ""
+    (left_name, left), (right_name, right) = sides["left"], sides["right"]
+    if abs(right - left) < LEAST_PULL * 0.5 * abs(right + left):
+        return ""
+    side = "starboard" if right > left else "port"
+    drive = drive_word(point.inputs)
+    unit = " N" if drive == "thrust" else ""
+    heading = f" on heading {math.degrees(dynamics.conditions['psi']):.0f} deg" if "psi" in dynamics.conditions else ""
+    return (
+        f"With equal {drive}s the boat turns to {side}: to go straight at {point.speed:.3g} m/s"
+        f"{heading}, it needs {left_name} {left:.3g}{unit} and {right_name} {right:.3g}{unit}."
+    )
 
 
 def course_sentence(course: CourseStability | None) -> str:

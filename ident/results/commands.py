@@ -33,6 +33,7 @@ from seatrial.ident.results.answers import (
     outlier_lines,
     short_data_warnings,
     smallest_command,
+    straight_sentence,
     thruster_answer,
     thruster_warnings,
     vehicle_answer,
@@ -142,7 +143,7 @@ def vehicle_result(
     prediction = prediction_fit(evaluation)
     fit_answer = vehicle_answer(prediction, errors, evaluation.horizon, residuals, cross, searchable=searchable)
     course = course_sentence(posed.dynamics.course if posed.dynamics else None)
-    sentences = [fit_answer, course, *(homogeneity_sentence(a) for a in homogeneity)]
+    sentences = [fit_answer, straight_sentence(posed.dynamics), course, *(homogeneity_sentence(a) for a in homogeneity)]
     answer = not_converged(fitted.fit) or " ".join(filter(None, sentences))
     uncertainty = posed.uncertainty
     return VehicleResult(

@@ -42,6 +42,7 @@ from seatrial.ident.results.answers import (
     outlier_lines,
     poor_channel,
     short_data_warnings,
+    straight_sentence,
 )
 from seatrial.ident.results.parts import DiagnosisResult, Provenance
 from seatrial.ident.results.tables import (
@@ -115,7 +116,7 @@ def diagnosis_result(
     course = course_sentence(dynamics.course if dynamics else None)
     return DiagnosisResult(
         **msgspec.structs.asdict(made),
-        answer=faults_first(made) + (failed or " ".join(filter(None, [answer, course]))),
+        answer=faults_first(made) + (failed or " ".join(filter(None, [answer, straight_sentence(dynamics), course]))),
         caveat=None if failed else diagnosis_caveat(diagnosis),
         prediction=prediction,
         converged_before=diagnosis.before.fit.converged,

@@ -34,6 +34,7 @@ from seatrial.ident.results.answers import (
     plus_minus,
     short_data_warnings,
     smallest_command,
+    straight_sentence,
     stuck_sensors,
     thrust_ahead_warnings,
     thrust_astern_warnings,
@@ -44,12 +45,14 @@ from seatrial.ident.results.answers import (
 from seatrial.ident.results.parts import (
     CourseStability,
     CrossCorrelationRow,
+    Dynamics,
     ErrorComparison,
     Errors,
     ErrorTable,
     LargestErrorsRow,
     LogFinding,
     LogSummary,
+    OperatingPoint,
     PredictionChangeRow,
     PredictionFit,
     Provenance,
@@ -531,3 +534,32 @@ def test_short_bench_runs_are_reported(seconds: float, n: int) -> None:
     fitted: Any = SimpleNamespace(records=[record_of("e", seconds)], validation=[], cross_validated=False, model=model)
     found = short_data_warnings(fitted, 1.0)
     assert ["this is too short for the steps of a bench run" in w.text for w in found] == [True] * n
+
+
+@pytest.mark.parametrize(
+    ("inputs", "conditions", "sentence"),
+    [
+        (
+            {"n_left": 0.4357, "n_right": 0.4941},
+            {"psi": 0.5236},
+            "With equal shaft speeds the boat turns to starboard: to go straight at 0.78 m/s on heading 30 deg, it "
+            "needs n_left 0.436 and n_right 0.494.",
+        ),
+        (
+            {"f_left": 12.34, "f_right": 10.0},
+            {},
+            "With equal thrusts the boat turns to port: to go straight at 0.78 m/s, it needs f_left 12.3 N and f_right "
+            "10 N.",
+        ),
+        ({"n_cmd_left": 0.5, "n_cmd_right": 0.51}, {}, ""),
+        ({"n": 0.5}, {}, ""),
+    ],
+)
+def test_answer_has_the_inputs_of_a_straight_course(
+    inputs: dict[str, float], conditions: dict[str, float], sentence: str
+) -> None:
+    none = np.zeros(0)
+    point = OperatingPoint(speed=0.78, inputs=inputs, real=none, imaginary=none, stable=True, error=none)
+    faster = msgspec.structs.replace(point, speed=1.5, inputs=dict.fromkeys(inputs, 1.0))
+    assert straight_sentence(Dynamics(points=(point, faster), conditions=conditions)) == sentence
+    assert straight_sentence(None) == straight_sentence(Dynamics()) == ""
