@@ -1,0 +1,132 @@
+"""Node of ROS 2 that holds speed and heading with the state feedback of `lqr` (docs/how-to/control.md).
+
+THE THRUSTERS TURN AS SOON AS IT RUNS. It needs rclpy and the file of the feedback, but neither seatrial nor numpy.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import rclpy
+from nav_msgs.msg import Odometry
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import Imu
+from std_msgs.msg import Float64
+
+TOPICS = {"odometry": "/odometry/filtered", "imu": "/imu/data"}
+RATE = 10.0  # Hz, of the commands
+STALE = 0.3  # s: an older message stops the thrusters
+ZEROS = 1.0  # s, of zero commands with fresh messages before the first thrust
+RAMP = 0.05  # m/s2: the wanted speed rises from that of the boat (page: start by a ramp)
+
+
+def motion(odometry: Any) -> dict[str, float]:
+    """Return heading and speeds of the model (NED, FRD) from a nav_msgs/Odometry (pose ENU, twist FLU: REP-103)."""
+    q, speed = odometry.pose.pose.orientation, odometry.twist.twist.linear
+    if abs(math.hypot(q.w, q.x, q.y, q.z) - 1.0) > 0.01:
+        return {"psi": math.nan}  # an odometry without a heading has zeros there
+    yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+    return {"psi": math.pi / 2.0 - yaw, "u": speed.x, "v": -speed.y}
+
+
+def turn_rate(imu: Any) -> dict[str, float]:
+    """Return the yaw rate of the model (positive to starboard) from a sensor_msgs/Imu with the axes FLU."""
+    return {"r": -imu.angular_velocity.z}
+
+
+class Controller(Node):
+    """Node that sends a command in [-1, 1] to each thruster at a fixed rate, and zero if a message is late."""
+
+    def __init__(self) -> None:
+        super().__init__("boat_controller")
+        for name, default in (("feedback", "feedback.json"), ("speed", 0.8), ("heading", 0.0), ("limit", 0.6)):
+            self.declare_parameter(name, default)  # heading: deg, clockwise from north; limit: largest command
+        with open(self.get_parameter("feedback").value, encoding="utf-8") as file:
+            self.feedback = json.load(file)
+        if missing := set(self.feedback["states"]) - {"psi", "u", "v", "r"}:
+            raise ValueError(f"no message gives the states {sorted(missing)}: subscribe to them, as to `turn_rate`")
+        names = [n.removeprefix("n_").removeprefix("cmd_") for n in self.feedback["inputs"]]
+        self.commands = [self.create_publisher(Float64, f"/thrusters/{n}/command", 10) for n in names]
+        self.x: dict[str, float] = {}
+        self.heard = dict.fromkeys(TOPICS, -math.inf)  # s, of the last valid message of each topic
+        self.stopped, self.since, self.wanted = "start", time.monotonic(), 0.0  # reason, its time [s], ramp [m/s]
+        for name, kind, convert in (("odometry", Odometry, motion), ("imu", Imu, turn_rate)):
+            self.create_subscription(kind, TOPICS[name], partial(self.hear, name, convert), qos_profile_sensor_data)
+        # A steady clock: a jump of the time of day, such as by GNSS, changes neither the rate nor an age.
+        self.create_timer(1.0 / RATE, self.update, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.get_logger().info(f"zero thrust until messages arrive on {' and '.join(TOPICS.values())}")
+
+    def hear(self, name: str, convert: Callable[[Any], dict[str, float]], message: Any) -> None:
+        """Store what a message measures. One with a value that is not finite counts as none."""
+        found = convert(message)
+        if all(map(math.isfinite, found.values())):
+            self.x |= found
+            self.heard[name] = time.monotonic()
+
+    def update(self) -> None:
+        """Send the commands of the feedback, or zero. ``ros2 param set`` changes a set-point while the node runs."""
+        speed, heading, limit = (self.get_parameter(n).value for n in ("speed", "heading", "limit"))
+        now = time.monotonic()
+        if late := [TOPICS[n] for n, heard in self.heard.items() if now - heard > STALE]:
+            return self.stop(f"no valid message within {STALE} s on {' and '.join(late)}")
+        if not all(map(math.isfinite, (speed, heading, limit))):
+            return self.stop("speed, heading and limit must be finite")
+        if self.stopped and now - self.since < ZEROS:
+            return self.send([0.0] * len(self.commands))
+        if self.stopped:
+            self.get_logger().info("messages arrive: the thrusters turn")
+            self.stopped, self.wanted = "", self.x["u"]
+        self.wanted = min(speed, self.wanted + RAMP / RATE)
+        goal = dict(zip(self.feedback["states"], self.feedback["x0"], strict=True))
+        goal |= {"psi": math.radians(heading), "u": self.wanted}
+        error = {n: self.x[n] - goal[n] for n in self.feedback["states"]}
+        if "psi" in error:  # the shorter turn
+            error["psi"] = math.remainder(error["psi"], 2.0 * math.pi)
+        rows = zip(self.feedback["u0"], self.feedback["gain"], strict=True)
+        commands = [u0 - sum(k * e for k, e in zip(row, error.values(), strict=True)) for u0, row in rows]
+        return self.send([min(max(n, -limit), limit) for n in commands])
+
+    def send(self, commands: list[float]) -> None:
+        """Publish one command for each thruster."""
+        for publisher, n in zip(self.commands, commands, strict=True):
+            publisher.publish(Float64(data=float(n)))
+
+    def stop(self, reason: str) -> None:
+        """Send zero. Log the reason once, when the thrusters stop."""
+        self.send([0.0] * len(self.commands))
+        if not self.stopped:
+            self.get_logger().error(f"zero thrust: {reason}")
+        self.stopped, self.since = reason, time.monotonic()
+
+
+def main() -> None:
+    """Run the node until it ends by Ctrl-C, by SIGTERM or with an exception. In all cases, send zero at the end."""
+    # With handlers of rclpy, the node could not send zero any more after the signal.
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    node, reason = Controller(), "the node was ended"
+    try:
+        rclpy.spin(node)
+    except KeyboardInterrupt:
+        pass
+    except BaseException as error:
+        reason = repr(error)
+        raise
+    finally:
+        for _ in range(3):  # with time to leave this process
+            node.stop(reason)
+            time.sleep(0.05)
+        rclpy.shutdown()
+
+
+if __name__ == "__main__":
+    main()

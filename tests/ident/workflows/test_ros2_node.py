@@ -1,0 +1,354 @@
+"""Tests that run docs/examples/ros2_node.py with a small substitute of rclpy, on the exported model as the boat."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import math
+import signal
+import sys
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from seatrial.daq.tools.ros_frames import pose_messages
+from tests.ident.workflows.test_control import PAGE, folder
+from tests.page_runner import run_python
+from tests.test_docs import ROOT, blocks
+
+__all__ = ["folder"]
+
+NODE = ROOT / "docs/examples/ros2_node.py"
+DT = 0.02  # s, of the simulated boat
+ODOMETRY, IMU = "/odometry/filtered", "/imu/data"
+
+
+class Ros:
+    """Substitute of rclpy and of the computer's clock, with the boat of an exported model."""
+
+    def __init__(self, boat: Any) -> None:
+        self.boat, self.now, self.scenario = boat, 100.0, lambda: None
+        self.sent: dict[str, list[tuple[float, float]]] = {}  # s and command, by topic
+        self.heard: dict[str, Callable[[Any], None]] = {}
+        self.timers: list[list[Any]] = []  # period, next time [s], callback
+        self.silent: set[str] = set()  # topics without messages
+        self.logged: list[tuple[str, str]] = []
+        self.parameters: dict[str, Any] = {}
+        self.up, self.own_signals = False, False
+        self.odometry: Any = None
+
+    def modules(self) -> dict[str, ModuleType]:
+        """Return the modules that the node imports."""
+        ros, types = self, SimpleNamespace
+
+        class Node:
+            def __init__(self, name: str) -> None:
+                assert ros.up, "rclpy.init first"
+
+            def declare_parameter(self, name: str, default: Any) -> None:
+                ros.parameters.setdefault(name, default)
+
+            def get_parameter(self, name: str) -> Any:
+                return types(value=ros.parameters[name])
+
+            def create_publisher(self, kind: Any, topic: str, depth: int) -> Any:
+                ros.sent[topic] = []
+                return types(publish=lambda message: ros.publish(topic, message))
+
+            def create_subscription(self, kind: Any, topic: str, callback: Any, qos: Any) -> None:
+                ros.heard[topic] = callback
+
+            def create_timer(self, period: float, callback: Any, clock: Any) -> None:
+                assert clock == "steady"
+                ros.timers.append([period, ros.now + period, callback])
+
+            def get_logger(self) -> Any:
+                return types(info=lambda text: ros.logged.append(("info", text)), error=self._error)
+
+            def _error(self, text: str) -> None:
+                ros.logged.append(("error", text))
+
+        def message(**values: Any) -> Any:
+            return types(**values)
+
+        parts: dict[str, dict[str, Any]] = {
+            "rclpy": {"init": self.init, "spin": self.spin, "shutdown": self.shutdown},
+            "rclpy.node": {"Node": Node},
+            "rclpy.clock": {"Clock": lambda clock_type: clock_type, "ClockType": types(STEADY_TIME="steady")},
+            "rclpy.qos": {"qos_profile_sensor_data": None},
+            "rclpy.signals": {"SignalHandlerOptions": types(NO="none")},
+            "nav_msgs": {}, "nav_msgs.msg": {"Odometry": message},
+            "sensor_msgs": {}, "sensor_msgs.msg": {"Imu": message},
+            "std_msgs": {}, "std_msgs.msg": {"Float64": message},
+        }  # fmt: skip
+        made = {name: ModuleType(name) for name in parts}
+        for name, values in parts.items():
+            vars(made[name]).update(values)
+        return made
+
+    def init(self, signal_handler_options: str) -> None:
+        self.up, self.own_signals = True, signal_handler_options == "none"
+
+    def spin(self, node: Any) -> None:
+        self.node = node
+        self.scenario()
+
+    def shutdown(self) -> None:
+        self.up = False
+
+    def publish(self, topic: str, message: Any) -> None:
+        """Store a command. As in ROS 2, nothing can be published after the shutdown, nor by a command of numpy."""
+        assert self.up
+        assert type(message.data) is float
+        self.sent[topic].append((self.now, message.data))
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
+
+    @property
+    def state(self) -> dict[str, float]:
+        return dict(zip(self.boat.STATES, self.simulation.x, strict=True))
+
+    def start(self) -> None:
+        self.simulation = self.boat.Simulation(DT)
+
+    def sail(self, seconds: float) -> None:
+        """Let time pass: the boat moves with the last commands, its sensors send, and due timers are called."""
+        for _ in range(round(seconds / DT)):
+            last = [self.sent[f"/thrusters/{n}/command"][-1:] for n in ("left", "right")]
+            self.simulation.step([command[0][1] if command else 0.0 for command in last])
+            self.now += DT
+            x = self.state
+            angles = (x["psi"], 0.0, 0.0)
+            twist = np.array([x["u"], x["v"], 0.0, 0.0, 0.0, x["r"]])
+            types: dict[str, Any] = defaultdict(lambda: SimpleNamespace)
+            zero = (np.zeros((6, 6)),) * 2
+            position = np.array([x["x"], x["y"], 0.0])
+            self.odometry = next(pose_messages(self.now, position, angles, twist, zero, types)).message
+            if ODOMETRY not in self.silent:
+                self.heard[ODOMETRY](self.odometry)
+            if IMU not in self.silent:
+                self.heard[IMU](SimpleNamespace(angular_velocity=self.odometry.twist.twist.angular))
+            for timer in self.timers:
+                if self.now >= timer[1] - 1e-9:
+                    timer[1] += timer[0]
+                    timer[2]()
+
+    def commands(self, n: int) -> list[float]:
+        """Return the last n commands of every thruster."""
+        return [command for sent in self.sent.values() for _, command in sent[-n:]]
+
+    @property
+    def errors(self) -> list[str]:
+        return [text for kind, text in self.logged if kind == "error"]
+
+
+@pytest.fixture
+def ros(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Ros:
+    """Write the feedback as the page tells, and return ROS with the boat of the page."""
+    monkeypatch.chdir(folder)
+    run_python(blocks(PAGE, "python")[6], str(PAGE))
+    spec = importlib.util.spec_from_file_location("plant", folder / "plant.py")
+    assert spec is not None
+    assert spec.loader is not None
+    boat = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(boat)
+    made = Ros(boat)
+    made.start()
+    return made
+
+
+@pytest.fixture
+def node(ros: Ros, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Import the node; its clock is that of the simulated boat."""
+    for name, module in ros.modules().items():
+        monkeypatch.setitem(sys.modules, name, module)
+    spec = importlib.util.spec_from_file_location("ros2_node", NODE)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: ros.now, sleep=ros.sleep))
+    return module
+
+
+def run(node: Any, ros: Ros, scenario: Callable[[], None]) -> None:
+    """Run the program of the node; the scenario takes the place of `rclpy.spin`."""
+    ros.scenario = scenario
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        node.main()
+        assert signal.getsignal(signal.SIGTERM) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert not ros.up
+
+
+def test_the_node_reaches_its_set_point_and_turns_to_starboard(node: Any, ros: Ros) -> None:
+    def scenario() -> None:
+        ros.sail(40.0)
+        assert ros.state["u"] == pytest.approx(0.8, abs=0.01)
+        assert ros.state["psi"] == pytest.approx(0.0, abs=0.01)
+        north, east = ros.odometry.pose.pose.position.y, ros.odometry.pose.pose.position.x
+        assert north > 10.0
+        assert abs(east) < 0.1
+        ros.parameters["heading"] = 90.0
+        ros.sail(1.0)
+        assert ros.odometry.twist.twist.angular.z < -0.05  # REP-103: negative is clockwise from above
+        assert ros.sent["/thrusters/left/command"][-1][1] > ros.sent["/thrusters/right/command"][-1][1]
+        ros.sail(29.0)
+        assert math.degrees(ros.state["psi"]) == pytest.approx(90.0, abs=0.5)
+        assert ros.odometry.pose.pose.position.x > east + 10.0  # east
+        ros.parameters["heading"] = -60.0
+        ros.sail(1.0)
+        assert ros.odometry.twist.twist.angular.z > 0.05  # to port
+        ros.sail(29.0)
+        assert math.degrees(ros.state["psi"]) == pytest.approx(-60.0, abs=0.5)
+        assert ros.state["u"] == pytest.approx(0.8, abs=0.01)
+
+    run(node, ros, scenario)
+    assert max(map(abs, (c for sent in ros.sent.values() for _, c in sent))) <= 0.6
+    times = [t for t, _ in ros.sent["/thrusters/left/command"][:-3]]
+    assert np.diff(times) == pytest.approx(0.1)
+    # The guard of `seatrial mission follow` needs zero first.
+    assert all(c == 0.0 for sent in ros.sent.values() for t, c in sent if t < times[0] + 0.9)
+    assert ros.own_signals
+
+
+def test_the_law_is_that_of_the_state_feedback(node: Any, ros: Ros) -> None:
+    control = run_python(blocks(PAGE, "python")[6], str(PAGE))["control"]
+
+    def scenario() -> None:
+        ros.sail(5.0)
+        boat = {"u": 0.75, "v": -0.04, "r": 0.02, "psi": math.radians(-175.0)}
+        types: dict[str, Any] = defaultdict(lambda: SimpleNamespace)
+        twist = np.array([boat["u"], boat["v"], 0.0, 0.0, 0.0, boat["r"]])
+        pose = (np.zeros(3), (boat["psi"], 0.0, 0.0), twist, (np.zeros((6, 6)),) * 2)
+        odometry = next(pose_messages(ros.now, *pose, types)).message
+        ros.heard[ODOMETRY](odometry)
+        ros.heard[IMU](SimpleNamespace(angular_velocity=odometry.twist.twist.angular))
+        assert math.remainder(ros.node.x["psi"] - boat["psi"], 2.0 * math.pi) == pytest.approx(0.0, abs=1e-9)
+        ros.parameters.update(heading=178.0, limit=1.0, speed=0.7)
+        ros.node.wanted = 0.7
+        ros.node.update()
+        wanted = control(boat, psi=math.radians(178.0), u=0.7)
+        assert max(map(abs, wanted)) < 1.0
+        assert wanted[0] != pytest.approx(wanted[1], abs=0.1)
+        assert ros.commands(1) == pytest.approx(wanted)
+
+    run(node, ros, scenario)
+
+
+@pytest.mark.parametrize("topic", [ODOMETRY, IMU])
+def test_a_silent_sensor_stops_the_thrusters(topic: str, node: Any, ros: Ros) -> None:
+    def scenario() -> None:
+        ros.sail(10.0)
+        assert min(ros.commands(1)) > 0.1
+        assert not ros.errors
+        ros.silent.add(topic)
+        ros.sail(node.STALE - 0.1)
+        assert min(ros.commands(1)) > 0.1
+        ros.sail(0.3)
+        assert ros.commands(1) == [0.0, 0.0]
+        ros.sail(5.0)
+        assert ros.commands(40) == [0.0] * 80  # zero is repeated
+        assert ros.errors == [f"zero thrust: no valid message within 0.3 s on {topic}"]
+        ros.silent.clear()
+        ros.sail(node.ZEROS - 0.2)
+        assert ros.commands(5) == [0.0] * 10
+        ros.sail(20.0)
+        assert min(ros.commands(1)) > 0.1
+        ros.silent.add(topic)
+        ros.sail(5.0)
+        assert len(ros.errors) == 2  # once for each stop
+
+    run(node, ros, scenario)
+    assert len(ros.errors) == 2
+
+
+def test_without_messages_the_thrusters_never_turn(node: Any, ros: Ros) -> None:
+    ros.silent |= {ODOMETRY, IMU}
+    run(node, ros, lambda: ros.sail(5.0))
+    assert len(ros.sent["/thrusters/left/command"]) > 40
+    assert not any(ros.commands(0))
+    assert ros.logged == [("info", f"zero thrust until messages arrive on {ODOMETRY} and {IMU}")]
+
+
+@pytest.mark.parametrize("fault", ["nan", "no heading", "nan parameter"])
+def test_values_that_are_not_finite_stop_the_thrusters(fault: str, node: Any, ros: Ros) -> None:
+    """An odometry without a heading has a quaternion of zeros, which would be east."""
+
+    def scenario() -> None:
+        ros.sail(10.0)
+        if fault == "nan parameter":
+            ros.parameters["speed"] = math.nan
+        else:
+            good = ros.heard[ODOMETRY]
+
+            def broken(message: Any) -> None:
+                if fault == "nan":
+                    message.twist.twist.linear.x = math.nan
+                else:
+                    message.pose.pose.orientation = SimpleNamespace(x=0.0, y=0.0, z=0.0, w=0.0)
+                good(message)
+
+            ros.heard[ODOMETRY] = broken
+        ros.sail(1.0)
+        assert ros.commands(5) == [0.0] * 10
+        assert len(ros.errors) == 1
+
+    run(node, ros, scenario)
+
+
+@pytest.mark.parametrize("end", [KeyboardInterrupt, RuntimeError, None])
+def test_the_end_of_the_program_stops_the_thrusters(end: type[BaseException] | None, node: Any, ros: Ros) -> None:
+    def scenario() -> None:
+        ros.sail(10.0)
+        assert min(ros.commands(1)) > 0.1
+        if end:
+            raise end("spin")
+
+    if end is RuntimeError:
+        with pytest.raises(RuntimeError, match="spin"):
+            run(node, ros, scenario)
+        assert not ros.up
+    else:
+        run(node, ros, scenario)
+    assert ros.commands(3) == [0.0] * 6
+    (error,) = ros.errors
+    reason = "RuntimeError('spin')" if end is RuntimeError else "the node was ended"
+    assert error == f"zero thrust: {reason}"
+
+
+@pytest.mark.parametrize("place", ["subscription", "timer"])
+def test_an_exception_in_a_callback_stops_the_thrusters(place: str, node: Any, ros: Ros) -> None:
+    def scenario() -> None:
+        ros.sail(10.0)
+        assert min(ros.commands(1)) > 0.1
+        if place == "subscription":
+            ros.heard[ODOMETRY](SimpleNamespace(pose=None, twist=None))
+        else:
+            del ros.node.feedback["gain"]
+            ros.sail(1.0)
+
+    with pytest.raises(AttributeError if place == "subscription" else KeyError):
+        run(node, ros, scenario)
+    assert not ros.up
+    assert ros.commands(3) == [0.0] * 6
+    (error,) = ros.errors
+    assert error.startswith("zero thrust: ")
+
+
+def test_a_state_without_a_message_is_refused(node: Any, ros: Ros) -> None:
+    """A feedback of a model with commands needs the shaft speeds."""
+    feedback = json.loads(Path("feedback.json").read_text(encoding="utf-8"))
+    feedback["states"] = [*feedback["states"], "n_left"]
+    Path("feedback.json").write_text(json.dumps(feedback), encoding="utf-8")
+    with pytest.raises(ValueError, match=r"no message gives the states \['n_left'\]"):
+        run(node, ros, lambda: None)
+    assert not any(ros.sent.values())
