@@ -129,14 +129,35 @@ def _moved_from_zero(p: Parameter) -> Parameter:
     return p.at(min(p.step, p.bounds[1])) if p.free and p.value == 0.0 else p
 
 
+# Words for an effect that its title lacks, and words of the title in their place
+OTHER_WORDS = {
+    "deadzone": "dead band",
+    "deadband": "dead band",
+    "fouling": "thrust mismatch",
+    "fouled": "thrust mismatch",
+    "asymmetry": "thrust mismatch",
+    "slosh": "sloshing",
+    "rudder": "rudders",
+    "magnetometer": "compass",
+    "backlash": "dead band",
+    "gpslatency": "gnss latency",
+    "gpsdelay": "gnss latency",
+    "gnssdelay": "gnss latency",
+    "crossflow": "cross flow",
+    "windage": "wind",
+}
+
+
 def _meant(name: str, possible: Mapping[str, Effect]) -> str:
     """Return a question that suggests effects in place of an unknown name; the question is empty if none is similar.
 
-    A name is similar if it is a misspelling of the effect's name, or a part of its title.
+    A name is similar if it is a misspelling of the effect's name, a part of its title, or another word for it
+    (`OTHER_WORDS`).
     """
     near = closest_name(name, possible)
-    word = name.lower().replace("-", " ")
-    found = [near] if near else [n for n, e in possible.items() if word in e.title.lower()]
+    word = name.lower().replace("-", " ").replace("_", " ")
+    word = OTHER_WORDS.get(word.replace(" ", ""), word)
+    found = [near] if near else [n for n, e in possible.items() if word in e.title.lower().replace("-", " ")]
     questions = [f"{n} ({possible[n].title})" for n in found[:3]]
     return f"did you mean {' or '.join(questions)}? " if questions else ""
 
@@ -153,8 +174,8 @@ def _effect_form_for_model(model: Model, name: str) -> Effect:
     can = ", ".join(possible) or "none"
     if name not in known:
         meant = _meant(name, possible)
-        others = "docs/theory/effects.md lists all" if meant else f"model {model.name} can have {can}"
-        raise SeatrialError(f"--effect {name}: there is no such effect; {meant}{others}")
+        others = "" if meant else f"model {model.name} can have {', '.join(sorted(possible))}"
+        raise SeatrialError(f"--effect {name}: there is no such effect; {meant}{others}".rstrip())
     size = known[name].parameters[0].name  # all forms of an effect share their first parameter
     if size in model.values:
         raise SeatrialError(f"--effect {name}: model {model.name} has it already")

@@ -226,7 +226,7 @@ def likelihood_section(result: ComparisonResult) -> Section:
         "predicted one step ahead; above zero the model is better."
     )
     if held and all(held):
-        lead += " No model was fitted to these logs, so that it is cross-validated and needs no correction."
+        lead += " No model was fitted to these logs, so that it needs no correction for the number of parameters."
     return Section("likelihood", "Log score and criteria", [Table(columns, rows), *map(Prose, reasons)], lead)
 
 

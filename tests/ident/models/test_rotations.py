@@ -160,7 +160,17 @@ def test_choice_between_two_antennas_is_reported() -> None:
         (
             "horizontal:shaft",
             "winds",
-            "--effect winds: there is no such effect; did you mean wind (steady wind)? docs/theory/effects.md lists",
+            "--effect winds: there is no such effect; did you mean wind (steady wind)?",
+        ),
+        (
+            "horizontal:shaft",
+            "Dead-Zone",
+            "--effect Dead-Zone: there is no such effect; did you mean dead-band (a dead band of the thrusters)?",
+        ),
+        (
+            "horizontal:shaft",
+            "fouling",
+            "--effect fouling: there is no such effect; did you mean mismatch (a thrust mismatch of the left and right",
         ),
         ("surge", "mount", "--effect mount: model surge has no place for this effect; it can have none"),
         (
