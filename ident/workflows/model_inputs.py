@@ -288,10 +288,15 @@ def thrust_from(model: Model, loaded: Sequence[LoadedLog]) -> str:
             if any(_has_renamed_commands(x) for x in loaded)
             else ""
         )
+        reason = (
+            ""
+            if all(x.propulsion is PropulsionInput.MEASURED for x in loaded)
+            else ", as usual for logs without timely shaft speeds (--model horizontal:shaft takes the signals as shaft "
+            "speeds)"
+        )
         return (
-            "thrust from the commands: the shafts are states with a dead zone, a delay and a time constant, as usual "
-            "for logs without timely shaft speeds (--model horizontal:shaft takes the signals as shaft speeds)"
-            f"{renamed}"
+            "thrust from the commands: the shafts are states with a dead zone, a delay and a time constant"
+            f"{reason}{renamed}"
         )
     relayed = any(x.propulsion is PropulsionInput.TELEMETRY for x in loaded)
     if relayed and any(e.name == TELEMETRY_AGE for e in model.effects):
