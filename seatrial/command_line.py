@@ -89,7 +89,9 @@ ATTACHED = {"mission": {"design": "seatrial.ident.cli.commands:design"}}
 # Commands that are groups. Only the hint about an unknown command imports them all.
 GROUPS = ("bench", "mission", "import", "ident", "mock")
 # Words that users try in place of a command.
-SYNONYMS = {"fit": "ident vehicle", "identify": "ident vehicle", "diagnosis": "ident diagnose", "record": "log"}
+SYNONYMS = {
+    "fit": "ident vehicle", "identify": "ident vehicle", "diagnosis": "ident diagnose", "record": "log", "plot": "view",
+}  # fmt: skip
 
 
 class LazyGroup(click.Group):

@@ -137,6 +137,7 @@ def test_wrong_usage_is_2(run, args) -> None:
         (("infoo",), "seatrial: No such command 'infoo'. Did you mean 'info'? `seatrial --help` shows how"),
         (("imp",), "seatrial: No such command 'imp'. Did you mean 'import'? `seatrial --help` shows how"),
         (("fit",), "seatrial: No such command 'fit'. Did you mean 'seatrial ident vehicle'? `seatrial --help` shows"),
+        (("plot", "x.mcap"), "seatrial: No such command 'plot'. Did you mean 'seatrial view'?"),
         (("vehicle", "x.mcap"), "seatrial: No such command 'vehicle'. Did you mean 'seatrial ident vehicle'?"),
         (("compare",), "seatrial: No such command 'compare'. Did you mean 'seatrial ident compare'?"),
         (("diagnos",), "seatrial: No such command 'diagnos'. Did you mean 'seatrial ident diagnose'?"),

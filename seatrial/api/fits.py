@@ -47,6 +47,23 @@ LISTS = ("effects", "profiles", "homogeneity")  # options with a list of names, 
 # Options with values of parameters by name, with an example of each for the messages
 PARAMETER_VALUES = {"fixed": '{"c1": 6.85}', "initial": '{"m_u": 30.0}', "priors": '{"c1": (6.85, 0.3)}'}
 
+# Attributes of results in other libraries (statsmodels, scipy), and those with the same meaning here
+OTHER_NAMES = {
+    "bse": "standard_errors",
+    "stderr": "standard_errors",
+    "conf_int": "to_pandas",
+    "pvalues": "to_pandas",
+    "tvalues": "to_pandas",
+    "llf": "log_likelihood",
+    "loglik": "log_likelihood",
+    "loglike": "log_likelihood",
+    "cov_params": "cov",
+    "resid": "residuals",
+    "fittedvalues": "predict",
+    "forecast": "predict",
+    "x": "params",
+}
+
 
 class FitOptions(TypedDict, total=False):
     """Options of `fit`. All are optional; the defaults are those of ``seatrial ident vehicle``.
@@ -250,6 +267,13 @@ class FittedResult(FitReport):
 
     fitted: FittedModel
 
+    def __getattr__(self, name: str) -> Any:
+        """Raise AttributeError. The message has the attribute with this meaning, or with the most similar name."""
+        known = [n for n in dir(type(self)) if not n.startswith("_")]
+        near = OTHER_NAMES.get(name) or closest_name(name, known)
+        hint = f"; did you mean {near!r}?" if near and not name.startswith("_") else ""
+        raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}{hint}", name=name, obj=None)
+
     @property
     def cov(self) -> NDArray[np.float64]:
         """Covariance of the estimates (n, n), in the order of `free` and in the parameters' own units.
@@ -273,6 +297,14 @@ class FittedResult(FitReport):
         With restricted likelihood (``reml``), it is that of the fit before the noise is estimated again.
         """
         return self.fitted.fit.log_likelihood
+
+    @property
+    def aic(self) -> float:
+        """Akaike information criterion of the fit; among models of the same data the smaller value is better.
+
+        It is two times the number of estimates, minus two times `log_likelihood`.
+        """
+        return float(2.0 * len(self.free) - 2.0 * self.log_likelihood)
 
     @property
     def bic(self) -> float:

@@ -444,6 +444,12 @@ def test_an_unknown_name_gives_the_similar_one(logs: list[Path], fit: st.FittedV
         AttributeError, match="module 'seatrial' has no attribute 'linearize'; did you mean 'linearise'"
     ):
         st.linearize  # noqa: B018
+    for name, meant in (("bse", "standard_errors"), ("llf", "log_likelihood"), ("residual", "residuals")):
+        with pytest.raises(
+            AttributeError, match=rf"'FittedVehicle' object has no attribute '{name}'; did you mean '{meant}'"
+        ):
+            getattr(fit, name)
+    assert not hasattr(fit, "_private")
     assert fit.params.get("mu") is None
     assert dict(fit.params) == {**fit.params}
 
@@ -811,6 +817,7 @@ def test_nested_fits_to_the_same_log_have_information_criteria(logs: list[Path])
     assert row.criteria.gain == pytest.approx(gain, abs=0.5)
     assert row.criteria.parameters == 1
     assert row.criteria.aic == pytest.approx(2 - 2 * row.criteria.gain)
+    assert with_effect.aic - plain.aic == pytest.approx(2 - 2 * gain)
     assert row.criteria.bic < row.criteria.aic + 10.0
     assert row.criteria.p is not None
     assert row.criteria.p < 1e-6
