@@ -494,6 +494,12 @@ def changes(
     help="Largest number of effects to add.",
 )
 @click.option(
+    "--exclude",
+    multiple=True,
+    metavar="EFFECT",
+    help="Leave an effect out of the search (wind, yaw-bias, ...); may be repeated.",
+)
+@click.option(
     "--thruster",
     metavar="CURVE|NAME",
     help="The static curve (model.toml) that the boat's MODEL was fitted with; if MODEL is a thruster's and the logs "

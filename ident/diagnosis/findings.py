@@ -464,6 +464,8 @@ class Diagnosis:
         no such failure.
     untestable
         User-defined candidates and candidates at a fixed point that could not have a score test.
+    excluded
+        Candidates that the user left out of the search.
     scores
         Scores of all candidates on the last model that was tested, the largest criterion first.
     untried_scores
@@ -490,6 +492,7 @@ class Diagnosis:
     short_data: ShortData | None = None
     curve_failure: str | None = None
     untestable: tuple[UntestedCandidate, ...] = ()
+    excluded: tuple[Effect, ...] = ()
     scores: tuple[Score, ...] = ()
     untried_scores: tuple[Score, ...] = ()
     policy: SearchPolicy = DEFAULT_POLICY

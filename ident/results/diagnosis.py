@@ -143,6 +143,7 @@ def diagnosis_result(
         cross_validated=diagnosis.cross_validated,
         validated_in_blocks=bool(evaluation.in_blocks),
         mismatches=tuple(_mismatch_row(m) for m in reported_mismatches(diagnosis)),
+        excluded_effects=tuple(e.name for e in diagnosis.excluded),
         removed_effects=tuple(
             parts.RemovedEffectRow(
                 name=r.effect.name,
@@ -198,8 +199,9 @@ def diagnosis_answer(
 ) -> str:
     """Return the answer of a diagnosis: the missing effects, and the change of the prediction errors by them.
 
-    If no effect was added although the model predicts a channel badly, a sentence says so. A last sentence follows if
-    the diagnosis was validated by blocked cross-validation instead of separate runs.
+    If no effect was added although the model predicts a channel badly, a sentence says so. Another sentence follows if
+    the diagnosis was validated by blocked cross-validation instead of separate runs. The last sentence names the
+    effects that the user left out of the search.
 
     Parameters
     ----------
@@ -228,6 +230,12 @@ def diagnosis_answer(
         sentences.append(
             "Without --validate, the model is validated by blocked cross-validation: each block of time of the "
             "estimation data is predicted by a fit to the other blocks."
+        )
+    if diagnosis.excluded:
+        effect = "this effect" if len(diagnosis.excluded) == 1 else "one of these effects"
+        sentences.append(
+            f"Left out of the search (--exclude): {_joined_titles([e.title for e in diagnosis.excluded])}. If the data "
+            f"contain {effect}, other effects or the disturbance forces stand for it."
         )
     return " ".join(sentences)
 

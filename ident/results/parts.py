@@ -1247,6 +1247,9 @@ class DiagnosisResult(FitResult, frozen=True, kw_only=True, tag_field="kind", ta
         Meta(description="validation runs whose errors are larger than the model predicts"),
     ] = ()
     rounds: Annotated[tuple[RoundRow, ...], Meta(description="rounds of the search, in their order")]
+    excluded_effects: Annotated[
+        tuple[str, ...], Meta(description="names of the effects that --exclude left out of the search")
+    ] = ()
     removed_effects: Annotated[
         tuple[RemovedEffectRow, ...], Meta(description="effects that were added and removed again")
     ] = ()

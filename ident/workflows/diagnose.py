@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
+from seatrial.daq.errors import SeatrialError, closest_name
 from seatrial.ident.checks import device_faults
 from seatrial.ident.data import WHOLE, TimeWindows, load_all
 from seatrial.ident.diagnosis import Diagnosis, diagnose, evaluate_diagnosis
 from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import EstimationOptions, RefittedEffect, load_model
-from seatrial.ident.model import EffectKind, ModelKind
+from seatrial.ident.model import Effect, EffectKind, Model, ModelKind
 from seatrial.ident.model import with_outlier_model as with_outliers
 from seatrial.ident.models import effects_for
 from seatrial.ident.reporter import Reporter
@@ -49,6 +50,8 @@ class DiagnosisRequest:
         of the plain likelihood of a first-order filter.
     max_effects
         Largest number of effects to add.
+    exclude
+        Names of effects of the catalogue, or of ``effects_file``, that the search leaves out.
     effects_file
         Python file of user-defined effects, which the search tests too; None: no such effects.
     thruster
@@ -72,6 +75,7 @@ class DiagnosisRequest:
     out: Path
     estimation: EstimationOptions = field(default_factory=EstimationOptions)
     max_effects: int = 3
+    exclude: Sequence[str] = ()
     effects_file: Path | None = None
     thruster: str | None = None
     rate: float | None = None
@@ -177,8 +181,9 @@ def diagnose_model(request: DiagnosisRequest, command: str, reporter: Reporter) 
     Raises
     ------
     SeatrialError
-        If model or logs cannot be used, if no validation log (without any: no log) is longer than a given horizon, or
-        if the logs have faults that make a fit meaningless (unless ``despite_faults``).
+        If model or logs cannot be used, if no validation log (without any: no log) is longer than a given horizon, if
+        there is no effect of an excluded name or the model contains it, or if the logs have faults that make a fit
+        meaningless (unless ``despite_faults``).
     """
     loaded, validation_logs = load_all(request.logs, request.validation, request.window, device_faults)
     horizon, effects_file = request.estimation.horizon, request.effects_file
@@ -200,16 +205,18 @@ def diagnose_model(request: DiagnosisRequest, command: str, reporter: Reporter) 
     for line in lines:
         reporter.warning(line)
     model, floors = with_noise_floors(model, loaded)
-    user_effects = effects_for(model, effects_file) if effects_file else {}
+    candidates = {**catalogue(), **(effects_for(model, effects_file) if effects_file else {})}
+    excluded = excluded_effects(request.exclude, candidates, model)
     found = diagnose(
         with_outliers(model) if request.estimation.outlier_model else model,
         runs,
         validation_runs,
-        effects={**catalogue(), **user_effects},
+        effects={n: e for n, e in candidates.items() if n not in excluded},
         rate=request.rate or usual_rate,
         max_effects=request.max_effects,
         reporter=reporter,
     )
+    found = replace(found, excluded=tuple(excluded.values()))
     result = diagnosis_result(
         found,
         evaluate_diagnosis(found, horizon),
@@ -221,3 +228,34 @@ def diagnose_model(request: DiagnosisRequest, command: str, reporter: Reporter) 
         dynamics=dynamics_of(found.after),
     )
     return DiagnosedModel(found, result, effects_file or saved.effects_file)
+
+
+def excluded_effects(names: Sequence[str], candidates: Mapping[str, Effect], model: Model) -> dict[str, Effect]:
+    """Return the candidates that a search leaves out, by name, each once.
+
+    Parameters
+    ----------
+    names
+        Names of `--exclude`.
+    candidates
+        All candidates by name.
+    model
+        The model to diagnose.
+
+    Raises
+    ------
+    SeatrialError
+        If there is no candidate of a name, or if the model contains the effect.
+    """
+    contained = {e.name for e in model.effects}
+    for name in names:
+        if name in contained:
+            raise SeatrialError(
+                f"--exclude {name}: the model to diagnose contains this effect, and a diagnosis removes none; fit a "
+                "model without it, and diagnose that"
+            )
+        if name not in candidates:
+            near = closest_name(str(name), candidates)
+            hint = f"did you mean {near!r}?" if near else f"the effects are {', '.join(candidates)}"
+            raise SeatrialError(f"--exclude {name}: there is no effect of this name; {hint}")
+    return {name: candidates[name] for name in names}

@@ -43,7 +43,12 @@ Role = Literal["estimation", "validation"]
 
 
 ARGUMENTS = ("validate", "model", "logs")  # arguments that are no options, for the hint about an unknown option
-LISTS = ("effects", "profiles", "homogeneity")  # options with a list of names, for which one name may be given
+LISTS = (
+    "effects",
+    "exclude",
+    "profiles",
+    "homogeneity",
+)  # options with a list of names, for which one name may be given
 # Options with values of parameters by name, with an example of each for the messages
 PARAMETER_VALUES = {"fixed": '{"c1": 6.85}', "initial": '{"m_u": 30.0}', "priors": '{"c1": (6.85, 0.3)}'}
 
@@ -128,6 +133,8 @@ class DiagnosisOptions(TypedDict, total=False):
     ----------
     max_effects : int
         Largest number of effects to add to the model.
+    exclude : sequence of str
+        Names of effects that the search leaves out, such as ``["wind"]``.
     effects_file : path
         Python file with user-defined effects, which are tested too.
     thruster : str
@@ -148,6 +155,7 @@ class DiagnosisOptions(TypedDict, total=False):
     """
 
     max_effects: int
+    exclude: Sequence[str]
     effects_file: PathLike
     thruster: str
     mass: float
@@ -686,8 +694,8 @@ def diagnose(
         Other logs that validate each effect. They are used whole, so a `Log` with a window is an error. Without them,
         blocks of ``logs`` are cross-validated.
     **options
-        `DiagnosisOptions`: max_effects, effects_file, thruster, mass, outlier_model, horizon, rate, despite_faults,
-        progress.
+        `DiagnosisOptions`: max_effects, exclude, effects_file, thruster, mass, outlier_model, horizon, rate,
+        despite_faults, progress.
 
     Returns
     -------
@@ -815,8 +823,8 @@ def _paths_or_none(logs: Logs) -> list[Path]:
 def known_options(given: Mapping[str, Any], options: type) -> dict[str, Any]:
     """Return the options as a new dict, after a check of their names. A list of names may be given as one name.
 
-    One name of effects, profiles or homogeneity becomes a list of one. The other values are not changed. Numbers and
-    paths are checked as `check_values` does.
+    One name of effects, exclude, profiles or homogeneity becomes a list of one. The other values are not changed.
+    Numbers and paths are checked as `check_values` does.
 
     Parameters
     ----------

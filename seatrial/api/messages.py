@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 # Arguments of the functions of `seatrial` by the command-line option. An option without an entry stays as it is.
 ARGUMENTS = {
     "--fix": "fixed", "--prior": "priors", "--initial": "initial", "--effect": "effects", "--effects": "effects_file",
-    "--validate": "validate", "--max-effects": "max_effects", "--model": "model", "--horizon": "horizon",
+    "--validate": "validate", "--max-effects": "max_effects", "--exclude": "exclude",
+    "--model": "model", "--horizon": "horizon",
     "--thruster": "thruster", "--robust": "outlier_model", "--profile": "profiles", "--settle": "settle",
     "--force": "force=True", "--despite-faults": "despite_faults=True", "--no-reml": "reml=False",
     "--second-order": "mean_order=2", "--no-second-order": "mean_order=1", "--no-score-tests": "score_tests=False",

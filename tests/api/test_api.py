@@ -756,6 +756,51 @@ def test_diagnosis_names_the_effect(logs: list[Path], found: st.FittedDiagnosis,
     assert again.params["eps_LR"] == pytest.approx(found.params["eps_LR"], rel=1e-6)
 
 
+def test_an_excluded_effect_is_not_found(
+    logs: list[Path], fit: st.FittedVehicle, found: st.FittedDiagnosis, tmp_path: Path
+) -> None:
+    """The boat has a mismatch, which the search finds if it is not excluded."""
+    assert "mismatch" in found.effects
+    assert found.result.excluded_effects == ()
+    assert "Left out" not in found.answer
+    without = st.diagnose(fit, logs[0], validate=logs[1], max_effects=1, exclude="mismatch")
+    assert "mismatch" not in without.effects
+    names = {c.name for r in without.result.rounds for c in r.candidates}
+    assert "yaw-bias" in names
+    assert "mismatch" not in names | {c.name for c in without.result.remaining_candidates}
+    assert "mismatch" not in {d.name for d in without.result.detectable}
+    assert (
+        "Left out of the search (exclude): a thrust mismatch of the left and right thrusters. If the data contain this "
+        "effect, other effects or the disturbance forces stand for it." in without.answer
+    )
+    folder = without.save(tmp_path / "without")
+    assert st.load(folder).result.excluded_effects == ("mismatch",)
+    assert "Left out of the search (--exclude)" in (folder / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_model_is_fitted_again_without_one_effect(logs: list[Path], fit: st.FittedVehicle) -> None:
+    """The page on the own boat tells to fit the other effects."""
+    both = st.fit(logs[0], effects=["mismatch", "lever-arm"], score_tests=False, **THRUST)
+    one = st.fit(logs[0], effects=["lever-arm"], score_tests=False, **THRUST)
+    assert set(both.params) - set(one.params) == {"eps_LR"}
+    assert set(one.params) > set(fit.params)
+    with pytest.raises(
+        SeatrialError, match=r"^exclude lever-arm: the model to diagnose contains this effect, and a diagnosis removes "
+    ):
+        st.diagnose(one, logs[0], exclude=["wind", "lever-arm"])
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [("mismach", "did you mean 'mismatch'"), ("qqqqqqqq", "the effects are accelerometer-scale, ")],
+)
+def test_an_unknown_excluded_effect_is_refused(
+    name: str, message: str, logs: list[Path], fit: st.FittedVehicle
+) -> None:
+    with pytest.raises(SeatrialError, match=f"^exclude {name}: there is no effect of this name; {message}"):
+        st.diagnose(fit, logs[0], exclude=name)
+
+
 def test_comparison_prefers_the_model_with_the_effect(
     logs: list[Path],
     fit: st.FittedVehicle,
