@@ -386,8 +386,8 @@ def _likelihood_sentences(m: ComparedModel) -> list[str]:
     low, high = m.score.low, m.score.high
     verdict = verdict_words(m.score)
     words = f"({verdict})" if low is None or high is None else f"(95 %: {signed(low)} to {signed(high)}): {verdict}"
-    kind = "log score on unused logs" if m.score.held_out else "log score"
-    found = [f"The {kind} is {signed(m.score.gain)} {words}."]
+    begin = "On unused logs the" if m.score.held_out else "The"
+    found = [f"{begin} log score is {signed(m.score.gain)} {words}."]
     if m.criteria is None:
         # The score of logs that no model was fitted to needs no correction, so the criteria are not missed.
         return found if m.score.held_out else [*found, f"No AIC, BIC or likelihood ratio: {m.no_criteria}."]

@@ -97,13 +97,16 @@ def flood(address: str) -> Iterator[list[int]]:
 
 
 def server_of(runner: int) -> int:
-    """Return the process id of the server of the page, a child of a command."""
-    for folder in Path("/proc").iterdir():
-        with contextlib.suppress(OSError, ValueError):
-            words = (folder / "cmdline").read_bytes().split(b"\0")
-            parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
-            if parent == runner and b"seatrial.daq.view.live_process" in words:
-                return int(folder.name)
+    """Return the process id of the server of the page, a child of a command, as soon as there is one."""
+    end = time.monotonic() + 5.0
+    while time.monotonic() < end:
+        for folder in Path("/proc").iterdir():
+            with contextlib.suppress(OSError, ValueError):
+                words = (folder / "cmdline").read_bytes().split(b"\0")
+                parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
+                if parent == runner and b"seatrial.daq.view.live_process" in words:
+                    return int(folder.name)
+        time.sleep(0.05)
     raise AssertionError("no server of the page")
 
 

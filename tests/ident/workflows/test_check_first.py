@@ -33,3 +33,19 @@ def test_stuck_telemetry_of_a_shaft_refuses_only_models_with_shaft_speeds(tmp_pa
     stuck = [f for f in checked.about["findings"] if f["code"] == "shaft-speed-stuck"]
     assert stuck
     assert not any(f["spoils"] for f in stuck)
+
+
+def test_slower_shafts_are_named_only_for_models_of_commands(tmp_path: Path) -> None:
+    logs = []
+    for run, factor in ((1, 1.0), (2, 0.88)):
+        recording, _ = sail(boat_with(None, 3), 300.0, 100 + run, run, "steps")
+        readings = [
+            r._replace(sample=replace(r.sample, rpm=factor * r.sample.rpm)) if isinstance(r.sample, Esc) else r
+            for r in recording.readings
+        ]
+        path = write_log(tmp_path / f"run{run}.mcap", "boat", readings)
+        logs.append(load_run(path, "estimation", device_faults=device_faults))
+    for source, named in (("command", True), ("shaft", False)):
+        checked, _ = check_first(logs, [], horizontal_model(source), False)
+        codes = [f["code"] for log in checked for f in log.about["findings"]]
+        assert ("shaft-speed-differs" in codes) == named
