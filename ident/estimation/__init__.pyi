@@ -69,6 +69,7 @@ from .parameter_covariance import principal_directions as principal_directions
 from .parameter_covariance import uncertainty_of as uncertainty_of
 from .prior_knowledge import apply_rig_geometry as apply_rig_geometry
 from .prior_knowledge import fix_parameters as fix_parameters
+from .prior_knowledge import parameters_of_effects as parameters_of_effects
 from .prior_knowledge import set_initial_values as set_initial_values
 from .prior_knowledge import set_priors as set_priors
 from .prior_knowledge import with_effects as with_effects

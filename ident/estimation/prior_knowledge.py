@@ -120,6 +120,21 @@ def with_effects(model: Model, names: Sequence[str]) -> Model:
     return model
 
 
+def parameters_of_effects(model: Model, names: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of the parameters of the effects ``names`` of the option ``--effect``, in the model with them.
+
+    The effect of a model may be another form of the effect of this name; both have the same first parameter.
+    """
+    known = _effects_by_name()
+    sizes = {known[name].parameters[0].name for name in names}
+    return tuple(p.name for e in model.effects if sizes & {q.name for q in e.parameters[:1]} for p in e.parameters)
+
+
+def _effects_by_name() -> dict[str, Effect]:
+    """Return the effects that ``--effect`` accepts, by name: those of the catalogue and two of special use."""
+    return {**catalogue(), CURRENT_WALK: current_walk(), TELEMETRY_AGE: telemetry_age()}
+
+
 def _moved_from_zero(p: Parameter) -> Parameter:
     """Return the parameter with its characteristic step as initial value, but at most its upper bound.
 
@@ -169,7 +184,7 @@ def _effect_form_for_model(model: Model, name: str) -> Effect:
     the first one in the catalogue is returned. SeatrialError is raised if there is
     no such effect, if the model has its first parameter already, or if the model accepts no form.
     """
-    known = {**catalogue(), CURRENT_WALK: current_walk(), TELEMETRY_AGE: telemetry_age()}
+    known = _effects_by_name()
     possible = {e.name: e for e in known.values() if model.accepts(e)}
     can = ", ".join(possible) or "none"
     if name not in known:

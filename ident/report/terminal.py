@@ -464,28 +464,38 @@ def _all_tables(result: Result) -> Sequence[Table | None]:
         return tables_of(result)
     diagnosis = result if isinstance(result, DiagnosisResult) else None
     return [
-        _parameters_table(result.fit, diagnosis.effects if diagnosis else ()),
+        _parameters_table(
+            result.fit,
+            diagnosis.effects if diagnosis else (),
+            result.effect_parameters if isinstance(result, VehicleResult) else (),
+        ),
         _profiles_table(result.profiles if isinstance(result, VehicleResult | ThrusterResult) else ()),
         _candidates_table(diagnosis) if diagnosis else None,
         _errors_table(result.errors, result.horizon_seconds),
     ]
 
 
-def _parameters_table(fit: FitSummary, added: Sequence[EffectRow]) -> Table | None:
+def _parameters_table(fit: FitSummary, added: Sequence[EffectRow], requested: Sequence[str]) -> Table | None:
     """Return the table of up to nine estimated parameters: those of the added effects first, then those of the model.
 
     Noise parameters (with the word noise in their meaning) and fixed parameters of the model are left out, and its per-
     record parameters come last. The result is None if no parameter is left. A flag that is a sentence stands below the
-    table. ``added`` has the effects that a diagnosis added; empty for other fits.
+    table. ``added`` has the effects that a diagnosis added; empty for other fits. ``requested`` has the names of the
+    parameters of effects that the user added, which come first too, even if they are more than nine.
     """
     effects = [row for effect in added for row in effect.parameters]
     effect_names = {row.name for row in effects}
-    fitted = [row for row in fit.parameters if row.free and row.name not in effect_names and "noise" not in row.meaning]
-    fitted.sort(key=lambda row: row.record is not None)  # per-record parameters last
+    fitted = [
+        row
+        for row in fit.parameters
+        if row.free and row.name not in effect_names and ("noise" not in row.meaning or row.name in requested)
+    ]
+    # Parameters of requested effects first, and per-record parameters last
+    fitted.sort(key=lambda row: (row.name not in requested, row.record is not None))
     found: list[EffectParameter | ParameterRow] = [*effects, *fitted]
     if not found:
         return None
-    shown = found[:MAX_PARAMETERS]
+    shown = found[: max(MAX_PARAMETERS, len({*requested} & {row.name for row in found}))]
     more = f" ({len(found) - len(shown)} more in the report)" if len(found) > len(shown) else ""
     table = titled_table(f"Parameters{more}")
     table.add_column("", no_wrap=True)
@@ -496,7 +506,7 @@ def _parameters_table(fit: FitSummary, added: Sequence[EffectRow]) -> Table | No
     for row in shown:
         factor, unit = formatting.degrees_for(row.unit)
         value, se = formatting.scaled(factor, row.value, row.se)
-        name = Text(row.name, style="bold green" if row.name in effect_names else "bold")
+        name = Text(row.name, style="bold green" if row.name in effect_names or row.name in requested else "bold")
         flag, record = (row.flag, row.record) if isinstance(row, ParameterRow) else (None, None)
         words = row.meaning + (f", {record}" if record else "")
         if flag and len(flag) > LONGEST_FLAG:

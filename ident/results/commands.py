@@ -96,6 +96,8 @@ class FitContext:
     uncertainty
         Shifts of the estimates by missing effects and by another scale of the forces, which the standard errors
         include; None if there are none.
+    effect_parameters
+        Names of the parameters of the effects that the user added to the model.
     """
 
     start: Mapping[str, float]
@@ -105,6 +107,7 @@ class FitContext:
     assessment: ModelAssessment | None = None
     dynamics: Dynamics | None = None
     uncertainty: ModelUncertainty | None = None
+    effect_parameters: Sequence[str] = ()
 
 
 def vehicle_result(
@@ -166,6 +169,9 @@ def vehicle_result(
         ),
         common_errors=common_errors_row(common, fitted, evaluation.headline_set),
         dynamics=posed.dynamics,
+        effect_parameters=tuple(
+            reported.scale.name(n, fitted.fit.model.parameter(n).unit) for n in posed.effect_parameters
+        ),
         fit=fit_summary(fitted.fit, posed.start),
         failed_runs=fitted.failed,
         horizon_seconds=evaluation.horizon,

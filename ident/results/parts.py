@@ -894,6 +894,9 @@ class VehicleResult(FitResult, frozen=True, kw_only=True, tag_field="kind", tag=
     dynamics: Annotated[
         Dynamics | None, Meta(description="null: the model has no speed or turn rate, or the fit did not converge")
     ] = None
+    effect_parameters: Annotated[
+        tuple[str, ...], Meta(description="with `--effect`: names of the parameters of these effects, as in `fit`")
+    ] = ()
 
 
 class SteadyBench(Part, frozen=True, kw_only=True):

@@ -20,7 +20,14 @@ from seatrial.ident.diagnosis import (
     untested_uncertainty,
     with_model_uncertainty,
 )
-from seatrial.ident.estimation import FIT_ERRORS, FittedModel, fit_nominal_model, homogeneity_test, profile
+from seatrial.ident.estimation import (
+    FIT_ERRORS,
+    FittedModel,
+    fit_nominal_model,
+    homogeneity_test,
+    parameters_of_effects,
+    profile,
+)
 from seatrial.ident.model import COMMAND, Model, ParameterOrigin, is_of_thruster, with_outlier_model
 from seatrial.ident.models import is_own_model
 from seatrial.ident.reporter import Reporter
@@ -153,6 +160,7 @@ def fit_vehicle(request: VehicleRequest, command: str, reporter: Reporter, with_
             tested,
             dynamics_of(fitted) if with_dynamics else None,
             uncertainty,
+            parameters_of_effects(problem.model, request.effects),
         ),
     )
     if (warning := _command_scale_warning(fitted.fit.model, loaded)) is not None:

@@ -93,7 +93,8 @@ def warning_texts(result: Result) -> list[str]:
 def summary(result: FitResult) -> str:
     """Return the result of a fit as text: its conclusion, a table of the estimates, fixed parameters and warnings.
 
-    Method and log-likelihood come first, then the `conclusion`, and of a diagnosis the
+    The parameters of effects that the user or a diagnosis added come first in the table. Above it are method and
+    log-likelihood, then the `conclusion`, and of a diagnosis the
     probabilities of the names. Flags, which name problems of single estimates, follow the table.
     """
     from seatrial.ident.results import name_probabilities
@@ -107,7 +108,8 @@ def summary(result: FitResult) -> str:
         *filter(None, [textwrap.fill(name_probabilities(getattr(result, "effects", ())), WIDTH)]),
         "",
     ]
-    rows = [statistics(row) for row in fit.parameters]
+    first = effect_parameters(result)
+    rows = sorted((statistics(row) for row in fit.parameters), key=lambda row: row.name.split("@")[0] not in first)
     table = [COLUMNS, *(_cells(row) for row in rows if row.free)]
     widths = [max(len(cells[k]) for cells in table) for k in range(len(COLUMNS))]
     rule = "-" * (sum(widths) + 2 * (len(widths) - 1))
@@ -128,6 +130,12 @@ def summary(result: FitResult) -> str:
         ["", *(textwrap.fill(f"warning: {text}", WIDTH) for text in warning_texts(result))] if result.warnings else []
     )
     return "\n".join(lines)
+
+
+def effect_parameters(result: FitResult) -> set[str]:
+    """Return the names of the parameters of the effects that the user added to a fit, or that a diagnosis added."""
+    added = {row.name for effect in getattr(result, "effects", ()) for row in effect.parameters}
+    return added | set(getattr(result, "effect_parameters", ()))
 
 
 def content(result: FitResult) -> Content:

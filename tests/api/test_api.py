@@ -856,6 +856,9 @@ def test_comparison_prefers_the_model_with_the_effect(
 def test_nested_fits_to_the_same_log_have_information_criteria(logs: list[Path]) -> None:
     plain = st.fit(logs[0], score_tests=False, reml=False, mean_order=1, **THRUST)
     with_effect = st.fit(logs[0], score_tests=False, reml=False, mean_order=1, effects=["mismatch"], **THRUST)
+    assert (plain.result.effect_parameters, with_effect.result.effect_parameters) == ((), ("eps_LR",))
+    names = [line.split()[0] for line in with_effect.summary().splitlines() if "estimated" in line.split()]
+    assert names[0] == "eps_LR"
     (_, row) = st.compare([plain, with_effect], logs[0]).result.models
     assert row.criteria is not None
     gain = with_effect.log_likelihood - plain.log_likelihood

@@ -19,6 +19,7 @@ from rich.console import Console
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.sections.answer import effect_card
 from seatrial.ident.report.terminal import print_result
+from seatrial.ident.results import VehicleResult
 from tests.ident.pages import HOSTILE, KINDS, Page, loaded, numbers, printed, shortened, written
 
 MEGABYTE = 1_000_000
@@ -385,6 +386,18 @@ def test_page_and_terminal_count_the_same_parameters_as_not_shown(tmp_path: Path
     (terminal,) = re.findall(r"Parameters \((\d+) more in the report\)", printed(more))
     (page,) = re.findall(r"(\d+) more below", Page(written(more, tmp_path)).words)
     assert page == terminal
+
+
+def test_parameters_of_a_requested_effect_come_first() -> None:
+    bench = copy.deepcopy(KINDS["thruster"]())
+    result = {name: bench[name] for name in bench if name in VehicleResult.__struct_fields__} | {"kind": "vehicle"}
+    row = next(r for r in result["fit"]["parameters"] if r["free"])
+    requested = row | {"name": "eps_LR", "meaning": "relative difference", "unit": ""}
+    result["fit"]["parameters"] += [*(row | {"name": f"k{i}"} for i in range(12)), requested]
+    assert "eps_LR" not in printed(result)
+    result["effect_parameters"] = ["eps_LR"]
+    lines = printed(result).split("Parameters")[1].splitlines()
+    assert lines[3].split()[0] == "eps_LR"
 
 
 def test_removed_effect_is_not_shown_as_added(small: dict[str, Any], tmp_path: Path) -> None:
