@@ -16,7 +16,7 @@ from seatrial.ident import validation
 from seatrial.ident.data import LoadedLog, Record
 from seatrial.ident.diagnosis import CommonErrorsFit, ModelUncertainty
 from seatrial.ident.estimation import Fit, FittedModel, HomogeneityTest, Profile, ReportedEstimates, run_differences
-from seatrial.ident.model import Effect, EffectKind, Model, ModelKind, segment_name
+from seatrial.ident.model import Effect, EffectKind, Model, ModelKind, Parameter, ParameterOrigin, segment_name
 from seatrial.ident.models import force_power
 from seatrial.ident.results.parts import (
     CalibrationRow,
@@ -130,7 +130,10 @@ def fit_summary(fit: Fit, start: Mapping[str, float], calibration: float | None 
                     origin=str(p.provenance),
                     prior_share=share,
                     start=finite(start[p.name] * reported.factor(p.unit)) if p.name in start else None,
-                    flag=flags.get(name),
+                    flag="; ".join(
+                        filter(None, [flags.get(name), _wider_than_prior(p, fit.estimate(p.name, i), reported)])
+                    )
+                    or None,
                     record=fit.records[i] if p.per_record and p.free and len(names) > 1 else None,
                 )
             )
@@ -157,6 +160,26 @@ def fit_summary(fit: Fit, start: Mapping[str, float], calibration: float | None 
             names=tuple(segment_name(scale.name(p.name, p.unit), p.segment) for p in fit.parameters),
             matrix=reported.correlation,
         ),
+    )
+
+
+def _wider_than_prior(p: Parameter, estimate: tuple[float, float], reported: ReportedEstimates) -> str:
+    """Return a sentence if the standard error of a parameter exceeds that of the prior that was given for this boat.
+
+    The text is empty for a parameter without such a prior, and without a standard error. An excess of less than one per
+    cent does not count. ``estimate`` is the value and its standard error in the unit of the parameter.
+    """
+    value, error = estimate
+    if not p.free or p.provenance is ParameterOrigin.ESTIMATED or (prior := p.free_prior()) is None:
+        return ""
+    of_prior = prior[1] * p.slope(value)
+    if not error > LEAST_EXCESS * of_prior:
+        return ""
+    factor, unit = reported.factor(p.unit), reported.scale.unit(p.unit)
+    shown = " ".join(filter(None, [f"{factor * error:.3g} > {factor * of_prior:.3g}", unit]))
+    return (
+        f"the standard error is larger than that of the prior ({shown}), because it also contains what the model does "
+        "not explain: correlated residuals, sensor errors and effects that may be missing"
     )
 
 
@@ -702,6 +725,7 @@ def common_errors_notes(found: CommonErrorsFit | None, beside: str) -> list[str]
 
 
 LEAST_GROWTH = 1.05  # smallest factor of a standard error that a note lists
+LEAST_EXCESS = 1.01  # standard error over that of the prior, from which it counts as larger
 LEAST_DIFFERENCE = 0.05  # smallest relative deviation of the thrust of each side for a warning
 
 

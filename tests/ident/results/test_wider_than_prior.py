@@ -1,0 +1,76 @@
+"""Tests of the sentence on a standard error that is larger than that of the prior."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import seatrial as st
+from seatrial.daq.errors import SeatrialWarning
+from seatrial.ident.estimation.maximum_likelihood import Fit
+from seatrial.ident.results.parts import FitSummary, ParameterRow
+from seatrial.ident.results.tables import fit_summary
+from tests.missions import boat_log, boat_with
+
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+LARGER = "the standard error is larger than that of the prior"
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory: pytest.TempPathFactory) -> st.FittedVehicle:
+    log = boat_log(tmp_path_factory.mktemp("prior") / "run.mcap", boat_with(None, 5), 60.0, 101, 1)
+    with pytest.warns(SeatrialWarning):
+        return st.fit(log, priors={"c1": (40.0, 2.0)}, fixed={"c2": 1.1}, score_tests=False)
+
+
+def with_error(fit: Fit, name: str, factor: float) -> Fit:
+    """Return the fit with another standard error of a parameter: that of its prior times a factor."""
+    errors, k = fit.errors.copy(), fit.names.index(name)
+    prior = fit.parameters[k].prior
+    assert prior is not None
+    errors[k] = factor * prior[1]
+    return replace(fit, errors=errors)
+
+
+def row_of(summary: FitSummary, name: str) -> ParameterRow:
+    (row,) = (row for row in summary.parameters if row.name == name)
+    return row
+
+
+def test_a_larger_error_is_explained_and_a_smaller_one_is_not(fitted: st.FittedVehicle) -> None:
+    fit = fitted.fitted.fit
+    for factor in (0.5, 1.0, np.nan):
+        summary = fit_summary(with_error(fit, "c1", factor), {})
+        assert LARGER not in (row_of(summary, "c1").flag or "")
+    summary = fit_summary(with_error(fit, "c1", 1.2), {})
+    flag = row_of(summary, "c1").flag or ""
+    assert f"{LARGER} (2.4 > 2 N), because it also contains what the model does not explain: " in flag
+    assert flag.startswith(row_of(fit_summary(fit, {}), "c1").flag or LARGER)  # another remark comes first
+    assert [row.name for row in summary.parameters if LARGER in (row.flag or "")] == ["c1"]
+
+
+def test_a_built_in_prior_does_not_count(fitted: st.FittedVehicle) -> None:
+    """Built-in priors do not describe this boat."""
+    fit = fitted.fitted.fit
+    built_in = [p.full_name for p in fit.parameters if p.prior is not None and p.origin not in ("prior", "measured")]
+    assert built_in
+    for name in built_in:
+        summary = fit_summary(with_error(fit, name, 3.0), {})
+        assert not any(LARGER in (row.flag or "") for row in summary.parameters)
+
+
+def test_summary_and_report_contain_the_sentence(fitted: st.FittedVehicle, tmp_path: Path) -> None:
+    wide = replace(fitted.fitted, fit=with_error(fitted.fitted.fit, "c1", 1.2))
+    result = fitted.result
+    changed = st.FittedVehicle(type(result)(**{**_fields(result), "fit": fit_summary(wide.fit, {})}), wide)
+    assert LARGER in " ".join(changed.summary().split())
+    assert LARGER not in " ".join(fitted.summary().split())
+    changed.save(tmp_path / "wide")
+    assert LARGER in (tmp_path / "wide/report.html").read_text(encoding="utf-8")
+
+
+def _fields(result: object) -> dict[str, object]:
+    return {name: getattr(result, name) for name in type(result).__struct_fields__}  # type: ignore[attr-defined]
