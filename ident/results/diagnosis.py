@@ -133,6 +133,7 @@ def diagnosis_result(
         notes=(
             *notes,
             *_notes(diagnosis),
+            *alternative_notes(rounds, effects),
             *refit_error_notes(rounds, effects),
             *_blocks_note(evaluation),
             *outlier_lines(after.residuals, after.model),
@@ -756,6 +757,30 @@ def _remaining_names(diagnosis: Diagnosis) -> str:
     They are fewer if fewer pass; the text is empty if none passes.
     """
     return ", ".join(between_runs_title(s.name) for s in diagnosis.remaining[:4])
+
+
+def alternative_notes(rounds: Sequence[parts.RoundRow], effects: Sequence[parts.EffectRow]) -> list[str]:
+    """Return a note for each effect whose declared alternative also explains the data, but less.
+
+    For example, a thrust mismatch and a yaw moment both turn the boat. The alternative is the one of
+    `Effect.alternatives` that explains most in the round that added the effect. It has to have a positive criterion. It
+    is left out if it is in the model too, or among those that are not excluded, which have a reason of their own.
+    """
+    catalogued, found = catalogue(), []
+    added = {e.name for e in effects}
+    for effect in effects:
+        alternatives = catalogued[effect.name].alternatives if effect.name in catalogued else ()
+        open_names = {*alternatives} - added - {*effect.not_excluded}
+        for x in (x for x in rounds if x.chosen == effect.name):
+            own = next(r.criterion for r in x.refits if r.name == effect.name)
+            rivals = [r for r in x.refits if r.name in open_names and 0.0 < r.criterion < own]
+            if rivals:
+                best = max(rivals, key=lambda r: r.criterion)
+                found.append(
+                    f"In place of {effect.title}, the search also fitted {best.title} ('{best.name}'): it explains "
+                    f"{own - best.criterion:.0f} less in 2 ln L of the estimation data."
+                )
+    return found
 
 
 def refit_error_notes(rounds: Sequence[parts.RoundRow], effects: Sequence[parts.EffectRow]) -> list[str]:

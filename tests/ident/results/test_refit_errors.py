@@ -1,4 +1,4 @@
-"""Test of the note that standard errors of an effect differ between a refit and the answer, with both numbers."""
+"""Tests of notes on the refits of a diagnosis: their standard errors, and an alternative that explains less."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 
-from seatrial.ident.results.diagnosis import refit_error_notes
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.results.diagnosis import alternative_notes, refit_error_notes
 from seatrial.ident.results.parts import EffectParameter
 
 
@@ -28,3 +29,37 @@ def test_a_larger_error_in_the_answer_is_explained(chosen: str | None, late: flo
     assert len(notes) == noted
     if noted:
         assert "of F_wx 2.7 in the refit and 7.7 N in the answer. Use those of the answer." in notes[0]
+
+
+@pytest.mark.parametrize(
+    ("effect", "rival", "criterion", "not_excluded", "noted"),
+    [
+        ("mismatch", "yaw-bias", 98.5, (), True),
+        ("yaw-bias", "mismatch", 22.1, (), True),
+        ("mismatch", "yaw-bias", -3.0, (), False),  # it explains nothing
+        ("mismatch", "yaw-bias", 151.0, ("yaw-bias",), False),  # the answer names it
+        ("mismatch", "propeller-walk", 100.0, (), False),  # not declared as an alternative
+    ],
+)
+def test_an_alternative_that_explains_less_is_named(
+    effect: str, rival: str, criterion: float, not_excluded: tuple[str, ...], noted: bool
+) -> None:
+    refits = [
+        SimpleNamespace(name=effect, title="the one", criterion=152.4),
+        SimpleNamespace(name=rival, title="the other", criterion=criterion),
+    ]
+    rounds: Any = [SimpleNamespace(chosen=effect, refits=refits), SimpleNamespace(chosen=None, refits=refits)]
+    found = SimpleNamespace(name=effect, title="the one", not_excluded=not_excluded)
+    notes = alternative_notes(rounds, [found])  # type: ignore[list-item]
+    expected = (
+        f"In place of the one, the search also fitted the other ('{rival}'): it explains {152.4 - criterion:.0f} less "
+        "in 2 ln L of the estimation data."
+    )
+    assert notes == ([expected] if noted else [])
+    both: Any = [found, SimpleNamespace(name=rival, title="the other", not_excluded=())]
+    assert alternative_notes(rounds, both) == []  # the model has both
+
+
+def test_mismatch_and_yaw_bias_are_alternatives_of_each_other() -> None:
+    assert "yaw-bias" in catalogue()["mismatch"].alternatives
+    assert "mismatch" in catalogue()["yaw-bias"].alternatives
