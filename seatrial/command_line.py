@@ -18,7 +18,9 @@ try:
     import threading
     import traceback
     import warnings
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
+    from contextlib import contextmanager
+    from functools import cached_property
     from pathlib import Path
     from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -41,6 +43,7 @@ if TYPE_CHECKING:
     from seatrial.bench.preflight.report import MotionChecks
     from seatrial.daq.checks.check_report import CheckReport
     from seatrial.daq.checks.findings import Finding
+    from seatrial.ident.checks.log_checks import LogChecks
 
 WAITING = "ROS 2"  # name of a thread in seatrial.daq.tools.ros_live that may wait for a connection without an end
 OK, FAILED, WRONG_USAGE, HUNG_UP, INTERRUPTED = 0, 1, 2, 129, 130
@@ -220,52 +223,44 @@ def _load_command(name: str, target: str) -> click.Command:
     return command
 
 
+@contextmanager
+def _installed_for(subject: str) -> Iterator[None]:
+    """Context of an import that raises SeatrialError if a module is not installed, with the extra that installs it.
+
+    `subject` is the function that needs it, in words.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        raise SeatrialError(_missing_module_message(subject, error.name or "ident")) from error
+
+
 class MotionChecksOfIdent:
     """The steps of `seatrial check` that need `seatrial.ident`, which is imported when one of them is called.
 
     The command is in `seatrial.bench`, which must not import `seatrial.ident`; it gets this object instead.
+    Its methods raise SeatrialError if ident or one of its libraries is not installed.
     """
 
+    @cached_property
+    def _checks(self) -> LogChecks:
+        """Checks of the logs of this command."""
+        with _installed_for("the check of the motion"):
+            from seatrial.ident.checks.log_checks import LogChecks
+        return LogChecks()
+
     def check_log(self, path: Path) -> list[Finding]:
-        """Return findings about sensors and thrusters from the motion in a log. `path` is the file of the log.
+        """Return findings about sensors and thrusters from the motion in a log. `path` is the file of the log."""
+        return self._checks.check(path)
 
-        Raises
-        ------
-        SeatrialError
-            If ident or one of its libraries is not installed.
-        """
-        try:
-            from seatrial.ident.checks.log_checks import check_log
-        except ModuleNotFoundError as error:
-            raise SeatrialError(_missing_module_message("the check of the motion", error.name or "ident")) from error
-        return check_log(path)
-
-    def compare_logs(self, paths: Sequence[Path]) -> list[tuple[Path, Finding]]:
-        """Return findings about differences between the logs `paths`, each with the path of its log.
-
-        Raises
-        ------
-        SeatrialError
-            If ident or one of its libraries is not installed.
-        """
-        try:
-            from seatrial.ident.checks.log_checks import compare_logs
-        except ModuleNotFoundError as error:
-            raise SeatrialError(_missing_module_message("the check of the motion", error.name or "ident")) from error
-        return compare_logs(paths)
+    def differences(self) -> list[tuple[Path, Finding]]:
+        """Return findings about differences between the checked logs, each with the path of its log."""
+        return self._checks.differences()
 
     def write_check_page(self, report: CheckReport, out: Path) -> None:
-        """Write the HTML page of a check to the file ``out``. The page contains the command line of this process.
-
-        Raises
-        ------
-        SeatrialError
-            If ident or one of its libraries is not installed.
-        """
-        try:
+        """Write the HTML page of a check to the file ``out``. The page contains the command line of this process."""
+        with _installed_for("--report"):
             from seatrial.ident.workflows.check import write_check
-        except ModuleNotFoundError as error:
-            raise SeatrialError(_missing_module_message("--report", error.name or "ident")) from error
         write_check(report, " ".join(["seatrial", *sys.argv[1:]]), out)
 
 

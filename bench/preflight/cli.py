@@ -113,7 +113,7 @@ def check(
         else:
             from seatrial.bench.preflight.log_findings import log_findings
 
-            found = log_findings(motion.check_log, paths, motion.compare_logs)
+            found = log_findings(motion.check_log, paths, motion.differences)
             done = CheckReport(", ".join(path.name for path in paths), tuple(worst_first(found)), paths)
         faults = _print_findings(found, as_json)
         if report is not None:

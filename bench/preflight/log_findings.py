@@ -15,7 +15,7 @@ from seatrial.daq.samples import MEASURED
 def log_findings(
     check_motion: Callable[[Path], list[Finding]],
     paths: Sequence[Path],
-    compare: Callable[[Sequence[Path]], list[tuple[Path, Finding]]] | None = None,
+    differences: Callable[[], list[tuple[Path, Finding]]] | None = None,
 ) -> list[Finding]:
     """Check logs, and return the findings on their devices and on the recorded motion.
 
@@ -27,9 +27,9 @@ def log_findings(
         place of its findings.
     paths : sequence of Path
         The logs.
-    compare : Callable, optional
-        Function of the paths of several logs that returns the findings on differences between them, each with the path
-        of its log. Not called for one log, and not used if it raises SeatrialError.
+    differences : Callable, optional
+        Function that returns the findings on differences between the logs that ``check_motion`` has checked, each with
+        the path of its log. Not called for one log, and not used if it raises SeatrialError.
 
     Returns
     -------
@@ -68,9 +68,9 @@ def log_findings(
             ]
         prefix = f"{path.stem}: " if len(paths) > 1 else ""
         found += [finding._replace(where=f"{prefix}{finding.where}") for finding in here]
-    if compare is not None and len(paths) > 1:
+    if differences is not None and len(paths) > 1:
         with contextlib.suppress(SeatrialError):  # without ident, each log has the warning already
-            found += [f._replace(where=f"{path.stem}: {f.where}") for path, f in compare(paths)]
+            found += [f._replace(where=f"{path.stem}: {f.where}") for path, f in differences()]
     return found
 
 

@@ -28,8 +28,8 @@ class MotionChecks(Protocol):
         """
         ...
 
-    def compare_logs(self, paths: Sequence[Path]) -> list[tuple[Path, Finding]]:
-        """Return the findings on differences between the logs ``paths``, each with the path of its log.
+    def differences(self) -> list[tuple[Path, Finding]]:
+        """Return the findings on differences between the checked logs, each with the path of its log.
 
         Raises SeatrialError if the package ident is not installed.
         """

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from seatrial.ident.checks import speed_of_positions, speed_of_velocities
 from seatrial.ident.data import Channel
 from seatrial.ident.models import DEAD_ZONE_EDGE
 from seatrial.ident.numerics import Array, steady_segments
@@ -65,16 +66,12 @@ def speed_over_ground(channels: Mapping[str, Channel]) -> float | None:
 def _speeds(channels: Mapping[str, Channel]) -> Array:
     """Return samples of the speed over ground (n,) [m/s]; empty if the signals of a log do not give it."""
     if {"vx", "vy"} <= channels.keys():
-        north, east = channels["vx"], channels["vy"]
-        return np.hypot(north.value, np.interp(north.t, east.t, east.value))
+        return speed_of_velocities(channels["vx"], channels["vy"]).value
     for name in ("u", "speed"):
         if name in channels:
             return np.abs(channels[name].value)
     if {"x", "y"} <= channels.keys():
-        x, y = channels["x"], channels["y"]
-        t = np.arange(x.t[0], x.t[-1], POSITIONS_OVER_S)
-        moved = (np.diff(np.interp(t, c.t, c.value)) for c in (x, y))
-        return np.hypot(*moved) / POSITIONS_OVER_S
+        return speed_of_positions(channels["x"], channels["y"], POSITIONS_OVER_S).value
     return np.empty(0)
 
 

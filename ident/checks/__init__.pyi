@@ -1,13 +1,15 @@
+from .inputs import speed_of_positions as speed_of_positions
+from .inputs import speed_of_velocities as speed_of_velocities
 from .log_checks import IMPORTED as IMPORTED
 from .log_checks import CheckEvidence as CheckEvidence
+from .log_checks import LogChecks as LogChecks
 from .log_checks import check_copies as check_copies
-from .log_checks import check_log as check_log
 from .log_checks import check_signals as check_signals
-from .log_checks import compare_logs as compare_logs
 from .log_checks import device_faults as device_faults
 from .log_checks import invalidates_fit as invalidates_fit
 from .log_checks import log_evidence as log_evidence
 from .shaft_gain import compare_shaft_gains as compare_shaft_gains
+from .shaft_gain import held_of_thrusters as held_of_thrusters
 from .shaft_sign import speed_over_command as speed_over_command
 from .shafts import check_shafts as check_shafts
 from .signals import estimated as estimated

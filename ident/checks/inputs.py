@@ -152,13 +152,9 @@ def _count_motion_rises(c: Channels) -> int:
     curves: list[tuple[Array, float]] = []
     if {"vx", "vy"} <= set(c) or {"u", "v"} <= set(c):
         first, second = (c["vx"], c["vy"]) if {"vx", "vy"} <= set(c) else (c["u"], c["v"])
-        speed = Channel(first.t, np.hypot(first.value, np.interp(first.t, second.t, second.value)))
-        curves.append((_moving_average(speed), SPEED_RISE))
+        curves.append((_moving_average(speed_of_velocities(first, second)), SPEED_RISE))
     elif {"x", "y"} <= set(c):
-        t = np.arange(c["x"].t[0], c["x"].t[-1], SMOOTHED_S)
-        x, y = (np.interp(t, c[n].t, c[n].value) for n in ("x", "y"))
-        speed = Channel(t[1:], np.hypot(np.diff(x), np.diff(y)) / SMOOTHED_S)
-        curves.append((_moving_average(speed), SPEED_RISE))
+        curves.append((_moving_average(speed_of_positions(c["x"], c["y"], SMOOTHED_S)), SPEED_RISE))
     elif "speed" in c:
         curves.append((_moving_average(c["speed"]), SPEED_RISE))
     if "r" in c:
@@ -168,6 +164,18 @@ def _count_motion_rises(c: Channels) -> int:
         psi = np.interp(t, c["psi"].t, np.unwrap(c["psi"].value))
         curves.append((np.abs(_moving_average(Channel(t[1:], np.diff(psi) / (0.5 * SMOOTHED_S)))), TURN_RISE))
     return sum(_count_rises(curve, least) for curve, least in curves)
+
+
+def speed_of_velocities(first: Channel, second: Channel) -> Channel:
+    """Return the size of a velocity with two perpendicular components [m/s], at the times of the first one."""
+    return Channel(first.t, np.hypot(first.value, np.interp(first.t, second.t, second.value)))
+
+
+def speed_of_positions(x: Channel, y: Channel, seconds: float) -> Channel:
+    """Return the speed between the positions x, y [m] in intervals of ``seconds`` [m/s], at the end of each."""
+    t = np.arange(x.t[0], x.t[-1], seconds)
+    north, east = (np.diff(np.interp(t, c.t, c.value)) for c in (x, y))
+    return Channel(t[1:], np.hypot(north, east) / seconds)
 
 
 def _moving_average(channel: Channel) -> Array:

@@ -50,7 +50,7 @@ from seatrial.ident.checks.sensors import (
     sensor_matches,
     velocity_and_acceleration,
 )
-from seatrial.ident.checks.shaft_gain import check_shaft_gain, compare_shaft_gains
+from seatrial.ident.checks.shaft_gain import Held, check_shaft_gain, compare_shaft_gains, held_of_thrusters
 from seatrial.ident.checks.shaft_sign import check_wrapped, one_sided_shafts
 from seatrial.ident.checks.shafts import check_shafts
 from seatrial.ident.checks.signals import (
@@ -461,52 +461,48 @@ def invalidates_fit(finding: Finding, uses_shaft_speeds: bool = True) -> bool:
     return spoils and (uses_shaft_speeds or finding.code not in OF_SHAFT_TELEMETRY)
 
 
-def check_log(path: Path | str) -> list[Finding]:
-    """Return the findings of one log on its signals, and on speed controllers that sent no telemetry.
+class LogChecks:
+    """Checks of the motion in several logs, and of differences between them. Each log is read once.
 
-    The checks of the devices are not included (`device_faults`). A log that cannot be read gives the warning
-    ``log-not-readable`` alone, not an error.
-
-    Parameters
-    ----------
-    path
-        File or folder of the log.
+    The held commands of a checked log, and the shaft speeds that they reached, are kept for the comparison.
     """
-    try:
-        with open_log(path) as log:
-            found = channels(log)
-            names = _check_names(log.sources(Scalar))
-            return [*_silent_controllers(log), *names, *_check_segments(found, sides_of(log), log.start)]
-    except SeatrialError as error:
-        return [Finding("warning", "log-not-readable", "motion", Path(path).name, str(error))]
 
+    def __init__(self) -> None:
+        """Begin without a log."""
+        self._held: list[tuple[Path, Mapping[str, Held]]] = []
 
-def compare_logs(paths: Sequence[Path]) -> list[tuple[Path, Finding]]:
-    """Return the findings on differences between logs: shafts whose speed at equal commands differs.
+    def check(self, path: Path | str) -> list[Finding]:
+        """Return the findings of one log on its signals, and on speed controllers that sent no telemetry.
 
-    Parameters
-    ----------
-    paths
-        Files or folders of the logs. One that cannot be read is left out, because `check_log` reports it.
+        The checks of the devices are not included (`device_faults`). A log that cannot be read gives the warning
+        ``log-not-readable`` alone, not an error.
 
-    Returns
-    -------
-    list of tuple
-        Path of a log, and its finding.
-    """
-    found: list[tuple[str, Channels]] = []
-    for path in paths:
+        Parameters
+        ----------
+        path
+            File or folder of the log.
+        """
         try:
             with open_log(path) as log:
-                found.append((str(path), channels(log)))
-        except SeatrialError:
-            continue
-    names = [Path(path).stem for path, _ in found]
-    if len(set(names)) < len(names):
-        names = [path for path, _ in found]
-    of_names = dict(zip(names, (Path(path) for path, _ in found), strict=True))
-    gains = compare_shaft_gains([(name, c) for name, (_, c) in zip(names, found, strict=True)])
-    return [(of_names[name], finding) for name, finding in gains]
+                found = channels(log)
+                names = _check_names(log.sources(Scalar))
+                findings = [*_silent_controllers(log), *names, *_check_segments(found, sides_of(log), log.start)]
+        except SeatrialError as error:
+            return [Finding("warning", "log-not-readable", "motion", Path(path).name, str(error))]
+        self._held.append((Path(path), held_of_thrusters(found)))
+        return findings
+
+    def differences(self) -> list[tuple[Path, Finding]]:
+        """Return the findings on differences between the checked logs: shafts whose speed at equal commands differs.
+
+        Each finding comes with the path of its log.
+        """
+        names = [path.stem for path, _ in self._held]
+        if len(set(names)) < len(names):
+            names = [str(path) for path, _ in self._held]
+        paths = {name: path for name, (path, _) in zip(names, self._held, strict=True)}
+        gains = compare_shaft_gains([(name, held) for name, (_, held) in zip(names, self._held, strict=True)])
+        return [(paths[name], finding) for name, finding in gains]
 
 
 def _check_names(signals: Iterable[str]) -> Iterator[Finding]:

@@ -80,7 +80,7 @@ def check_shaft_gain(c: Channels) -> Iterator[Finding]:
     Finding
         Warning ``shaft-speed-drifts``, with the change from the first to the last third of the log.
     """
-    for name, held in _held_of_thrusters(c).items():
+    for name, held in held_of_thrusters(c).items():
         third = (held.end - held.begin) / 3.0
         first, last = held.t < held.begin + third, held.t >= held.end - third
         used = first | last
@@ -90,13 +90,13 @@ def check_shaft_gain(c: Channels) -> Iterator[Finding]:
             yield _finding("shaft-speed-drifts", name, text)
 
 
-def compare_shaft_gains(logs: Sequence[tuple[str, Channels]]) -> list[tuple[str, Finding]]:
+def compare_shaft_gains(logs: Sequence[tuple[str, Mapping[str, Held]]]) -> list[tuple[str, Finding]]:
     """Return a warning for each shaft whose speed at equal commands differs between logs.
 
     Parameters
     ----------
     logs
-        Name and channels of each log.
+        Name of each log, and its held commands by thruster (`held_of_thrusters`).
 
     Returns
     -------
@@ -105,8 +105,8 @@ def compare_shaft_gains(logs: Sequence[tuple[str, Channels]]) -> list[tuple[str,
         thruster. At most one for each thruster.
     """
     of_logs: dict[str, list[tuple[str, Held]]] = {}
-    for log, c in logs:
-        for thruster, held in _held_of_thrusters(c).items():
+    for log, of_thrusters in logs:
+        for thruster, held in of_thrusters.items():
             of_logs.setdefault(thruster, []).append((log, held))
     found = []
     for thruster, ((first_log, first), *others) in of_logs.items():
@@ -133,7 +133,7 @@ def _finding(code: str, thruster: str, text: str) -> Finding:
     return Finding(WARNING, code, "shaft", thruster, text, advice)
 
 
-def _held_of_thrusters(c: Channels) -> Mapping[str, Held]:
+def held_of_thrusters(c: Channels) -> Mapping[str, Held]:
     """Return the held commands of each thruster by name, in which the shaft turned with its command.
 
     A shaft speed with the same array of times as its command is a copy of it. Its thruster is left out.

@@ -7,7 +7,7 @@ signals that are filtered or rounded.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +21,7 @@ from seatrial.ident.checks import (
     check_signals,
     compare_shaft_gains,
     estimated,
+    held_of_thrusters,
     invalidates_fit,
     log_evidence,
     smoothed,
@@ -94,13 +95,13 @@ def check_first(
     logs = [*loaded, *validation_logs]
     copies = check_copies([(x.about["path"], x.run.channels) for x in logs])
     # A model that the shaft speeds drive is right for each of them, whatever the commands were.
-    driven = any(SignalId.parse(i.tap_of or i.name).quantity == SHAFT_SPEED for i in model.inputs)
-    gains = [] if driven else compare_shaft_gains([(x.about["path"], x.run.channels) for x in logs])
+    driven = _has_shaft_speed(i.tap_of or i.name for i in model.inputs)
+    gains = [] if driven else compare_shaft_gains([(x.about["path"], held_of_thrusters(x.run.channels)) for x in logs])
     checked = []
     for log in logs:
         more = [f for f in copies if f.where == log.about["path"]]
         more += [finding for path, finding in gains if path == log.about["path"]]
-        sides, by_shafts = sides_of_model(model, log), _has_shaft_speeds(model)
+        sides, by_shafts = sides_of_model(model, log), _uses_shaft_speeds(model)
         checked.append(
             with_findings(
                 log,
@@ -120,9 +121,13 @@ def signals_of_given_noise(model: Model) -> set[str]:
     return {o.name for o in model.outputs if o.noise in given}
 
 
-def _has_shaft_speeds(model: Model) -> bool:
+def _uses_shaft_speeds(model: Model) -> bool:
     """Return whether an input or an output of the model is a shaft speed, so that the fit uses those of the log."""
-    names = [*(i.tap_of or i.name for i in model.inputs), *(o.name for o in model.outputs)]
+    return _has_shaft_speed([*(i.tap_of or i.name for i in model.inputs), *(o.name for o in model.outputs)])
+
+
+def _has_shaft_speed(names: Iterable[str]) -> bool:
+    """Return whether a signal of these names is a shaft speed."""
     return any(SignalId.parse(name).quantity == SHAFT_SPEED for name in names)
 
 

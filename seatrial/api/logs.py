@@ -322,9 +322,10 @@ def check(logs: PathLike | Sequence[PathLike]) -> Findings:
     []
     """
     from seatrial.bench.preflight.log_findings import log_findings
-    from seatrial.ident.checks import check_log, compare_logs
+    from seatrial.ident.checks import LogChecks
 
-    return Findings(worst_first(log_findings(check_log, as_paths(logs), compare_logs)))
+    checks = LogChecks()
+    return Findings(worst_first(log_findings(checks.check, as_paths(logs), checks.differences)))
 
 
 def as_list(logs: PathLike | Log | Sequence[PathLike | Log]) -> list[PathLike | Log]:

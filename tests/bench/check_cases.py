@@ -13,7 +13,7 @@ from seatrial.daq.checks.device_checks import check_devices
 from seatrial.daq.checks.findings import Finding
 from seatrial.daq.config.mission_file import Mission
 from seatrial.daq.log.reader import open_log
-from seatrial.ident.checks.log_checks import check_log
+from seatrial.ident.checks.log_checks import LogChecks
 from seatrial.mocks.devices.faults import Faults, parse_fault
 from seatrial.mocks.offline_simulation import BOAT, Recording, simulate
 from seatrial.mocks.plant.boat import draw_boat
@@ -81,7 +81,7 @@ def findings(path: Path) -> list[Finding]:
     """Return the findings of `seatrial check LOG`."""
     with open_log(path) as log:
         of_devices = list(check_devices(log))
-    return [*of_devices, *check_log(path)]
+    return [*of_devices, *LogChecks().check(path)]
 
 
 def named(case: Case, found: list[Finding]) -> bool:

@@ -10,7 +10,7 @@ import pytest
 from seatrial.daq.checks.signal_names import OF_MODELS, unknown_names, unknown_names_text
 from seatrial.daq.errors import SeatrialWarning
 from seatrial.daq.importers.import_files import import_files
-from seatrial.ident.checks.log_checks import check_log
+from seatrial.ident.checks.log_checks import LogChecks
 from seatrial.ident.models.catalogue import KNOWN_SIGNALS
 
 
@@ -62,6 +62,6 @@ def test_import_and_check_name_a_signal_that_no_model_uses(tmp_path: Path) -> No
         SeatrialWarning, match=r"map.toml: heading: no model uses this name; import the heading by .* psi$"
     ):
         (log,) = import_files(tmp_path / "map.toml", [tmp_path / "run.csv"], out=tmp_path / "run.mcap")
-    named = [f for f in check_log(log) if f.code == "signal-name"]
+    named = [f for f in LogChecks().check(log) if f.code == "signal-name"]
     assert [(f.level, f.where) for f in named] == [("warning", "heading")]
     assert named[0].advice == "import the heading by the name psi"

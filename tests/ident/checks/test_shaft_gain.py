@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 
 import seatrial as st
-from seatrial.ident.checks.shaft_gain import check_shaft_gain, compare_shaft_gains
+from seatrial.daq.log import open_log
+from seatrial.ident.checks import log_checks
+from seatrial.ident.checks.shaft_gain import check_shaft_gain, compare_shaft_gains, held_of_thrusters
 from seatrial.ident.data.record import Channel
 from tests.measured.data import import_boat, realistic_boats
+from tests.missions import boat_log, boat_with
 
 HOLD, RATE = 6.0, 10.0
 DEAD, SAG = 0.04, 0.05
@@ -44,7 +47,7 @@ def test_shaft_that_slows_down_within_a_log_is_named(lost: float) -> None:
 
 def test_log_that_differs_most_from_the_first_is_named() -> None:
     logs = [("a", log_of(1)), ("b", log_of(2, 0.95)), ("c", log_of(3, 0.88)), ("d", log_of(4, 0.99))]
-    ((log, finding),) = compare_shaft_gains(logs)
+    ((log, finding),) = compare_shaft_gains([(name, held_of_thrusters(c)) for name, c in logs])
     assert (log, finding.code, finding.where) == ("c", "shaft-speed-differs", "left")
     assert finding.text.startswith("the shaft speed at equal commands is 1")
     assert finding.text.endswith("lower than in a")
@@ -55,7 +58,7 @@ def test_equal_shafts_with_other_commands_give_no_finding() -> None:
     """Dead zone and sag change the ratio with the size of the command, so that its mean differs between logs."""
     for seed in range(60):
         slow, fast = log_of(seed), log_of(100 + seed)
-        assert compare_shaft_gains([("slow", slow), ("fast", fast)]) == []
+        assert compare_shaft_gains([("slow", held_of_thrusters(slow)), ("fast", held_of_thrusters(fast))]) == []
         assert list(check_shaft_gain(log_of(200 + seed))) == []
 
 
@@ -66,6 +69,23 @@ def test_noise_and_few_commands_claim_nothing() -> None:
     assert list(check_shaft_gain(copied)) == []  # the shaft speed is a copy of the command
     del copied["n_left"]
     assert list(check_shaft_gain(copied)) == []
+
+
+def test_logs_are_compared_without_reading_them_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for run in (1, 2):
+        boat_log(tmp_path / f"run{run}.mcap", boat_with(None, 3), 60.0, 100 + run, run)
+    read: list[Path] = []
+
+    def counted(path: Path) -> Any:
+        read.append(path)
+        return open_log(path)
+
+    monkeypatch.setattr(log_checks, "open_log", counted)
+    checks = log_checks.LogChecks()
+    for path in (logs := [tmp_path / "run1.mcap", tmp_path / "run2.mcap"]):
+        checks.check(path)
+    assert checks.differences() == []
+    assert read == logs
 
 
 @pytest.mark.skipif(not realistic_boats().is_dir(), reason="SEATRIAL_DATA has no boats of a realistic plant")

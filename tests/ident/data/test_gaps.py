@@ -13,7 +13,7 @@ import pytest
 
 from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from seatrial.daq.samples import Ahrs
-from seatrial.ident.checks.log_checks import check_log, log_evidence
+from seatrial.ident.checks.log_checks import LogChecks, log_evidence
 from seatrial.ident.data.gaps import clock_of, parts_between, silent_times
 from seatrial.ident.data.loading import TimeWindow, load_all, load_run, load_runs, usable_parts
 from seatrial.ident.data.record import Channel, LeftOut, make_record
@@ -45,7 +45,7 @@ def test_parts_of_a_log_with_a_gap_need_no_more_memory_than_alone(tmp_path: Path
             loaded, _ = load_all([path], [])
         records = [make_record(horizontal_model(), part.run, 10.0) for part in loaded]
         evidence = log_evidence(path)
-        found = check_log(path)
+        found = LogChecks().check(path)
     finally:
         resource.setrlimit(resource.RLIMIT_AS, limit)
     assert [part.about["name"] for part in loaded] == ["run[0:30]", f"run[{end}:{SECONDS + SECONDS + gap:.0f}]"]
@@ -65,7 +65,7 @@ def test_finding_names_the_part_of_the_log(tmp_path: Path) -> None:
     first, second = (sail(boat, SECONDS, seed, run)[0].readings for run, seed in ((1, 3), (2, 5)))
     late = [r._replace(t=r.t + 2.0 * SECONDS + DAY) for r in second]
     late = [r._replace(sample=replace(r.sample, r=-r.sample.r)) if isinstance(r.sample, Ahrs) else r for r in late]
-    found = check_log(record(tmp_path / "run.mcap", rig_of("boat"), [*first, *late]))
+    found = LogChecks().check(record(tmp_path / "run.mcap", rig_of("boat"), [*first, *late]))
     (sign,) = [f for f in found if f.level == "fault"]
     assert sign.text.startswith("from 86460 to 86490 s: ")
 
