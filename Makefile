@@ -28,7 +28,7 @@ help:
 	@echo "make study   known truth in, same truth out: bias, coverage, detection rates"
 	@echo "make docs    the documentation as a site, in build/site"
 	@echo "make dist    wheel and sdist, in dist"
-	@echo "make lock    resolve constraints.txt anew "
+	@echo "make lock    resolve constraints.txt anew"
 	@echo "make clean   remove the environment, builds and caches"
 
 # The stamp is taken away first and written last: with it the environment is brought up to date in place, without it

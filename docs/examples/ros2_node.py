@@ -66,7 +66,7 @@ class Controller(Node):
         self.get_logger().info(f"zero thrust until messages arrive on {' and '.join(TOPICS.values())}")
 
     def hear(self, name: str, convert: Callable[[Any], dict[str, float]], message: Any) -> None:
-        """Store what a message measures. One with a value that is not finite counts as none."""
+        """Store the measured values of a message. The node ignores a message with a value that is not finite."""
         found = convert(message)
         if all(map(math.isfinite, found.values())):
             self.x |= found

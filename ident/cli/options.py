@@ -475,9 +475,9 @@ def reml_option(default: bool | None = True) -> Callable[..., Any]:
 
 
 def mean_order_option(default: bool | None = True) -> Callable[..., Any]:
-    """Return a decorator that adds the option ``--second-order/--no-second-order`` of the Kalman filter to a command.
+    """Return a decorator that adds the option ``--second-order/--no-second-order`` to a command.
 
-    The command receives ``mean_order``: 2 for a second-order filter, 1 for a first-order filter.
+    The option selects the order of the Kalman filter. The command receives the order as ``mean_order``, 2 or 1.
 
     Parameters
     ----------

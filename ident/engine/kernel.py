@@ -193,10 +193,10 @@ class Kernel:
             Bits of the stages that run in each row. In a filter, bit k is set if sensor k has a sample. None: all bits
             are set.
         arguments : Mapping[str, Array]
-            Contiguous float64 arrays by name, with the number of items of ``Layout.shape``. Results among them, and
-            arrays whose values pass from row to row, are written in place. Sums are added to their present values.
-            Names that the kernel does not use are ignored. Missing arrays start from zero, except arrays with entries
-            for each row: these are undefined in rows in which they are not written.
+            Contiguous arrays by name, of the type ``Layout.dtype`` and with the number of items of ``Layout.shape``.
+            Results among them, and arrays whose values pass from row to row, are written in place. Sums are added to
+            their present values. Names that the kernel does not use are ignored. Missing arrays start from zero, except
+            arrays with entries for each row: these are undefined in rows in which they are not written.
         groups : int
             Number of groups of ``layout.width`` lanes. A lane is one number of each entry of certain arrays, for
             example the derivative by one parameter.

@@ -307,9 +307,9 @@ def replace_slow_operations(expression: Any, constant: Any, early: Any, late: An
     values: list[Any] = []
 
     def apply(code: int, *x: tuple[Any, Any]) -> tuple[Any, Any]:
-        """Return the result of the operation ``code`` twice: as it was, and with symbols in place of slow operations.
+        """Return a pair: the result of the operation ``code``, and this result with symbols for slow operations.
 
-        The operands ``x`` are such pairs too.
+        Each of the operands ``x`` is such a pair, too.
         """
         original, replaced = (operation(code, *[pair[version] for pair in x]) for version in (0, 1))
         if code in SLOW and ca.depends_on(original, early) and not ca.depends_on(original, late):

@@ -284,6 +284,11 @@ class Fit:
         return distance_from_maximum(self.gain_left) if abs(self.gain_left) > MAX_GAIN_LEFT else None
 
     @property
+    def aic(self) -> float:
+        """Akaike information criterion ``2 n - 2 ln L`` with n estimated parameters. Smaller is better."""
+        return 2.0 * len(self.names) - 2.0 * self.log_likelihood
+
+    @property
     def bic(self) -> float:
         """Bayesian information criterion ``n ln(n_measured) - 2 ln L`` with n estimated parameters (Schwarz).
 

@@ -105,11 +105,11 @@ def late_values(model: Model, ranges: Mapping[str, tuple[float, float]] | None =
 
 
 def frame_words(conditions: Mapping[str, float]) -> str:
-    """Describe where steady and linear motions hold: in still water, or at the place and heading of their effects.
+    """Return the conditions of a steady or linear motion as words for a sentence.
 
-    ``conditions`` are those of `chosen_conditions`. Without place and heading the text is ``for still water, without
-    disturbances``. With them it is, for example, ``at psi = 0 rad, with the effects that depend on it (such as wind),
-    without current and disturbance forces``.
+    ``conditions`` is a result of `chosen_conditions`. If it has neither place nor heading, the text is ``for still
+    water, without disturbances``. Otherwise the text is, for example, ``at psi = 0 rad, with the effects that depend on
+    it (such as wind), without current and disturbance forces``.
     """
     pose = {n: v for n, v in conditions.items() if n in POSE}
     if not pose:

@@ -63,7 +63,7 @@ NO_PREDICTION = HorizonPrediction(*(np.zeros(0),) * 3)  # empty: of a channel wi
 
 
 def finite(value: float | None) -> float | None:
-    """Return a number for result.json. NaN and infinity are replaced by None, because JSON has no such numbers."""
+    """Return a number as result.json has it: None in place of NaN and infinity, which JSON lacks."""
     return None if value is None or not math.isfinite(value) else float(value)
 
 
@@ -179,7 +179,8 @@ def _wider_than_prior(p: Parameter, estimate: tuple[float, float], reported: Rep
     shown = " ".join(filter(None, [f"{factor * error:.3g} > {factor * of_prior:.3g}", unit]))
     return (
         f"the standard error is larger than that of the prior ({shown}), because it also contains what the model does "
-        "not explain: correlated residuals, sensor errors and effects that may be missing"
+        "not explain: correlated residuals, sensor errors, effects that may be missing, and a difference of the "
+        "thrusts of both sides"
     )
 
 

@@ -332,7 +332,7 @@ def _draw_truth(model: Model, rng: np.random.Generator) -> Array:
 
 
 def _finite_by_name(names: Sequence[str], values: Array) -> dict[str, float | None]:
-    """Return values (n,) by name. A value that is not finite is replaced by None."""
+    """Return a dict from names to the values (n,), with None in place of NaN and infinity."""
     return {n: float(v) if np.isfinite(v) else None for n, v in zip(names, values, strict=True)}
 
 

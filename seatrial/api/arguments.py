@@ -29,7 +29,7 @@ def shortened(value: object) -> str:
 
 
 def as_path(value: object, what: str) -> Path:
-    """Convert an argument to a path. ``what`` is its name.
+    """Convert an argument with the name ``what`` to a path.
 
     Raises
     ------

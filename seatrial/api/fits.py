@@ -312,7 +312,7 @@ class FittedResult(FitReport):
 
         It is two times the number of estimates, minus two times `log_likelihood`.
         """
-        return float(2.0 * len(self.free) - 2.0 * self.log_likelihood)
+        return self.fitted.fit.aic
 
     @property
     def bic(self) -> float:
