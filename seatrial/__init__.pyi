@@ -3,12 +3,15 @@ from .api.campaigns import compare_campaigns as compare_campaigns
 from .api.comparison import Comparison as Comparison
 from .api.comparison import compare as compare
 from .api.figures import Figure as Figure
+from .api.fits import DiagnosisOptions as DiagnosisOptions
+from .api.fits import FitOptions as FitOptions
 from .api.fits import FittedDiagnosis as FittedDiagnosis
 from .api.fits import FittedVehicle as FittedVehicle
 from .api.fits import diagnose as diagnose
 from .api.fits import fit as fit
 from .api.fleet import FittedFleet as FittedFleet
 from .api.fleet import fit_many as fit_many
+from .api.loading import ExportOptions as ExportOptions
 from .api.loading import Saved as Saved
 from .api.loading import SavedDiagnosis as SavedDiagnosis
 from .api.loading import export as export
@@ -25,9 +28,11 @@ from .api.motion import Linearisation as Linearisation
 from .api.motion import Steady as Steady
 from .api.motion import linearise as linearise
 from .api.motion import steady as steady
+from .api.runs import DesignOptions as DesignOptions
 from .api.runs import FittedThruster as FittedThruster
 from .api.runs import Navigated as Navigated
 from .api.runs import ThrustCurve as ThrustCurve
+from .api.runs import ThrusterOptions as ThrusterOptions
 from .api.runs import design as design
 from .api.runs import navigate as navigate
 from .api.runs import thruster as thruster

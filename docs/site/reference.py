@@ -20,11 +20,10 @@ import click  # noqa: E402
 
 import seatrial  # noqa: E402
 from seatrial import command_line  # noqa: E402
-from seatrial.api import fits, loading, runs  # noqa: E402
 from seatrial.api.messages import ARGUMENTS, FUNCTIONS  # noqa: E402
 
 PAGE = ROOT / "docs/reference.md"
-OPTIONS = (fits.FitOptions, fits.DiagnosisOptions, runs.ThrusterOptions, runs.DesignOptions, loading.ExportOptions)
+OPTIONS = tuple(getattr(seatrial, f"{name}Options") for name in ("Fit", "Diagnosis", "Thruster", "Design", "Export"))
 HEAD = """# Reference of the Python interface
 
 <!-- written by python docs/site/reference.py -->
@@ -59,9 +58,9 @@ def page() -> str:
     things = {name: getattr(seatrial, name) for name in sorted(seatrial.__all__)}
     functions = {n: x for n, x in things.items() if inspect.isfunction(x)}
     options = {x.__name__: x for x in OPTIONS}
-    classes = {n: x for n, x in things.items() if inspect.isclass(x)}
+    classes = {n: x for n, x in things.items() if inspect.isclass(x) and n not in options}
     parts = [HEAD, "## Functions\n\n", *(entry(f"st.{n}", x) for n, x in functions.items())]
-    parts += ["## Options\n\n", *(entry(n, x) for n, x in options.items())]
+    parts += ["## Options\n\n", *(entry(f"st.{n}", x) for n, x in options.items())]
     parts += ["## Options with another name on the command line\n\n", option_table()]
     errors = {n: classes.pop(n) for n in tuple(classes) if issubclass(classes[n], Exception)}
     parts += ["## Results\n\n", *(entry(n, x) for n, x in classes.items())]

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import wraps
+from inspect import signature
 from numbers import Real
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
-from seatrial.daq.errors import SeatrialError
+from seatrial.daq.errors import SeatrialError, names_hint
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 LONGEST_VALUE = 60  # characters of a value that a message repeats
 RATES = (1.0, 200.0)  # smallest and largest rate of the rows [Hz], as those of --rate
@@ -20,6 +25,24 @@ ABOVE_ZERO = {
     "inertia": ("an inertia", "kg m2"),
 }
 PATHS = ("effects_file",)  # options that are the path of a file
+
+
+def named_arguments(function: Callable[P, R]) -> Callable[P, R]:
+    """Let a function without options refuse an unknown keyword argument, and name the argument that was meant.
+
+    A SeatrialError takes the place of Python's TypeError.
+    """
+    known = list(signature(function).parameters)
+
+    @wraps(function)
+    def checked(*args: P.args, **kwargs: P.kwargs) -> R:
+        """Call the function after a check of the names in ``kwargs``."""
+        for name in kwargs:
+            if name not in known:
+                raise SeatrialError(f"{function.__name__} has no argument {name!r}; {names_hint(name, known)}")
+        return function(*args, **kwargs)
+
+    return checked
 
 
 def shortened(value: object) -> str:

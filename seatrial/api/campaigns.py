@@ -113,7 +113,8 @@ def compare_campaigns(
     backend, scheduler, jobs, force
         As in `fit_many`.
     **options
-        `FitOptions` of each fit, except ``profiles``. The default of ``score_tests`` is False.
+        `FitOptions` of each fit, which ``help(st.FitOptions)`` describes, except ``profiles``. The default of
+        ``score_tests`` is False.
 
     Returns
     -------

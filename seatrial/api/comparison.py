@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast, overload
 import numpy as np
 
 from seatrial.api import tables
-from seatrial.api.arguments import as_path, check_above_zero, check_rate, output_folder
+from seatrial.api.arguments import as_path, check_above_zero, check_rate, named_arguments, output_folder
 from seatrial.api.figures import Figure
 from seatrial.api.fits import FittedResult, Logs, model_path, python_call, refuse_log, window_of
 from seatrial.api.logs import PathLike, as_paths
@@ -200,6 +200,7 @@ def compare(
 ) -> Comparison: ...
 
 
+@named_arguments
 def compare(
     models: Any,
     *others: Any,

@@ -89,22 +89,22 @@ class FitOptions(TypedDict, total=False):
     mass : float
         Weighed mass of the boat [kg]. A warning tells if the estimated mass in surge contradicts it. It is no prior.
     score_tests : bool
-        Whether to test the model for missing effects: small errors of sensors and hull form are then estimated if the
-        logs show them, and the standard errors include what remains unexplained.
+        Whether to test the model for missing effects, True by default. Small errors of sensors and hull form are then
+        estimated if the logs show them, and the standard errors include what remains unexplained.
     profiles : sequence of str
         Names of the parameters whose profile likelihood is computed.
     outlier_model : bool
-        Whether outliers are part of the noise of all sensors, so that they have little weight.
+        Whether outliers are part of the noise of all sensors, so that they have little weight. False by default.
     reml : bool
-        Whether the noise is estimated by restricted maximum likelihood.
+        Whether the noise is estimated by restricted maximum likelihood, True by default.
     mean_order : 1 or 2
-        Order of the extended Kalman filter; at order 2 its mean includes the curvature of the model.
+        Order of the extended Kalman filter, 2 by default; at order 2 its mean includes the curvature of the model.
     horizon : float
-        Horizon [s] of the predictions with which the fit is evaluated.
+        Horizon [s] of the predictions with which the fit is evaluated, 10 s by default.
     rate : float
-        Rate of the rows [Hz] to which faster sensors are averaged.
+        Rate of the rows [Hz] to which faster sensors are averaged, 10 Hz by default.
     despite_faults : bool
-        Whether to fit logs with faults that make a fit meaningless.
+        Whether to fit logs with faults that make a fit meaningless, False by default.
     progress : bool
         Whether to print a line for each step of the computation.
     """
@@ -132,7 +132,7 @@ class DiagnosisOptions(TypedDict, total=False):
     Attributes
     ----------
     max_effects : int
-        Largest number of effects to add to the model.
+        Largest number of effects to add to the model, 3 by default.
     exclude : sequence of str
         Names of effects that the search leaves out, such as ``["wind"]``.
     effects_file : path
@@ -277,10 +277,7 @@ class FittedResult(FitReport):
 
     def __getattr__(self, name: str) -> Any:
         """Raise AttributeError. The message has the attribute with this meaning, or with the most similar name."""
-        known = [n for n in dir(type(self)) if not n.startswith("_")]
-        near = OTHER_NAMES.get(name) or closest_name(name, known)
-        hint = f"; did you mean {near!r}?" if near and not name.startswith("_") else ""
-        raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}{hint}", name=name, obj=None)
+        raise unknown_attribute(self, name)
 
     @property
     def cov(self) -> NDArray[np.float64]:
@@ -588,8 +585,8 @@ def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[
         Other logs, on which the fit is evaluated. They are used whole, so a `Log` with a window is an error. Without
         them the fit is evaluated on ``logs``.
     **options
-        `FitOptions`: thruster, fixed, initial, priors, effects, mass, score_tests, profiles, outlier_model, reml,
-        mean_order, horizon, rate, despite_faults, progress.
+        `FitOptions`, which ``help(st.FitOptions)`` describes: thruster, fixed, initial, priors, effects, mass,
+        score_tests, profiles, outlier_model, reml, mean_order, horizon, rate, despite_faults, progress.
 
     Returns
     -------
@@ -694,8 +691,8 @@ def diagnose(
         Other logs that validate each effect. They are used whole, so a `Log` with a window is an error. Without them,
         blocks of ``logs`` are cross-validated.
     **options
-        `DiagnosisOptions`: max_effects, exclude, effects_file, thruster, mass, outlier_model, horizon, rate,
-        despite_faults, progress.
+        `DiagnosisOptions`, which ``help(st.DiagnosisOptions)`` describes: max_effects, exclude, effects_file,
+        thruster, mass, outlier_model, horizon, rate, despite_faults, progress.
 
     Returns
     -------
@@ -818,6 +815,18 @@ def _paths_or_none(logs: Logs) -> list[Path]:
     if cut := [x.path.name for x in several if isinstance(x, Log) and (x.start > 0.0 or np.isfinite(x.end))]:
         raise SeatrialError(f"validation logs are always used as a whole: open {', '.join(cut)} without start and end")
     return as_paths(several) if several else []
+
+
+def unknown_attribute(thing: object, name: str) -> AttributeError:
+    """Return the error about an attribute that a result lacks, with the one of this meaning or of a similar name.
+
+    An attribute of `OTHER_NAMES` is suggested only if the result has it.
+    """
+    known = [n for n in dir(type(thing)) if not n.startswith("_")]
+    same = OTHER_NAMES.get(name)
+    near = same if same in known else closest_name(name, known)
+    hint = f"; did you mean {near!r}?" if near and not name.startswith("_") else ""
+    return AttributeError(f"{type(thing).__name__!r} object has no attribute {name!r}{hint}", name=name, obj=None)
 
 
 def known_options(given: Mapping[str, Any], options: type) -> dict[str, Any]:

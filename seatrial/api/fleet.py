@@ -130,7 +130,8 @@ def fit_many(
     force : bool
         Whether to start again if ``out`` has fits.
     **options
-        `FitOptions` of each fit, except ``profiles``. With ``progress``, a line is printed for each log.
+        `FitOptions` of each fit, which ``help(st.FitOptions)`` describes, except ``profiles``. With ``progress``, a
+        line is printed for each log.
 
     Returns
     -------

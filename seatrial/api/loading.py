@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from seatrial.api import tables
-from seatrial.api.arguments import as_path, shortened
+from seatrial.api.arguments import as_path, named_arguments, shortened
 from seatrial.api.findings import DiagnosisFindings
-from seatrial.api.fits import FittedResult, MotionMethods, known_options, model_path
+from seatrial.api.fits import FittedResult, MotionMethods, known_options, model_path, unknown_attribute
 from seatrial.api.logs import PathLike
 from seatrial.api.messages import errors_of_users, text_of
 from seatrial.api.plots import comparison_figure, prediction_figure
@@ -151,7 +151,7 @@ class Saved(MotionMethods, Shown):
                 f"a loaded result has no {name}, which needs the logs: fit them again with st.fit or st.diagnose, or "
                 "evaluate the model on logs with st.compare"
             )
-        raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        raise unknown_attribute(self, name)
 
     @property
     def answer(self) -> str:
@@ -330,6 +330,7 @@ class SavedDiagnosis(DiagnosisFindings, Saved):
     """Files of a diagnosis that were read from disk. `load` returns it if the result is that of a diagnosis."""
 
 
+@named_arguments
 def load(path: PathLike) -> Saved:
     """Load what a command or ``save`` has written: model.toml, result.json, or a folder with one of them or both.
 
@@ -401,6 +402,7 @@ def _how_to_open(path: Path) -> str:
     return f"it seems to be {what}: import it with st.import_log, and fit a model to the log with st.fit"
 
 
+@named_arguments
 def simulate(
     model: PathLike | Saved | FittedResult,
     t: ArrayLike,
@@ -583,8 +585,8 @@ def export(
     format : str
         ``python``, ``casadi``, ``c``, ``ros2``, ``fmu`` (FMI 2.0 co-simulation), ``gazebo`` or ``vrx``.
     **options
-        `ExportOptions`: name, with_disturbance_states, thruster, thrust_curve, thrust_input, source_only, mass,
-        inertia, force.
+        `ExportOptions`, which ``help(st.ExportOptions)`` describes: name, with_disturbance_states, thruster,
+        thrust_curve, thrust_input, source_only, mass, inertia, force.
 
     Returns
     -------

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from seatrial.api.arguments import as_path, check_number
+from seatrial.api.arguments import as_path, check_number, named_arguments
 from seatrial.api.figures import Figure
 from seatrial.api.messages import errors_of_users
 from seatrial.api.series import Series
@@ -150,6 +150,7 @@ class Log(Shown):
         return Figure(self.path.name, figure["data"], figure["layout"] | {"height": height, "showlegend": False})
 
 
+@named_arguments
 def open_log(path: PathLike, start: float = 0.0, end: float = np.inf) -> Log:
     """Open a log and read its signals.
 
@@ -203,6 +204,7 @@ def _log_of(loaded: LoadedLog, path: Path, window: TimeWindow) -> Log:
     return Log(path, window.t_from, window.t_to, signals)
 
 
+@named_arguments
 def import_log(
     files: PathLike | Sequence[PathLike], map_path: PathLike | None = None, out_dir: PathLike = ".", force: bool = False
 ) -> list[Path]:
@@ -298,6 +300,7 @@ class Findings(Shown, tuple[Finding, ...]):
         return import_library("pandas").DataFrame(list(self), columns=list(Finding._fields))
 
 
+@named_arguments
 def check(logs: PathLike | Sequence[PathLike]) -> Findings:
     """Check logs, as ``seatrial check``: devices, sensors, thrusters and the motion between them.
 

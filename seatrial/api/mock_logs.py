@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from seatrial.api.arguments import named_arguments
 from seatrial.api.logs import Log, PathLike, open_log
 from seatrial.api.messages import errors_of_users
 from seatrial.daq.errors import SeatrialError
@@ -23,6 +24,7 @@ class _StandingClock:
         return START
 
 
+@named_arguments
 def mock_log(
     path: PathLike, seconds: float = 120.0, boat: int = 1, mission: int = 1, effect: str = "", force: bool = False
 ) -> Log:

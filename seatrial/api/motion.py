@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from seatrial.api.arguments import named_arguments
 from seatrial.api.figures import Figure
 from seatrial.api.fits import FittedResult, model_path
 from seatrial.api.loading import Saved
@@ -371,6 +372,7 @@ def _legend_below(layout: dict[str, Any], height: int) -> dict[str, Any]:
     return layout | {"height": height + 40, "showlegend": True, "legend": legend, "margin": margin}
 
 
+@named_arguments
 def linearise(
     model: PathLike | Saved | FittedResult, speed: float, at: Mapping[str, float] | None = None
 ) -> Linearisation:
@@ -434,6 +436,7 @@ def linearise(
     return linear
 
 
+@named_arguments
 def steady(
     model: PathLike | Saved | FittedResult,
     means: Sequence[float] = (0.0, 0.5),

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.api import tables
-from seatrial.api.arguments import as_path, check_number, check_rate, output_folder
+from seatrial.api.arguments import as_path, check_number, check_rate, named_arguments, output_folder
 from seatrial.api.fits import (
     FittedDiagnosis,
     FittedResult,
@@ -313,7 +313,8 @@ def thruster(logs: Logs, **options: Unpack[ThrusterOptions]) -> FittedThruster |
     logs : path, `Log` or sequence of them
         Bench logs, which are used whole: a `Log` must not have a window.
     **options
-        `ThrusterOptions`: name, settle, profiles, outlier_model, reml, horizon, despite_faults, progress.
+        `ThrusterOptions`, which ``help(st.ThrusterOptions)`` describes: name, settle, profiles, outlier_model, reml,
+        horizon, despite_faults, progress.
 
     Returns
     -------
@@ -361,6 +362,7 @@ def thruster(logs: Logs, **options: Unpack[ThrusterOptions]) -> FittedThruster |
     return ThrustCurve(found.result, files)
 
 
+@named_arguments
 def navigate(
     model: PathLike | FittedVehicle | FittedDiagnosis | Saved,
     logs: Logs,
@@ -436,8 +438,8 @@ def design(
     force : bool
         Whether existing files are replaced. If false, an existing file is an error.
     **options
-        `DesignOptions`: duration, steps, criterion, chosen, between, n_max, slew, shortest, rates, evaluations, seed,
-        progress.
+        `DesignOptions`, which ``help(st.DesignOptions)`` describes: duration, steps, criterion, chosen, between, n_max,
+        slew, shortest, rates, evaluations, seed, progress.
 
     Returns
     -------

@@ -187,6 +187,17 @@ def test_every_public_name_is_documented(name: str) -> None:
     assert all(inspect.getdoc(m) for m in methods)
 
 
+@pytest.mark.parametrize("function", [st.fit, st.diagnose, st.thruster, st.design, st.export])
+def test_help_of_a_function_names_the_help_of_its_options(function: Any) -> None:
+    text = " ".join((inspect.getdoc(function) or "").split())
+    (name,) = re.findall(r"which ``help\(st\.(\w+)\)`` describes", text)
+    options = getattr(st, name)
+    described = inspect.getdoc(options) or ""
+    for option in options.__annotations__:
+        assert re.search(rf"^{option} : .+\n    \S", described, re.MULTILINE), option
+        assert re.search(rf"\b{option}\b", text), option
+
+
 def test_signals_of_a_log(logs: list[Path]) -> None:
     log = st.open_log(logs[0])
     assert repr(log).startswith("<Log run1.mcap: 100.0 s, 19 signals: x, y,")
@@ -428,7 +439,7 @@ def test_an_input_outside_the_fitted_data_gives_a_warning_or_an_error(fit: st.Fi
             st.simulate(model, t, {"n_left": 0.5 + 0 * t, "n_right": np.linspace(0.0, 1200.0, t.size)})
 
 
-def test_an_unknown_name_gives_the_similar_one(logs: list[Path], fit: st.FittedVehicle) -> None:
+def test_an_unknown_name_gives_the_similar_one(logs: list[Path], fit: st.FittedVehicle, tmp_path: Path) -> None:
     for call, message in (
         (lambda: fit.params["mu"], "there is no parameter 'mu'; did you mean 'm_u'?"),
         (lambda: fit.standard_errors["mu"], "there is no estimated parameter 'mu'; did you mean 'm_u'?"),
@@ -449,6 +460,9 @@ def test_an_unknown_name_gives_the_similar_one(logs: list[Path], fit: st.FittedV
             AttributeError, match=rf"'FittedVehicle' object has no attribute '{name}'; did you mean '{meant}'"
         ):
             getattr(fit, name)
+    saved = st.load(fit.save(tmp_path / "fit"))
+    with pytest.raises(AttributeError, match="'Saved' object has no attribute 'bse'; did you mean 'standard_errors'"):
+        saved.bse  # noqa: B018
     assert not hasattr(fit, "_private")
     assert fit.params.get("mu") is None
     assert dict(fit.params) == {**fit.params}
@@ -946,6 +960,14 @@ def test_navigate_returns_and_saves_the_states(logs: list[Path], fit: st.FittedV
         (
             lambda logs, fit: st.fit(logs[0], despite=True),
             "there is no option 'despite'; did you mean 'despite_faults'?",
+        ),
+        (
+            lambda logs, fit: st.compare([fit, fit], logs[0], horizons=5.0),
+            "compare has no argument 'horizons'; did you mean 'horizon'?",
+        ),
+        (
+            lambda logs, fit: st.open_log(logs[0], begin=5.0),
+            "open_log has no argument 'begin'; the names are path, start",
         ),
         (lambda logs, fit: st.fit(logs[0], window=(0.0, 60.0)), "there is no option 'window'; the options are"),
         (lambda logs, fit: st.fit(logs[0], effects="skeg"), "effects skeg: there is no such effect"),
