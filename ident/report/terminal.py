@@ -16,6 +16,7 @@ from seatrial.ident.report import formatting
 from seatrial.ident.report.sections.campaigns import VALUES, change_of, effect_words
 from seatrial.ident.report.sections.comparison import (
     MARKS,
+    difference_rows,
     interval_words,
     kind_title,
     ratio_words,
@@ -84,7 +85,8 @@ def tables_of(result: Result) -> list[Table]:
     if isinstance(result, CampaignsResult):
         return campaign_tables(result)
     if isinstance(result, ComparisonResult):
-        return [models_table(result), *compared_tables(result), likelihood_table(result)]
+        differences = [table for table in (differences_table(result),) if table is not None]
+        return [models_table(result), *differences, *compared_tables(result), likelihood_table(result)]
     return []
 
 
@@ -305,6 +307,25 @@ def models_table(result: ComparisonResult) -> Table:
         free = f"{m.n_free} + {len(m.per_log)}" if m.per_log else str(m.n_free)  # the second number is for each log
         table.add_row(Text(f"({m.label})"), Text(free), error, *cells)
     return table
+
+
+def differences_table(result: ComparisonResult) -> Table | None:
+    """Return the table of what differs between each model and the first one; None without any known difference.
+
+    A cell has what only this model has, and then what only the first one has.
+    """
+    reference = result.models[0].label
+    table = titled_table("What differs")
+    table.padding = (0, 1, 0, 0)
+    table.show_header = False
+    table.add_column("", no_wrap=True, style="bold")
+    table.add_column("", no_wrap=True)
+    table.add_column("", overflow="fold")
+    for m in result.models[1:]:
+        for n, (title, here, there) in enumerate(difference_rows(m)):
+            sides = [f"({label}) {texts}" for label, texts in ((m.label, here), (reference, there)) if texts]
+            table.add_row(Text("" if n else f"({m.label})"), Text(title), Text("; ".join(sides)))
+    return table if table.row_count else None
 
 
 def compared_tables(result: ComparisonResult) -> list[Table]:

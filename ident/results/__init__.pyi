@@ -69,8 +69,10 @@ from .comparison import ComparedRatio as ComparedRatio
 from .comparison import ComparedTrace as ComparedTrace
 from .comparison import ComparisonResult as ComparisonResult
 from .comparison import ComparisonVerdict as ComparisonVerdict
+from .comparison import DifferenceKind as DifferenceKind
 from .comparison import InformationCriteria as InformationCriteria
 from .comparison import LogScore as LogScore
+from .comparison import ModelDifference as ModelDifference
 from .comparison import PredictionKind as PredictionKind
 from .diagnosis import diagnosis_result as diagnosis_result
 from .parts import CalibrationRow as CalibrationRow

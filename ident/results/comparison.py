@@ -14,6 +14,7 @@ from seatrial.ident.results.parts import Part, Result, same_length
 
 PredictionKind = Literal["one_step", "horizon", "simulation"]
 ComparisonVerdict = Literal["better", "worse", "indistinguishable", "no-interval"]
+DifferenceKind = Literal["structure", "effects", "inputs", "channels", "estimated", "fixed", "priors", "logs", "method"]
 LABEL = "label of the model: `a`, `b`, ..."
 
 
@@ -146,6 +147,21 @@ class InformationCriteria(Part, frozen=True, kw_only=True):
     ] = None
 
 
+class ModelDifference(Part, frozen=True, kw_only=True):
+    """What a model has and the first one has not, and the other way round, of one kind."""
+
+    kind: Annotated[
+        DifferenceKind,
+        Meta(
+            description="`structure` of the equations; `effects`; `inputs`; measured `channels`; `estimated` "
+            "parameters; `fixed` parameters with value; `priors` with mean and standard deviation; `logs` of the fit; "
+            "`method` of the fit"
+        ),
+    ]
+    here: Annotated[tuple[str, ...], Meta(description="texts of this model that the first model lacks")] = ()
+    in_reference: Annotated[tuple[str, ...], Meta(description="texts of the first model that this one lacks")] = ()
+
+
 class ComparedModel(Part, frozen=True, kw_only=True):
     """One model of a comparison. The first one, with the label `a`, is the reference."""
 
@@ -165,6 +181,13 @@ class ComparedModel(Part, frozen=True, kw_only=True):
         tuple[str, ...],
         Meta(description="compared logs by which a fit or diagnosis was validated: its effects were selected by them"),
     ] = ()
+    differences: Annotated[
+        tuple[ModelDifference, ...] | None,
+        Meta(
+            description="what differs from the first model; empty: only the values of the estimates; null: the first "
+            "model, or a result of an earlier version"
+        ),
+    ] = None
     changes: Annotated[
         tuple[ComparedKind, ...], Meta(description="one for each kind of prediction; empty for the first model")
     ] = ()

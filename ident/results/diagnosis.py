@@ -645,7 +645,7 @@ def _effect_rows(diagnosis: Diagnosis, role: parts.Role) -> tuple[parts.EffectRo
 
 
 def _name_probability(diagnosis: Diagnosis, attribution: str) -> float | None:
-    """Return the probability that the name of an effect with this attribution is right, as measured on known boats.
+    """Return the share of names with this attribution that were right on simulated boats with known effects.
 
     None for a nonparametric curve, which has no name, and for models of thrusters, which the study does not have.
     """

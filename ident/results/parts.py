@@ -1113,8 +1113,8 @@ class EffectRow(Part, frozen=True, kw_only=True):
     probability: Annotated[
         float | None,
         Meta(
-            description="probability that the name is right: the share of names with this attribution that were right "
-            "on simulated boats with known effects (docs/realistic-boats.md); null for curves and thruster models"
+            description="share of the names with this attribution that were right on simulated boats with known "
+            "effects (docs/realistic-boats.md); it is no probability for this boat; null for curves and thruster models"
         ),
     ] = None
     not_excluded: Annotated[tuple[str, ...], Meta(description="names of effects that may be the true one instead")]

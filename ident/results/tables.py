@@ -794,10 +794,21 @@ def _error_growth(found: ModelUncertainty, fit: Fit) -> dict[str, float]:
 
 
 def name_probabilities(effects: Sequence[EffectRow]) -> str:
-    """Return the sentence with the probability that the name of each added effect is right, with its attribution.
+    """Return sentences with the attribution of each added effect, and the share of such names that were right.
 
-    Effects without a known probability are left out. The text is empty if none is left.
+    The share is that of simulated boats with known effects, so it is no probability for the boat of the logs. Effects
+    without a known share are left out. The text is empty if none is left.
     """
-    known = [(e, e.probability) for e in effects if e.probability is not None]
-    words = [f"{e.title} {100.0 * p:.0f} % ({e.attribution})" for e, p in known]
-    return f"Probability that the name is right (simulated boats): {', '.join(words)}." if words else ""
+    titles, shares = dict[str, list[str]](), dict[str, float]()
+    for e in effects:
+        if e.probability is not None:
+            titles.setdefault(e.attribution, []).append(e.title)
+            shares[e.attribution] = e.probability
+    if not titles:
+        return ""
+    names = "; ".join(f"{attribution}: {', '.join(found)}" for attribution, found in titles.items())
+    right = [f"{100.0 * p:.0f} % of the names that were {attribution}" for attribution, p in shares.items()]
+    return (
+        f"Names of the effects: {names}. On simulated boats with known effects, {' and '.join(right)} were right; this "
+        "is no probability for your boat."
+    )

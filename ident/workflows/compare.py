@@ -65,6 +65,7 @@ from seatrial.ident.workflows.comparison_likelihood import (
     used_logs,
     why_not_comparable,
 )
+from seatrial.ident.workflows.model_differences import model_differences
 from seatrial.ident.workflows.model_inputs import check_horizon, hold_lines, in_one_frame, model_of_logs
 
 BLOCK_LENGTHS = 2.0  # block length of the log score, in times over which residuals may be correlated
@@ -365,6 +366,7 @@ def _result(
             per_log=c.per_log,
             fitted_to=used_logs(c.saved, loaded),
             selected_by=used_logs(c.saved, loaded, "validation") if with_effects else (),
+            differences=model_differences(compared[0].saved, c.saved) if models else None,
             changes=tuple(own),
         )
         if models:

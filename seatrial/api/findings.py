@@ -30,10 +30,11 @@ class DiagnosisFindings:
 
     @property
     def probabilities(self) -> dict[str, float]:
-        """Probability that the name of an effect is right, by name; empty without effects.
+        """Share of names with the same attribution that were right on simulated boats, by name of the effect.
 
-        It is the share of names with the same attribution that were right on simulated boats with known effects
-        (docs/realistic-boats.md). Curves without a name, and effects of thruster models, have no entry.
+        The effects of these boats are known (docs/realistic-boats.md). The share is that of the attribution, and no
+        probability for this boat. Curves without a name, and effects of thruster models, have no entry. The dictionary
+        is empty without effects.
         """
         return {e.name: e.probability for e in self.result.effects if e.probability is not None}
 

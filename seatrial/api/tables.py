@@ -95,7 +95,7 @@ def summary(result: FitResult) -> str:
 
     The parameters of effects that the user or a diagnosis added come first in the table. Above it are method and
     log-likelihood, then the `conclusion`, and of a diagnosis the
-    probabilities of the names. Flags, which name problems of single estimates, follow the table.
+    labels of the names. Flags, which name problems of single estimates, follow the table.
     """
     from seatrial.ident.results import name_probabilities
 

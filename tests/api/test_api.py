@@ -280,13 +280,16 @@ def test_estimates_with_their_uncertainty(fit: st.FittedVehicle) -> None:
     assert "<table>" in fit._repr_html_()
 
 
-def test_summary_has_the_probabilities_of_the_names(found: st.FittedDiagnosis) -> None:
+def test_summary_says_how_often_such_names_were_right(found: st.FittedDiagnosis) -> None:
     effect = structs.replace(found.result.effects[0], title="a thrust mismatch", probability=0.988)
     known = replace(found, result=structs.replace(found.result, effects=(effect,)))
-    words = f"Probability that the name is right (simulated boats): a thrust mismatch 99 % ({effect.attribution})."
+    words = (
+        f"Names of the effects: {effect.attribution}: a thrust mismatch. On simulated boats with known effects, 99 % "
+        f"of the names that were {effect.attribution} were right; this is no probability for your boat."
+    )
     assert words in " ".join(known.summary().split())
     without = replace(found, result=structs.replace(found.result, effects=()))
-    assert "Probability that the name" not in without.summary()
+    assert "Names of the effects" not in without.summary()
 
 
 def test_residuals_are_standardised(fit: st.FittedVehicle) -> None:

@@ -74,7 +74,8 @@ def body(canvas: Canvas, result: Result) -> list[Section]:
         found = [campaigns.changes_section(result), campaigns.errors_section(result)]
         found += [campaigns.estimates_section(canvas, result), campaigns.logs_section(result)]
     elif isinstance(result, ComparisonResult):
-        found = [comparison.best_section(result), comparison.errors_section(result)]
+        found = [comparison.differences_section(result), comparison.best_section(result)]
+        found.append(comparison.errors_section(result))
         found += [comparison.likelihood_section(result), comparison.overlay_section(canvas, result)]
         found.append(runs.run_section(canvas, result.logs, ()))
     else:

@@ -190,8 +190,10 @@ def attribution_words(effect: EffectRow) -> str:
     """
     odds = ""
     if effect.probability is not None:
+        share = formatting.percent(effect.probability)
         odds = (
-            f"; on simulated boats with known effects, {formatting.percent(effect.probability)} of such names are right"
+            f"; on simulated boats with known effects, {share} of such names were right, which is no probability for "
+            "this boat"
         )
     if effect.attribution == "ambiguous":
         alternatives = [between_runs_title(formatting.titled(name)) for name in effect.not_excluded]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from seatrial.daq.errors import counted
+from seatrial.daq.errors import counted, first_names
 from seatrial.ident.numerics import Array
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Canvas, Cell, Grid, Heading, Prose, Section, Table, tabbed
@@ -24,6 +24,7 @@ from seatrial.ident.results import (
     ComparedTrace,
     ComparisonResult,
     ComparisonVerdict,
+    DifferenceKind,
     LogScore,
     PredictionKind,
 )
@@ -41,6 +42,18 @@ WORDS: dict[ComparisonVerdict, str] = {
     "indistinguishable": "not distinguishable",
     "no-interval": "no interval",
 }
+DIFFERENCES: dict[DifferenceKind, str] = {
+    "structure": "structure",
+    "effects": "effects",
+    "inputs": "inputs",
+    "channels": "measured channels",
+    "estimated": "estimated parameters",
+    "fixed": "fixed parameters",
+    "priors": "priors",
+    "logs": "fitted to",
+    "method": "method of the fit",
+}
+MOST_TEXTS = 12  # texts of one kind of difference that a table lists
 BAND = 0.13  # opacity of the 95 % band of one of several models
 
 
@@ -110,6 +123,35 @@ def interval_words(ratio: ComparedRatio | None) -> str:
     if ratio is None or ratio.low is None or ratio.high is None or not 1e-6 < ratio.ratio < 1e6:
         return "–"
     return f"{formatting.plain(ratio.low)} to {formatting.plain(ratio.high)}"
+
+
+def differences_section(result: ComparisonResult) -> Section:
+    """Return the section with the table of what differs between each model and the first one.
+
+    The section is empty for a result of an earlier version, which does not contain the differences.
+    """
+    reference = result.models[0].label
+    rows: list[list[Cell | str]] = []
+    for m in result.models[1:]:
+        for title, here, there in difference_rows(m):
+            rows.append([Cell(f"({m.label})", "strong"), title, Cell(here or "–", "wide"), Cell(there or "–", "wide")])
+    columns = (("model", ""), ("", ""), ("only in this model", ""), (f"only in ({reference})", ""))
+    return Section("differences", "What differs", [Table(columns, rows)] if rows else [])
+
+
+def difference_rows(m: ComparedModel) -> list[tuple[str, str, str]]:
+    """Return the differences of a model from the first one: title, texts of this model, texts of the first.
+
+    Two models that differ only in their estimates have one row that says so. There are no rows for the first model, and
+    for a result of an earlier version. A list has its first twelve texts.
+    """
+    if m.differences is None:
+        return []
+    rows = [
+        (DIFFERENCES[d.kind], *(first_names(texts, MOST_TEXTS) for texts in (d.here, d.in_reference)))
+        for d in m.differences
+    ]
+    return rows or [("values of the estimates only", "", "")]
 
 
 def best_section(result: ComparisonResult) -> Section:

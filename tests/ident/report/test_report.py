@@ -291,11 +291,14 @@ def test_terminal_shows_the_key_figures(diagnosis: dict[str, Any]) -> None:
 def test_terminal_shows_the_probability_of_a_name_and_what_sorts_the_candidates(
     diagnosis: dict[str, Any], tmp_path: Path
 ) -> None:
-    assert "Probability that the name" not in printed(diagnosis)
+    assert "Names of the effects" not in printed(diagnosis)
     result = copy.deepcopy(diagnosis)
     result["effects"][0]["probability"] = 0.988
     text = " ".join(printed(result).split())
-    name = "Probability that the name is right (simulated boats): loss of thrust with forward speed 99 % (identified)."
+    name = (
+        "Names of the effects: identified: loss of thrust with forward speed. On simulated boats with known effects, "
+        "99 % of the names that were identified were right; this is no probability for your boat."
+    )
     assert text.index("72 % of the error on new data.") < text.index(name) < text.index("Parameters")
     assert "best by score/df" in text
     wide = next(c for c in result["rounds"][0]["candidates"] if c["df"] == 6)

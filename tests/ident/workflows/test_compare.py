@@ -19,6 +19,7 @@ import pytest
 import seatrial as st
 from seatrial import command_line
 from seatrial.api.comparison import Comparison
+from seatrial.api.messages import text_of
 from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from seatrial.ident.data.loading import LoadedLog, load_all
 from seatrial.ident.data.record import Channel, LogSegment, build_record, make_record
@@ -52,6 +53,7 @@ from seatrial.ident.workflows.comparison_likelihood import (
     log_score,
     why_not_comparable,
 )
+from seatrial.ident.workflows.model_differences import model_differences
 from tests.ident.reports import Kept
 from tests.missions import boat_log, boat_with
 
@@ -98,6 +100,41 @@ def run(*words: object, status: int = 0) -> None:
 
 def errors(t: np.ndarray, e: np.ndarray) -> PredictionErrors:
     return PredictionErrors(t, e, np.cos(t))
+
+
+def test_a_comparison_says_what_differs_between_the_models(compared: ComparisonResult, models: list[Path]) -> None:
+    reference, same = compared.models
+    assert (reference.differences, same.differences) == (None, ())
+    assert "What differs (b) values of the estimates only" in " ".join(text_of(compared).split())
+    saved = load_model(models[0])
+    changed = {"m_u": {"prior": (30.0, 2.0)}, "d_rr": {"free": False}}
+    wind = saved.model + catalogue()["wind"]
+    parameters = tuple(replace(p, **changed.get(p.name, {})) for p in wind.parameters)
+    other = replace(
+        saved,
+        model=replace(wind, parameters=parameters),
+        reml=not saved.reml,
+        provenance={"logs": ["runs/run9.mcap sha256:0123456789abcdef"]},
+    )
+    found = {d.kind: d for d in model_differences(saved, other)}
+    assert list(found) == ["effects", "estimated", "fixed", "priors", "logs", "method"]
+    assert found["effects"].here == ("wind",)
+    assert found["estimated"].in_reference == ("d_rr",)
+    assert "F_wx" in found["estimated"].here
+    assert [text.split(" = ")[0] for text in found["fixed"].here] == ["d_rr"]
+    assert "m_u = 30 ± 2 kg" in found["priors"].here
+    assert found["logs"].here == ("run9.mcap (012345)",)
+    assert found["logs"].in_reference[0].startswith("run1.mcap (")
+    assert model_differences(saved, replace(saved, reml=not saved.reml))[0].kind == "method"
+    named = msgspec.structs.replace(
+        compared, models=(reference, msgspec.structs.replace(same, differences=tuple(found.values())))
+    )
+    text = " ".join(text_of(named).split())
+    assert "What differs (b) effects (b) wind estimated parameters (b)" in text
+    assert "fitted to (b) run9.mcap (012345); (a) run1.mcap (" in text
+    page = render(named)
+    assert "What differs" in page
+    assert "only in (a)" in page
 
 
 def test_every_kind_channel_and_model_has_an_error_and_a_verdict(compared: ComparisonResult) -> None:
