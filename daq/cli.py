@@ -289,13 +289,13 @@ def import_map(
 ) -> None:
     """Turn SOURCEs (files, or folders of ROS 2 bags) into logs by a MAP from columns and topics to signals.
 
-    The first argument is the MAP, which is described in docs/formats/import.md. With --guess there is no MAP: a guessed
-    map of the first SOURCE is written, with one scale of the thrusters for all. A file that exists is replaced only
-    with --force.
+    The first argument is the MAP, which the page "Import of foreign logs" of the documentation describes. With --guess
+    there is no MAP: a guessed map of the first SOURCE is written, with one scale of the thrusters for all. A file that
+    exists is replaced only with --force.
 
     \b
     Example:
-      seatrial import map docs/examples/blueboat/blueboat.toml runs/*.csv --out-dir logs
+      seatrial import map boat.toml runs/*.csv --out-dir logs
       seatrial import --guess run2.ulg -o px4.toml
       seatrial import --guess candump.log --dbc boat.dbc -o can.toml
     """

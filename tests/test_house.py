@@ -169,6 +169,25 @@ def test_no_file_imports_a_part_by_a_name_that_is_not_installed() -> None:
     assert not [place for place in bare if place.partition(":")[0] not in ("tests/test_house.py", "tests/test_site.py")]
 
 
+def test_texts_for_users_name_no_file_of_the_repository() -> None:
+    """Messages, helps and files that are written name a page of the documentation, which an installed user has too."""
+    found = []
+    for path in (p for p in files() if p.relative_to(ROOT).parts[0] in (*PARTS, "seatrial")):
+        docstrings = {
+            id(node.body[0].value)
+            for node in nodes_of(path)
+            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
+            and isinstance(node.body[0], ast.Expr)
+            and not any(
+                "command" in ast.unparse(d) for d in getattr(node, "decorator_list", ())
+            )  # the help of a command
+        }
+        for node in nodes_of(path):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docstrings:
+                found += [f"{path}:{node.lineno}: {text}" for text in re.findall(r"docs/\S+|ident/\S+\.py", node.value)]
+    assert found == []
+
+
 def test_no_function_has_more_than_eight_parameters() -> None:
     """Commands are excepted, because their parameters are their options."""
     wide = []

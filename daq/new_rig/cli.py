@@ -214,7 +214,7 @@ def _with_head(draft: RigDraft, kind: str) -> RigDraft:
     from seatrial.daq.new_rig.draft import UNCHECKED
 
     head = (
-        f"Rig file of a {kind}, written by `seatrial init`. Keys: docs/formats/rig.md",
+        f'Rig file of a {kind}, written by `seatrial init`. Keys: page "rig.toml" of the documentation',
         f'Values that nobody has given are marked "{UNCHECKED}". {CHECKLIST} has the steps before thrusters turn.',
     )
     return replace(draft, head=head)

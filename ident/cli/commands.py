@@ -338,7 +338,8 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path, as_json: 
     "homogeneity",
     multiple=True,
     metavar="NAME",
-    help="Likelihood-ratio test: do the logs agree on this parameter?",
+    help="Likelihood-ratio test: do the logs agree on this parameter?  For two groups of logs and all parameters, "
+    "use `seatrial ident changes`.",
 )
 @click.option("--profile", "profiles", multiple=True, metavar="NAME", help="Profile likelihood of this parameter.")
 @robust_option
@@ -462,7 +463,9 @@ def changes(
     For example, what has a year of fouling changed? The model is fitted to each log separately. The scatter between
     logs is a random effect, and the false discovery rate of all changes together is held. The logs after are predicted
     with and without the changes. Two logs of a campaign are the least, three of each are better. The results in the
-    folder --out are fits.parquet, with a row for each log and parameter, result.json and report.html.
+    folder --out are fits.parquet, with a row for each log and parameter, result.json and report.html. The question is
+    whether the means of two groups of logs differ; `seatrial ident vehicle --test-homogeneity NAME` asks whether one
+    parameter is the same in all logs of one fit.
 
     \b
     Example:

@@ -31,6 +31,8 @@ from seatrial.ident.export.history import TIME, WORK, History, history_of
 from seatrial.ident.model import Input, Model, Parameter, ParameterRole, Signals, State
 from seatrial.ident.numerics import Array
 
+AGE = "tau_age"  # parameter of the effect `seatrial.ident.models.telemetry_age`
+
 
 @dataclass(frozen=True)
 class Content:
@@ -228,7 +230,26 @@ def collect_content(saved: SavedModel, *, name: str | None = None, nuisance: boo
         {n: tau for n, tau in zip(outputs, extra.noise_time_scale, strict=True) if tau > 0.0},
         extra.states_without_noise,
         tuple(e.name for e in model.effects),
+        remarks=_telemetry_lines(saved.model, model),
     )
+
+
+def _telemetry_lines(fitted: Model, model: Model) -> tuple[str, ...]:
+    """Return the header lines on the age of the telemetry of shaft speeds; empty if the fitted model has no such age.
+
+    The exported ``model`` contains the age only if the nuisance effects are kept.
+    """
+    age = fitted.values.get(AGE)
+    if age is None:
+        return ()
+    measured = (
+        f"A shaft speed of the fitted logs was measured {age:.3g} s before its time stamp (telemetry age, {AGE})."
+    )
+    if AGE in model.values:
+        advice = f"The inputs need such stamps. For shaft speeds without an age, as in a simulation, set {AGE} = 0."
+    else:
+        advice = "The age is left out: the inputs are present shaft speeds. Subtract it from the stamps of telemetry."
+    return "", measured, advice
 
 
 def _exported(model: Model) -> tuple[Parameter, ...]:
@@ -453,7 +474,8 @@ def _input_lines(content: Content) -> list[str]:
                 lines.append(f"  {name} {_unit_text(content.unit(i.unit))}{_input_meaning(i)}")
     if taps:
         step = taps[0].delay / taps[0].tap
-        lines.append(f"  NAME_ago_K (NAME~K in seatrial) is the input NAME delayed by K times {step:g} s.")
+        lines.append(f"  NAME_ago_K (NAME~K in seatrial) is the input NAME delayed by K times {step:g} s,")
+        lines.append("  which a delay, a lag or the age of telemetry in the model needs.")
     return lines
 
 

@@ -538,14 +538,14 @@ def page(result: StudyResult) -> str:
         f"    {result.command}",
         "",
         "The data of each study are simulated from the model itself, with process noise, by the Heun method in plain "
-        f"numpy (`ident/estimation/stochastic_simulation.py`). Each fit starts within a factor "
+        f"numpy (`seatrial.ident.estimation.stochastic_simulation`). Each fit starts within a factor "
         f"{2.718281828**APART:.1f} of the true values. Errors are in the coordinates of the estimator: the logarithm "
         "for positive parameters. Numbers in brackets are 95 % intervals of the statistics.",
         "",
         "- `bias, sd`: mean error divided by the standard deviation of the estimates, ± its standard error.",
         "- `variance/reported`: variance of the estimates divided by the mean of the variances that the fits reported.",
         "- `variance/bound`: variance of the estimates divided by the Cramér-Rao bound at the true values. For "
-        "parameters near their bounds, the least variance replaces that bound (`ident/studies/monte_carlo.py`).",
+        "parameters near their bounds, the least variance replaces that bound (`seatrial.ident.studies.monte_carlo`).",
         "- `coverage`: share of the 95 % intervals that contain the true value. Intervals of estimates `at bound` are "
         "one-sided.",
         f"- The last column names the statistics beyond the aim (|bias| < {BIAS}, variance within "
@@ -555,11 +555,11 @@ def page(result: StudyResult) -> str:
         "In the pictures, lines are the 95 % intervals and the light band is the aim. The dashed lines contain 95 % of "
         "the statistics of an ideal estimator with as many replicates (binomial distribution for the coverage).",
         "",
-        "The estimator is given below each title (PE: prediction error, OE: output error). The glossary "
-        "(`docs/glossary.md`) defines these terms and the symbols of the dynamic parameters. Parameters `s_...` are "
+        "The estimator is given below each title (PE: prediction error, OE: output error). The page Glossary of the "
+        "documentation defines these terms and the symbols of the dynamic parameters. Parameters `s_...` are "
         "diffusions of process noise, parameters `e_...` are standard deviations of measurement noise. Restricted "
-        "likelihood is described in "
-        "`ident/estimation/restricted_likelihood.py`, the filter's second-order mean in `ident/engine/ekf_graph.py`. "
+        "likelihood is described in `seatrial.ident.estimation.restricted_likelihood`, the filter's second-order mean "
+        "in `seatrial.ident.engine.ekf_graph`. "
         "Both are as in the commands.",
     ]
     for study in result.studies:

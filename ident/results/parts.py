@@ -1114,7 +1114,7 @@ class EffectRow(Part, frozen=True, kw_only=True):
         float | None,
         Meta(
             description="share of the names with this attribution that were right on simulated boats with known "
-            "effects (docs/realistic-boats.md); it is no probability for this boat; null for curves and thruster models"
+            "effects; it is no probability for this boat; null for curves and thruster models"
         ),
     ] = None
     not_excluded: Annotated[tuple[str, ...], Meta(description="names of effects that may be the true one instead")]

@@ -430,7 +430,7 @@ def _case_of_fitted_model(saved: SavedModel, source: str, seconds: float, seed: 
         elif signal.name not in ranges:
             raise SeatrialError(
                 f"{source}: no range of the input {signal.name!r} under [validity], so no mission can be generated; "
-                "write a Case in a Python file instead (docs/how-to/study.md)"
+                "write a Case in a Python file instead (page Run a Monte Carlo study of the documentation)"
             )
         else:
             levels = _held_random_levels(t, *ranges[signal.name], rng)

@@ -249,7 +249,7 @@ def _unused_signal(name: str, logs: tuple[str, ...], model: Model, there: set[st
         inputs = ", ".join(i.name for i in model.inputs if not i.tap)
         reason = f"model {model.name} with the inputs {inputs} does not use it"
     else:
-        reason = "no model uses this name; docs/formats/import.md lists the names that models use"
+        reason = "no model uses this name; the page Import of foreign logs lists the names that models use"
         return UnusedSignal(signal=name, logs=logs, code="unknown-name", reason=reason)
     return UnusedSignal(signal=name, logs=logs, code="not-in-model", reason=reason)
 

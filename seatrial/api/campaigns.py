@@ -98,6 +98,9 @@ def compare_campaigns(
 ) -> CampaignComparison:
     """Fit one model to the logs of two campaigns, and find what differs, as ``seatrial ident changes``.
 
+    The question is whether the means of two groups of logs differ. Whether one parameter is the same in all logs of one
+    fit is another question, which ``seatrial ident vehicle --test-homogeneity NAME`` asks.
+
     Parameters
     ----------
     before, after : path, `Log` or sequence of them

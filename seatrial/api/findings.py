@@ -32,9 +32,8 @@ class DiagnosisFindings:
     def probabilities(self) -> dict[str, float]:
         """Share of names with the same attribution that were right on simulated boats, by name of the effect.
 
-        The effects of these boats are known (docs/realistic-boats.md). The share is that of the attribution, and no
-        probability for this boat. Curves without a name, and effects of thruster models, have no entry. The dictionary
-        is empty without effects.
+        The effects of these boats are known. The share is that of the attribution, and no probability for this boat.
+        Curves without a name, and effects of thruster models, have no entry. The dictionary is empty without effects.
         """
         return {e.name: e.probability for e in self.result.effects if e.probability is not None}
 

@@ -27,7 +27,7 @@ from seatrial.ident.export.formats import SUFFIXES, TARGETS, export
 from seatrial.ident.export.model_description import variables
 from seatrial.ident.model.parameter import Parameter, ParameterOrigin
 from seatrial.ident.model.structure import Model, Output, Sensor, State, plain_model
-from seatrial.ident.models.components import estimator_error
+from seatrial.ident.models.components import estimator_error, telemetry_age
 from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.models.kinematic import kinematic_model
@@ -176,6 +176,18 @@ def test_header_describes_inputs_validity_and_omissions(target: str) -> None:
     assert "tau_b" in kept
     bench = export(saved(thruster_model()), target)
     assert "u[0] n_cmd_0 to u[48] n_cmd_48: n_cmd [-], 0 to 0.6 s ago" in bench
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_header_explains_delayed_inputs_and_the_age_of_telemetry(target: str) -> None:
+    model = (horizontal_model() + catalogue()["delay"] + telemetry_age()).with_values({"tau_age": 0.08})
+    left_out, kept = (export(saved(model), target, nuisance=n) for n in (False, True))
+    for text in (left_out, kept):
+        assert "was measured 0.08 s before its time stamp (telemetry age, tau_age)" in text
+        assert "which a delay, a lag or the age of telemetry in the model needs" in text
+    assert "the inputs are present shaft speeds. Subtract it from the stamps of telemetry" in left_out
+    assert "set tau_age = 0" in kept
+    assert "telemetry age" not in export(saved(horizontal_model()), target)
 
 
 def test_omitted_disturbance_forces_become_process_noise_of_the_same_strength() -> None:
