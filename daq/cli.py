@@ -180,7 +180,8 @@ def view(logs: tuple[Path, ...], port: int, show: Callable[[str], None]) -> None
 def info(log: Path, as_json: bool) -> None:
     """Show the content of a LOG with all its segments: topics and rates, health counters, events, warnings.
 
-    LOG may also be the folder of a single log.
+    LOG may also be the folder of a single log. The longest gap of a topic has no lower limit. `seatrial check` judges
+    gaps: longer than 1 s and 10 sample intervals, they are missing sections.
 
     \b
     Example:

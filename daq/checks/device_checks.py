@@ -720,7 +720,7 @@ def _check_gaps(name: str, t: FloatArray, pauses: FloatArray, speed: float, impo
     if long.size and (not imported or long.size < 0.02 * t.size + 1.0):
         k = int(long[np.argmax(pauses[long])])
         missing = f"data missing: {counted(long.size, 'section')}, {pauses[long].sum():.1f} s in all"
-        text = f"{missing}, the longest ({pauses[k]:.1f} s) from {t[k] - t[0]:.1f} s on"
+        text = f"{missing}, the longest ({pauses[k]:.1f} s) from {t[k] - t[0]:.1f} s on (pauses above {least:.3g} s)"
         yield Finding(
             WARNING,
             "sections-missing",

@@ -157,17 +157,19 @@ def _shaft_findings(name: str, command: Channel, shaft: Channel) -> Iterator[Fin
         return
     of_steps = list(_step_findings(name, command, shaft))
     yield from of_steps
+    # The search has a grid, and no standard error
+    follows = f"the shaft follows {found.delay:.2f} s after its command (steps of {SHAFT_GRID_S:g} s, interval unknown)"
     if found.delay_known and found.delay > MAX_DELAY + SHAFT_GRID_S / 2:
         yield Finding(
             "fault",
             "shaft-late",
             "delay",
             name,
-            f"the shaft follows {found.delay:.2f} s after its command, later than {MAX_DELAY:g} s",
+            f"{follows}, later than {MAX_DELAY:g} s",
             "check the telemetry rate, the load of the bus, and the ramp of the controller",
         )
     elif found.delay_known and not any(f.check == "delay" for f in of_steps):
-        yield Finding("ok", "shaft-on-time", "delay", name, f"the shaft follows {found.delay:.2f} s after its command")
+        yield Finding("ok", "shaft-on-time", "delay", name, follows)
     if found.band_gain > 0.2 and found.band > 0.0:
         wide = found.band > MAX_DEAD_BAND + 0.005
         advice = "check the dead band and the start-up power of the controller"

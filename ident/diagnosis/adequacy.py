@@ -511,3 +511,23 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
         elif attribution.attribution == "ambiguous":
             lines.append(f"To test whether it is {effect.title}: {effect.experiment}.")
     return " ".join(lines) or None
+
+
+def reason_without_experiment(diagnosis: Diagnosis) -> str:
+    """Return why no experiment is recommended for a diagnosis, as a clause; see `recommended_experiment`.
+
+    The text assumes that `recommended_experiment` returns None.
+    """
+    if diagnosis.effects:
+        if all(j.attribution == "nonparametric" for j in diagnosis.attributions):
+            return (
+                "the added effects are curves without a name, and the catalogue has experiments for named effects only"
+            )
+        return "no competing effect is left for the effects that were added"
+    if any(r.refits for r in diagnosis.rounds):
+        return "the catalogue has no experiment for the effects that came closest"
+    if diagnosis.untested:
+        return "the candidates that passed the score tests could not be fitted"
+    if diagnosis.short_data is not None:
+        return "no candidate passed the score tests, and the data are too short to test all of them"
+    return "no candidate passed the score tests, so that there is no effect to test"

@@ -435,7 +435,8 @@ def print_result(result: Result, console: Console) -> None:
     """Print the warnings, the answer, the caveat of a diagnosis and the tables of a result to the console.
 
     The notes of a run over many logs follow its tables, and so do the names of the common errors in a vehicle model.
-    The prediction errors of a diagnosis, its last table, are followed by the sentences on how they are computed.
+    The prediction errors of a diagnosis, its last table, are followed by the sentences on how they are computed, and by
+    the reason why no experiment is recommended, if there is none. The report has a recommended experiment.
 
     The tables of a fit are its parameters, profile likelihoods and prediction errors; a diagnosis adds the candidates.
     A table of a fit without rows is left out. The answer of a fit that did not converge is printed as a warning.
@@ -464,6 +465,8 @@ def print_result(result: Result, console: Console) -> None:
             print_table(console, table, indent=1)
     if isinstance(result, DiagnosisResult) and table is not None:
         print_prose(console, Text(result.errors_caveat, style="dim"))
+    if isinstance(result, DiagnosisResult) and result.no_experiment:
+        print_prose(console, Text(result.next_experiment, style="dim"))
     if isinstance(result, VehicleResult) and result.common_errors is not None:
         text = (
             f"Small errors that every craft has are estimated too: {', '.join(result.common_errors.names)} "

@@ -19,6 +19,7 @@ from seatrial.ident.diagnosis import (
     ValidationMismatch,
     detectable_sizes,
     is_immaterial,
+    reason_without_experiment,
     recommended_experiment,
     removal_reason,
 )
@@ -189,6 +190,7 @@ def diagnosis_result(
         ),
         parameters_before_after=_parameter_change_rows(diagnosis),
         recommended_experiment=None if recommended is None else recommended.replace("MODEL", model_path),
+        no_experiment=reason_without_experiment(diagnosis) if recommended is None else "",
     )
 
 

@@ -1285,5 +1285,17 @@ class DiagnosisResult(FitResult, frozen=True, kw_only=True, tag_field="kind", ta
         Meta(description="of the model with the effects; null: no vehicle, or a fit did not converge"),
     ] = None
     recommended_experiment: Annotated[
-        str | None, Meta(description="experiment that would distinguish the competing models")
+        str | None,
+        Meta(description="experiment that would distinguish the competing models; null: as `no_experiment` says"),
     ] = None
+    no_experiment: Annotated[
+        str,
+        Meta(description="why no experiment is recommended; empty: there is one, or a result of an earlier version"),
+    ] = ""
+
+    @property
+    def next_experiment(self) -> str:
+        """Recommended experiment, or a sentence that none is recommended with the reason; empty if neither is known."""
+        if self.recommended_experiment or not self.no_experiment:
+            return self.recommended_experiment or ""
+        return f"No experiment is recommended: {self.no_experiment}."

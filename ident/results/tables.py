@@ -15,7 +15,15 @@ from seatrial.daq.errors import counted
 from seatrial.ident import validation
 from seatrial.ident.data import LoadedLog, Record
 from seatrial.ident.diagnosis import CommonErrorsFit, ModelUncertainty
-from seatrial.ident.estimation import Fit, FittedModel, HomogeneityTest, Profile, ReportedEstimates, run_differences
+from seatrial.ident.estimation import (
+    AT_BOUND,
+    Fit,
+    FittedModel,
+    HomogeneityTest,
+    Profile,
+    ReportedEstimates,
+    run_differences,
+)
 from seatrial.ident.model import Effect, EffectKind, Model, ModelKind, Parameter, ParameterOrigin, segment_name
 from seatrial.ident.models import force_power
 from seatrial.ident.results.parts import (
@@ -131,7 +139,13 @@ def fit_summary(fit: Fit, start: Mapping[str, float], calibration: float | None 
                     prior_share=share,
                     start=finite(start[p.name] * reported.factor(p.unit)) if p.name in start else None,
                     flag="; ".join(
-                        filter(None, [flags.get(name), _wider_than_prior(p, fit.estimate(p.name, i), reported)])
+                        filter(
+                            None,
+                            [
+                                _flag_text(flags.get(name), p, fit.estimate(p.name, i)[0], reported),
+                                _wider_than_prior(p, fit.estimate(p.name, i), reported),
+                            ],
+                        )
                     )
                     or None,
                     record=fit.records[i] if p.per_record and p.free and len(names) > 1 else None,
@@ -160,6 +174,40 @@ def fit_summary(fit: Fit, start: Mapping[str, float], calibration: float | None 
             names=tuple(segment_name(scale.name(p.name, p.unit), p.segment) for p in fit.parameters),
             matrix=reported.correlation,
         ),
+    )
+
+
+def _flag_text(flag: str | None, p: Parameter, value: float, reported: ReportedEstimates) -> str:
+    """Return a flag of a fit as a sentence for the user. Only that of a parameter at its bound is extended.
+
+    The sentence has the bound in reported units, what the estimate means, and what to do.
+
+    Parameters
+    ----------
+    flag : str or None
+        Flag of the fit (`Fit.flags`).
+    p : Parameter
+        The parameter.
+    value : float
+        Its estimate, in the unit of the parameter.
+    reported : ReportedEstimates
+        Units of the result.
+    """
+    if flag != AT_BOUND:
+        return flag or ""
+    low, high = p.bounds
+    at_low = abs(value - low) <= abs(value - high)
+    bound = low if at_low else high
+    shown = f"{reported.factor(p.unit) * bound:.3g} {reported.scale.unit(p.unit) if bound else ''}".rstrip()
+    begin = f"{AT_BOUND} {shown}, the {'lowest' if at_low else 'highest'} possible value"
+    if p.name in reported.fit.model.noises:
+        why = "the data show less noise than this" if at_low else "the data show more noise than this"
+        return f"{begin}: {why}. If the noise of the sensor is known, give it (--fix {p.name}=VALUE)"
+    if at_low and bound == 0.0:
+        return f"{begin}: the data do not show {p.meaning}. Fix it (--fix {p.name}=0), or add logs that excite it"
+    return (
+        f"{begin}: the best estimate is beyond it. Check the logs (`seatrial check`), or fix it if it is known (--fix "
+        f"{p.name}=VALUE)"
     )
 
 

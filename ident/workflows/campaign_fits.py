@@ -202,7 +202,7 @@ def _why_not_compared(fitted: FittedLogs, name: str) -> tuple[NotComparedCode, s
     flags: tuple[tuple[NotComparedCode, str], ...] = (("at-bound", AT_BOUND), ("vague", VAGUE))
     for code, flag in flags:
         # A value at a bound has no error. The mean of the other logs would be too far from the bound.
-        flagged = np.array([r[name]["flag"] == flag for r in fitted.rows])
+        flagged = np.array([(r[name]["flag"] or "").startswith(flag) for r in fitted.rows])
         if flagged.any():
             where = (f"{int(flagged[part].sum())} of {int(part.sum())} logs" for part in (~fitted.after, fitted.after))
             return code, "{} in {} before and {} after".format(flag, *where)
@@ -326,7 +326,7 @@ def _is_present(
         return bool(any(tests))
     part = fitted.part(fitted.after == after)
     own = [r for rows in part.rows for r in rows.values() if r["effect"] == effect and r["free"]]
-    if own and all(r["flag"] == AT_BOUND and r["value"] == defaults.get(r["parameter"]) for r in own):
+    if own and all((r["flag"] or "").startswith(AT_BOUND) and r["value"] == defaults.get(r["parameter"]) for r in own):
         return False
     return None
 

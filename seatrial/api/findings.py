@@ -51,7 +51,12 @@ class DiagnosisFindings:
         """Experiments that would show which effect is missing, as sentences, with a command line where there is one.
 
         They are for ambiguous effects and effects with competing ones. Without an added effect they are for the best
-        effect of each round. None if no experiment is recommended. If the diagnosed model was no file, the command
-        names ``model.toml``: save the model, and give the path of this file.
+        effect of each round. None if no experiment is recommended; `no_experiment` has the reason. If the diagnosed
+        model was no file, the command names ``model.toml``: save the model, and give the path of this file.
         """
         return self.result.recommended_experiment
+
+    @property
+    def no_experiment(self) -> str:
+        """Reason why no experiment is recommended, such as an effect without competing ones; empty if there is one."""
+        return self.result.no_experiment

@@ -124,6 +124,8 @@ def summary(result: FitResult) -> str:
     lines += [rule] if len(table) > 1 else []
     flags = [f"{row.name}: {row.flag}" for row in rows if row.free and row.flag]
     lines += [textwrap.fill(flag, WIDTH, initial_indent="  ", subsequent_indent="    ") for flag in flags]
+    if experiment := getattr(result, "next_experiment", ""):
+        lines += ["", textwrap.fill(in_python(experiment), WIDTH)]
     fixed = [f"{row.name} = {row.value:.6g} {row.unit}".strip() + f" ({row.origin})" for row in rows if not row.free]
     lines += ["", textwrap.fill(f"fixed: {', '.join(fixed)}", WIDTH)] if fixed else []
     lines += (

@@ -292,6 +292,14 @@ def test_summary_says_how_often_such_names_were_right(found: st.FittedDiagnosis)
     assert "Names of the effects" not in without.summary()
 
 
+def test_a_diagnosis_without_a_recommended_experiment_says_why(found: st.FittedDiagnosis) -> None:
+    assert (found.recommended_experiment is None) == bool(found.no_experiment)
+    result = structs.replace(found.result, recommended_experiment=None, no_experiment="no candidate passed")
+    assert "No experiment is recommended: no candidate passed." in replace(found, result=result).summary()
+    advised = structs.replace(result, recommended_experiment="Turn on the spot.", no_experiment="")
+    assert "Turn on the spot." in replace(found, result=advised).summary()
+
+
 def test_residuals_are_standardised(fit: st.FittedVehicle) -> None:
     for channel in fit.residuals()["run1"].values():
         assert 0.9 < channel.value.std() < 1.1

@@ -113,5 +113,5 @@ def _fit(canvas: Canvas, result: FitResult) -> list[Section]:
         residuals.section(canvas, result),
         *([search.section(canvas, diagnosis)] if diagnosis else []),
         predictions.calibration_section(canvas, result.calibration, result.horizon_seconds),
-        predictions.next_section(diagnosis.recommended_experiment if diagnosis else None),
+        predictions.next_section(diagnosis.next_experiment if diagnosis else None),
     ]

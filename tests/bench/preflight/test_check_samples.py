@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from seatrial.daq.checks.device_checks import _check_stuck, check_devices, check_timestamps
+from seatrial.daq import cli
+from seatrial.daq.checks.device_checks import GAP_PERIODS, GAP_S, _check_stuck, check_devices, check_timestamps
 from seatrial.daq.checks.findings import Finding
 from seatrial.daq.config.rig_file import parse_rig
 from seatrial.daq.log.reader import open_log
@@ -222,7 +223,7 @@ def test_a_pause_of_a_device_whose_samples_arrive_in_groups_is_reported(tmp_path
     found = findings_of(tmp_path, rig_with("nmea", 10.0), rows)
     assert {"samples-bunched", "sections-missing", "rate-as-expected"} <= codes(found), found
     (gap,) = [f for f in found if f.code == "sections-missing"]
-    assert gap.text == "data missing: 1 section, 60.2 s in all, the longest (60.2 s) from 69.8 s on"
+    assert gap.text == "data missing: 1 section, 60.2 s in all, the longest (60.2 s) from 69.8 s on (pauses above 1 s)"
 
 
 def _with_clock(t: np.ndarray, late: np.ndarray) -> np.ndarray:
@@ -243,3 +244,8 @@ def test_the_clock_of_a_slow_device_is_compared(period: float) -> None:
 def test_too_few_samples_of_a_clock_cause_no_error() -> None:
     t = np.sort(np.concatenate([1e-3 * np.arange(49.0), [500.0, 900.0]]))
     list(check_timestamps("gnss", _with_clock(t, np.zeros(t.size)), t[-1]))
+
+
+def test_the_help_of_info_has_the_limits_that_the_check_has_for_gaps() -> None:
+    text = " ".join((cli.info.help or "").split())
+    assert f"longer than {GAP_S:g} s and {GAP_PERIODS:g} sample intervals, they are missing sections" in text

@@ -43,7 +43,8 @@ def test_one_step_shows_the_delay(delay: float, level: str, code: str) -> None:
     assert (found_level, named) == (level, code)
     late = ", later than 0.6 s" if level == "fault" else ""
     # The delay is rounded to the step of the grid.
-    assert text == f"the shaft follows {delay + 0.05:.2f} s after its command{late}"
+    known = "(steps of 0.05 s, interval unknown)"
+    assert text == f"the shaft follows {delay + 0.05:.2f} s after its command {known}{late}"
 
 
 @pytest.mark.parametrize("seconds", [2.0, 4.0])

@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import pytest
 
-from seatrial.ident.diagnosis.adequacy import recommended_experiment
+from seatrial.ident.diagnosis.adequacy import reason_without_experiment, recommended_experiment
 from seatrial.ident.diagnosis.findings import Diagnosis
 from seatrial.ident.effects import catalogue
 from seatrial.ident.model import Effect
@@ -47,3 +47,28 @@ def test_a_mission_is_recommended_only_for_effects_that_its_command_knows(
     command = f"`seatrial mission design MODEL --discriminate {effect.name},{competitor.name}` generates the mission."
     assert (command in text) == has_command
     assert ("--discriminate" in text) == has_command
+
+
+def of(**changed: Any) -> Diagnosis:
+    """Return a diagnosis for which no experiment is recommended."""
+    quiet = dict.fromkeys(("effects", "rounds", "remaining", "attributions", "untested"), ())
+    return cast(Diagnosis, SimpleNamespace(**quiet | {"short_data": None} | changed))
+
+
+def judged(attribution: str) -> SimpleNamespace:
+    return SimpleNamespace(effect="wind", attribution=attribution, not_excluded=())
+
+
+@pytest.mark.parametrize(
+    ("diagnosis", "reason"),
+    [
+        (of(), "no candidate passed the score tests, so that there is no effect to test"),
+        (of(short_data=object()), "no candidate passed the score tests, and the data are too short"),
+        (of(untested=[object()]), "could not be fitted"),
+        (of(effects=("wind",), attributions=[judged("identified")]), "no competing effect is left"),
+        (of(effects=("curve",), attributions=[judged("nonparametric")]), "are curves without a name"),
+    ],
+)
+def test_a_diagnosis_without_an_experiment_has_the_reason(diagnosis: Diagnosis, reason: str) -> None:
+    assert recommended_experiment(diagnosis) is None
+    assert reason in reason_without_experiment(diagnosis)

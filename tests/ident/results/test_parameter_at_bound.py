@@ -1,0 +1,61 @@
+"""Tests of the sentence on a parameter at its bound: which bound it is, what that means, and what to do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import seatrial as st
+from seatrial.api.messages import in_python
+from seatrial.daq.errors import SeatrialWarning
+from seatrial.ident.estimation import AT_BOUND
+from seatrial.ident.results.tables import fit_summary
+from tests.missions import boat_log, boat_with
+
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory: pytest.TempPathFactory) -> st.FittedVehicle:
+    log = boat_log(tmp_path_factory.mktemp("bound") / "run.mcap", boat_with(None, 5), 60.0, 101, 1)
+    with pytest.warns(SeatrialWarning):
+        return st.fit(log, fixed={"c1": 40.0, "c2": 1.1}, score_tests=False)
+
+
+def flag_at(fitted: st.FittedVehicle, name: str, bounds: tuple[float, float], value: float) -> str:
+    """Return the flag in the result if the estimate of a parameter is ``value``, which is one of its bounds."""
+    fit = fitted.fitted.fit
+    k, bounded = (
+        fit.names.index(name),
+        [replace(p, bounds=bounds, value=value) for p in fit.parameters if p.name == name],
+    )
+    parameters = tuple(bounded[0] if p.name == name else p for p in fit.parameters)
+    model = replace(fit.model, parameters=tuple(bounded[0] if p.name == name else p for p in fit.model.parameters))
+    values = fit.values.copy()
+    values[k] = value
+    moved = replace(fit, model=model, parameters=parameters, values=values, flags=((name, AT_BOUND),))
+    (row,) = (row for row in fit_summary(moved, {}).parameters if row.name == name)
+    assert row.flag is not None
+    return row.flag
+
+
+def test_a_damping_at_zero_is_not_shown_by_the_data(fitted: st.FittedVehicle) -> None:
+    flag = flag_at(fitted, "d_rr", (0.0, np.inf), 0.0)
+    assert flag == (
+        "at its bound 0, the lowest possible value: the data do not show quadratic yaw damping. Fix it (--fix d_rr=0), "
+        "or add logs that excite it"
+    )
+    assert "Fix it (fixed={'d_rr': 0})" in in_python(flag)
+
+
+def test_a_noise_at_its_bound_names_the_bound(fitted: st.FittedVehicle) -> None:
+    flag = flag_at(fitted, "e_psi", (0.01, np.inf), 0.01)
+    assert flag.startswith("at its bound 0.01 rad, the lowest possible value: the data show less noise than this. ")
+    assert flag.endswith("(--fix e_psi=VALUE)")
+
+
+def test_an_upper_bound_is_called_the_highest_value(fitted: st.FittedVehicle) -> None:
+    flag = flag_at(fitted, "d_uu", (0.0, 9.0), 9.0)
+    assert flag.startswith("at its bound 9 kg/m, the highest possible value: the best estimate is beyond it. ")
