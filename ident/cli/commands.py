@@ -714,7 +714,8 @@ def _parse_area(_context: click.Context, _parameter: click.Parameter, text: str 
     "between",
     metavar="EFFECTS",
     callback=parse_names,
-    help="Two effects, such as delay,lag: T-optimal mission that distinguishes them.",
+    help="Two effects, such as delay,lag: T-optimal mission that distinguishes them. It usually takes 2 to 10 minutes; "
+    "fewer --evaluations take less.",
 )
 @click.option(
     "--evaluations",
@@ -786,6 +787,9 @@ def design(
         slew=float("inf") if slew is None else slew,
         **rest,
     )
+    if between:
+        text = "design: --discriminate usually takes 2 to 10 minutes; fewer --evaluations take less. Ctrl-C ends it."
+        click.echo(text, err=True)
     try:
         result = _with_live_progress(
             lambda reporter: make_design(source, request, out, command_line(), reporter, force)

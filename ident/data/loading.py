@@ -25,6 +25,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime, timedelta
 from enum import StrEnum
 from itertools import chain, count
 from math import inf
@@ -844,6 +845,9 @@ def _named_part(
     file, name = (TIMES.sub("", str(log.about[key])) for key in ("path", "name"))
     times = f"[{seconds(a)}:{seconds(b)}]"
     about = log.about | {"path": f"{file}{times}", "name": f"{name}{times}", "duration": b - a}
+    if log.about.get("start"):
+        begin = datetime.fromisoformat(log.about["start"]) + timedelta(seconds=a - (log.run.t_from or 0.0))
+        about["start"] = begin.isoformat(timespec="seconds")
     return replace(log, run=replace(run, name=f"{name}{times}"), about=about, unknown=unknown)
 
 
@@ -1005,6 +1009,7 @@ def load_run(path: Path, role: str, window: TimeWindow = WHOLE, device_faults: D
             "sha256": log.sha256 if window == WHOLE else "",
             "role": role,
             "name": path.stem,
+            "start": datetime.fromtimestamp(start + window.t_from, UTC).isoformat(timespec="seconds"),
             "duration": log.duration if window == WHOLE else min(window.t_to, last) - window.t_from,
             "rig": log.rig.name if log.rig else None,
             "mission": _mission_name(log),

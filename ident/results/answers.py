@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
+from datetime import datetime, timedelta
 from types import MappingProxyType
 
 import numpy as np
@@ -75,6 +76,8 @@ UNEQUAL_THRUST = 0.05  # difference of the thrust ahead from the given mean, rel
 MOST_ADDED = 2.5  # largest plausible mass in surge, as a multiple of the weighed mass
 SHORT_BENCH_S = 20.0  # as SHORT_DATA_S, of a thruster: some held commands of 4 s, forward and in reverse
 LEAST_PULL = 0.03  # difference of the inputs of both sides on a straight course, relative to their mean, to report
+SAME_WEATHER = timedelta(hours=3)  # between the starts of logs, up to which one value of the wind is plausible
+NO_DATE = 1970  # year of the times of a log that has no date
 SHORT_DATA_S = 60.0  # of all estimation data; shorter data hardly contain a turn and a stop
 FEWEST_SAMPLES = 10  # equal samples from which a sensor is called stuck
 
@@ -1014,6 +1017,35 @@ def straight_sentence(dynamics: Dynamics | None) -> str:
     return (
         f"With equal {drive}s the boat turns to {side}: to go straight at {point.speed:.3g} m/s"
         f"{heading}, it needs {left_name} {left:.3g}{unit} and {right_name} {right:.3g}{unit}."
+    )
+
+
+def wind_sentence(made: Provenance, model: Model) -> str:
+    """Return the sentence on a model with one wind for estimation logs that begin hours apart; often empty.
+
+    Unlike the current, the wind of the catalogue (effect ``wind``) has one value for all logs. The text is empty for a
+    model without it, and for logs whose starts differ by three hours or less or are unknown.
+
+    Parameters
+    ----------
+    made
+        Provenance of the result, with the start times of the logs.
+    model
+        Model with its effects.
+    """
+    if "wind" not in {e.name for e in model.effects}:
+        return ""
+    starts = [datetime.fromisoformat(x.start) for x in made.logs if x.role == "estimation" and x.start]
+    dated = [t for t in starts if t.year > NO_DATE]  # without a date, the order of the logs in time is unknown
+    if len(dated) < 2 or (apart := max(dated) - min(dated)) <= SAME_WEATHER:
+        return ""
+    hours = apart / timedelta(hours=1)
+    span = f"{hours:.0f} h" if hours < 48.0 else f"{hours / 24.0:.0f} days"
+    return (
+        f"The wind is one value for all logs, but they begin up to {span} apart (the current has one for each log). "
+        "Test whether the logs agree: `seatrial ident vehicle LOGS --effect wind --test-homogeneity F_wx "
+        "--test-homogeneity F_wy`. If not, give each log its own wind: `seatrial ident fleet LOGS --effect wind` fits "
+        "each log separately."
     )
 
 

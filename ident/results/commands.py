@@ -37,6 +37,7 @@ from seatrial.ident.results.answers import (
     thruster_answer,
     thruster_warnings,
     vehicle_answer,
+    wind_sentence,
 )
 from seatrial.ident.results.parts import (
     Calibrations,
@@ -146,7 +147,10 @@ def vehicle_result(
     prediction = prediction_fit(evaluation)
     fit_answer = vehicle_answer(prediction, errors, evaluation.horizon, residuals, cross, searchable=searchable)
     course = course_sentence(posed.dynamics.course if posed.dynamics else None)
-    sentences = [fit_answer, straight_sentence(posed.dynamics), course, *(homogeneity_sentence(a) for a in homogeneity)]
+    tested = any(a.name.startswith("F_w") for a in homogeneity)  # the wind force: its sentence follows
+    wind = "" if tested else wind_sentence(made, fitted.fit.model)
+    sentences = [fit_answer, straight_sentence(posed.dynamics), course, wind]
+    sentences += [homogeneity_sentence(a) for a in homogeneity]
     answer = not_converged(fitted.fit) or " ".join(filter(None, sentences))
     uncertainty = posed.uncertainty
     return VehicleResult(

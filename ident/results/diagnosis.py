@@ -44,6 +44,7 @@ from seatrial.ident.results.answers import (
     poor_channel,
     short_data_warnings,
     straight_sentence,
+    wind_sentence,
 )
 from seatrial.ident.results.parts import DiagnosisResult, Provenance
 from seatrial.ident.results.tables import (
@@ -115,9 +116,11 @@ def diagnosis_result(
     rounds, effects = tuple(_round_row(r) for r in diagnosis.rounds), _effect_rows(diagnosis, role)
     answer = "" if failed else diagnosis_answer(diagnosis, prediction, after.horizon, poor_channel(errors))
     course = course_sentence(dynamics.course if dynamics else None)
+    wind = wind_sentence(made, diagnosis.after.fit.model)
     return DiagnosisResult(
         **msgspec.structs.asdict(made),
-        answer=faults_first(made) + (failed or " ".join(filter(None, [answer, straight_sentence(dynamics), course]))),
+        answer=faults_first(made)
+        + (failed or " ".join(filter(None, [answer, straight_sentence(dynamics), course, wind]))),
         caveat=None if failed else diagnosis_caveat(diagnosis),
         prediction=prediction,
         converged_before=diagnosis.before.fit.converged,

@@ -85,6 +85,12 @@ class LogSummary(Part, frozen=True, kw_only=True):
     role: Annotated[str, Meta(description="`estimation`, `validation`, `navigated`, `judged` or `compared`")]
     name: Annotated[str, Meta(description="name of the log, which its record has too")]
     duration: Annotated[float, Meta(description="[s]")]
+    start: Annotated[
+        str | None,
+        Meta(
+            description="UTC time of its begin (ISO 8601), in 1970 without a date; null: a result of an earlier version"
+        ),
+    ] = None
     rig: Annotated[str | None, Meta(description="name of the rig")] = None
     mission: Annotated[str | None, Meta(description="name of the mission")] = None
     origin: Annotated[
@@ -304,7 +310,7 @@ class FitSummary(Part, frozen=True, kw_only=True):
     log_likelihood: Annotated[
         float | None, Meta(description="natural logarithm of the likelihood at the estimate; null: not finite")
     ]
-    iterations: Annotated[int, Meta(description="number of iterations of the search")]
+    iterations: Annotated[int, Meta(description="number of iterations of the last fit; of a thruster: of both fits")]
     cpu: Annotated[float, Meta(description="CPU time [s]")]
     coloured: Annotated[
         bool, Meta(description="residuals are autocorrelated: standard errors are the robust ones if these are larger")

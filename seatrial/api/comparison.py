@@ -116,7 +116,7 @@ class Comparison(Shown):
                 horizon: float | Literal["simulation"] = "simulation" if p.seconds is None else p.seconds
                 by_record = found.setdefault(names[p.model], {}).setdefault(horizon, ByRecord[Prediction]())
                 predicted = measured - wrap(measured - p.predicted, True) if x.angle else p.predicted
-                samples = Prediction(p.t, measured, predicted, p.sd)
+                samples = Prediction(p.t, measured, predicted, p.sd, x.unit)
                 by_record.setdefault(x.record, {})[x.channel] = samples
         return found
 

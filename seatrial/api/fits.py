@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from seatrial.api.motion import Linearisation, Steady
     from seatrial.ident.diagnosis import Diagnosis
     from seatrial.ident.estimation import FittedModel, RecordEvaluation
+    from seatrial.ident.model import Output
     from seatrial.ident.results import DiagnosisResult, FitResult, VehicleResult
     from seatrial.ident.validation import PredictionEvaluation, RecordPrediction
     from seatrial.ident.workflows.diagnose import DiagnosedModel
@@ -62,7 +63,7 @@ OTHER_NAMES = {
     "llf": "log_likelihood",
     "loglik": "log_likelihood",
     "loglike": "log_likelihood",
-    "cov_params": "cov",
+    "cov_params": "cov_to_pandas",
     "resid": "residuals",
     "fittedvalues": "predict",
     "forecast": "predict",
@@ -319,6 +320,18 @@ class FittedResult(FitReport):
         """
         return self.fitted.fit.bic
 
+    def cov_to_pandas(self) -> Any:
+        """Return the covariance of the estimates as a ``pandas.DataFrame`` with their names as index and columns.
+
+        It is `cov` with the names of `free`, as ``cov_params()`` of statsmodels.
+
+        Raises
+        ------
+        SeatrialError
+            If pandas is not installed.
+        """
+        return tables.labelled_covariance(self.cov, self.free)
+
     def residuals(self, on: Role = "estimation") -> ByRecord[Series]:
         """Return the standardised residuals by record and channel: innovations divided by their standard deviations.
 
@@ -379,10 +392,12 @@ class FittedResult(FitReport):
         longest = max(float(view.record.t[-1] - view.record.t[0]) for view in self._views(on))
         if seconds >= longest:
             raise SeatrialError(f"horizon {seconds:g}: the longest record lasts {longest:.1f} s; give a shorter time")
-        found = ByRecord[Prediction]()
+        found, outputs = ByRecord[Prediction](), {o.name: o for o in self.fitted.model.outputs}
         for predicted in self._evaluated(on, float(seconds)):
             record, sd = predicted.record, {name: far.sd for name, far in predicted.horizon.items()}
-            found[record.name] = {n: _prediction(record, n, e.t, e.e, sd[n]) for n, e in predicted.errors.items()}
+            found[record.name] = {
+                n: _prediction(record, outputs[n], e.t, e.e, sd[n]) for n, e in predicted.errors.items()
+            }
         return found
 
     def simulate(self, on: Role | None = None) -> ByRecord[Prediction]:
@@ -404,11 +419,13 @@ class FittedResult(FitReport):
         SeatrialError
             If ``on`` is ``validation`` and the fit has no validation data.
         """
-        found = ByRecord[Prediction]()
+        found, outputs = ByRecord[Prediction](), {o.name: o for o in self.fitted.model.outputs}
         for simulated in self._evaluated(on, self.result.horizon_seconds):
             record, run = simulated.record, simulated.simulation
             found[record.name] = {
-                n: _prediction(record, n, e.t, e.e, run.sd[np.searchsorted(record.t, e.t), record.outputs.index(n)])
+                n: _prediction(
+                    record, outputs[n], e.t, e.e, run.sd[np.searchsorted(record.t, e.t), record.outputs.index(n)]
+                )
                 for n, e in run.errors.items()
             }
         return found
@@ -868,12 +885,12 @@ def python_call(function: str, logs: Sequence[Path], **more: str) -> str:
 
 
 def _prediction(
-    record: Any, channel: str, t: NDArray[np.float64], error: NDArray[np.float64], sd: NDArray[np.float64]
+    record: Any, output: Output, t: NDArray[np.float64], error: NDArray[np.float64], sd: NDArray[np.float64]
 ) -> Prediction:
     """Return the samples and predictions of a channel of a record, from the prediction errors at its sample times.
 
-    `t` (n,) are the times of the samples [s]. `error` (n,) is measured minus predicted, and `sd` (n,) its predicted
-    standard deviation, both in the unit of the channel.
+    `output` is the channel in the model. `t` (n,) are the times of the samples [s]. `error` (n,) is measured minus
+    predicted, and `sd` (n,) its predicted standard deviation, both in the unit of the channel.
     """
-    measured = record.y[np.searchsorted(record.t, t), record.outputs.index(channel)]
-    return Prediction(t, measured, measured - error, sd)
+    measured = record.y[np.searchsorted(record.t, t), record.outputs.index(output.name)]
+    return Prediction(t, measured, measured - error, sd, output.unit)

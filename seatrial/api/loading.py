@@ -144,6 +144,16 @@ class Saved(MotionMethods, Shown):
         found = self.saved_model().covariance().covariance
         return np.zeros((0, 0)) if found is None else np.asarray(found)
 
+    def cov_to_pandas(self) -> Any:
+        """Return the covariance of the estimates as a ``pandas.DataFrame`` with their names as index and columns.
+
+        Raises
+        ------
+        SeatrialError
+            If no model.toml was loaded, or if pandas is not installed.
+        """
+        return tables.labelled_covariance(self.cov, self.free)
+
     def __getattr__(self, name: str) -> Any:
         """Raise AttributeError. If a fit has an attribute of this name, the message says how to obtain it."""
         if name in NEED_LOGS:

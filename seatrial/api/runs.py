@@ -88,7 +88,8 @@ class DesignOptions(TypedDict, total=False):
     chosen : tuple of str
         Names of the parameters of the criterion; empty for all that the sensors observe.
     between : tuple of two str
-        Names of two effects that the mission distinguishes; empty for a design by the criterion.
+        Names of two effects that the mission distinguishes; empty for a design by the criterion. The search usually
+        takes 2 to 10 minutes.
     n_max : float
         Largest magnitude of a command, 0 to 1 (full command).
     slew : float

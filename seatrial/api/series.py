@@ -56,12 +56,15 @@ class Prediction(NamedTuple):
         Standard deviations of measured minus predicted, in the same unit. Over a horizon they are widened by what the
         validation data show, so that ``predicted`` ± 1.96 ``sd`` contains about 95 % of further samples. NaN if a
         channel has no such forecast.
+    unit : str
+        Unit of the channel, SI and radians; empty if it has none or if it is unknown.
     """
 
     t: NDArray[np.float64]
     measured: NDArray[np.float64]
     predicted: NDArray[np.float64]
     sd: NDArray[np.float64]
+    unit: str = ""
 
     @property
     def rms(self) -> float:
@@ -72,8 +75,9 @@ class Prediction(NamedTuple):
         return float(np.sqrt(np.mean((self.measured - self.predicted) ** 2)))
 
     def __repr__(self) -> str:
-        """Return one line with the number of samples, the times of the first and the last, and the RMS error."""
-        return f"Prediction({_span(self.t)}{f', RMS error {self.rms:.3g}' if self.t.size else ''})"
+        """Return one line with the number of samples, the first and last time, and the RMS error with its unit."""
+        error = f", RMS error {self.rms:.3g} {self.unit}".rstrip() if self.t.size else ""
+        return f"Prediction({_span(self.t)}{error})"
 
     def to_pandas(self) -> Any:
         """Return measured, predicted and sd as the columns of a ``pandas.DataFrame``, whose index is the time [s].
@@ -84,7 +88,8 @@ class Prediction(NamedTuple):
             If pandas is not installed.
         """
         pandas = import_library("pandas")
-        return pandas.DataFrame(self._asdict()).set_index("t")
+        columns = {name: getattr(self, name) for name in ("t", "measured", "predicted", "sd")}
+        return pandas.DataFrame(columns).set_index("t")
 
 
 def _span(t: NDArray[np.float64]) -> str:
@@ -102,7 +107,7 @@ class ByRecord(dict[str, dict[str, T]]):
         """Return all values as a ``pandas.DataFrame`` with a row for each sample.
 
         The columns are ``record``, ``channel`` and ``t`` [s], and then those of the values: ``value`` of residuals;
-        ``measured``, ``predicted`` and ``sd`` of predictions.
+        ``measured``, ``predicted``, ``sd`` and ``unit`` of predictions.
 
         Raises
         ------
@@ -128,7 +133,7 @@ class ComparedPredictions(dict[str, dict[float | Literal["simulation"], ByRecord
         """Return all predictions as a ``pandas.DataFrame`` with a row for each predicted sample.
 
         The columns are ``record``, ``model`` (its name), ``kind`` (horizon or simulation), ``horizon`` [s] (NaN: a
-        simulation), ``channel``, ``t`` [s], ``measured``, ``predicted`` and ``sd``.
+        simulation), ``channel``, ``t`` [s], ``measured``, ``predicted``, ``sd`` and ``unit``.
 
         Raises
         ------

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import math
 import textwrap
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from seatrial.api.messages import in_python
 from seatrial.api.shown import Content
@@ -147,6 +151,11 @@ def content(result: FitResult) -> Content:
     """
     rows = [_cells(row) for row in map(statistics, result.fit.parameters) if row.free]
     return Content(conclusion(result), warning_texts(result), COLUMNS, rows)
+
+
+def labelled_covariance(covariance: NDArray[np.float64], names: Sequence[str]) -> Any:
+    """Return a covariance (n, n) as a ``pandas.DataFrame`` with the n names as index and columns."""
+    return import_library("pandas").DataFrame(covariance, index=list(names), columns=list(names))
 
 
 def frame(result: FitResult) -> Any:

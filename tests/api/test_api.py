@@ -25,7 +25,7 @@ from msgspec import structs
 
 import seatrial as st
 from seatrial import command_line
-from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
 from seatrial.daq.log import bag_of_ros
 from seatrial.ident.results import read_result
 from seatrial.mocks.plant.bench import draw_bench
@@ -300,6 +300,33 @@ def test_a_diagnosis_without_a_recommended_experiment_says_why(found: st.FittedD
     assert "Turn on the spot." in replace(found, result=advised).summary()
 
 
+def test_the_covariance_has_a_table_with_names(fit: st.FittedVehicle, tmp_path: Path) -> None:
+    table = fit.cov_to_pandas()
+    assert list(table.index) == list(table.columns) == list(fit.free)
+    assert np.sqrt(table.loc["m_u", "m_u"]) == pytest.approx(fit.standard_errors["m_u"], rel=1e-6)
+    assert table.loc["m_u", "d_uu"] == fit.cov[fit.free.index("m_u"), fit.free.index("d_uu")]
+    with pytest.raises(AttributeError, match="no attribute 'cov_params'; did you mean 'cov_to_pandas'"):
+        fit.cov_params  # noqa: B018
+    saved = st.load(fit.save(tmp_path / "fit"))
+    assert np.allclose(saved.cov_to_pandas(), saved.cov)
+    assert list(saved.cov_to_pandas().index) == list(saved.free)
+
+
+def test_predictions_show_their_unit(fit: st.FittedVehicle) -> None:
+    (channels, *_) = fit.predict(5.0).values()
+    assert re.search(r"RMS error \S+ rad/s\)$", repr(channels["r"]))
+    assert channels["psi"].unit == "rad"
+    assert list(channels["r"].to_pandas().columns) == ["measured", "predicted", "sd"]
+    table = fit.predict(5.0).to_pandas()
+    assert set(table[table["channel"] == "vx"]["unit"]) == {"m/s"}
+
+
+def test_the_number_of_iterations_is_that_of_the_last_fit(fit: st.FittedVehicle) -> None:
+    found = fit.result.fit
+    assert f"in {counted(found.iterations, 'iteration')} of the last fit" in found.message
+    assert found.message in fit.summary()
+
+
 def test_residuals_are_standardised(fit: st.FittedVehicle) -> None:
     for channel in fit.residuals()["run1"].values():
         assert 0.9 < channel.value.std() < 1.1
@@ -316,7 +343,7 @@ def test_predictions_have_the_errors_of_the_result(fit: st.FittedVehicle) -> Non
     for name, row in errors.horizon.items():
         assert ahead[name].rms == pytest.approx(row.after, rel=1e-9)
     assert fit.predict(2.0)["run2"]["x"].rms < ahead["x"].rms
-    assert re.fullmatch(r"Prediction\(\d+ samples, [\d.]+ to [\d.]+ s, RMS error [\d.]+\)", repr(ahead["x"]))
+    assert re.fullmatch(r"Prediction\(\d+ samples, [\d.]+ to [\d.]+ s, RMS error [\d.]+ m\)", repr(ahead["x"]))
     widening = fit.result.calibration.validation
     assert widening is not None
     for name, factor in widening.horizon.items():
@@ -338,7 +365,7 @@ def test_series_become_tables(fit: st.FittedVehicle) -> None:
     np.testing.assert_array_equal(residuals["run1"]["r"].to_pandas().index, own["t"])
     for found in (ahead, fit.simulate()):
         table = found.to_pandas()
-        assert list(table.columns) == ["record", "channel", "t", "measured", "predicted", "sd"]
+        assert list(table.columns) == ["record", "channel", "t", "measured", "predicted", "sd", "unit"]
         own = table[table["channel"] == "vx"]
         rms = np.sqrt(np.mean((own["measured"] - own["predicted"]) ** 2))
         assert rms == pytest.approx(found["run2"]["vx"].rms)
@@ -855,7 +882,9 @@ def test_comparison_prefers_the_model_with_the_effect(
         assert np.abs(heading.measured - heading.predicted).max() <= np.pi
         assert np.isfinite(heading.sd).all()
     table = predictions.to_pandas()
-    assert [*table.columns] == [*["record", "model", "kind", "horizon", "channel", "t", "measured", "predicted", "sd"]]
+    assert [*table.columns] == [
+        *["record", "model", "kind", "horizon", "channel", "t", "measured", "predicted", "sd", "unit"]
+    ]
     assert set(table["kind"]) == {"horizon", "simulation"}
     (rows,) = (len(x) for key, x in table.groupby(["model", "kind", "channel"]) if key == ("mismatch", "horizon", "r"))
     assert rows == predictions["mismatch"][seconds]["run3"]["r"].t.size

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from seatrial.daq.errors import counted
 from seatrial.ident.numerics import Array
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Canvas, Cell, Facts, Grid, Heading, Key, Plot, Prose, Section, Table, tabbed
@@ -106,7 +107,7 @@ def _fit_facts(fit: FitSummary) -> list[Any]:
     """Return the labelled facts of a fit as a list of one block.
 
     They are model, method, convergence, log-likelihood, iterations, kind of standard errors and CPU time. Facts without
-    a value are left out.
+    a value are left out, and so is a number of iterations that the message has.
     """
     methods = {"OE": "output error (OE)", "PE": "prediction error (PE)"}
     converged, message = "yes" if fit.converged else "no", fit.message
@@ -118,7 +119,10 @@ def _fit_facts(fit: FitSummary) -> list[Any]:
         ("Method", methods[fit.method]),
         ("Converged", f"{converged}: {message}" if message else converged),
         ("Log-likelihood", "" if log_likelihood is None else f"{log_likelihood:,.1f}".replace("-", "−")),
-        ("Iterations", str(fit.iterations)),
+        (
+            "Iterations of all fits",
+            "" if f"in {counted(fit.iterations, 'iteration')}" in message else str(fit.iterations),
+        ),
         ("Standard errors", "; ".join(errors)),
         ("CPU time", f"{formatting.plain(fit.cpu)} s"),
     )

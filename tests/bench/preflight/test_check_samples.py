@@ -223,7 +223,7 @@ def test_a_pause_of_a_device_whose_samples_arrive_in_groups_is_reported(tmp_path
     found = findings_of(tmp_path, rig_with("nmea", 10.0), rows)
     assert {"samples-bunched", "sections-missing", "rate-as-expected"} <= codes(found), found
     (gap,) = [f for f in found if f.code == "sections-missing"]
-    assert gap.text == "data missing: 1 section, 60.2 s in all, the longest (60.2 s) from 69.8 s on (pauses above 1 s)"
+    assert gap.text == "data missing: 1 section, 60.2 s in all, the longest (60.2 s) from 69.8 s on (pauses above 2 s)"
 
 
 def _with_clock(t: np.ndarray, late: np.ndarray) -> np.ndarray:

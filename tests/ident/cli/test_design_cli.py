@@ -254,6 +254,15 @@ def test_discrimination_between_two_effects(tmp_path: Path, capsys: pytest.Captu
     assert "delay (typical size, since no fit has one): tau_delay = 0.25 s" in " ".join(output.split())
 
 
+def test_a_discrimination_says_before_the_search_how_long_it_takes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("design", "horizontal", "--out", str(tmp_path / "apart.toml"), "--discriminate", "delay,ghost")
+    status, _, err = run(capsys, *words)
+    assert status == 1
+    assert err.index("usually takes 2 to 10 minutes; fewer --evaluations take less") < err.index("no effect 'ghost'")
+
+
 def effects_of(model: Model) -> list[str]:
     return [e.name for e in model.effects]
 

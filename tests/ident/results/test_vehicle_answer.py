@@ -41,6 +41,7 @@ from seatrial.ident.results.answers import (
     thruster_answer,
     unusual_estimates,
     vehicle_answer,
+    wind_sentence,
 )
 from seatrial.ident.results.parts import (
     CourseStability,
@@ -93,6 +94,31 @@ def test_finding_of_many_logs_is_reported_once() -> None:
     assert warning.code == "log-check"
     assert warning.text.startswith("0.mcap, 1.mcap, 2.mcap")
     assert "more: psi: it is smooth [channel-smoothed]" in warning.text
+
+
+def made_of(*logs: tuple[str, str | None]) -> Provenance:
+    """Return the provenance of a result of logs with a role and a start time each."""
+    rows = [
+        LogSummary(path=f"{k}.mcap", sha256="", role=role, name=str(k), duration=60.0, start=start)
+        for k, (role, start) in enumerate(logs)
+    ]
+    return Provenance(created="", seatrial="", command="", logs=tuple(rows))
+
+
+def test_one_wind_for_logs_of_different_days_is_named_with_the_way_to_separate_it() -> None:
+    morning, afternoon, later = (f"2025-05-{t}:00:00+00:00" for t in ("06T08", "06T10", "09T08"))
+    windy = horizontal_model() + catalogue()["wind"]
+    days = made_of(("estimation", morning), ("estimation", later))
+    text = wind_sentence(days, windy)
+    assert "one value for all logs, but they begin up to 3 days apart" in text
+    assert "`seatrial ident vehicle LOGS --effect wind --test-homogeneity F_wx --test-homogeneity F_wy`" in text
+    assert "`seatrial ident fleet LOGS --effect wind`" in text
+    assert wind_sentence(days, horizontal_model()) == ""
+    same_day = made_of(("estimation", morning), ("estimation", afternoon))
+    assert wind_sentence(same_day, windy) == ""
+    assert wind_sentence(made_of(("estimation", morning), ("validation", later)), windy) == ""
+    undated = made_of(("estimation", "1970-01-01T00:00:00+00:00"), ("estimation", morning), ("estimation", None))
+    assert wind_sentence(undated, windy) == ""
 
 
 @pytest.mark.parametrize(
