@@ -409,6 +409,9 @@ class ModelUncertainty:
         from the given thrust.
     scale_shift : Array (n,)
         Change of each estimate if only one side deviates from the given thrust, by the whole difference.
+    strongest
+        Name of the candidate with the largest criterion of those that pass, without common errors; empty if there is
+        none.
     """
 
     parameters: tuple[str, ...]
@@ -417,6 +420,7 @@ class ModelUncertainty:
     common_errors: Array
     thrust_difference: float
     scale_shift: Array
+    strongest: str = ""
 
     @property
     def covariance(self) -> Array:

@@ -48,7 +48,7 @@ def model_uncertainty(
     equations
         Score equations of the fitted model.
     passing
-        Scores that pass the tests on it.
+        Scores that pass the tests on it, the largest criterion first.
     effects
         Parametric candidates by name, whose priors limit the shifts. Others have no prior.
     fit
@@ -90,7 +90,8 @@ def model_uncertainty(
     shifted = np.array(shifts).reshape(len(names), len(parameters))
     of_common = _error_without(equations, common if incomplete else {})
     of_scale = difference * _force_part(parameters, fit)
-    return ModelUncertainty(parameters, tuple(names), shifted, of_common, difference, of_scale)
+    strongest = next((s.name for s in passing if s.name not in common), "")
+    return ModelUncertainty(parameters, tuple(names), shifted, of_common, difference, of_scale, strongest)
 
 
 def untested_uncertainty(fit: Fit) -> ModelUncertainty | None:

@@ -17,12 +17,15 @@ from seatrial.daq.checks import FAULT
 from seatrial.daq.errors import first_names
 from seatrial.ident.characterisation import MOVING, Levels, Quadratic, ThrustCurve, TurningShaft, steady_thrust
 from seatrial.ident.data import ORIGIN, Record
+from seatrial.ident.diagnosis import ModelUncertainty
+from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import (
     FailedRun,
     Fit,
     FittedModel,
     HomogeneityTest,
     ThrustScale,
+    between_runs_title,
     least_yaw_inertia,
     prior_distances,
     thrust_scale_of,
@@ -1017,6 +1020,21 @@ def straight_sentence(dynamics: Dynamics | None) -> str:
     return (
         f"With equal {drive}s the boat turns to {side}: to go straight at {point.speed:.3g} m/s"
         f"{heading}, it needs {left_name} {left:.3g}{unit} and {right_name} {right:.3g}{unit}."
+    )
+
+
+def candidate_sentence(found: ModelUncertainty | None) -> str:
+    """Return the sentence on the strongest candidate for a missing effect by the score tests of a fit.
+
+    The text is empty without score tests, and if no candidate passes them.
+    """
+    if found is None or not found.strongest:
+        return ""
+    effect = catalogue().get(found.strongest)
+    name = f"{effect.title} ({effect.name})" if effect else between_runs_title(found.strongest)
+    return (
+        f"The strongest candidate of the score tests is {name}: `seatrial ident diagnose` refits it beside the others, "
+        "and says whether it is missing."
     )
 
 

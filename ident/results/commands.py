@@ -19,6 +19,7 @@ from seatrial.ident.models import residuals_of
 from seatrial.ident.numerics import Array
 from seatrial.ident.results.answers import (
     calibration_notes,
+    candidate_sentence,
     check_warnings,
     course_sentence,
     dead_zone_warnings,
@@ -149,7 +150,8 @@ def vehicle_result(
     course = course_sentence(posed.dynamics.course if posed.dynamics else None)
     tested = any(a.name.startswith("F_w") for a in homogeneity)  # the wind force: its sentence follows
     wind = "" if tested else wind_sentence(made, fitted.fit.model)
-    sentences = [fit_answer, straight_sentence(posed.dynamics), course, wind]
+    candidate = candidate_sentence(posed.uncertainty) if searchable else ""
+    sentences = [fit_answer, candidate, straight_sentence(posed.dynamics), course, wind]
     sentences += [homogeneity_sentence(a) for a in homogeneity]
     answer = not_converged(fitted.fit) or " ".join(filter(None, sentences))
     uncertainty = posed.uncertainty

@@ -323,7 +323,7 @@ def test_predictions_show_their_unit(fit: st.FittedVehicle) -> None:
 
 def test_the_number_of_iterations_is_that_of_the_last_fit(fit: st.FittedVehicle) -> None:
     found = fit.result.fit
-    assert f"in {counted(found.iterations, 'iteration')} of the last fit" in found.message
+    assert f"in {counted(found.iterations, 'iteration')} (last fit)" in found.message
     assert found.message in fit.summary()
 
 

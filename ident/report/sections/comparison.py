@@ -148,7 +148,7 @@ def difference_rows(m: ComparedModel) -> list[tuple[str, str, str]]:
     if m.differences is None:
         return []
     rows = [
-        (DIFFERENCES[d.kind], *(first_names(texts, MOST_TEXTS) for texts in (d.here, d.in_reference)))
+        (DIFFERENCES[d.kind], first_names(d.here, MOST_TEXTS), first_names(d.in_reference, MOST_TEXTS))
         for d in m.differences
     ]
     return rows or [("values of the estimates only", "", "")]

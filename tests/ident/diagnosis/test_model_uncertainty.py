@@ -65,6 +65,7 @@ def test_shift_is_the_change_of_the_estimates_by_a_refit_with_the_candidate() ->
     found = model_uncertainty(equations, [passed("two"), passed("one")], {}, fitted())
     assert found is not None
     assert found.candidates == ("one", "two")
+    assert found.strongest == "two"
     without = np.linalg.lstsq(columns[:, :2], y, rcond=None)[0]
     for k, added in enumerate(([2], [3, 4])):
         refitted = np.linalg.lstsq(columns[:, [0, 1, *added]], y, rcond=None)[0][:2]

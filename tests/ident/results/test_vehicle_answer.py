@@ -13,7 +13,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from seatrial.api.messages import in_python
 from seatrial.ident.data.record import Record
+from seatrial.ident.diagnosis import ModelUncertainty
 from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation.likelihood import Likelihood
 from seatrial.ident.estimation.maximum_likelihood import fit
@@ -24,6 +26,7 @@ from seatrial.ident.model.structure import ModelKind
 from seatrial.ident.models import horizontal_model
 from seatrial.ident.results.answers import (
     NAMES,
+    candidate_sentence,
     change_sentence,
     check_warnings,
     course_sentence,
@@ -94,6 +97,17 @@ def test_finding_of_many_logs_is_reported_once() -> None:
     assert warning.code == "log-check"
     assert warning.text.startswith("0.mcap, 1.mcap, 2.mcap")
     assert "more: psi: it is smooth [channel-smoothed]" in warning.text
+
+
+def test_the_answer_names_the_strongest_candidate_of_the_score_tests() -> None:
+    none = ModelUncertainty((), (), np.zeros((0, 0)), np.zeros((0, 0)), 0.0, np.zeros(0))
+    assert candidate_sentence(None) == candidate_sentence(none) == ""
+    text = candidate_sentence(replace(none, strongest="wind"))
+    assert text.startswith(
+        "The strongest candidate of the score tests is steady wind (wind): `seatrial ident diagnose`"
+    )
+    assert "m_v differs between the runs:" in candidate_sentence(replace(none, strongest="between-runs:m_v"))
+    assert "`st.diagnose`" in in_python(text)
 
 
 def made_of(*logs: tuple[str, str | None]) -> Provenance:
