@@ -334,6 +334,12 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path, as_json: 
 @click.argument("logs", nargs=-1, required=True, type=LOG)
 @model_options()
 @click.option(
+    "--per-log",
+    multiple=True,
+    metavar="NAME",
+    help="Estimate this parameter of an --effect in each log: --effect wind --per-log F_wx --per-log F_wy.",
+)
+@click.option(
     "--test-homogeneity",
     "homogeneity",
     multiple=True,

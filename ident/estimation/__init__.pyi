@@ -73,6 +73,7 @@ from .prior_knowledge import parameters_of_effects as parameters_of_effects
 from .prior_knowledge import set_initial_values as set_initial_values
 from .prior_knowledge import set_priors as set_priors
 from .prior_knowledge import with_effects as with_effects
+from .prior_knowledge import with_values_per_log as with_values_per_log
 from .profile_likelihood import Profile as Profile
 from .profile_likelihood import profile as profile
 from .refitted_effect import RefittedEffect as RefittedEffect

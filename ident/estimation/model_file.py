@@ -622,9 +622,9 @@ def _with_bounds_around_values(effect: Effect, rows: Sequence[Mapping[str, Any]]
 def _parameter_from_table(p: Parameter, row: Mapping[str, Any]) -> Parameter:
     """Return the parameter p of the model's structure with the entries of its table ``row`` in the file.
 
-    The entries are the value, whether it is free or considered, the prior and the origin. Without a prior in the table,
-    the parameter keeps its prior. If the origin in the table is ``estimated``, the parameter keeps the origin that it
-    has in the structure. ValueError is raised for a prior that is not valid.
+    The entries are the value, whether it is free, considered or per record, the prior and the origin. Without a prior
+    in the table, the parameter keeps its prior. If the origin in the table is ``estimated``, the parameter keeps the
+    origin that it has in the structure. ValueError is raised for a prior that is not valid.
     """
     origin = ParameterOrigin(row.get("origin", "given"))
     estimated = origin is ParameterOrigin.ESTIMATED
@@ -642,6 +642,7 @@ def _parameter_from_table(p: Parameter, row: Mapping[str, Any]) -> Parameter:
         value=float(row["value"]),
         free=bool(row["free"]),
         considered=bool(row.get("considered", False)),
+        per_record=bool(row.get("per_record", p.per_record)),
         prior=prior,
         origin=p.origin if estimated else origin,
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -347,6 +347,26 @@ def set_priors(model: Model, prior: Mapping[str, tuple[float, float]]) -> Model:
         except ValueError as problem:
             raise SeatrialError(f"--prior {name}={mean:g}:{sd:g}: {problem}") from problem
     return model.replace_parameters(*given)
+
+
+def with_values_per_log(model: Model, names: Iterable[str]) -> Model:
+    """Return the model in which these parameters of added effects have a value of their own in each log.
+
+    SeatrialError is raised for a name that is no estimated parameter of an effect that was added to the model.
+    """
+    own = {p.name: e for e in model.effects if not e.kind.nuisance for p in e.parameters}
+    for name in names:
+        if name not in model.values:
+            raise _no_parameter(model, "--per-log", name)
+        parameter = model.parameter(name)
+        if name not in own or not parameter.free:
+            possible = ", ".join(n for n in own if model.parameter(n).free) or "none; add an effect with --effect"
+            raise SeatrialError(
+                f"--per-log {name}: only estimated parameters of effects can have a value for each log, here: "
+                f"{possible}. Whether the logs agree on another parameter is a question for --test-homogeneity"
+            )
+        model = model.replace_parameters(replace(parameter, per_record=True))
+    return model
 
 
 def set_initial_values(model: Model, initial: Mapping[str, float]) -> Model:

@@ -1051,7 +1051,7 @@ def wind_sentence(made: Provenance, model: Model) -> str:
     model
         Model with its effects.
     """
-    if "wind" not in {e.name for e in model.effects}:
+    if "wind" not in {e.name for e in model.effects} or model.parameter("F_wx").per_record:
         return ""
     starts = [datetime.fromisoformat(x.start) for x in made.logs if x.role == "estimation" and x.start]
     dated = [t for t in starts if t.year > NO_DATE]  # without a date, the order of the logs in time is unknown
@@ -1062,8 +1062,7 @@ def wind_sentence(made: Provenance, model: Model) -> str:
     return (
         f"The wind is one value for all logs, but they begin up to {span} apart (the current has one for each log). "
         "Test whether the logs agree: `seatrial ident vehicle LOGS --effect wind --test-homogeneity F_wx "
-        "--test-homogeneity F_wy`. If not, give each log its own wind: `seatrial ident fleet LOGS --effect wind` fits "
-        "each log separately."
+        "--test-homogeneity F_wy`. If not, give each log its own wind: --per-log F_wx --per-log F_wy."
     )
 
 

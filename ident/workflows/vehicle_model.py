@@ -19,6 +19,7 @@ from seatrial.ident.estimation import (
     set_initial_values,
     set_priors,
     with_effects,
+    with_values_per_log,
 )
 from seatrial.ident.model import Model, ModelKind, ParameterOrigin
 from seatrial.ident.models import is_own_model, thrust_calibration
@@ -64,6 +65,8 @@ class VehicleRequest:
         Mean and standard deviation of the prior of each parameter, by name.
     effects
         Names of effects of the catalogue that are added with free parameters.
+    per_log
+        Names of parameters of these effects that have a value of their own in each log.
     score_tests
         Whether to test the model by the score tests of the catalogue. The common errors of sensors and hull form are
         then added if the data need them, and the standard errors include what remains unexplained.
@@ -92,6 +95,7 @@ class VehicleRequest:
     initial: Mapping[str, float] = field(default_factory=dict)
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     effects: Sequence[str] = ()
+    per_log: Sequence[str] = ()
     score_tests: bool = True
     despite_faults: bool = False
     homogeneity: Sequence[str] = ()
@@ -274,6 +278,7 @@ def vehicle_problem(
     require_one_frame(model, [*loaded, *validation_logs])
     model = set_initial_values(set_priors(model, request.priors), request.initial)
     model, fixed_notes = fix_parameters(model, request.thruster if curve is None else None, request.fixed)
+    model = with_values_per_log(model, request.per_log)
     model = free_unknown_scale(model)
     model, floors = with_noise_floors(model, loaded)
     notes += considered_notes(model)
@@ -305,6 +310,7 @@ def _saved_problem(
     model = with_effects(model, request.effects)
     model = set_initial_values(set_priors(model, request.priors), request.initial)
     model, notes = fix_parameters(model, request.thruster if curve is None else None, request.fixed)
+    model = with_values_per_log(model, request.per_log)
     model, floors = with_noise_floors(model, loaded)
     check_names(nominal_model(model), request.profiles, len(loaded))
     notes = [*hold_lines(saved, [*loaded, *validation_logs]), *considered_notes(model), *notes]

@@ -49,6 +49,7 @@ LISTS = (
     "exclude",
     "profiles",
     "homogeneity",
+    "per_log",
 )  # options with a list of names, for which one name may be given
 # Options with values of parameters by name, with an example of each for the messages
 PARAMETER_VALUES = {"fixed": '{"c1": 6.85}', "initial": '{"m_u": 30.0}', "priors": '{"c1": (6.85, 0.3)}'}
@@ -87,6 +88,9 @@ class FitOptions(TypedDict, total=False):
         Priors of parameters by name.
     effects : sequence of str
         Names of effects of the catalogue to add to the model with free parameters.
+    per_log : sequence of str
+        Names of parameters of these effects that have a value of their own in each log, such as ``["F_wx", "F_wy"]``
+        of a wind that differs between the days of the logs.
     mass : float
         Weighed mass of the boat [kg]. A warning tells if the estimated mass in surge contradicts it. It is no prior.
     score_tests : bool
@@ -115,6 +119,7 @@ class FitOptions(TypedDict, total=False):
     initial: Mapping[str, float]
     priors: Mapping[str, tuple[float, float]]
     effects: Sequence[str]
+    per_log: Sequence[str]
     mass: float
     score_tests: bool
     profiles: Sequence[str]
@@ -602,8 +607,8 @@ def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[
         Other logs, on which the fit is evaluated. They are used whole, so a `Log` with a window is an error. Without
         them the fit is evaluated on ``logs``.
     **options
-        `FitOptions`, which ``help(st.FitOptions)`` describes: thruster, fixed, initial, priors, effects, mass,
-        score_tests, profiles, outlier_model, reml, mean_order, horizon, rate, despite_faults, progress.
+        `FitOptions`, which ``help(st.FitOptions)`` describes: thruster, fixed, initial, priors, effects,
+        per_log, mass, score_tests, profiles, outlier_model, reml, mean_order, horizon, rate, despite_faults, progress.
 
     Returns
     -------
@@ -849,8 +854,8 @@ def unknown_attribute(thing: object, name: str) -> AttributeError:
 def known_options(given: Mapping[str, Any], options: type) -> dict[str, Any]:
     """Return the options as a new dict, after a check of their names. A list of names may be given as one name.
 
-    One name of effects, exclude, profiles or homogeneity becomes a list of one. The other values are not changed.
-    Numbers and paths are checked as `check_values` does.
+    One name of effects, exclude, per_log, profiles or homogeneity becomes a list of one. The other values are not
+    changed. Numbers and paths are checked as `check_values` does.
 
     Parameters
     ----------

@@ -177,6 +177,10 @@ def common_window(options: Mapping[str, Any], *logs: Logs) -> TimeWindow:
 
     if "profiles" in options:
         raise SeatrialError("profiles: the table of many logs has no profile likelihoods; compute them by st.fit")
+    if "per_log" in options:
+        raise SeatrialError(
+            "per_log: each log has a fit of its own here, so that all parameters differ between the logs"
+        )
     windows = {window_of(x) for x in logs}
     window = windows.pop()
     if windows or not isinstance(window, TimeWindow):

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 # Arguments of the functions of `seatrial` by the command-line option. An option without an entry stays as it is.
 ARGUMENTS = {
     "--fix": "fixed", "--prior": "priors", "--initial": "initial", "--effect": "effects", "--effects": "effects_file",
-    "--validate": "validate", "--max-effects": "max_effects", "--exclude": "exclude",
+    "--per-log": "per_log", "--validate": "validate", "--max-effects": "max_effects", "--exclude": "exclude",
     "--model": "model", "--horizon": "horizon",
     "--thruster": "thruster", "--robust": "outlier_model", "--profile": "profiles", "--settle": "settle",
     "--force": "force=True", "--despite-faults": "despite_faults=True", "--no-reml": "reml=False",
