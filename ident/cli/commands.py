@@ -338,7 +338,7 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path, as_json: 
     "homogeneity",
     multiple=True,
     metavar="NAME",
-    help="Likelihood-ratio test: do the logs agree on this parameter?  For two groups of logs and all parameters, "
+    help="Likelihood-ratio test: do the logs agree on this parameter? For two groups of logs and all parameters, "
     "use `seatrial ident changes`.",
 )
 @click.option("--profile", "profiles", multiple=True, metavar="NAME", help="Profile likelihood of this parameter.")
