@@ -788,7 +788,7 @@ def design(
         **rest,
     )
     if between:
-        text = "design: --discriminate usually takes 2 to 10 minutes; fewer --evaluations take less. Ctrl-C ends it."
+        text = "  design: --discriminate usually takes 2 to 10 minutes; fewer --evaluations take less. Ctrl-C ends it."
         click.echo(text, err=True)
     try:
         result = _with_live_progress(
