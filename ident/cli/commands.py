@@ -344,7 +344,7 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path, as_json: 
     "homogeneity",
     multiple=True,
     metavar="NAME",
-    help="Likelihood-ratio test: do the logs agree on this parameter?  For two groups of logs and all parameters, "
+    help="Likelihood-ratio test: do the logs agree on this parameter? For two groups of logs and all parameters, "
     "use `seatrial ident changes`.",
 )
 @click.option("--profile", "profiles", multiple=True, metavar="NAME", help="Profile likelihood of this parameter.")
@@ -794,7 +794,7 @@ def design(
         **rest,
     )
     if between:
-        text = "design: --discriminate usually takes 2 to 10 minutes; fewer --evaluations take less. Ctrl-C ends it."
+        text = "  design: --discriminate usually takes 2 to 10 minutes; fewer --evaluations take less. Ctrl-C ends it."
         click.echo(text, err=True)
     try:
         result = _with_live_progress(

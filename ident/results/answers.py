@@ -1033,8 +1033,7 @@ def candidate_sentence(found: ModelUncertainty | None) -> str:
     effect = catalogue().get(found.strongest)
     name = f"{effect.title} ({effect.name})" if effect else between_runs_title(found.strongest)
     return (
-        f"The strongest candidate of the score tests is {name}: `seatrial ident diagnose` refits it beside the others, "
-        "and says whether it is missing."
+        f"The strongest candidate of the score tests is {name}: `seatrial ident diagnose` tests it against the others."
     )
 
 

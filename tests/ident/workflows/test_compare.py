@@ -132,6 +132,11 @@ def test_a_comparison_says_what_differs_between_the_models(compared: ComparisonR
     text = " ".join(text_of(named).split())
     assert "What differs (b) effects (b) wind estimated parameters (b)" in text
     assert "fitted to (b) run9.mcap (012345); (a) run1.mcap (" in text
+    lengthy = msgspec.structs.replace(found["estimated"], here=tuple(f"parameter_{k}" for k in range(12)))
+    wordy = msgspec.structs.replace(compared, models=(reference, msgspec.structs.replace(same, differences=(lengthy,))))
+    block = text_of(wordy).partition("What differs")[2].partition("RMS error")[0]
+    assert "parameter_11" in block
+    assert max(map(len, block.splitlines())) <= 100
     page = render(named)
     assert "What differs" in page
     assert "only in (a)" in page
