@@ -126,7 +126,9 @@ def test_one_wind_for_logs_of_different_days_is_named_with_the_way_to_separate_i
     text = wind_sentence(days, windy)
     assert "one value for all logs, but they begin up to 3 days apart" in text
     assert "`seatrial ident vehicle LOGS --effect wind --test-homogeneity F_wx --test-homogeneity F_wy`" in text
-    assert "`seatrial ident fleet LOGS --effect wind`" in text
+    assert text.endswith("give each log its own wind: --per-log F_wx --per-log F_wy.")
+    own = windy.replace_parameters(*(replace(windy.parameter(n), per_record=True) for n in ("F_wx", "F_wy")))
+    assert wind_sentence(days, own) == ""
     assert wind_sentence(days, horizontal_model()) == ""
     same_day = made_of(("estimation", morning), ("estimation", afternoon))
     assert wind_sentence(same_day, windy) == ""
