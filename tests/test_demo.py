@@ -182,6 +182,7 @@ command_line.main(sys.argv[1:])
 
 
 @pytest.mark.slow
+@pytest.mark.pages
 def test_the_demo_runs_from_recording_to_diagnosis(tmp_path: Path) -> None:
     command = [sys.executable, "-c", SHORT_DEMO, "demo", "--seed", "1", "--speed", "10"]
     command += ["--out", str(tmp_path / "demo")]

@@ -120,7 +120,7 @@ def random_effects(values: Array, covariance: Array, design: Array) -> RandomEff
         w = 1.0 / (eigenvalues + tau[:, None] ** 2)
         information = np.einsum("nk,kp,kq->npq", w, X, X)
         inverse: Array = np.linalg.inv(information).astype(np.float64)
-        beta = np.einsum("npq,nk,kq,k->np", inverse, w, X, m, optimize=True)
+        beta = (inverse @ ((w * m) @ X)[:, :, None])[:, :, 0]
         left = np.einsum("nk,nk->n", w, (m - beta @ X.T) ** 2)
         return beta, inverse, left, np.log(w).sum(axis=1) - np.linalg.slogdet(information)[1] - left
 

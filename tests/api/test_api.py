@@ -37,6 +37,7 @@ pytestmark = pytest.mark.usefixtures("quick_compilation")
 
 ROOT = Path(__file__).resolve().parents[2]
 THRUST = {"priors": {"c1": (40.0, 2.0)}, "fixed": {"c2": 1.1}}
+LIKELIHOOD: dict[str, Any] = {"score_tests": False, "reml": False, "mean_order": 1, **THRUST}
 
 
 @pytest.fixture(scope="module")
@@ -46,11 +47,18 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return [boat_log(folder / f"run{k}.mcap", boat, s, m, k) for k, (s, m) in enumerate(missions, 1)]
 
 
-@pytest.fixture(autouse=True)
-def quiet() -> Iterator[None]:
+@contextlib.contextmanager
+def without_warnings() -> Iterator[None]:
     """Ignore the warning about signals that the model does not use."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SeatrialWarning)
+        yield
+
+
+@pytest.fixture(autouse=True)
+def quiet() -> Iterator[None]:
+    """Ignore these warnings in the tests. Fixtures of the module are made before."""
+    with without_warnings():
         yield
 
 
@@ -72,6 +80,11 @@ class Page:
         self.printed += out.getvalue()
 
 
+def bench_run(folder: Path) -> Path:
+    """Record the run of a thruster on a bench."""
+    return bench_log(folder / "bench.mcap", draw_bench(4), kind="steps", count=2)
+
+
 BLOCKS = blocks(ROOT / "docs/how-to/python.md", "python")
 
 
@@ -88,7 +101,7 @@ def fit_page(logs: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Page
 @pytest.fixture(scope="module")
 def page(fit_page: Page) -> Page:
     """Run the other blocks of the page."""
-    bench_log(fit_page.folder / "bench.mcap", draw_bench(4), kind="steps", count=2)
+    bench_run(fit_page.folder)
     t = np.arange(0.0, 60.0, 0.1)
     columns = {
         "t": t,
@@ -111,10 +124,17 @@ def fit(fit_page: Page) -> st.FittedVehicle:
 
 
 @pytest.fixture(scope="module")
-def found(page: Page) -> st.FittedDiagnosis:
-    found = page.space["found"]
-    assert isinstance(found, st.FittedDiagnosis)
-    return found
+def found(logs: list[Path], fit: st.FittedVehicle) -> st.FittedDiagnosis:
+    """Diagnose the fit as the page does."""
+    with without_warnings():
+        return st.diagnose(fit, logs[0], validate=logs[1], max_effects=1)
+
+
+@pytest.fixture(scope="module")
+def with_mismatch(logs: list[Path]) -> st.FittedVehicle:
+    """Fit a model with an effect by maximum likelihood."""
+    with without_warnings():
+        return st.fit(logs[0], effects=["mismatch"], **LIKELIHOOD)
 
 
 def bag_in(folder: Path) -> Path:
@@ -695,10 +715,8 @@ def test_steady_motion_is_that_of_a_long_simulation(fit: st.FittedVehicle, tmp_p
 
 
 @pytest.fixture(scope="module")
-def bench(page: Page) -> st.FittedThruster:
-    found = page.space["bench"]
-    assert isinstance(found, st.FittedThruster)
-    return found
+def bench(tmp_path_factory: pytest.TempPathFactory) -> st.FittedThruster:
+    return st.thruster(bench_run(tmp_path_factory.mktemp("bench")))
 
 
 def test_thruster_is_a_fitted_model_like_a_boat(bench: st.FittedThruster, tmp_path: Path) -> None:
@@ -830,16 +848,17 @@ def test_an_excluded_effect_is_not_found(
     assert "Left out of the search (--exclude)" in (folder / "report.html").read_text(encoding="utf-8")
 
 
-def test_a_model_is_fitted_again_without_one_effect(logs: list[Path], fit: st.FittedVehicle) -> None:
+def test_a_model_is_fitted_again_without_one_effect(
+    logs: list[Path], fit: st.FittedVehicle, with_mismatch: st.FittedVehicle
+) -> None:
     """The page on the own boat tells to fit the other effects."""
-    both = st.fit(logs[0], effects=["mismatch", "lever-arm"], score_tests=False, **THRUST)
-    one = st.fit(logs[0], effects=["lever-arm"], score_tests=False, **THRUST)
-    assert set(both.params) - set(one.params) == {"eps_LR"}
-    assert set(one.params) > set(fit.params)
+    both = st.fit(logs[1], effects=["lever-arm", "mismatch"], **LIKELIHOOD)
+    assert set(both.params) - set(with_mismatch.params) == {"l_x", "l_y"}
+    assert set(with_mismatch.params) - set(fit.params) == {"eps_LR"}
     with pytest.raises(
-        SeatrialError, match=r"^exclude lever-arm: the model to diagnose contains this effect, and a diagnosis removes "
+        SeatrialError, match=r"^exclude mismatch: the model to diagnose contains this effect, and a diagnosis removes "
     ):
-        st.diagnose(one, logs[0], exclude=["wind", "lever-arm"])
+        st.diagnose(with_mismatch, logs[0], exclude=["wind", "mismatch"])
 
 
 @pytest.mark.parametrize(
@@ -907,9 +926,10 @@ def test_comparison_prefers_the_model_with_the_effect(
     ]
 
 
-def test_nested_fits_to_the_same_log_have_information_criteria(logs: list[Path]) -> None:
-    plain = st.fit(logs[0], score_tests=False, reml=False, mean_order=1, **THRUST)
-    with_effect = st.fit(logs[0], score_tests=False, reml=False, mean_order=1, effects=["mismatch"], **THRUST)
+def test_nested_fits_to_the_same_log_have_information_criteria(
+    logs: list[Path], with_mismatch: st.FittedVehicle
+) -> None:
+    plain, with_effect = st.fit(logs[0], **LIKELIHOOD), with_mismatch
     assert (plain.result.effect_parameters, with_effect.result.effect_parameters) == ((), ("eps_LR",))
     names = [line.split()[0] for line in with_effect.summary().splitlines() if "estimated" in line.split()]
     assert names[0] == "eps_LR"
@@ -929,6 +949,7 @@ def test_nested_fits_to_the_same_log_have_information_criteria(logs: list[Path])
     assert back.criteria.p is None  # The larger model is not nested in the smaller one.
 
 
+@pytest.mark.pages
 def test_the_page_runs_as_written(page: Page) -> None:
     assert len(BLOCKS) == 8
     assert "better: with effects" in page.printed or "better: nominal" in page.printed

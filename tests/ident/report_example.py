@@ -61,7 +61,11 @@ def boat(n: tuple[Any, Any], k_J: float) -> dict[str, Any]:
 
 
 def listed(a: Any) -> list[float | None]:
-    return [float(v) if np.isfinite(v) else None for v in a]
+    values = np.asarray(a, float)
+    found: list[float | None] = values.tolist()
+    for k in np.flatnonzero(~np.isfinite(values)):
+        found[k] = None
+    return found
 
 
 def record(rng: Any, name: str, role: str, duration: float) -> dict[str, Any]:

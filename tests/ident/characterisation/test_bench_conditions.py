@@ -15,6 +15,8 @@ from seatrial.ident.results.answers import dead_zone_warnings, moving_boat_warni
 from tests.ident.characterisation.test_thruster import MAP, run
 from tests.measured.data import import_boat, realistic_boats
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 DT, HOLD, POLE, DEAD = 0.05, 6.0, 5.0, 0.045
 LEVELS = (0.0, 0.5, 0.105, 0.4, -0.5, -0.3, 0.8, 0.0)
 GNSS = """

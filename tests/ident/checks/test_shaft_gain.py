@@ -89,6 +89,7 @@ def test_logs_are_compared_without_reading_them_again(tmp_path: Path, monkeypatc
 
 
 @pytest.mark.skipif(not realistic_boats().is_dir(), reason="SEATRIAL_DATA has no boats of a realistic plant")
+@pytest.mark.usefixtures("quick_compilation")
 def test_battery_of_a_realistic_boat_is_found_by_check_and_fit(tmp_path: Path) -> None:
     """The voltage of this boat falls by 4.8 % of the full one from run to run."""
     import_boat("asv12-none", ["run1", "run3"], tmp_path)
@@ -101,8 +102,9 @@ def test_battery_of_a_realistic_boat_is_found_by_check_and_fit(tmp_path: Path) -
         assert finding.text.endswith("lower than in run1")
     assert [f for f in st.check(logs[0]).warnings if f.code.startswith("shaft-speed-d")] == []
     # A model that the shaft speeds drive is right whatever the commands were.
+    how: dict[str, Any] = {"rate": 5.0, "score_tests": False, "reml": False, "mean_order": 1}  # a quick fit
     for model, n_named in (("horizontal:command", 1), ("horizontal:shaft", 0)):
         with pytest.warns(st.SeatrialWarning) as caught:
-            st.fit(logs[0], validate=logs[1], model=model, score_tests=False)
+            st.fit(logs[0], validate=logs[1], model=model, **how)
         named = [w for w in caught if "run3.mcap: left: the shaft speed at equal commands is" in str(w.message)]
         assert len(named) == n_named

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -52,22 +54,29 @@ def pushed(seconds: float, seed: int) -> dict[str, Channel]:
     t = np.arange(rows) * ODE_STEP_S
     force = levels[np.searchsorted(starts, t + ODE_STEP_S / 2)]
 
-    def rate(x: np.ndarray, f: np.ndarray) -> np.ndarray:
+    def rate(x: list[float], f: list[float]) -> list[float]:
         p, (psi, u, v, r) = TRUTH, x[2:]
-        c, s = np.cos(psi), np.sin(psi)
+        c, s = math.cos(psi), math.sin(psi)
         du = (f[0] + f[1] + p["m_v"] * v * r - (p["d_u"] + p["d_uu"] * abs(u)) * u) / p["m_u"]
         dv = (-p["m_u"] * u * r - (p["d_v"] + p["d_vv"] * abs(v)) * v) / p["m_v"]
         moment = ARM * (f[0] - f[1]) + (p["m_u"] - p["m_v"]) * u * v
         dr = (moment - (p["d_r"] + p["d_rr"] * abs(r)) * r) / p["m_r"]
-        return np.array([c * u - s * v, s * u + c * v, r, du, dv, dr])
+        return [c * u - s * v, s * u + c * v, r, du, dv, dr]
 
-    x, states, rates = np.zeros(6), np.empty((rows, 6)), np.empty((rows, 6))
-    for k, f in enumerate(force):
+    def moved(x: list[float], step: float, k: list[float]) -> list[float]:
+        return [a + step * b for a, b in zip(x, k, strict=True)]
+
+    # Lists of floats take a fifth of the time of small arrays.
+    h, x, path, slopes = ODE_STEP_S, [0.0] * 6, [], []
+    for f in force.tolist():
         k1 = rate(x, f)
-        states[k], rates[k] = x, k1
-        k2 = rate(x + ODE_STEP_S / 2 * k1, f)
-        k3 = rate(x + ODE_STEP_S / 2 * k2, f)
-        x = x + ODE_STEP_S / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + ODE_STEP_S * k3, f))
+        path.append(x)
+        slopes.append(k1)
+        k2 = rate(moved(x, h / 2, k1), f)
+        k3 = rate(moved(x, h / 2, k2), f)
+        k4 = rate(moved(x, h, k3), f)
+        x = [a + h / 6 * (b + 2 * c + 2 * d + e) for a, b, c, d, e in zip(x, k1, k2, k3, k4, strict=True)]
+    states, rates = np.array(path), np.array(slopes)
     u, v, r = states[:, 3:].T
     true = {"x": states[:, 0], "y": states[:, 1], "psi": states[:, 2], "r": r, "vx": rates[:, 0], "vy": rates[:, 1],
             "ax": rates[:, 3] - v * r, "ay": rates[:, 4] + u * r}  # fmt: skip

@@ -38,7 +38,7 @@ def test_stuck_telemetry_of_a_shaft_refuses_only_models_with_shaft_speeds(tmp_pa
 def test_slower_shafts_are_named_only_for_models_of_commands(tmp_path: Path) -> None:
     logs = []
     for run, factor in ((1, 1.0), (2, 0.88)):
-        recording, _ = sail(boat_with(None, 3), 300.0, 100 + run, run, "steps")
+        recording, _ = sail(boat_with(None, 3), 150.0, 100 + run, run, "steps")
         readings = [
             r._replace(sample=replace(r.sample, rpm=factor * r.sample.rpm)) if isinstance(r.sample, Esc) else r
             for r in recording.readings

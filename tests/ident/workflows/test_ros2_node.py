@@ -24,7 +24,7 @@ from tests.test_docs import ROOT, blocks
 __all__ = ["folder"]
 
 NODE = ROOT / "docs/examples/ros2_node.py"
-DT = 0.02  # s, of the simulated boat
+DT = 0.05  # s, of the simulated boat
 ODOMETRY, IMU = "/odometry/filtered", "/imu/data"
 
 
