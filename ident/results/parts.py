@@ -557,7 +557,7 @@ class CalibrationRow(Part, frozen=True, kw_only=True):
     widening: Annotated[
         float | None,
         Meta(
-            description="factor by which 95 % intervals of further data have to be wider than predicted, at least 1; "
+            description="factor by which 95 % intervals of a further run have to be wider than predicted, at least 1; "
             "the standard deviations of `traces` over the horizon are multiplied by that of the validation data"
         ),
     ] = None

@@ -33,6 +33,9 @@ HALF, NEARLY_ALL = 0.6744898, 1.9599640  # half-widths of the 50 % and 95 % inte
 BINS = 10  # of the probability integral transform
 TOLERANCE = 1.1  # ratio of actual to claimed errors, either way, that still counts as calibrated
 FEW = 8.0  # independent errors; fewer are insufficient for a verdict
+# Standard deviation of the logarithm of the scale between runs of one craft, beyond that of few errors, on realistic
+# mock boats (0.07 to 0.17 with 95 %): `python -m tests.recovery.interval_study`.
+RUN_SCATTER = 0.12
 Verdict = Literal["right", "overconfident", "underconfident", "insufficient_data"]
 
 
@@ -44,6 +47,8 @@ class Calibration:
     ----------
     n, n_effective
         Number of errors, and number of independent errors with the same information (effective sample size).
+    n_records
+        Number of records (runs) with errors.
     inside_50, inside_95
         Shares of the errors inside the 50 % and 95 % intervals.
     scale
@@ -58,6 +63,7 @@ class Calibration:
 
     n: int
     n_effective: float
+    n_records: int
     inside_50: float
     inside_95: float
     scale: float
@@ -81,13 +87,22 @@ class Calibration:
 
     @property
     def widening(self) -> float:
-        """Factor by which 95 % intervals of further data have to be wider than the predicted ones; at least 1.
+        """Factor by which 95 % intervals of a further run have to be wider than the predicted ones; at least 1.
 
-        An error of further data over the predicted standard deviation and the scale follows Student's t distribution,
-        because the scale is estimated from few independent errors. The factor is thus the scale times the ratio of the
-        97.5 % quantiles of this distribution and the normal one. It is infinite if a prediction diverged.
+        An error of a further run over the predicted standard deviation and the scale follows Student's t distribution,
+        because the scale is estimated from few independent errors, and because every run has a scale of its own. The
+        factor is thus the scale times the ratio of the 97.5 % quantiles of this distribution and the normal one. It is
+        infinite if a prediction diverged.
+
+        Notes
+        -----
+        The logarithm of a scale from n independent errors has the variance 1 / (2 n). That of a run differs from the
+        mean of ``n_records`` runs with the variance ``RUN_SCATTER**2 (1 + 1 / n_records)``. The degrees of freedom are
+        those of a scale with the sum of both variances.
         """
-        return max(1.0, self.scale * float(student_ppf(0.975, max(self.n_effective, 1.0))) / NEARLY_ALL)
+        between_runs = RUN_SCATTER**2 * (1.0 + 1.0 / self.n_records)
+        freedom = 1.0 / (1.0 / max(self.n_effective, 1.0) + 2.0 * between_runs)
+        return max(1.0, self.scale * float(student_ppf(0.975, freedom)) / NEARLY_ALL)
 
 
 def calibration_test(series: Sequence[Array], effective: float | None = None) -> Calibration | None:
@@ -107,17 +122,18 @@ def calibration_test(series: Sequence[Array], effective: float | None = None) ->
     Calibration or None
         None if no series has an error.
     """
-    kept = [z[~np.isnan(z)] for z in series]
-    if not sum(z.size for z in kept):
+    kept = [errors for errors in (z[~np.isnan(z)] for z in series) if errors.size]
+    if not kept:
         return None
     z = np.concatenate(kept)
-    effective = sum(_independent_errors(errors) for errors in kept if errors.size) if effective is None else effective
+    effective = sum(_independent_errors(errors) for errors in kept) if effective is None else effective
     square = float(np.mean(z**2))
     low, high = (np.sqrt(square * effective / chi2_ppf(q, effective)) for q in (0.975, 0.025))
     pit = np.histogram(normal_cdf(z), BINS, (0.0, 1.0))[0] / z.size
     return Calibration(
         z.size,
         effective,
+        len(kept),
         float(np.mean(np.abs(z) < HALF)),
         float(np.mean(np.abs(z) < NEARLY_ALL)),
         float(np.sqrt(square)),

@@ -1,4 +1,4 @@
-"""Tests of the studies of trials: smallest sizes by trial, the next experiment, and warnings about correct priors."""
+"""Tests of the studies of trials: smallest sizes by trial, the next experiment, correct priors, scatter between runs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from seatrial.ident.diagnosis.policy import DEFAULT_POLICY
 from seatrial.ident.results.parts import DiagnosisResult
 from seatrial.mocks.offline_simulation import simulate
 from seatrial.mocks.plant.boat import draw_boat
-from tests.recovery import detectable_page, prior_study
+from tests.recovery import detectable_page, interval_study, prior_study
 from tests.recovery.detectable_page import VARIANTS, Trial, model_of, segment, summary, table
 from tests.recovery.kinds import Case, boat_of
 from tests.recovery.next_experiment import competitor_limit, expected_probability, lead_of
@@ -114,3 +114,16 @@ def test_at_most_one_warning_in_a_hundred_correct_priors() -> None:
     n, warned = prior_study.counts(rows)
     assert n > 300
     assert warned / n <= prior_study.MOST
+
+
+def test_scatter_between_runs_is_estimated_beside_that_of_few_errors() -> None:
+    rng, rows = np.random.default_rng(7), []
+    for k in range(400):
+        n = rng.uniform(20.0, 80.0, size=2)
+        scales = np.exp(0.15 * rng.standard_normal(2)) * np.sqrt(rng.chisquare(n) / n)
+        runs = [{"r": [scale, number]} for scale, number in zip(scales.tolist(), n.tolist(), strict=True)]
+        rows.append({"key": f"boat{k}/auto", "runs": runs})
+    count, total, sampling = interval_study.scatter(rows)
+    assert count == 400
+    assert interval_study.run_scatter(total, sampling) == pytest.approx(0.15, abs=0.02)
+    assert interval_study.run_scatter(sampling, sampling) == 0.0

@@ -20,6 +20,7 @@ from seatrial.ident.numerics.autocorrelation import effective_sample_size
 from seatrial.ident.results.answers import calibration_notes
 from seatrial.ident.results.tables import calibration_tables
 from seatrial.ident.validation.calibration import (
+    RUN_SCATTER,
     Calibration,
     calibration_test,
     pooled_calibration,
@@ -182,17 +183,31 @@ def test_scale_within_ten_percent_is_accepted() -> None:
     assert found == ["underconfident", "right", "right", "overconfident"]
 
 
-def test_widened_intervals_contain_further_errors() -> None:
-    """The factor is estimated from few errors of a first run, and 95 % of the errors of a second run are inside."""
+@pytest.mark.parametrize(("n_runs", "n_errors"), [(1, 10), (1, 100), (3, 10)])
+def test_widened_intervals_contain_further_errors(n_runs: int, n_errors: int) -> None:
+    """The factor is estimated from few errors of some runs, and 95 % of the errors of a further run are inside.
+
+    Each run has a scale of its own.
+    """
     rng, inside, plain = np.random.default_rng(4), [], []
     for _ in range(4000):
-        first, second = 1.5 * rng.standard_normal((2, 10))
-        calibration = calibration_test([first], 10.0)
+        scales = 1.5 * np.exp(RUN_SCATTER * rng.standard_normal(n_runs + 1))
+        *known, further = scales[:, None] * rng.standard_normal((n_runs + 1, n_errors))
+        calibration = calibration_test(known, float(n_runs * n_errors))
         assert calibration is not None
-        inside.append(np.mean(np.abs(second) < 1.96 * calibration.widening))
-        plain.append(np.mean(np.abs(second) < 1.96))
+        inside.append(np.mean(np.abs(further) < 1.96 * calibration.widening))
+        plain.append(np.mean(np.abs(further) < 1.96))
     assert np.mean(plain) < 0.82
     assert 0.945 < np.mean(inside) < 0.965
+
+
+def test_intervals_after_many_errors_of_one_run_still_contain_the_scatter_of_runs() -> None:
+    errors = np.random.default_rng(5).standard_normal((2, 4000))
+    one, two = (calibration_test(list(some), float(some.size)) for some in (errors[:1], errors))
+    assert one is not None
+    assert two is not None
+    assert (one.n_records, two.n_records) == (1, 2)
+    assert 1.04 < two.widening / two.scale < one.widening / one.scale < 1.1
 
 
 def test_intervals_are_never_narrowed() -> None:
