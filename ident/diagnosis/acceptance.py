@@ -155,6 +155,16 @@ def comparison(
     """
     if any(p.per_record for p in effect.parameters):
         before, after = validated_in_blocks(before), validated_in_blocks(after)
+    return whole_run_comparison(before, after, policy)
+
+
+def whole_run_comparison(before: FittedModel, after: FittedModel, policy: SearchPolicy = DEFAULT_POLICY) -> Comparison:
+    """Return the comparison of two fitted models on the validation runs as they are, not in blocks.
+
+    The per-record parameters of an effect are then estimated from the data on which they are judged, so that the gain
+    is an upper limit. It serves for effects that the estimation data reject. ValueError is raised if a validation
+    record can be evaluated with the first model and not with the second.
+    """
     failed_before = {f.record for f in before.failed}
     lost = [f for f in after.failed if f.record not in failed_before]
     if lost:

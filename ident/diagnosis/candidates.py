@@ -30,7 +30,7 @@ from seatrial.ident.diagnosis.score_test import (
     whole_blocks,
 )
 from seatrial.ident.effects import FORCES, WAVES, harmonics, input_response_effects
-from seatrial.ident.engine import VectorisedModel
+from seatrial.ident.engine import VectorisedModel, vectorised
 from seatrial.ident.estimation import FittedModel, RecordEvaluation
 from seatrial.ident.model import DisturbanceChannel, Effect, EffectKind, ForceCurve, Model, Parameter, curve_name
 from seatrial.ident.models import products_of, residuals_of, sensor_errors_of, size_of, thrust_losses_of, variables_of
@@ -68,7 +68,7 @@ class TrajectoryLinearisation:
 
     def __init__(self, model: Model, values: Array, record: Record, x: Array) -> None:
         self.model, self.values, self.record, self.x = model, values, record, x
-        self.rowwise = VectorisedModel(model)
+        self.rowwise = vectorised(model)
         self.own = record.for_model(model)
         self._larger: dict[tuple[str, ForceCurve | None], tuple[Model, VectorisedModel]] = {}
         self._ends: dict[tuple[str, ForceCurve | None], list[Array]] = {}  # states of effects at the last row

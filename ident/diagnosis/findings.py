@@ -75,7 +75,8 @@ class Refit:
     criterion
         ``gain - df ln n``, with n rows of estimation data (Delta BIC); larger is better.
     validation_gain
-        Gain d ln L in log-likelihood on all validation data; 0 without validation data.
+        Gain d ln L in log-likelihood on all validation data; 0 without validation data. An upper limit if the effect
+        has per-record parameters and the criterion is not positive (`acceptance.whole_run_comparison`).
     t
         t statistic of ``validation_gain`` over blocks of time, as the normal deviate of the same probability.
     prediction

@@ -35,6 +35,7 @@ from seatrial.ident.diagnosis.acceptance import (
     removal_reason,
     should_be_removed,
     validation_mismatches,
+    whole_run_comparison,
 )
 from seatrial.ident.diagnosis.adequacy import AttributionEvidence, assess_alternatives
 from seatrial.ident.diagnosis.candidates import normal_equations, variables, wave_peak_score
@@ -112,6 +113,7 @@ from seatrial.ident.validation import (
 )
 
 WAVES = "waves"
+ROUGH_SHARE = 0.01  # of the gain that a score test predicts: tolerance of the refit of its candidate
 DRAWN = SearchSettings(tolerance=0.02)  # for a curve that only illustrates the result: exact to 0.2 standard errors
 
 
@@ -1436,22 +1438,30 @@ class _Search:
         values of `_with_initial_values`, which use the score of the effect, are tried in turn until a fit loses less
         than ``policy.max_loss`` in 2 ln L. If all lose more, the best fit is returned: a larger model cannot be worse
         than the model that it contains, so such a fit has stopped early.
+
+        The fit ends if a further step is expected to gain less than 1 % of the gain that the score test predicts.
         """
         self.reporter.progress(f"refitting with {effect.title}")
         best, reason = None, ""
+        df = sum(_degrees_of_freedom(effect, p, len(self.records)) for p in effect.parameters if p.free)
+        penalty = df * float(np.log(self.n))
+        settings = replace(self.rough, tolerance=max(self.rough.tolerance, ROUGH_SHARE * score.lm / 2))
         for start in _with_initial_values(effect, score):
             try:
                 model = self._with_held_noise(current.fit.model + start, effect)
                 begin = self._shifted_estimates(current, [(effect, start, score)])
-                fitted = fit_and_evaluate(model, self.records, self.validation_data, settings=self.rough, start=begin)
+                fitted = fit_and_evaluate(model, self.records, self.validation_data, settings=settings, start=begin)
                 gain = 2 * (fitted.fit.log_posterior - current.fit.log_posterior)
-                compared = comparison(current, fitted, effect, self.policy)
+                # Blocks in time take longer than the fit, and cannot help an effect that the estimation data reject.
+                compared = (
+                    comparison(current, fitted, effect, self.policy)
+                    if gain > penalty
+                    else whole_run_comparison(current, fitted, self.policy)
+                )
                 total, t = compared.gain
             except FIT_ERRORS as problem:
                 reason = reason or str(problem)
                 continue
-            df = sum(_degrees_of_freedom(effect, p, len(self.records)) for p in effect.parameters if p.free)
-            penalty = df * float(np.log(self.n))
             every = compared.pooled_t(penalty / 2)
             found = Refit(effect, fitted, gain, df, gain - penalty, total, t, pooled_t=every)
             best = found if best is None or found.gain > best.gain else best

@@ -11,3 +11,4 @@ from .row_operators import NOWHERE as NOWHERE
 from .row_operators import apply_rows as apply_rows
 from .row_operators import padded as padded
 from .vectorised_model import VectorisedModel as VectorisedModel
+from .vectorised_model import vectorised as vectorised

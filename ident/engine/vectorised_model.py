@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from functools import cached_property
 from typing import Any
 
@@ -14,6 +15,20 @@ from seatrial.ident.numerics import Array
 ca.GlobalOptions.setNumpyMode(-1)  # plain numpy functions on symbols stay symbolic
 
 ROWS = 32  # rows of states and inputs that one call of a CasADi function evaluates
+_recent: deque[VectorisedModel] = deque(maxlen=4)  # results of `vectorised`
+
+
+def vectorised(model: Model) -> VectorisedModel:
+    """Return the `VectorisedModel` of a model. It is shared with recent calls for the same object.
+
+    Tracing a model for its Jacobians takes as long as evaluating them for a thousand rows, and the predictions of each
+    record need them.
+    """
+    for known in tuple(_recent):
+        if known.model is model:
+            return known
+    _recent.append(found := VectorisedModel(model))
+    return found
 
 
 class VectorisedModel:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.ident.data import Record
-from seatrial.ident.engine import VectorisedModel
+from seatrial.ident.engine import vectorised
 from seatrial.ident.estimation import FilterResult, Likelihood
 from seatrial.ident.model import Model
 from seatrial.ident.numerics import Array, chi2_ppf, effective_sample_size, normal_cdf, student_ppf, wrap
@@ -231,7 +231,7 @@ def horizon_forecasts(
             mean, covariance = likelihood.forecast(record, values, run.x_filt[first], P_first, first, last)
             channels = np.flatnonzero(ends[:, k] > first)
             x[channels, k], P[channels, k] = mean[ends[channels, k] - first], covariance[ends[channels, k] - first]
-    rowwise, found = VectorisedModel(model), {}
+    rowwise, found = vectorised(model), {}
     for j, o in enumerate(model.outputs):
         kept = np.flatnonzero(ends[j] >= 0)
         if kept.size:

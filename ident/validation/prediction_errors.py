@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from seatrial.ident.data import Record
-from seatrial.ident.engine import VectorisedModel
+from seatrial.ident.engine import vectorised
 from seatrial.ident.estimation import FilterResult, Likelihood, ParameterUncertainty, predict_ahead, prediction_variance
 from seatrial.ident.model import Model
 from seatrial.ident.numerics import Array, correlation_length, student_ppf, wrap
@@ -187,7 +187,7 @@ def simulation_run(
     y = record.y.copy()
     y[blind] = np.nan
     run = likelihood.filter(replace(record, y=y), values)
-    rowwise = VectorisedModel(model)
+    rowwise = vectorised(model)
     n = len(model.states)
     predicted = rowwise(run.x_pred, record.u, values)[:, n:]
     H = rowwise.output_jacobian(run.x_pred, record.u, values)

@@ -470,12 +470,40 @@ def test_extended_model_that_fits_worse_is_refitted_from_another_start(monkeypat
             return effect
 
     monkeypatch.setattr(search, "fit_and_evaluate", lambda *_, **__: blank(fit=blank(log_posterior=next(values))))
-    monkeypatch.setattr(search, "comparison", lambda *_: blank(gain=(30.0, 4.0), pooled_t=lambda _self, _penalty: 5.0))
+    for name in ("comparison", "whole_run_comparison"):
+        monkeypatch.setattr(search, name, lambda *_: blank(gain=(30.0, 4.0), pooled_t=lambda _self, _penalty: 5.0))
     mine = a_search(SCANNED)
     mine.n = 1000
     found = mine._refit(blank(fit=blank(model=Model(), log_posterior=10.0)), SCANNED, SCORE)
     assert isinstance(found, Refit)
     assert found.gain == pytest.approx(60.0)
+
+
+@pytest.mark.parametrize(("gain", "place"), [(40.0, "blocks"), (1.0, "whole runs")])
+def test_effect_that_the_estimation_data_reject_is_not_evaluated_in_blocks(
+    gain: float, place: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Model:
+        def __add__(self, effect: Effect) -> Effect:
+            return effect
+
+    used: list[Any] = []
+
+    def fit_once(*_: Any, settings: Any, **__: Any) -> Any:
+        used.append(settings.tolerance)
+        return blank(fit=blank(log_posterior=10.0 + gain / 2))
+
+    def compared(name: str) -> Any:
+        used.append(name)
+        return blank(gain=(30.0, 4.0), pooled_t=lambda _self, _penalty: 5.0)
+
+    monkeypatch.setattr(search, "fit_and_evaluate", fit_once)
+    monkeypatch.setattr(search, "comparison", lambda *_: compared("blocks"))
+    monkeypatch.setattr(search, "whole_run_comparison", lambda *_: compared("whole runs"))
+    mine = a_search(SCANNED)
+    mine.n = 1000
+    mine._refit(blank(fit=blank(model=Model(), log_posterior=10.0)), SCANNED, replace(SCORE, lm=700.0))
+    assert used == [3.5, place]  # 1 % of the expected gain, which is half of the statistic
 
 
 def test_effects_that_do_not_pay_are_removed(monkeypatch: pytest.MonkeyPatch) -> None:

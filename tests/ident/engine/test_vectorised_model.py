@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from seatrial.ident.effects.registry import catalogue
-from seatrial.ident.engine.vectorised_model import VectorisedModel
+from seatrial.ident.engine.vectorised_model import VectorisedModel, vectorised
 from seatrial.ident.model.structure import Effect, Model, Parameter
 from seatrial.ident.models.horizontal import horizontal_model
 
@@ -67,3 +67,10 @@ def test_function_that_needs_scalars_is_evaluated_by_casadi() -> None:
         np.abs(rowwise.rates(x, u, values) - VectorisedModel(horizontal_model("shaft")).rates(x, u, values[:-1])).max()
         > 0.01
     )
+
+
+def test_functions_of_a_model_are_derived_once_for_the_same_object() -> None:
+    model, same_values = horizontal_model("shaft"), horizontal_model("shaft")
+    assert vectorised(model) is vectorised(model)
+    assert vectorised(same_values) is not vectorised(model)
+    assert vectorised(same_values).model is same_values
