@@ -921,7 +921,7 @@ def dead_zone_warnings(turning: Mapping[str, TurningShaft | None], dead_zone: fl
         f"{100 * held.command:.1f} % the shaft turns at {100 * held.speed:.1f} % of full speed (from {held.start:.1f} "
         f"to {held.end:.1f} s). The model has a shaft that follows the whole command outside its dead zone; a "
         "controller that subtracts its dead zone, or a low battery, gives less. Do not use d; hold more small commands "
-        "(seatrial bench steps) to see where the shaft begins to turn."
+        "(seatrial bench steps), and let a diagnosis test the effect controller-dead-band."
     )
     return [ResultWarning(code="dead-zone-contradicted", text=text)]
 

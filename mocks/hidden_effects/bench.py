@@ -54,6 +54,10 @@ EFFECTS: dict[str, Callable[[np.random.Generator, float], BenchEffect]] = {
     "cell-lag": lambda rng, scale: BenchEffect(
         "cell-lag", "the amplifier of the load cell smooths", smooth_s=scale * _random_size(rng, 0.06)
     ),
+    "controller-dead-band": lambda rng, scale: _shaft_effect(
+        "controller-dead-band", "the speed controller ignores small commands and begins from rest beyond them",
+        ignored=scale * _random_size(rng, 0.07),
+    ),
 }  # fmt: skip
 DEMO = ("rod-flex", "recirculation", "cell-drift")  # effects that `--effect draw` chooses from
 

@@ -213,9 +213,9 @@ class _Rod:
 class BenchShaft:
     """Shaft of a simulated thruster whose response to commands has a hidden effect (`ShaftEffect`).
 
-    Delay and dead zone are those of ``Shaft``. The delayed command is then reduced by droop and sag, and passes an
-    additional lag. The pole of the shaft may depend on the direction of the change, and the acceleration may be
-    limited.
+    Delay and dead zone are those of ``Shaft``. The delayed command is then reduced by dead band, droop and sag, and
+    passes an additional lag. The pole of the shaft may depend on the direction of the change, and the acceleration may
+    be limited.
 
     Each step is split at the times at which the delayed command changes. Lag and shaft are computed one after the
     other. The attribute `n` is the present shaft speed (normalised, positive forward), and `energy` is the integral of
@@ -269,7 +269,8 @@ class BenchShaft:
         The integral of ``|n|^3`` (`energy`) is advanced too.
         """
         effect = self._effect
-        target = self._ref * (1.0 - effect.droop * abs(self._ref) ** 1.3)
+        target = math.copysign(max(abs(self._ref) - effect.ignored, 0.0) / (1.0 - effect.ignored), self._ref)
+        target *= 1.0 - effect.droop * abs(target) ** 1.3
         target *= 1.0 - effect.sag * (1.0 - math.exp(-self.energy / 30.0))
         if effect.late:
             time_constant = effect.late * (1.05 - 0.05 * abs(self.n))

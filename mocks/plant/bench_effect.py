@@ -19,6 +19,7 @@ _PARAMETERS: dict[str, tuple[str, ...]] = {
     "second-lag": ("late",),
     "spin-up": ("brisk",),
     "slew-limit": ("slew",),
+    "controller-dead-band": ("ignored",),
 }
 
 
@@ -40,6 +41,9 @@ class ShaftEffect:
         Fraction of the shaft speed that is missing at full command.
     sag : float
         Fraction of the shaft speed that is lost when the battery is empty.
+    ignored : float
+        Command up to which the controller does not turn the shaft, as a fraction of full command. The controller
+        spreads the other commands over all shaft speeds.
     """
 
     late: float = 0.0
@@ -47,11 +51,12 @@ class ShaftEffect:
     slew: float = 0.0
     droop: float = 0.0
     sag: float = 0.0
+    ignored: float = 0.0
 
     @property
     def any(self) -> bool:
-        """Whether at least one of the five effects of the shaft's response is switched on (its size is not zero)."""
-        return bool(self.late or self.brisk or self.slew or self.droop or self.sag)
+        """Whether at least one of the six effects of the shaft's response is switched on (its size is not zero)."""
+        return bool(self.late or self.brisk or self.slew or self.droop or self.sag or self.ignored)
 
 
 NO_SHAFT_EFFECT = ShaftEffect()

@@ -31,5 +31,5 @@ EFFECT = Effect(
     source="speed controllers without feedback: propeller torque grows with the square of speed",
     experiment="many levels of steady command of both signs",
     requires=("bench",),
-    alternatives=("supply-sag",),
+    alternatives=("supply-sag", "controller-dead-band"),
 )

@@ -120,6 +120,11 @@ def test_losses_at_low_speed_and_in_the_load_cell() -> None:
         assert low < slow < high < fast
     droop = shaft(make_effect("speed-curve", 1), [(0.0, 0.9)], 3.0)[-1]
     assert 0.8 < droop / 0.9 < 0.96
+    band = make_effect("controller-dead-band", 1).shaft.ignored
+    for command, speed in ((0.9 * band, 0.0), (0.5, (0.5 - band) / (1.0 - band)), (1.0, 1.0)):
+        assert shaft(make_effect("controller-dead-band", 1), [(0.0, command)], 3.0)[-1] == pytest.approx(
+            speed, abs=1e-6
+        )
     smooth = forces(make_effect("cell-lag", 1), 0.8, 5.0)
     assert smooth[-1] == pytest.approx(thrust(ThrusterTruth(), 0.8), rel=1e-6)
     behind = np.argmax(smooth > 13.0) - np.argmax(forces(NONE, 0.8, 5.0) > 13.0)
