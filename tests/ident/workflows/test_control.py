@@ -12,6 +12,7 @@ from tests.ident.workflows.test_use_a_model import run
 from tests.test_docs import blocks, how_to
 
 PAGE = how_to("control")
+pytestmark = pytest.mark.pages
 
 
 @pytest.fixture(scope="module")

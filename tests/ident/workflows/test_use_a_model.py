@@ -23,7 +23,7 @@ from tests.ident.exported import KNOWN_SCALE
 from tests.test_docs import ROOT, blocks, how_to
 
 # The models of the pages have neither the thrust nor the arms, so an export warns about their scale.
-pytestmark = pytest.mark.filterwarnings("ignore:the scale of the model was not given")
+pytestmark = [pytest.mark.pages, pytest.mark.filterwarnings("ignore:the scale of the model was not given")]
 
 PAGE = how_to("use-a-model")
 
