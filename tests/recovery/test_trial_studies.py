@@ -1,4 +1,4 @@
-"""Tests of the studies of trials: smallest sizes by trial, the next experiment, correct priors, scatter between runs."""
+"""Tests of the studies of trials: smallest sizes, the next experiment, correct priors, and scatter between runs."""
 
 from __future__ import annotations
 
