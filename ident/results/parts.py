@@ -548,6 +548,9 @@ class CalibrationRow(Part, frozen=True, kw_only=True):
 
     n: Annotated[int, Meta(description="number of errors")]
     n_effective: Annotated[float, Meta(description="effective sample size: number of independent errors")]
+    n_records: Annotated[
+        int, Meta(description="number of records (runs) with errors; 0: a result of an earlier version")
+    ] = 0
     inside_50: Annotated[float, Meta(description="share of the errors inside the 50 % interval")]
     inside_95: Annotated[float, Meta(description="share of the errors inside the 95 % interval")]
     scale: Annotated[float | None, Meta(description="RMS of error / predicted standard deviation")]

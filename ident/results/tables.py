@@ -355,6 +355,7 @@ def calibration_tables(evaluation: PredictionEvaluation) -> Calibrations:
             name: CalibrationRow(
                 n=c.n,
                 n_effective=c.n_effective,
+                n_records=c.n_records,
                 inside_50=c.inside_50,
                 inside_95=c.inside_95,
                 scale=finite(c.scale),

@@ -51,7 +51,7 @@ def test_bench_model_lists_its_residuals_and_variables() -> None:
     assert [v.name for v in variables_of(model)] == ["n", "n_ref", "slip", "t"]
     assert [r.name for r in residuals_of(thruster_model(force=False))] == ["n_dot"]
     assert model.parameter("s_n").value == 1e-4  # The disturbance b_n replaces this noise.
-    assert len(BENCH) == 13
+    assert len(BENCH) == 14
     assert not [e for e in BENCH if "hull" in catalogue()[e].requires]
     hull = [e for n, e in catalogue().items() if n not in BENCH]
     assert not [e.name for e in hull if model.accepts(e)]
