@@ -53,6 +53,7 @@ from seatrial.ident.results import (
 
 MAX_OUTAGES, MAX_SEGMENTS, MAX_NOISE_CHANNELS = 8, 24, 12  # largest numbers of rows of a table
 LONGEST_FLAG = 48  # characters of a flag in the table of parameters; a longer one stands below it
+WIDEST_TEXT = 100  # characters of a line of texts in the table of what differs between models
 MAX_PARAMETERS, MAX_CANDIDATES, MAX_ERROR_CHANNELS = 9, 6, 8
 MOST_WITH_FIT, MOST_COMPARED = 3, 6  # largest numbers of models in a row of a table with their fit, and without it
 MAX_FAILED = 8  # largest number of rows of a table of failed logs
@@ -320,7 +321,7 @@ def differences_table(result: ComparisonResult) -> Table | None:
     table.show_header = False
     table.add_column("", no_wrap=True, style="bold")
     table.add_column("", no_wrap=True)
-    table.add_column("", overflow="fold")
+    table.add_column("", overflow="fold", max_width=WIDEST_TEXT)  # piped output has no width of its own
     for m in result.models[1:]:
         for n, (title, here, there) in enumerate(difference_rows(m)):
             sides = [f"({label}) {texts}" for label, texts in ((m.label, here), (reference, there)) if texts]

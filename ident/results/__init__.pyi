@@ -97,6 +97,7 @@ from .parts import FitResult as FitResult
 from .parts import FitSummary as FitSummary
 from .parts import ForceScale as ForceScale
 from .parts import FrequencyResponse as FrequencyResponse
+from .parts import HeadingPoint as HeadingPoint
 from .parts import InputTrace as InputTrace
 from .parts import LogSummary as LogSummary
 from .parts import NonparametricCurve as NonparametricCurve

@@ -39,6 +39,7 @@ from seatrial.ident.results.parts import (
     CrossCorrelationRow,
     Dynamics,
     Errors,
+    HeadingPoint,
     PredictionChangeRow,
     PredictionFit,
     Provenance,
@@ -1006,6 +1007,8 @@ def straight_sentence(dynamics: Dynamics | None) -> str:
     """
     if dynamics is None or not dynamics.points:
         return ""
+    if dynamics.headings:
+        return _straight_by_heading(dynamics.headings)
     point = dynamics.points[(len(dynamics.points) - 1) // 2]
     sides = {name.rpartition("_")[2]: (name, value) for name, value in point.inputs.items()}
     if len(point.inputs) != 2 or set(sides) != {"left", "right"}:
@@ -1021,6 +1024,34 @@ def straight_sentence(dynamics: Dynamics | None) -> str:
         f"With equal {drive}s the boat turns to {side}: to go straight at {point.speed:.3g} m/s"
         f"{heading}, it needs {left_name} {left:.3g}{unit} and {right_name} {right:.3g}{unit}."
     )
+
+
+def _straight_by_heading(points: Sequence[HeadingPoint]) -> str:
+    """Return the sentence on the inputs of a straight course of a boat on which the wind acts, or a similar force.
+
+    It has the two headings on which the sides differ most, one in each direction, or the largest and the smallest
+    difference. The text is empty without an input for each side, and if no difference exceeds 3 % of the mean.
+    """
+    rows = []
+    for p in points:
+        sides = {name.rpartition("_")[2]: (name, value) for name, value in p.inputs.items()}
+        if len(p.inputs) != 2 or set(sides) != {"left", "right"}:
+            return ""
+        (left_name, left), (right_name, right) = sides["left"], sides["right"]
+        unit = " N" if drive_word(p.inputs) == "thrust" else ""
+        text = f"{left_name} {left:.3g}{unit} and {right_name} {right:.3g}{unit}"
+        heading = f"(heading {math.degrees(p.heading):.0f} deg)"
+        rows.append((right - left, LEAST_PULL * 0.5 * abs(right + left), f"{text} {heading}"))
+    low, high = min(rows), max(rows)
+    if all(abs(difference) < least for difference, least, _ in rows):
+        return ""
+    drive, speed = drive_word(points[0].inputs), f"{points[0].speed:.3g} m/s"
+    if high[0] <= high[1] or low[0] >= -low[1]:
+        side = "starboard" if high[0] > high[1] else "port"
+        turns = f"With equal {drive}s the boat turns to {side}, more on some headings than on others"
+    else:
+        turns = f"With equal {drive}s the boat turns to starboard on some headings and to port on others"
+    return f"{turns}: to go straight at {speed}, it needs from {low[2]} to {high[2]}."
 
 
 def candidate_sentence(found: ModelUncertainty | None) -> str:
@@ -1085,7 +1116,8 @@ def course_sentence(course: CourseStability | None) -> str:
         )
     if not course.unstable:
         return ""
-    begin = f"At {course.speed:.3g} m/s the boat is directionally unstable"
+    heading = "" if course.heading is None else f" on heading {math.degrees(course.heading):.0f} deg"
+    begin = f"At {course.speed:.3g} m/s{heading} the boat is directionally unstable"
     grows = f"without a controller a small yaw rate grows by a factor of e in {1.0 / course.pole:.3g} s"
     if course.low is None or course.high is None:
         return f"{begin}: {grows} (the 95 % interval is unknown)."

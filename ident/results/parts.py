@@ -830,6 +830,13 @@ class CourseStability(Part, frozen=True, kw_only=True):
     """Least stable pole of sway and yaw, at the speeds of the data: whether the boat holds a straight course."""
 
     speed: Annotated[float, Meta(description="speed of the linear model [m/s]")]
+    heading: Annotated[
+        float | None,
+        Meta(
+            description="heading on which this pole is the least stable one [rad]; null: the model does not depend on "
+            "the heading, or a result of an earlier version"
+        ),
+    ] = None
     pole: Annotated[float, Meta(description="real part of the pole [1/s]; above zero: directionally unstable")]
     low: Annotated[float | None, Meta(description="lower end of the 95 % interval of `pole` [1/s]; null: unknown")]
     high: Annotated[float | None, Meta(description="upper end of the 95 % interval of `pole` [1/s]; null: unknown")]
@@ -859,6 +866,14 @@ class CourseStability(Part, frozen=True, kw_only=True):
         return self.low is not None and self.high is not None and (self.low > 0.0 or self.high < 0.0)
 
 
+class HeadingPoint(Part, frozen=True, kw_only=True):
+    """Inputs of a straight course on one heading, for a model that depends on the heading, as in wind."""
+
+    heading: Annotated[float, Meta(description="heading [rad]")]
+    speed: Annotated[float, Meta(description="forward speed [m/s]")]
+    inputs: Annotated[dict[str, float], Meta(description="inputs that keep speed and heading, by name")]
+
+
 class Dynamics(Part, frozen=True, kw_only=True):
     """Steady motion, poles, step responses and frequency responses of a fitted model in still water."""
 
@@ -884,6 +899,10 @@ class Dynamics(Part, frozen=True, kw_only=True):
     course: Annotated[
         CourseStability | None, Meta(description="stability of a straight course; null: no pole of sway and yaw")
     ] = None
+    headings: Annotated[
+        tuple[HeadingPoint, ...],
+        Meta(description="straight course on eight headings; empty: the model does not depend on the heading"),
+    ] = ()
 
 
 class VehicleResult(FitResult, frozen=True, kw_only=True, tag_field="kind", tag="vehicle"):

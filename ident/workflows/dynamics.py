@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Literal
 
 import msgspec
@@ -26,6 +27,7 @@ from seatrial.ident.results import (
     CourseStability,
     Dynamics,
     FrequencyResponse,
+    HeadingPoint,
     OperatingPoint,
     SteadyCurve,
     StepResponse,
@@ -40,6 +42,8 @@ SPEEDS_OF_DAMPING = 101  # speeds at which the damping of sway is computed
 COMMAND_STEP = 0.1  # size of the steps of the command, as a part of the largest command
 Z95 = 1.96  # half the width of a 95 % interval in standard errors
 UNKNOWN_GAIN = float(np.log(np.sqrt(2.0)))  # standard error of the logarithm of a gain that is unknown: 3 dB
+HEADINGS = 8  # headings on which the straight course of a boat in wind is computed
+NO_OPERATING_POINT = (SeatrialError, ArithmeticError, np.linalg.LinAlgError, TypeError, ValueError)
 UNITS = {"u": "m/s", "v": "m/s", "r": "rad/s"}
 
 
@@ -70,18 +74,23 @@ def dynamics_of(fitted: FittedModel) -> Dynamics | None:
     if not curves and not linear:
         return None
     drives, steps, responses = Drives(model, ranges), list[StepResponse](), list[FrequencyResponse]()
-    course = None
+    course, headings = None, list[HeadingPoint]()
     if linear:
         middle = linear[(len(linear) - 1) // 2]
         steps, responses = _steps(middle, drives), _responses(middle, drives)
+        by_heading = _by_heading(model, [x.speed for x in linear], conditions) if "psi" in conditions else {}
+        headings = [
+            _heading_point(psi, x) for psi, found in by_heading.items() for x in found if x.speed == middle.speed
+        ]
         course = _course_stability(linear, ranges.get("u"))
+        course = _worst_course(course, model, by_heading, known, conditions, ranges.get("u"))
         if course is not None:
             lowest = _negative_sway_damping_from(model, linear, ranges.get("u"), conditions)
             course = msgspec.structs.replace(course, sway_from=lowest)
     return Dynamics(
         steady=tuple(curves), points=tuple(_point(x) for x in linear), steps=tuple(steps), responses=tuple(responses),
         delays=dict(linear[0].delays) if linear else {}, conditions=conditions, speeds=ranges.get("u"), ranges=ranges,
-        course=course,
+        course=course, headings=tuple(headings),
     )  # fmt: skip
 
 
@@ -110,6 +119,69 @@ def _course_stability(linear: Sequence[LinearModel], speeds: tuple[float, float]
     v = at.states.index("v") if "v" in at.states else None
     sway = None if v is None else float(at.A[v, v])
     return CourseStability(speed=at.speed, pole=real, low=finite(real - half), high=finite(real + half), sway=sway)
+
+
+def _by_heading(
+    model: Model, speeds: Sequence[float], conditions: Mapping[str, float]
+) -> dict[float, list[LinearModel]]:
+    """Return the linear models at these speeds on eight headings [rad], without standard errors.
+
+    An operating point that is not found, such as one against a wind that is too strong, is left out.
+    """
+    found = dict[float, list[LinearModel]]()
+    for k in range(HEADINGS):
+        psi = 2.0 * np.pi * k / HEADINGS
+        for speed in speeds:
+            with suppress(*NO_OPERATING_POINT):
+                found.setdefault(psi, []).append(linearise(model, speed, None, {**conditions, "psi": psi}))
+    return found
+
+
+def _heading_point(heading: float, linear: LinearModel) -> HeadingPoint:
+    """Return the inputs of a straight course on a heading [rad], from the linear model there."""
+    inputs = {name: float(value) for name, value in zip(linear.inputs, linear.u0, strict=True)}
+    return HeadingPoint(heading=heading, speed=linear.speed, inputs=inputs)
+
+
+def _worst_course(
+    course: CourseStability | None,
+    model: Model,
+    by_heading: Mapping[float, Sequence[LinearModel]],
+    known: ParameterCovariance,
+    conditions: Mapping[str, float],
+    speeds: tuple[float, float] | None,
+) -> CourseStability | None:
+    """Return the least stable pole of sway and yaw over all headings, with the heading and its 95 % interval.
+
+    Parameters
+    ----------
+    course
+        Least stable pole on the heading of ``conditions``; None: there is none.
+    model
+        The fitted model.
+    by_heading
+        Linear models by heading [rad] (`_by_heading`). Empty for a model that does not depend on the heading: the
+        result is ``course``.
+    known
+        Covariance of the estimates.
+    conditions
+        Conditions of the model.
+    speeds
+        Smallest and largest forward speed in the data [m/s].
+    """
+    worst: tuple[float, CourseStability] | None = None
+    for psi, linear in by_heading.items():
+        found = _course_stability(linear, speeds)
+        if found is not None and (worst is None or found.pole > worst[1].pole):
+            worst = psi, found
+    if course is None or worst is None:
+        return course
+    psi, found = worst
+    try:
+        again = _course_stability([linearise(model, found.speed, known, {**conditions, "psi": psi})], None)
+    except NO_OPERATING_POINT:
+        return course
+    return course if again is None else msgspec.structs.replace(again, heading=psi)
 
 
 def _negative_sway_damping_from(
@@ -268,7 +340,7 @@ def _linear_models(
         speed = float(f"{part * fastest:.2g}") if part < 1.0 else float(np.floor(fastest * 100.0) / 100.0)
         try:
             found.append(linearise(model, speed, known, conditions))
-        except (SeatrialError, ArithmeticError, np.linalg.LinAlgError, TypeError, ValueError):
+        except NO_OPERATING_POINT:
             continue
     return found
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from seatrial.ident.estimation import SavedModel
-from seatrial.ident.model import Model, Parameter
+from seatrial.ident.model import Model, Parameter, ParameterOrigin
 from seatrial.ident.results import DifferenceKind, ModelDifference
 
 
@@ -59,11 +59,12 @@ def _value_text(p: Parameter) -> str:
 
 
 def _prior_text(p: Parameter) -> str:
-    """Return a prior as text, such as ``c1 = 40 ± 2 N``; empty without a prior that informs an estimate.
+    """Return a prior for this boat as text, such as ``c1 = 40 ± 2 N``; empty without a prior that informs an estimate.
 
-    The prior of a considered parameter counts, because the standard errors contain it.
+    The prior of a considered parameter counts, because the standard errors contain it. Priors that are part of the
+    model do not count: they belong to its effects, which are listed, and follow from the estimated size of the boat.
     """
-    if p.prior is None or p.exact:
+    if p.prior is None or p.exact or p.origin is ParameterOrigin.BUILT_IN:
         return ""
     mean, sd = p.prior
     return f"{p.name} = {mean:.4g} ± {sd:.2g} {p.unit}".rstrip()

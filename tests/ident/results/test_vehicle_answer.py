@@ -53,6 +53,7 @@ from seatrial.ident.results.parts import (
     ErrorComparison,
     Errors,
     ErrorTable,
+    HeadingPoint,
     LargestErrorsRow,
     LogFinding,
     LogSummary,
@@ -605,3 +606,40 @@ def test_answer_has_the_inputs_of_a_straight_course(
     faster = msgspec.structs.replace(point, speed=1.5, inputs=dict.fromkeys(inputs, 1.0))
     assert straight_sentence(Dynamics(points=(point, faster), conditions=conditions)) == sentence
     assert straight_sentence(None) == straight_sentence(Dynamics()) == ""
+
+
+@pytest.mark.parametrize(
+    ("differences", "turns", "inputs"),
+    [
+        (
+            (-0.2, 0.1, 0.0),
+            "to starboard on some headings and to port on others",
+            "from n_left 0.6 and n_right 0.4 (heading 0 deg) to n_left 0.45 and n_right 0.55 (heading 90 deg)",
+        ),
+        (
+            (-0.2, -0.1, 0.0),
+            "to port, more on some headings than on others",
+            "from n_left 0.6 and n_right 0.4 (heading 0 deg) to n_left 0.5 and n_right 0.5 (heading 180 deg)",
+        ),
+        ((0.01, -0.01, 0.0), "", ""),
+    ],
+)
+def test_answer_has_the_headings_on_which_a_boat_in_wind_needs_most(
+    differences: tuple[float, ...], turns: str, inputs: str
+) -> None:
+    sentence = f"With equal shaft speeds the boat turns {turns}: to go straight at 0.8 m/s, it needs {inputs}."
+    none = np.zeros(0)
+    point = OperatingPoint(speed=0.8, inputs={"n_left": 0.5, "n_right": 0.5}, real=none, imaginary=none, stable=True)
+    headings = tuple(
+        HeadingPoint(heading=0.5 * np.pi * k, speed=0.8, inputs={"n_left": 0.5 - d / 2, "n_right": 0.5 + d / 2})
+        for k, d in enumerate(differences)
+    )
+    found = straight_sentence(Dynamics(points=(point,), conditions={"psi": 0.0}, headings=headings))
+    assert found == (sentence if turns else "")
+
+
+def test_the_least_stable_heading_is_named() -> None:
+    course = CourseStability(speed=0.9, heading=np.pi / 4, pole=0.25, low=0.125, high=0.5)
+    assert course_sentence(course).startswith(
+        "At 0.9 m/s on heading 45 deg the boat is directionally unstable: without"
+    )

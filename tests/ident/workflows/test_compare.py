@@ -27,7 +27,7 @@ from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.engine import quick_compilation
 from seatrial.ident.estimation.fitted_model import evaluate_records, evaluated_in_blocks
 from seatrial.ident.estimation.model_file import SavedModel, load_model
-from seatrial.ident.model.parameter import Parameter
+from seatrial.ident.model.parameter import Parameter, ParameterOrigin
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.models.surge import surge_model
 from seatrial.ident.parallel import Workers
@@ -108,7 +108,7 @@ def test_a_comparison_says_what_differs_between_the_models(compared: ComparisonR
     assert (reference.differences, same.differences) == (None, ())
     assert "What differs (b) values of the estimates only" in " ".join(text_of(compared).split())
     saved = load_model(models[0])
-    changed = {"m_u": {"prior": (30.0, 2.0)}, "d_rr": {"free": False}}
+    changed = {"m_u": {"prior": (30.0, 2.0), "origin": ParameterOrigin.PRIOR}, "d_rr": {"free": False}}
     wind = saved.model + catalogue()["wind"]
     parameters = tuple(replace(p, **changed.get(p.name, {})) for p in wind.parameters)
     other = replace(

@@ -13,6 +13,7 @@ from rich.console import Console
 from seatrial.ident.data.record import LogSegment
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.fitted_model import FittedModel, fit_nominal_model
+from seatrial.ident.export.linearisation import linearise
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.report.blocks import Budget, Canvas
 from seatrial.ident.report.sections.dynamics import section
@@ -130,6 +131,29 @@ def test_negative_damping_of_sway_has_its_lowest_speed(fitted: FittedModel) -> N
     assert f"From {found.course.sway_from:.2g} m/s on the estimated damping of sway" in course_sentence(found.course)
     assert {"u", "v", "n_left"} <= set(found.ranges)
     assert all(p.states["u"] == p.speed for p in found.points)
+
+
+def test_straight_course_and_stability_of_a_boat_in_wind_are_those_of_all_headings(fitted: FittedModel) -> None:
+    fit = fitted.fit
+    windy = (fit.model + catalogue()["wind"]).with_values({"F_wx": 3.0, "F_wy": 0.0, "w_n": 0.1})
+    found, calm = dynamics_of(replace(fitted, fit=replace(fit, model=windy))), dynamics_of(fitted)
+    assert calm is not None
+    assert found is not None
+    assert (calm.headings, calm.course and calm.course.heading) == ((), None)
+    pull = {round(np.degrees(p.heading)): p.inputs["n_right"] - p.inputs["n_left"] for p in found.headings}
+    assert list(pull) == [0, 45, 90, 135, 180, 225, 270, 315]
+    # In wind to the north, the moment of the lateral force has opposite signs on the headings east and west.
+    assert pull[90] * pull[270] < 0.0
+    assert abs(pull[0]) < 0.2 * abs(pull[90])
+    assert found.course is not None
+    poles = {}
+    for heading in pull:
+        at = linearise(windy, found.course.speed, None, {"psi": float(np.radians(heading))})
+        assert at.course_pole is not None
+        poles[heading] = float(at.poles[at.course_pole].real)
+    assert found.course.pole == pytest.approx(max(poles.values()), abs=1e-9)
+    assert found.course.heading is not None
+    assert poles[round(np.degrees(found.course.heading))] == pytest.approx(max(poles.values()), abs=1e-6)
 
 
 def test_conditions_of_the_end_of_the_data_are_in_the_result(fitted: FittedModel) -> None:
