@@ -20,7 +20,7 @@ from seatrial.ident.estimation.multistart import best_of_starts
 from seatrial.ident.estimation.smoother import SmoothedStates, smoothed_states
 from seatrial.ident.model import Effect, EffectKind, Model, Parameter, ParameterOrigin, outlier_notes
 from seatrial.ident.model import with_outlier_model as with_outliers
-from seatrial.ident.models import forces_of, rescale, residuals_of, size_of, with_disturbances
+from seatrial.ident.models import forces_of, rescale, rescale_effects, residuals_of, size_of, with_disturbances
 from seatrial.ident.numerics import NORMAL_MAD, Array, noise_from_differences
 from seatrial.ident.reporter import QUIET, Reporter
 
@@ -221,9 +221,9 @@ def fit_with_rescaling(
     """Fit a model with disturbance forces and sensor offsets, and fit it again if its priors turn out to be wrong.
 
     A second fit follows if the boat's force or moment scale by the estimated masses (`size_of`) differs from that by
-    the initial ones by a factor of two or more, or if the innovations contradict the declared noise of the sensors. If
-    the second fit fails, does not converge or is much less likely than the first, it is repeated from the shared
-    estimates of the first fit.
+    the initial ones by a factor of two or more, or if the innovations contradict the declared noise of the sensors. In
+    the first case the priors of effects are scaled too. If the second fit fails, does not converge or is much less
+    likely than the first, it is repeated from the shared estimates of the first fit.
 
     Parameters
     ----------
@@ -253,7 +253,7 @@ def fit_with_rescaling(
     again = noise_revised
     ratios = [found.of(unit) / assumed.of(unit) for unit in ("N", "N m")]
     if not all(1 / RESCALING_RATIO < ratio < RESCALING_RATIO for ratio in ratios):
-        again = rescale(again, found)
+        again = rescale_effects(rescale(again, found), assumed, found)
     if again is full:
         return fitted
     first, refits = fitted.fit, list[FittedModel]()

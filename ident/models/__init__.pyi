@@ -49,6 +49,7 @@ from .scaling import VesselScale as VesselScale
 from .scaling import force_power as force_power
 from .scaling import is_moment as is_moment
 from .scaling import rescale as rescale
+from .scaling import rescale_effects as rescale_effects
 from .scaling import scale_priors as scale_priors
 from .scaling import size_of as size_of
 from .scaling import unit_over as unit_over

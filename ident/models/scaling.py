@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 from math import sqrt
 from typing import NamedTuple
 
-from seatrial.ident.model import Effect, Model, Parameter, State
+from seatrial.ident.model import Effect, Model, Parameter, ParameterOrigin, State
 from seatrial.ident.models.disturbances import SIZES
 from seatrial.ident.models.published_values import TABLE_1
 
@@ -219,6 +219,23 @@ def scale_priors(effect: Effect, size: VesselScale) -> Effect:
         states=tuple(_scaled_state(s, size.of(s.unit)) for s in effect.states),
         scan={name: tuple(factors.get(name, 1.0) * z for z in tried) for name, tried in effect.scan.items()},
     )
+
+
+def rescale_effects(model: Model, assumed: VesselScale, found: VesselScale) -> Model:
+    """Return the model with the priors of its effects scaled from an assumed size of the boat to the found one.
+
+    Only priors that are built in are scaled, with step and bounds; those that the user has given are kept. Values are
+    kept inside the bounds. Disturbances and errors of sensors are unchanged (`rescale`).
+    """
+    ratio = VesselScale(found.mass / assumed.mass, found.length / assumed.length)
+    names = [p.name for e in model.effects if not e.kind.nuisance for p in e.parameters]
+    new = []
+    for p in map(model.parameter, names):
+        if p.scales and p.free and p.prior is not None and p.origin is ParameterOrigin.BUILT_IN:
+            scaled = _scaled_parameter(p, ratio.of(p.unit))
+            low, high = scaled.bounds
+            new.append(replace(scaled, value=min(max(p.value, low), high)))
+    return model.replace_parameters(*new)
 
 
 def _scaled_parameter(p: Parameter, factor: float) -> Parameter:

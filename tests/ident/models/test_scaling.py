@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
@@ -14,9 +14,10 @@ from seatrial.ident.effects.nonparametric import input_response_effects, nonpara
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.engine.vectorised_model import VectorisedModel
 from seatrial.ident.estimation.fitted_model import fit_with_rescaling, nominal_model, with_all_candidates
+from seatrial.ident.model.parameter import ParameterOrigin
 from seatrial.ident.model.structure import ForceCurve
 from seatrial.ident.models.horizontal import horizontal_model
-from seatrial.ident.models.scaling import VesselScale, dimension, rescale, scale_priors, size_of
+from seatrial.ident.models.scaling import VesselScale, dimension, rescale, rescale_effects, scale_priors, size_of
 from tests.ident.carriers import carrier
 from tests.missions import boat_with, channels_of, sail
 
@@ -199,6 +200,39 @@ def _scores(scale: float) -> tuple[dict[str, Score], float]:
     size = size_of(fitted.fit.model)
     scores, _ = score_all(fitted, rows, {n: scale_priors(e, size) for n, e in kept.items()})
     return {s.name: s for s in scores}, fitted.fit.model.values["m_u"]
+
+
+def test_priors_of_effects_follow_the_size_that_was_found() -> None:
+    given = catalogue()["wind"].parameters[0]
+    wind = replace(
+        catalogue()["wind"],
+        parameters=(given.known(2.0, 0.5, ParameterOrigin.PRIOR), *catalogue()["wind"].parameters[1:]),
+    )
+    small = VesselScale(8.0 / 37.0, 0.6)
+    found = rescale_effects(horizontal_model("shaft") + wind, VesselScale(), small)
+    expected = scale_priors(catalogue()["wind"], small)
+    for p in expected.parameters[1:]:
+        assert found.parameter(p.name).prior == pytest.approx(p.prior), p.name
+    assert found.parameter("F_wx").prior == (2.0, 0.5)
+    assert found.parameter("F_wy").prior[1] == pytest.approx(15.0 * small.of("N"))  # type: ignore[index]
+    again = rescale_effects(found, small, VesselScale())
+    assert again.parameter("k_air").prior == pytest.approx(catalogue()["wind"].parameters[-1].prior)
+    assert again.parameter("m_u") == horizontal_model("shaft").parameter("m_u")
+
+
+def test_fit_of_a_small_boat_scales_the_priors_of_requested_effects() -> None:
+    """The size of the boat is unknown before its first fit."""
+    channels = channels_of(sail(boat_with("wind", 1), 100.0, 101)[0])
+    for side in ("left", "right"):
+        n = channels.pop(f"n_{side}")
+        channels[f"f_{side}"] = Channel(n.t, 0.2 * (40.05 * n.value * abs(n.value) + 1.11 * n.value**2))
+    model = nominal_model(horizontal_model("force") + catalogue()["wind"])
+    fitted = fit_with_rescaling(model, [make_record(model, LogSegment("run", channels), 5.0)], ())
+    size = size_of(fitted.fit.model)
+    assert size.mass == pytest.approx(0.2, rel=0.4)
+    prior = fitted.fit.model.parameter("F_wy").prior
+    assert prior is not None
+    assert prior[1] == pytest.approx(15.0 * size.of("N"), rel=0.3)
 
 
 @pytest.mark.study
