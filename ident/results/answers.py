@@ -86,7 +86,7 @@ SHORT_DATA_S = 60.0  # of all estimation data; shorter data hardly contain a tur
 FEWEST_SAMPLES = 10  # equal samples from which a sensor is called stuck
 
 
-def change_sentence(change: PredictionChangeRow, horizon: float) -> str:
+def change_sentence(change: PredictionChangeRow, horizon: float, cross_validated: bool = False) -> str:
     """Return the sentence of a result on how added effects changed the prediction errors over the horizon.
 
     The sentence claims a fall or a rise only if ``change.verdict`` does. The change is in per cent; a rise to three
@@ -99,8 +99,12 @@ def change_sentence(change: PredictionChangeRow, horizon: float) -> str:
         Change of the errors over the horizon, with its 95 % interval, its verdict, and the channels that changed.
     horizon
         Prediction horizon [s].
+    cross_validated
+        Whether the validation data are blocks of the estimation runs.
     """
-    begin = f"Prediction {horizon:g} s ahead on {change.role} data, all channels: "
+    blocks = cross_validated and change.role == "validation"
+    data = "blocks of the logs that were left out of the fit" if blocks else f"{change.role} data"
+    begin = f"Prediction {horizon:g} s ahead on {data}, all channels: "
     if change.low is None or change.high is None:
         return (
             f"{begin}the data are too short to tell whether the added effects change the error; give longer "

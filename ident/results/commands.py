@@ -112,6 +112,12 @@ class FitContext:
     effect_parameters: Sequence[str] = ()
 
 
+UNTESTED = (
+    "The model was not tested for missing effects by score tests: small errors of sensors and hull form are not "
+    "estimated, and their influence is not in the standard errors. Take the estimates as a first look."
+)
+
+
 def vehicle_result(
     fitted: FittedModel,
     evaluation: PredictionEvaluation,
@@ -169,6 +175,7 @@ def vehicle_result(
             *failed_run_warnings(fitted.failed),
         ),
         notes=(
+            *((UNTESTED,) if searchable and posed.assessment is None else ()),
             *common_errors_notes(common, "the model"),
             *model_uncertainty_notes(uncertainty, fitted.fit),
             *_notes(posed.notes, evaluation, calibration),

@@ -231,7 +231,7 @@ def diagnosis_answer(
     if diagnosis.effects and prediction is not None:
         if prediction.verdict == "unchanged" and (reason := _likelihood_sentence(diagnosis, prediction.role)):
             sentences.append(reason)
-        sentences.append(change_sentence(prediction, horizon))
+        sentences.append(change_sentence(prediction, horizon, diagnosis.cross_validated))
     if diagnosis.cross_validated:
         sentences.append(
             "Without --validate, the model is validated by blocked cross-validation: each block of time of the "

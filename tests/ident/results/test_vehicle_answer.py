@@ -238,6 +238,10 @@ def test_change_is_reported_with_its_interval_and_channels() -> None:
     change = PredictionChangeRow(
         role="validation", ratio=0.58, low=0.54, high=0.63, verdict="fell", better=("psi", "x"), worse=("ax",)
     )
+    left_out = change_sentence(change, 10.0, cross_validated=True)
+    assert left_out.startswith(
+        "Prediction 10 s ahead on blocks of the logs that were left out of the fit, all channels: "
+    )
     assert change_sentence(change, 10.0) == (
         "Prediction 10 s ahead on validation data, all channels: with the added effects the error falls by 42 % (95 % "
         "interval: 37 to 46 %); better: heading, north; worse: surge specific force."

@@ -142,6 +142,7 @@ def test_score_tests_can_be_left_out(bare: tuple[dict[str, Any], str, Path]) -> 
     result, _, _ = bare  # with --no-score-tests
     assert result["common_errors"] is None
     assert not any("uncertainty of the model" in note for note in result["notes"])
+    assert any("Take the estimates as a first look." in note for note in result["notes"])
 
 
 def test_ratios_to_the_thrust_are_right(bare: tuple[dict[str, Any], str, Path]) -> None:

@@ -63,6 +63,7 @@ def test_timing_errors_are_estimated_and_the_masses_hold(boat: Boat, folder: Pat
     for name in ("m_u", "m_v", "m_r"):
         assert abs(parameters[name]["value"] - boat.truth()[name]) < 3 * parameters[name]["se"], name
     assert any("uncertainty of the model" in note for note in result["notes"])
+    assert not any("first look" in note for note in result["notes"])
     assert "Common errors" in (folder / "tested" / "report.html").read_text(encoding="utf-8")
     # A diagnosis of this model keeps them.
     kept = given_common_errors(load_model(folder / "tested" / "model.toml").model)
