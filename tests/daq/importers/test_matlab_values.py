@@ -261,3 +261,16 @@ def test_commands_of_a_struct_with_a_field_for_each_side_are_recognised(tmp_path
     text = guess_map(path).text
     assert '\n  { name = "n_cmd_left", topic = "cmd", field = "port", unit = "1"' in text
     assert '\n  { name = "n_right", topic = "esc", field = "rpm_stbd"' in text
+
+
+def test_a_misspelt_field_of_a_struct_with_several_time_axes_is_named(tmp_path: Path) -> None:
+    t = 0.1 * np.arange(50)
+    parts = {"gnss": {"time": t[::5], "lat": t[::5]}, "ahrs": {"time": t, "heading": t}}
+    savemat(tmp_path / "run.mat", {"log": parts})
+    columns = 'topic = "log", field = "ahrs.headng", time = "ahrs.time"'
+    (tmp_path / "map.toml").write_text(
+        'format = "seatrial-import 1"\ntime = { column = "gnss.time" }\n'
+        f'signal = [ {{ name = "psi", {columns}, unit = "rad" }} ]\n'
+    )
+    with pytest.raises(SeatrialError, match=r"log has no field 'ahrs\.headng'; did you mean 'ahrs\.heading'\?"):
+        import_files(tmp_path / "map.toml", [tmp_path / "run.mat"], out_dir=tmp_path)
