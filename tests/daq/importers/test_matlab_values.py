@@ -304,3 +304,13 @@ def test_fields_of_nested_structs_are_recognised_with_the_times_of_their_struct(
 def test_python_warns_of_signals_that_a_guessed_map_leaves_out(tmp_path: Path) -> None:
     with pytest.warns(SeatrialWarning, match=r"not recognised and left out: mag\.x; add"):
         st.import_log(nested_run(tmp_path / "run.mat"), out_dir=tmp_path)
+
+
+def test_an_error_of_a_map_names_the_signal_and_only_real_choices(tmp_path: Path) -> None:
+    path = tmp_path / "map.toml"
+    path.write_text(
+        'format = "seatrial-import 1"\ntime = { column = "t" }\n'
+        'signal = [{ name = "x", make = "nord", columns = ["lat", "lon"] }]\n'
+    )
+    with pytest.raises(SeatrialError, match=r"signal\[1\]\.make \(signal 'x'\): must be one of north, east, "):
+        import_files(path, [tmp_path / "run.mat"], out_dir=tmp_path)
