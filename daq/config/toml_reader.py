@@ -78,6 +78,8 @@ class TomlTable:
         Path of the file, which error messages name.
     where
         Full name of the table in the file, such as `device[2].calibration`; empty for the root table.
+    label
+        What the table describes, such as `signal 'psi'`, for error messages behind the key; empty by default.
     """
 
     def __init__(self, values: Mapping[str, object], source: str, where: str = "") -> None:
@@ -88,12 +90,14 @@ class TomlTable:
         self.values: dict[str, Any] = dict(values)
         self.source = source
         self.where = where
+        self.label = ""
         self._taken: list[str] = []  # keys that were read
         self._known: list[str] = []  # keys that were read or asked for, for messages
 
     def error(self, key: str, problem: str) -> SeatrialError:
         """Return an error whose message has the file, the full key and the problem. The caller raises it."""
-        return SeatrialError(f"{self.source}: {self._full_key(key)}: {problem}")
+        whose = f" ({self.label})" if self.label else ""
+        return SeatrialError(f"{self.source}: {self._full_key(key)}{whose}: {problem}")
 
     def _full_key(self, key: str) -> str:
         """Return a key with the name of its table, such as `limits.n_max`."""
@@ -138,7 +142,8 @@ class TomlTable:
         if not isinstance(value, str):
             raise self.error(key, f"must be text in quotes, not {_describe_value(value)}")
         if choices and value not in choices:
-            rule = f"must be '{next(iter(choices))}'" if len(choices) == 1 else f"must be one of {', '.join(choices)}"
+            named = [choice for choice in choices if choice]  # an empty text stands for a missing key
+            rule = f"must be '{named[0]}'" if len(named) == 1 else f"must be one of {', '.join(named)}"
             raise self.error(key, f"{rule}, not '{value}'")
         return value
 

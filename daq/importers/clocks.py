@@ -152,6 +152,11 @@ def clock_of(table: Table) -> Clock:
     return Clock()
 
 
+def has_named_times(table: Table) -> bool:
+    """Return whether a table has a column of times that its name shows (`clock_of`)."""
+    return bool(_TIME.search(read_name(clock_of(table).column).plain))
+
+
 def _named_clock(table: Table, name: str, dates: Sequence[str], weeks: Sequence[str]) -> Clock:
     """Return the clock of a table whose time column is `name`: its format, and its column of dates or GPS weeks.
 

@@ -21,7 +21,7 @@ import numpy as np
 from seatrial.daq.checks import group_held_signals, held_signals
 from seatrial.daq.errors import SeatrialError, first_names
 from seatrial.daq.importers.bench_table import COMMAND, bench_candidates
-from seatrial.daq.importers.clocks import DATES, Clock, clock_of, row_seconds
+from seatrial.daq.importers.clocks import DATES, Clock, clock_of, has_named_times, row_seconds
 from seatrial.daq.importers.import_map import GEOGRAPHIC
 from seatrial.daq.importers.input_hold import input_hold
 from seatrial.daq.importers.recognise import (
@@ -41,6 +41,7 @@ from seatrial.daq.importers.recognise import (
     named_commands,
     quantity,
     read_name,
+    read_nested_name,
     unmeasured_parts,
     without_unit,
 )
@@ -85,11 +86,14 @@ class Guess(NamedTuple):
         Reason why no fit is possible with the map; "" if a fit should be possible.
     full : dict of str to float
         Number of the source that becomes 1, by signal, for signals whose scale is guessed from their largest number.
+    unrecognised : sequence of str
+        Columns of numbers that were not recognised.
     """
 
     text: str  # of the map
     problem: str  # why no fit is possible with the map; "" if a fit should be possible
     full: Mapping[str, float] = {}  # number that becomes 1, by signal
+    unrecognised: Sequence[str] = ()  # columns
 
 
 def guess_maps(paths: Sequence[Path], dbc: Path | None = None, folder: Path | None = None) -> list[Guess]:
@@ -157,7 +161,7 @@ def guess_map(
         if style is None:
             raise SeatrialError(f"{path}: no table of numbers found in this text; write the import map by hand")
         options = SourceOptions(replace(style, nan="drop", time_order="drop"))  # as in the guessed map
-    tables = [table for table in kind.read(path, options) if table.names]
+    tables = [part for table in kind.read(path, options) if table.names for part in _by_own_times(table)]
     sources = files or (path,)
     names, more = " ".join(file.name for file in sources[:MOST_NAMED]), len(sources) - MOST_NAMED
     and_more = f" and {more} more" if more > 0 else ""
@@ -191,13 +195,46 @@ def guess_map(
     taken, lines = _chosen_signals(candidates, clocks, main, max(len(files), 1))
     problem = _missing_for_fit(taken, tables)
     head += _style_line(options, kind.name) + _time_lines(tables, candidates, clocks, main)
+    unrecognised = _unrecognised_columns(tables, candidates, clocks)
     remarks = [f"# caveat: {table.full_remark}" for table in tables if table.full_remark]
     remarks += [line for table in tables for line in _not_measured_lines(table)]
     remarks += [line for table in tables for line in _length_lines(table, clocks[id(table)], main)]
     remarks += [f"# caveat: {line}" for line in _held_signal_comments(candidates, taken, clocks)]
-    text = "\n".join([*head, *remarks, "signal = [", *lines, *_unrecognised_lines(tables, candidates, clocks), "]"])
+    text = "\n".join([*head, *remarks, "signal = [", *lines, *_unrecognised_lines(unrecognised), "]"])
     tops = {signal.name: signal.full for signal in taken if signal.full}
-    return Guess(text + (f"\n# no fit: {problem}" if problem else "") + "\n", problem, tops)
+    return Guess(
+        text + (f"\n# no fit: {problem}" if problem else "") + "\n",
+        problem,
+        tops,
+        [column for _, column in unrecognised],
+    )
+
+
+def _by_own_times(table: Table) -> list[Table]:
+    """Divide a table of nested structs of equal lengths into those that have times of their own.
+
+    Otherwise all would get the times of the first. A struct without times stays with the outer struct if this has
+    times, or else with the first struct. Other tables are returned as they are.
+    """
+    if not table.topic or table.kind or table.t is not None:
+        return [table]
+    parts: dict[str, list[str]] = {}
+    for name in table.names:
+        parts.setdefault(name.rpartition(".")[0], []).append(name)
+    timed = [part for part, names in parts.items() if has_named_times(_columns_of(table, names))]
+    if len(timed) < 2:
+        return [table]
+    first = "" if "" in timed else timed[0]
+    for part in [part for part in parts if part not in timed]:
+        parts[first] += parts.pop(part)
+    found = [_columns_of(table, parts[part]) for part in timed]
+    return [found[0], *(replace(part, remark="", events=()) for part in found[1:])]
+
+
+def _columns_of(table: Table, names: Collection[str]) -> Table:
+    """Return a table with some of the columns of a table."""
+    columns = {name: values for name, values in table.columns.items() if name in names}
+    return replace(table, columns=columns, texts={name: cells for name, cells in table.texts.items() if name in names})
 
 
 def _not_measured_lines(table: Table) -> list[str]:
@@ -372,6 +409,8 @@ def _named_columns(table: Table, clocks: Clocks) -> Iterator[tuple[str, Name, fr
             continue
         unit = f" [{table.units[column]}]" if column in table.units else ""
         name = read_name(table.topic.rpartition("/")[2] if is_scalar else column + unit)
+        if table.topic and not table.kind and not name.meaning:
+            name = read_nested_name(column, unit) or name
         by_topic = is_named_by_topic or table.kind == "dbc" or name.words <= SIDES
         yield column, name, name.words | (read_name(table.topic).words if by_topic else frozenset()), values
 
@@ -823,16 +862,17 @@ def _signal_line(table: Table, signal: MapSignal, clock: Clock, main: Clock) -> 
     return f"{{ {', '.join([*keys, *([signal.extra] if signal.extra else [])])} }}"
 
 
-def _unrecognised_lines(tables: Sequence[Table], candidates: Sequence[Candidate], clocks: Clocks) -> list[str]:
-    """Return comment lines of a guessed map for the columns that were not recognised, with the range of their values.
+def _unrecognised_columns(
+    tables: Sequence[Table], candidates: Sequence[Candidate], clocks: Clocks
+) -> list[tuple[Table, str]]:
+    """Return the columns that were not recognised, each with its table.
 
-    At most 12 columns are listed, and a last line has the number of the others. Columns of text, of times, and without
-    a finite value are left out. So are tables with a type of messages, except single numbers (Float64, Float32) and
-    messages of a DBC. The list is empty if all columns were recognised. `clocks` has the time column of each table, by
-    the id of the table.
+    Columns of text, of times, and without a finite value are left out. So are tables with a type of messages, except
+    single numbers (Float64, Float32) and messages of a DBC. The list is empty if all columns were recognised. `clocks`
+    has the time column of each table, by the id of the table.
     """
     used = {(id(c.table), column) for c in candidates for signal in c.signals for column in signal.columns}
-    lines = []
+    found = []
     for table in tables:
         if table.kind and table.kind.rpartition("/")[2] not in ("Float64", "Float32", "dbc"):
             continue
@@ -844,14 +884,26 @@ def _unrecognised_lines(tables: Sequence[Table], candidates: Sequence[Candidate]
             except SeatrialError:
                 continue
             if np.isfinite(values).any():
-                stated = f" [{table.units[column]}]" if column in table.units else ""
-                unit = read_name(column + stated).unit or "1"
-                line = _signal_line(table, MapSignal("NAME", (column,), unit), Clock(), Clock())
-                lines.append(f"  # {line},  # {np.nanmin(values):.4g} .. {np.nanmax(values):.4g}")
+                found.append((table, column))
+    return found
+
+
+def _unrecognised_lines(columns: Sequence[tuple[Table, str]]) -> list[str]:
+    """Return comment lines of a guessed map for the columns that were not recognised, with the range of their values.
+
+    At most 12 columns are listed, and a last line has the number of the others. The list is empty without columns.
+    """
+    lines = []
+    for table, column in columns[:MOST_LISTED]:
+        values = table.numbers(column)
+        stated = f" [{table.units[column]}]" if column in table.units else ""
+        unit = read_name(column + stated).unit or "1"
+        line = _signal_line(table, MapSignal("NAME", (column,), unit), Clock(), Clock())
+        lines.append(f"  # {line},  # {np.nanmin(values):.4g} .. {np.nanmax(values):.4g}")
     if not lines:
         return []
-    more = [f"  # and {len(lines) - MOST_LISTED} more"] if len(lines) > MOST_LISTED else []
-    return ["  # not recognised:", *lines[:MOST_LISTED], *more]
+    more = [f"  # and {len(columns) - MOST_LISTED} more"] if len(columns) > MOST_LISTED else []
+    return ["  # not recognised:", *lines, *more]
 
 
 def _missing_for_fit(taken: Sequence[MapSignal], tables: Sequence[Table]) -> str:

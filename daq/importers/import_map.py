@@ -23,6 +23,7 @@ GPS_UNITS = {"gps": 1.0, "gps_ms": 1e-3}  # formats of times in a GPS week -> th
 FORMATS_OF_TIME = (*TIME_UNITS, "iso", *DAY_COUNTS, "labview", *GPS_UNITS)
 # Positions of the thrusters to starboard and length of the hull [m], and weighed mass [kg].
 GEOMETRY = ("y_left", "y_right", "length", "mass")
+ANTENNA = ("antenna_x", "antenna_y", "antenna_z")  # parameters of the key `lever_arm_m` of [geometry] [m]
 FRAMES = {"NED": "NED", "FRD": "NED", "ENU": "ENU", "FLU": "ENU"}
 CAN_PROTOCOLS = ("vesc", "dronecan", "nmea2000")
 # Names of signals in east, north, up (ENU) or forward, left, up (FLU) -> names in NED or forward, starboard, down (FRD)
@@ -322,9 +323,9 @@ def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, fl
 
     `names` are the keys that the table may have. Standard uncertainties ``NAME_sd`` are included if the table has them.
     The result is empty if `table` is None. Raise SeatrialError if a number is impossible, a key is unknown, or the
-    number of an uncertainty is missing: c1,
-    length, mass and standard uncertainties must be positive, the size of c2 less than c1, y_left less than y_right, and
-    both at most `length` from the middle.
+    number of an uncertainty is missing. [geometry] may also have `lever_arm_m`, the position of the antenna in body
+    axes [m], whose three numbers have the names `ANTENNA`. c1, length, mass and standard uncertainties must be
+    positive, the size of c2 less than c1, y_left less than y_right, and both at most `length` from the middle.
     """
     if table is None:
         return {}
@@ -351,6 +352,8 @@ def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, fl
         raise table.error(
             "y_left", "must be less than y_right, because positions are positive to starboard; correct one of them"
         )
+    if "length" in names and table.has("lever_arm_m"):
+        found |= dict(zip(ANTENNA, table.numbers("lever_arm_m", length=3), strict=True))
     table.done()
     return found
 
@@ -509,6 +512,7 @@ def _signal_of_table(table: TomlTable, frame: str) -> Signal:
     name = table.text("name")
     if not NAME.fullmatch(name):
         raise table.error("name", f"'{name}' is not a valid name; use a letter, then letters, digits or _")
+    table.label = f"signal '{name}'"
     topic, make = table.text("topic", ""), table.text("make", "", choices=("", *MAKES))
     key = ("fields" if make else "field") if topic else ("columns" if make else "column")
     columns = table.texts(key) if make else (table.text(key),)

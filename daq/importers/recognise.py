@@ -220,6 +220,49 @@ NAMES: dict[str, str] = {
 _SI_OF = {"m": "x y", "m/s": "u v vx vy speed", "m/s2": "ax ay", "rad": "psi course lat lon", "rad/s": "r"}
 _SI = {meaning: unit for unit, meanings in _SI_OF.items() for meaning in meanings.split()}
 _MEANING = {name: meaning for meaning, names in NAMES.items() for name in names.split()}
+# Words of a struct whose fields are not measured motions of the boat
+_OF_OTHERS = frozenset(
+    [
+        "accuracy",
+        "air",
+        "bias",
+        "cmd",
+        "command",
+        "commands",
+        "cov",
+        "covariance",
+        "current",
+        "demand",
+        "desired",
+        "err",
+        "error",
+        "goal",
+        "guidance",
+        "limit",
+        "pid",
+        "planner",
+        "ref",
+        "reference",
+        "residual",
+        "setpoint",
+        "sigma",
+        "sp",
+        "std",
+        "target",
+        "truth",
+        "var",
+        "variance",
+        "water",
+        "waypoint",
+        "wind",
+        "wp",
+    ]
+)
+_LETTER_OF = {  # a single letter has its meaning only in a struct with one of these words: mag.x is no position
+    "r": frozenset(["ahrs", "att", "attitude", "ekf", "gyro", "imu", "ins", "nav", "omega", "rate", "rates", "state"]),
+    **dict.fromkeys("xy", frozenset(["local", "ned", "pos", "pose", "position"])),
+    **dict.fromkeys("uv", frozenset(["body", "dvl", "vel", "velocity"])),
+}
 _UNITS = {  # units as written in names of columns -> units of maps
     "deg": "deg", "°": "deg", "degrees": "deg", "rad": "rad", "deg/s": "deg/s", "dps": "deg/s", "deg_s": "deg/s",
     "rad/s": "rad/s", "rads": "rad/s", "rad_s": "rad/s", "m": "m", "m/s": "m/s", "mps": "m/s", "m_s": "m/s", "kn": "kn",
@@ -332,6 +375,31 @@ def read_name(column: str) -> Name:
         meaning = ""
     fits = unit and (not meaning or UNITS.get(unit, ("",))[0] == _SI[meaning])
     return Name(meaning, unit if fits else "", words, plain, "" if fits or behind.isdecimal() else behind)
+
+
+def read_nested_name(column: str, unit: str = "") -> Name | None:
+    """Parse the name of a field of a nested struct, as "gnss.lat": its meaning is that of the last name.
+
+    Parameters
+    ----------
+    column
+        Names of the structs and of the field, separated by dots.
+    unit
+        Text behind the name, as " [deg]", if the source has the unit.
+
+    Returns
+    -------
+    Name or None
+        The parts of the name. The words are also those of the structs. None without a struct or a meaning, and for
+        structs of thrusters, set-points, errors, wind or current, whose fields are not measured motions of the boat.
+    """
+    struct, _, field = column.rpartition(".")
+    name, around = read_name(field + unit), read_name(struct).words
+    if not struct or not name.meaning or around & (_OF_OTHERS | DRIVES) or SETPOINT.search(struct):
+        return None
+    if name.plain in _LETTER_OF and not around & _LETTER_OF[name.plain]:
+        return None
+    return name._replace(words=name.words | around)
 
 
 def message_candidates(table: Table) -> list[Candidate]:

@@ -322,7 +322,7 @@ def _table_of_signal(tables: Sequence[Table], signal: Signal) -> Table:
 
     A signal without a topic selects the tables without a topic if there are several tables. Of several selected tables,
     the one that has all columns of the signal is returned; if none has them, the first. Raise SeatrialError if no table
-    has the topic, or if several of its tables have the columns.
+    has the topic, if none of its tables has one of the columns, or if several of its tables have all of them.
     """
     if len(tables) == 1 and not signal.topic:
         return tables[0]
@@ -331,7 +331,11 @@ def _table_of_signal(tables: Sequence[Table], signal: Signal) -> Table:
     if len(having) == 1:
         return having[0]
     if of_topic and not having:
-        return of_topic[0]  # reading the missing column raises an error that lists the columns
+        known = {name for table in of_topic for name in table.names}
+        for column in signal.columns:
+            if column not in known:
+                of_topic[0].numbers(column)  # raises an error with similar names, before the times are read
+        return of_topic[0]  # the columns are in several tables, of different lengths: reading them raises an error
     if signal.topic or not tables:
         topics = ", ".join(sorted({table.topic for table in tables if table.topic})) or "none"
         raise SeatrialError(

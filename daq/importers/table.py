@@ -135,6 +135,7 @@ class Table:
         Of many columns, the first ones and the number of the others. Elements of covariances are left out.
         """
         names = [name for name in self.names if "covariance" not in name.lower()]
+        names += self.lengths
         # A field of ROS is more often given without the messages that contain it than misspelt: x for pose.position.x.
         ends = [name for name in names if name.lower().endswith(f".{column.lower()}")]
         if near := ends[0] if ends else closest_name(column, names):

@@ -202,7 +202,8 @@ def _thruster_faults(found: ThrustResponse, yaw: Array, surge: Array) -> Iterato
                 "sign",
                 name,
                 "the thrust is in reverse when the command is forward",
-                "correct `reversed` in the rig file, exchange two phases of the motor, or change the propeller",
+                "correct `reversed` in the rig file, or `sign` of the signal in the import map of an imported log; or "
+                "exchange two phases of the motor, or change the propeller",
             )
         elif most[k] < DEAD_RATIO and not (yaw[k] > 0 or surge[k] > 0 or found.surge.t[k] > SURGE_T):
             yield Finding(

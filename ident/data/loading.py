@@ -1045,16 +1045,29 @@ def _unknown_inputs(log: Log) -> list[tuple[float, float]]:
 
 
 def _origin_of_positions(log: Log, found: Mapping[str, Channel], name: str) -> FrameOrigin | None:
-    """Return the origin of x and y if a GNSS receiver of the log measured them as latitude and longitude; else None.
+    """Return the origin of x and y if they were measured as latitude and longitude; else None.
 
-    The origin is the first fix after the receiver has settled. ``found`` has the signals of the log by name, and
-    ``name`` is the name of the log, which is stored in the origin. Imported positions x, y have no known origin.
+    With a GNSS receiver of the log, the origin is the first fix after the receiver has settled. Imported positions have
+    the origin that the import stored, if it made both from latitude and longitude. ``found`` has the signals of the log
+    by name, and ``name`` is the name of the log, which is stored in the origin.
     """
-    if "x" not in found or found["x"].source not in log.sources(Gnss):
+    if "x" not in found or "y" not in found:
         return None
+    if found["x"].source not in log.sources(Gnss):
+        return _imported_origin(log, found, name)
     table = _rows_with_position(log.table(Gnss, found["x"].source))
     first = table[_origin_row(table)]
     return FrameOrigin(float(first["lat"]), float(first["lon"]), name)
+
+
+def _imported_origin(log: Log, found: Mapping[str, Channel], name: str) -> FrameOrigin | None:
+    """Return the origin of imported x and y; None if it is unknown, or if the two have different origins."""
+    sources = [found[n].source for n in ("x", "y")]
+    if not set(sources) <= set(log.sources(Scalar)):
+        return None
+    origins = {log.position_origin(source) for source in sources}
+    place = origins.pop()
+    return None if place is None or origins else FrameOrigin(*place, name)
 
 
 def _hold_in_log(log: Log, name: str) -> str:

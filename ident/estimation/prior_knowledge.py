@@ -33,10 +33,10 @@ def apply_rig_geometry(
     """Return the model with the dimensions of the boat from its rig file.
 
     The dimensions are the values of the table ``vehicle``, the lateral positions of the thrusters (parameters
-    ``y_left`` and ``y_right``) and the lever arm of the antenna. A value in ``vehicle`` takes precedence over the
-    position of the thruster. A value with a standard uncertainty becomes the mean of a prior. A value without one is
-    the initial value of a parameter that the model estimates, and fixes any other parameter. Values that are no
-    parameter of the model are ignored.
+    ``y_left`` and ``y_right``) and the lever arm of the antenna, of the rig or in ``vehicle``. A value in ``vehicle``
+    takes precedence over the position of the thruster. A value with a standard uncertainty becomes the mean of a prior.
+    A value without one is the initial value of a parameter that the model estimates, and fixes any other parameter.
+    Values that are no parameter of the model are ignored.
 
     Parameters
     ----------
@@ -74,19 +74,25 @@ def apply_rig_geometry(
                     f"the rig file or the import map gives {name} = {value:g}: {problem}; correct it there"
                 ) from problem
     model = model.replace_parameters(*known)
-    return _with_antenna(model, rig) if rig else (model, [])
+    if "antenna_x" in given or not rig:
+        forward, starboard, down = (given.get(f"antenna_{axis}", 0.0) for axis in "xyz")
+        return _with_antenna(model, [(forward, starboard, down)], "import map")
+    return _with_antenna(model, [d.lever_arm_m for d in rig.devices], "rig")
 
 
-def _with_antenna(model: Model, rig: Rig) -> tuple[Model, list[str]]:
-    """Return the model with the lever arm of the rig's antenna, and a note if this is not possible or ambiguous.
+def _with_antenna(
+    model: Model, positions: Sequence[tuple[float, float, float]], source: str
+) -> tuple[Model, list[str]]:
+    """Return the model with the lever arm of the antenna, and a note if this is not possible or ambiguous.
 
-    The lever arm is the position of the antenna from the centre of gravity. The first device of the rig with a lever
-    arm counts as the antenna of all GNSS outputs. Further devices with the same lever arm give no note. The model is
-    unchanged, and there is no note, if no device has a lever arm other than zero or the model has no GNSS output. The
-    height of an antenna does not count for a boat model of the horizontal plane (surge, sway and yaw).
+    The lever arm is the position of the antenna from the centre of gravity: forward, starboard, down [m]. ``positions``
+    has that of each device of the ``source``, a rig or an import map. The first device with a lever arm counts as the
+    antenna of all GNSS outputs. Further devices with the same lever arm give no note. The model is unchanged, and there
+    is no note, if no device has a lever arm other than zero or the model has no GNSS output. The height of an antenna
+    does not count for a boat model of the horizontal plane (surge, sway and yaw).
     """
     sensitive = slice(2 if "hull" in model.provides else 3)  # without roll and pitch the height has no effect
-    arms = [d.lever_arm_m for d in rig.devices if any(tuple(d.lever_arm_m)[sensitive])]
+    arms = [arm for arm in positions if any(tuple(arm)[sensitive])]
     seen = sorted(GNSS & {o.name for o in model.outputs})
     if not arms or not seen:
         return model, []
@@ -94,7 +100,7 @@ def _with_antenna(model: Model, rig: Rig) -> tuple[Model, list[str]]:
     part = antenna_component(model, arms[0])
     if not model.accepts(part):
         return model, [
-            f"model {model.name} cannot include the lever arm of the rig's antenna ({where}): "
+            f"model {model.name} cannot include the lever arm of the {source}'s antenna ({where}): "
             f"it takes {', '.join(seen)} as measured at the origin; use a horizontal or kinematic model if the boat "
             "turns"
         ]

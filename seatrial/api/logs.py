@@ -17,7 +17,7 @@ from seatrial.api.messages import errors_of_users
 from seatrial.api.series import Series
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.checks import FAULT, WARNING, Finding, findings_lines, findings_summary, worst_first
-from seatrial.daq.errors import SeatrialError, closest_name, counted, file_hint, warn
+from seatrial.daq.errors import SeatrialError, closest_name, counted, file_hint, first_names, warn
 from seatrial.daq.log import import_library, log_file
 
 if TYPE_CHECKING:
@@ -255,6 +255,11 @@ def import_log(
                     warn(
                         f"{source.name}: the import map is a guess ({'; '.join(caveats)}); correct the map of "
                         f"`seatrial import --guess {source.name}` and give it as map_path"
+                    )
+                if guess.unrecognised:
+                    warn(
+                        f"{source.name}: not recognised and left out: {first_names(guess.unrecognised, 10)}; add those "
+                        f"that a fit needs to the map of `seatrial import --guess {source.name}`"
                     )
                 guessed = Path(scratch) / f"{source.stem}.toml"
                 guessed.write_text(guess.text, encoding="utf-8")

@@ -54,7 +54,7 @@ def test_a_signal_may_have_its_own_clock_with_its_own_format(folder: Path) -> No
     assert (values(out, "psi")[0], values(out, "n_left")[0]) == ([0.1, 0.2], [0.0, 0.1])
     wrong = (('time_format = "ms"', "needs `time`"), ('time = "t_ms"\ntime_format = "weeks"', "must be s,"))
     for signal, message in wrong:
-        with pytest.raises(SeatrialError, match=rf"signal\[1\]\.time_format: {message}"):
+        with pytest.raises(SeatrialError, match=rf"signal\[1\]\.time_format \(signal '\w+'\): {message}"):
             import_files(*write(folder, rows, signal=signal))
 
 
@@ -266,13 +266,13 @@ def test_an_invalid_iso_time_is_refused(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "line"),
     [
-        ('unit = "deg"', 'unit = "degs"', r"signal\[1\]\.unit: 'degs' is not a known unit"),
+        ('unit = "deg"', 'unit = "degs"', r"signal\[1\]\.unit \(signal '\w+'\): 'degs' is not a known unit"),
         ('unit = "deg"', 'unit = "m"\nangle = "wrap"',
-         r"signal\[1\]\.angle: works only with a unit of angle \(deg, rad\), not m"),
+         r"signal\[1\]\.angle \(signal '\w+'\): works only with a unit of angle \(deg, rad\), not m"),
         ('column = "t"', 'colum = "t"', r"time\.column: give one of column and rate_hz"),
         ('name = "psi"', 'name = "n_left"',
          r"signal: 'n_left' appears twice .*, as signal\[1\] \(heading\) and as signal\[2\] \(cmd\); .*: n_cmd_left "),
-        ('unit = "deg"', 'unit = "deg"\nmissing_is = 0', r"signal\[1\]\.missing_is: needs `missing`"),
+        ('unit = "deg"', 'unit = "deg"\nmissing_is = 0', r"signal\[1\]\.missing_is \(signal '\w+'\): needs `missing`"),
         ('name = "psi"', 'name = "p/si"', r"signal\[1\]\.name: 'p/si' is not a valid name"),
         ('column = "t"', 'column = "t"\nformat = "weeks"', r"time\.format: must be s, ms, us, ns, min, h, day, iso"),
         ('column = "t"', 'column = "t"\nformat = "gps"', r"time\.format: gps needs `date`, the name of the column"),
@@ -280,12 +280,12 @@ def test_an_invalid_iso_time_is_refused(folder: Path) -> None:
         ('column = "t"', 'column = "t"\norigin = "today"', r"time\.origin: must be an ISO date and .* not 'today'"),
         ("[time]", "[tims]", r"tims: unknown key"),
         ('column = "t"', 'colum = "t"', r"rate_hz; the table has 'colum': rename it to 'column'"),
-        ('column = "heading"', 'colum = "heading"', r"signal\[1\]\.column: missing; the table has 'colum'"),
+        ('column = "heading"', 'colum = "heading"', r"signal\[1\]\.column \(signal '\w+'\): missing; the table has"),
         ("[csv]", "[geometry]\ny_left = -25.0\ny_right = 25.0\nlength = 1.2\n[csv]",
          r"geometry\.y_left: 25 m from the middle of a hull of 1\.2 m; write positions in metres"),
         ("[csv]", '[csv]\ndelimiter = ", "', r"csv\.delimiter: must be one character"),
         ("[csv]", '[csv]\ndecimal = ","', r"csv\.decimal: is also the delimiter"),
-        ('role = "input"', 'role = "input"\nsign = 2', r"signal\[2\]\.sign: must be 1 or -1"),
+        ('role = "input"', 'role = "input"\nsign = 2', r"signal\[2\]\.sign \(signal '\w+'\): must be 1 or -1"),
         ("[csv]", '[[log]]\nname = "a"\nt_from = 3\nt_to = 2\n[csv]', r"log\[1\]\.t_to: must be later than t_from"),
         ("[csv]", "[scale]\nc1 = -12.0\n[csv]", r"scale\.c1: must be positive, not -12"),
         ("[csv]", "[scale]\nc1 = 6.85\nc2 = 12.0\n[csv]", r"scale\.c2: 12 N is not smaller than c1 = 6\.85 N: the"),

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from seatrial.daq.errors import SeatrialError
+import seatrial as st
+from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from seatrial.daq.importers.columnar import read_matlab
 from seatrial.daq.importers.guess import guess_map
 from seatrial.daq.importers.import_files import import_files
@@ -261,3 +262,55 @@ def test_commands_of_a_struct_with_a_field_for_each_side_are_recognised(tmp_path
     text = guess_map(path).text
     assert '\n  { name = "n_cmd_left", topic = "cmd", field = "port", unit = "1"' in text
     assert '\n  { name = "n_right", topic = "esc", field = "rpm_stbd"' in text
+
+
+def test_a_misspelt_field_of_a_struct_with_several_time_axes_is_named(tmp_path: Path) -> None:
+    t = 0.1 * np.arange(50)
+    parts = {"gnss": {"time": t[::5], "lat": t[::5]}, "ahrs": {"time": t, "heading": t}}
+    savemat(tmp_path / "run.mat", {"log": parts})
+    columns = 'topic = "log", field = "ahrs.headng", time = "ahrs.time"'
+    (tmp_path / "map.toml").write_text(
+        'format = "seatrial-import 1"\ntime = { column = "gnss.time" }\n'
+        f'signal = [ {{ name = "psi", {columns}, unit = "rad" }} ]\n'
+    )
+    with pytest.raises(SeatrialError, match=r"log has no field 'ahrs\.headng'; did you mean 'ahrs\.heading'\?"):
+        import_files(tmp_path / "map.toml", [tmp_path / "run.mat"], out_dir=tmp_path)
+
+
+def nested_run(path: Path, n_gnss: int = 40) -> Path:
+    """Write a struct with the parts of a boat, each with its own times; those of gnss may have the length of ahrs."""
+    t, t_gnss = 0.1 * np.arange(200), 0.1 * np.arange(n_gnss) + 0.03
+    gnss = {"time": t_gnss, "lat": 54.0 + 1e-6 * t_gnss, "lon": 10.0 + 1e-6 * t_gnss, "vn": t_gnss, "ve": -t_gnss}
+    ahrs = {"time": t, "hdg": np.mod(350.0 + 20.0 * np.sin(t), 360.0), "yaw_rate": 20.0 * np.cos(t)}
+    cmd = {"time": t[::5], "port": np.sin(t[::5]), "stbd": np.cos(t[::5]), "heading": t[::5]}
+    savemat(path, {"log": {"gnss": gnss, "ahrs": ahrs, "cmd": cmd, "mag": {"time": t[::2], "x": np.sin(t[::2])}}})
+    return path
+
+
+@pytest.mark.parametrize("n_gnss", [41, 200])  # 200: gnss and ahrs have one table of equal lengths
+def test_fields_of_nested_structs_are_recognised_with_the_times_of_their_struct(tmp_path: Path, n_gnss: int) -> None:
+    guess = guess_map(nested_run(tmp_path / "run.mat", n_gnss))
+    (main,) = (line for line in guess.text.splitlines() if line.startswith("time ="))
+    assert 'column = "gnss.time"' in main
+    assert '\n  { name = "x", topic = "log", make = "north", fields = ["gnss.lat", "gnss.lon"] }' in guess.text
+    assert '\n  { name = "vx", topic = "log", field = "gnss.vn", unit = "m/s" }' in guess.text
+    assert '\n  { name = "psi", topic = "log", field = "ahrs.hdg", unit = "deg", time = "ahrs.time"' in guess.text
+    assert '\n  { name = "r", topic = "log", field = "ahrs.yaw_rate", unit = "deg/s", time = "ahrs.time"' in guess.text
+    assert guess.problem == ""
+    assert list(guess.unrecognised) == ["mag.x"]  # no position
+    assert '\n  { name = "n", ' not in guess.text  # cmd.heading is a command, and neither a heading nor a thruster
+
+
+def test_python_warns_of_signals_that_a_guessed_map_leaves_out(tmp_path: Path) -> None:
+    with pytest.warns(SeatrialWarning, match=r"not recognised and left out: mag\.x; add"):
+        st.import_log(nested_run(tmp_path / "run.mat"), out_dir=tmp_path)
+
+
+def test_an_error_of_a_map_names_the_signal_and_only_real_choices(tmp_path: Path) -> None:
+    path = tmp_path / "map.toml"
+    path.write_text(
+        'format = "seatrial-import 1"\ntime = { column = "t" }\n'
+        'signal = [{ name = "x", make = "nord", columns = ["lat", "lon"] }]\n'
+    )
+    with pytest.raises(SeatrialError, match=r"signal\[1\]\.make \(signal 'x'\): must be one of north, east, "):
+        import_files(path, [tmp_path / "run.mat"], out_dir=tmp_path)

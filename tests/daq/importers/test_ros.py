@@ -356,7 +356,7 @@ def test_errors_of_a_bag_import_are_one_line_each(bag: Path, tmp_path: Path) -> 
     with pytest.raises(SeatrialError, match="no field 'heading_of_boat'; name one of these") as raised:
         signals(bag, tmp_path, '{ name = "x", topic = "/imu/data", field = "heading_of_boat", unit = "m" }')
     assert "covariance" not in str(raised.value)
-    with pytest.raises(SeatrialError, match=r"signal\[1\]\.field: missing"):
+    with pytest.raises(SeatrialError, match=r"signal\[1\]\.field \(signal '\w+'\): missing"):
         signals(bag, tmp_path, '{ name = "x", topic = "/rpm", column = "data", unit = "m" }')
     (tmp_path / "bad.mcap").write_bytes(b"\x89MCAP0\r\n, and nothing more")
     with pytest.raises(SeatrialError, match="cannot be read as a ROS bag"):

@@ -115,3 +115,10 @@ def test_log_without_turning_information_says_why_the_sides_are_not_known(fleet:
         assert found.text == f"it is not known whether the thrusters are on the right sides: {why}"
     assert not list(check_motion({n: fleet[0][n] for n in ("n_left", "n_right")}, SIDES))  # no motion: a bench
     assert not list(check_motion({n: s for n, s in fleet[0].items() if n[:2] != "n_"}, SIDES))
+
+
+def test_advice_on_a_reversed_thruster_names_the_sign_in_the_import_map(fleet: list[Channels]) -> None:
+    left = fleet[0]["n_left"]
+    found = check_motion(fleet[0] | {"n_left": Channel(left.t, -left.value)}, SIDES)
+    (fault,) = (f for f in found if f.code == "thruster-sign-reversed")
+    assert "`reversed` in the rig file, or `sign` of the signal in the import map" in fault.advice

@@ -10,8 +10,10 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+import scipy.io
 
 from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.daq.importers.import_files import import_files
 from seatrial.daq.samples import Ahrs, Esc, Gnss
 from seatrial.ident.data.loading import FrameOrigin, LoadedLog, load_all, load_run, share_frame
 from seatrial.ident.data.record import LogSegment, make_record
@@ -197,3 +199,34 @@ def test_saved_model_keeps_the_origin_of_its_fixed_point(tmp_path: Path) -> None
     plain = fit_nominal_model(model_of(IndependentBoat()), [logs[0].run], []).fit
     save_model(path, plain, data=FittedData(origin=origin), provenance={})
     assert load_model(path).origin is None  # No parameter depends on the origin.
+
+
+def matlab_log(folder: Path, name: str, at: tuple[float, float], keys: str = "") -> Path:
+    """Import a .mat with latitude and longitude, of a boat that moves east from the place ``at`` (m north, m east)."""
+    t = 1.7e9 + np.arange(0.0, 20.0, 0.1)
+    lat, lon = np.transpose([geodetic(at[0], at[1] + s) for s in t - t[0]])
+    gnss = {"time": t, "lat": lat, "lon": lon}
+    scipy.io.savemat(folder / f"{name}.mat", {"log": {"gnss": gnss, "cmd": {"time": t, "n": np.sin(t)}}})
+    columns = 'topic = "log", fields = ["gnss.lat", "gnss.lon"]'
+    map_file = folder / f"{name}.toml"
+    map_file.write_text(
+        'format = "seatrial-import 1"\ntime = { column = "gnss.time" }\nsignal = [\n'
+        f'{{ name = "x", make = "north", {columns}{keys} }},\n{{ name = "y", make = "east", {columns}{keys} }},\n'
+        '{ name = "n", topic = "log", field = "cmd.n", unit = "1", time = "cmd.time", role = "input" },\n]\n'
+    )
+    return import_files(map_file, [folder / f"{name}.mat"], out_dir=folder)[0]
+
+
+def test_imported_positions_of_two_matlab_files_are_moved_to_one_origin(tmp_path: Path) -> None:
+    paths = [matlab_log(tmp_path, f"run{k}", at) for k, at in enumerate(((0.0, 0.0), APART))]
+    first, second = load_all(paths, [])[0]
+    assert first.origin == second.origin == FrameOrigin(LATITUDE, LONGITUDE, "run0")
+    assert (first.unplaced, second.unplaced) == (False, False)
+    assert [float(first.run.channels[n].value[0]) for n in ("x", "y")] == [0.0, 0.0]
+    assert [float(second.run.channels[n].value[0]) for n in ("x", "y")] == pytest.approx(APART, abs=0.1)
+    assert second.run.meta["origin"] == first.origin  # A fit warns only of records without it.
+
+
+def test_imported_positions_that_the_map_shifts_have_no_known_origin(tmp_path: Path) -> None:
+    log = load_run(matlab_log(tmp_path, "run", (0.0, 0.0), ", offset = 3.0"), "estimation")
+    assert log.unplaced

@@ -15,6 +15,7 @@ import pytest
 from click.testing import CliRunner
 
 from seatrial.daq.errors import SeatrialError
+from seatrial.daq.importers.import_map import parse_import_map
 from seatrial.ident.cli.commands import ident
 from seatrial.ident.data.record import LogSegment
 from seatrial.ident.effects.registry import catalogue
@@ -131,6 +132,19 @@ def test_antenna_of_the_rig_is_included_or_reported(source: str, parts: list[str
     assert [n for n in model.values if n.startswith("antenna")] == parts
     assert [model.values[n] for n in parts] == list(ARM[: len(parts)])
     assert lines == ([message] if message else [])
+
+
+def test_antenna_of_an_import_map_is_included_as_that_of_a_rig() -> None:
+    text = 'format = "seatrial-import 1"\nsignal = [{ name = "r", column = "r", unit = "rad/s" }]\n[geometry]\n'
+    vehicle = parse_import_map(text + "lever_arm_m = [0.5, -0.3, -0.8]\n", Path("map.toml")).vehicle
+    for source, n in (("kinematic:shaft", 3), ("horizontal:shaft", 2)):
+        mapped, lines = apply_rig_geometry(make_model(source), None, vehicle)
+        assert [mapped.values[f"antenna_{axis}"] for axis in "xyz"[:n]] == [0.5, -0.3, -0.8][:n]
+        assert mapped.values == apply_rig_geometry(make_model(source), rig_with((0.5, -0.3, -0.8)))[0].values
+        assert lines == []
+    assert "the import map's antenna" in apply_rig_geometry(make_model("surge:shaft"), None, vehicle)[1][0]
+    with pytest.raises(SeatrialError, match="lever_arm_m"):
+        parse_import_map(text + "lever_arm_m = [0.5]\n", Path("map.toml"))
 
 
 def test_choice_between_two_antennas_is_reported() -> None:
