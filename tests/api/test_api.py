@@ -354,6 +354,54 @@ def test_residuals_are_standardised(fit: st.FittedVehicle) -> None:
         assert re.fullmatch(r"Series\(\d+ samples, [\d.]+ to [\d.]+ s\)", repr(channel))
 
 
+def test_the_residual_tests_are_a_table(fit: st.FittedVehicle, tmp_path: Path) -> None:
+    table = fit.residual_tests()
+    result = fit.result
+    assert len(table) == 3 * len(result.residuals) + len(result.cross)
+    (row,) = [r for r in result.residuals if (r.record, r.channel) == ("run1", "r")]
+    of = table.query("record == 'run1' and channel == 'r' and input == ''").set_index("test")
+    assert list(of["p"]) == [row.ljung_box_p, row.periodogram_p, row.normal_p]
+    assert of.loc["ljung-box", "statistic"] == np.abs(row.acf).max()
+    assert of.loc["ljung-box", "lag"] == row.lags[np.argmax(np.abs(row.acf))]
+    k = int(np.flatnonzero(row.frequency == of.loc["periodogram", "frequency"])[0])
+    assert of.loc["periodogram", "statistic"] == abs(row.cumulative[k] - (k + 1) / row.cumulative.size)
+    assert of.loc["normality", "statistic"] == row.largest
+    crossed = table.query("test == 'cross-correlation'").reset_index()
+    assert list(crossed["p"]) == [c.p for c in result.cross]
+    assert list(crossed["input"]) == [c.input for c in result.cross]
+    assert list(crossed["statistic"]) == [c.largest for c in result.cross]
+    found = result.cross[0]
+    assert crossed.loc[0, "lag"] == found.lags[np.argmax(np.abs(found.z))]
+    again = st.load(fit.save(tmp_path / "fit")).residual_tests()
+    assert list(again["verdict"]) == list(table["verdict"])
+    with pytest.raises(SeatrialError, match=r"no result\.json of a fit was loaded"):
+        st.load(tmp_path / "fit/model.toml").residual_tests()
+    with pytest.raises(AttributeError, match="did you mean 'residual_tests'"):
+        fit.test_normality  # noqa: B018
+
+
+def test_residual_tests_have_the_verdicts_of_report_and_answer(
+    fit: st.FittedVehicle, found: st.FittedDiagnosis
+) -> None:
+    """Each whiteness test fails below 0.5 %, and a correlation below 1 % over the number of correlations."""
+    first = fit.result.residuals[0]
+    spoiled = structs.replace(first, ljung_box_p=0.004, periodogram_p=0.006, normal_p=None, outliers=2)
+    pairs = len(fit.result.cross)
+    cross = [structs.replace(c, p=p / pairs) for c, p in zip(fit.result.cross, (0.009, 0.011), strict=False)]
+    cross += fit.result.cross[2:]
+    result = structs.replace(fit.result, residuals=(spoiled,), cross=tuple(cross))
+    verdicts = list(replace(fit, result=result).residual_tests()["verdict"])
+    assert verdicts[:5] == [
+        "not white", "white", "not tested, 2 beyond 6 standard deviations", "correlated", "uncorrelated"
+    ]  # fmt: skip
+    for row in found.result.residuals:
+        assert row.after is not None
+        tests = found.residual_tests().query("record == @row.record and channel == @row.channel")
+        whiteness = tests[tests["test"].isin(["ljung-box", "periodogram"])]
+        assert (whiteness["verdict"] == "white").all() == row.after.white
+        assert whiteness["p"].iloc[0] == row.after.ljung_box_p
+
+
 def test_predictions_have_the_errors_of_the_result(fit: st.FittedVehicle) -> None:
     errors = fit.result.errors.validation
     assert errors is not None
@@ -503,6 +551,9 @@ def test_an_unknown_name_gives_the_similar_one(logs: list[Path], fit: st.FittedV
         (lambda: fit.params["mu"], "there is no parameter 'mu'; did you mean 'm_u'?"),
         (lambda: fit.standard_errors["mu"], "there is no estimated parameter 'mu'; did you mean 'm_u'?"),
         (lambda: st.open_log(logs[0])["yaw"], "run1.mcap has no signal 'yaw'; did you mean 'psi'? It has x, y"),
+        (lambda: fit.residuals()["run9"], "there is no record 'run9'; did you mean 'run1'?"),
+        (lambda: fit.predict(5.0)["other"], "there is no record 'other'; the names are run2"),
+        (lambda: fit.residuals()["run1"]["yaw"], "there is no channel of run1 'yaw'; the names are "),
         (lambda: fit.linearise(0.5).bode("yaw"), "no input 'yaw'; did you mean 'turn'?"),
         (lambda: fit.linearise(0.5).bode("r"), "'r' is a state, not an input; name an input, and take the item 'r'"),
         (lambda: fit.linearise(0.5).bode("turn")["yaw"], "there is no state that responds 'yaw'; the names are v, r"),
