@@ -120,7 +120,8 @@ class ByRecord(NamedValues[dict[str, T]]):
 
     def __setitem__(self, record: str, channels: Mapping[str, T]) -> None:
         """Store a copy of the channels of a record."""
-        super().__setitem__(record, NamedValues(channels, f"channel of {record}"))
+        named: Any = NamedValues(channels, f"channel of {record}")
+        super().__setitem__(record, named)
 
     def to_pandas(self) -> Any:
         """Return all values as a ``pandas.DataFrame`` with a row for each sample.

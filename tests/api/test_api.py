@@ -22,6 +22,7 @@ import numpy as np
 import pytest
 from mcap.writer import Writer
 from msgspec import structs
+from scipy.io import loadmat
 
 import seatrial as st
 from seatrial import command_line
@@ -661,6 +662,51 @@ def test_linear_model_has_table_and_figures_with_errors(fit: st.FittedVehicle, t
     rise = next(trace for trace in step.data if trace["name"] == "u")
     assert rise["y"][-1] == pytest.approx(0.2 * at.step_response("n_left", np.array([5.0]))["u"][0], rel=1e-4)
     step.save(tmp_path / "step.html")
+
+
+def test_linear_model_is_written_for_matlab(fit: st.FittedVehicle, tmp_path: Path) -> None:
+    at = fit.linearise(0.5)
+    path = at.to_mat(tmp_path / "linear.mat")
+    read = loadmat(path)
+    for name in ("A", "B", "C", "D"):
+        np.testing.assert_array_equal(read[name], getattr(at, name))
+    assert read["C"].tolist() == np.eye(3).tolist()
+    assert read["D"].shape == read["B"].shape
+    for name in ("states", "inputs", "outputs"):
+        assert [str(cell[0]) for cell in read[name].ravel()] == list(getattr(at, name))
+    assert [str(cell[0]) for cell in read["state_units"].ravel()] == ["m/s", "m/s", "rad/s"]
+    np.testing.assert_array_equal(read["u0"][:, 0], at.u0)
+    assert read["input_delay"].tolist() == [[0.0], [0.0]]
+    # The error of the surge rate by the speed follows from that of the pole of surge, which is this element.
+    k = int(np.argmin(np.abs(at.poles - at.A[0, 0])))
+    assert read["A_se"][0, 0] == pytest.approx(at.pole_errors[k], rel=0.05)
+    with pytest.raises(SeatrialError, match=r"linear\.mat: the file exists already; force=True replaces it"):
+        at.to_mat(path)
+    assert at.to_mat(path, force=True) == path
+    with pytest.raises(SeatrialError, match=r"linear\.m: MATLAB loads files whose name ends in \.mat"):
+        at.to_mat(tmp_path / "linear.m")
+    delayed = replace(at, delays={"n_right": 0.2}).to_mat(tmp_path / "delayed.mat")
+    assert loadmat(delayed)["input_delay"].tolist() == [[0.0], [0.2]]
+
+
+def test_an_unstable_pole_has_no_time_constant(fit: st.FittedVehicle) -> None:
+    at = fit.linearise(0.5)
+    unstable = replace(at, A=np.diag([-0.5, -1.0, 0.36]), moved=())
+    assert "pole 0.36 1/s, grows by a factor of e in 2.778 s" in repr(unstable)
+    table = unstable.to_pandas()
+    assert np.isnan(table.loc[table["real"] > 0.0, ["time_constant", "se"]]).all(axis=None)
+    assert sorted(table["time_constant"].dropna()) == [1.0, 2.0]
+    shown = unstable._repr_html_()
+    assert "-2.778" not in shown
+    assert "<td>grows by a factor of e in 2.778 s</td>" in shown
+
+
+def test_the_operating_point_has_plain_numbers(fit: st.FittedVehicle) -> None:
+    at = fit.linearise(0.5)
+    assert "np.float64" not in str(dict(at.operating_point))
+    assert at.operating_point["n_left"] == at.u0[0]
+    assert list(at.operating_point) == [*at.states, *at.inputs]
+    assert f"inputs n_left = {at.u0[0]:.4g}, n_right = {at.u0[1]:.4g}" in repr(at)
 
 
 def test_conditions_of_effects_are_stated_and_can_be_chosen(fit: st.FittedVehicle, tmp_path: Path) -> None:
