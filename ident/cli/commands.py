@@ -665,7 +665,13 @@ def _parse_area(_context: click.Context, _parameter: click.Parameter, text: str 
     callback=parse_names,
     help="Parameters to estimate, for example d_v,m_v [default: all].",
 )
-@click.option("--area", metavar="NxE", callback=_parse_area, help="Area for the whole track, north by east [m].")
+@click.option(
+    "--area",
+    metavar="NxE",
+    callback=_parse_area,
+    help="Area for the whole track, north by east [m]. The tracks of 24 boats of the prior keep to it; your boat may "
+    "leave it, with the probability that the result gives.",
+)
 @click.option("--max-speed", type=FiniteRange(0, min_open=True), help="Largest speed through the water [m/s].")
 @click.option("--energy", type=FiniteRange(0, 1, min_open=True), help="Largest mean of |n|^3, 1: full power.")
 @click.option(

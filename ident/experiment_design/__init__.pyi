@@ -1,3 +1,4 @@
+from .criteria import SINGULAR as SINGULAR
 from .criteria import Kind as Kind
 from .criteria import characteristic_steps as characteristic_steps
 from .discrimination import DiscriminationDesign as DiscriminationDesign

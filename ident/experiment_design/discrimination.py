@@ -37,7 +37,7 @@ from seatrial.ident.experiment_design.information import (
 from seatrial.ident.experiment_design.optimal_design import search_design
 from seatrial.ident.experiment_design.problem import DesignProblem
 from seatrial.ident.model import Model
-from seatrial.ident.numerics import Array, SearchResult, normal_cdf
+from seatrial.ident.numerics import Array, Progress, SearchResult, normal_cdf
 
 # Experiments are simulated in vector lanes: the processor computes one group of experiments at once, one per lane.
 CHUNK = 2  # such groups per call; few, since delayed input taps make them large
@@ -290,7 +290,7 @@ def discriminate(
     problem: DesignProblem,
     *,
     evaluations: int = 4000,
-    progress: Callable[[int, float], None] | None = None,
+    progress: Progress | None = None,
     phase: Callable[[str], None] | None = None,
 ) -> DiscriminationDesign:
     """Search the T-optimal step sequence for two models: the one with the largest T, whichever model is true.

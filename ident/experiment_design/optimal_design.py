@@ -11,7 +11,7 @@ robustness of a design to the parameters (Ljung 1999, section 13.3).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Literal
@@ -30,13 +30,13 @@ from seatrial.ident.experiment_design.information import (
     prior_information,
 )
 from seatrial.ident.experiment_design.problem import DesignProblem
-from seatrial.ident.numerics import Array, Evaluate, EvaluateAbove, PatternSearch, SearchResult
+from seatrial.ident.numerics import Array, Evaluate, EvaluateAbove, PatternSearch, Progress, SearchResult
 
 N_START, N_RESTARTS = 512, 4  # random sequences, and the best of them from which a search starts
+SEARCHES = N_RESTARTS + 1  # one from each start, and the continuation of the best
 SHORTEST_DESIGN_BLOCK_S = 100.0  # s, shortest block of a long experiment that is designed separately and repeated
 LEVEL_DIGITS = 3  # decimal digits of a level in mission.toml
 N_BAND = 64  # simulated boats for the band of the track
-Progress = Callable[[int, float], None]
 
 
 @dataclass(frozen=True)
@@ -265,9 +265,10 @@ def design(
         of 512 random sequences. For prediction error it starts from a shorter block that is designed first and
         repeated, if the experiment can be divided into such blocks of 100 to 200 s with at least 8 steps.
     progress
-        Function that is called after each batch of points, with the number of evaluations so far and the best merit of
-        the current search (one for each start point). The evaluations of a block count by their time, so that all are
-        ``evaluations`` at most. The merit is a large negative number if limits are violated.
+        Function that is called after each batch of points, with the number of evaluations so far, the best merit of the
+        current search, its number from 1 on, and the number of searches. There is one search for each start point, and
+        one that continues the best; those of a block come first. The evaluations of a block count by their time, so
+        that all are ``evaluations`` at most. The merit is a large negative number if limits are violated.
 
     Returns
     -------
@@ -283,7 +284,7 @@ def design(
     if warm is None and problem.process_noise:
         warm = _repeated_block(problem, evaluations, progress)
         if warm is not None:
-            progress = _counted_from(evaluations // 2, 1, progress)
+            progress = _counted_from(evaluations // 2, 1, progress, (SEARCHES, SEARCHES))
             evaluations //= 2
     evaluator = DesignEvaluator(problem)
     found = _search_within_limits(evaluator, evaluations, warm, progress)
@@ -327,17 +328,21 @@ def _repeated_block(problem: DesignProblem, evaluations: int, progress: Progress
         return None
     k = min(parts, key=lambda n: abs(steps.duration / n - 1.4 * SHORTEST_DESIGN_BLOCK_S))
     short = replace(problem, steps=replace(steps, n_steps=steps.n_steps // k, duration=steps.duration / k))
-    counted = _counted_from(0, k, progress)
+    counted = _counted_from(0, k, progress, (0, 1))
     z = _search_within_limits(DesignEvaluator(short), evaluations * k // 2, None, counted).z
     n_levels = short.steps.n_steps * short.steps.n_channels
     return np.append(np.tile(z[:n_levels], k), np.tile(z[n_levels:], k))[None]
 
 
-def _counted_from(before: int, parts: int, progress: Progress | None) -> Progress | None:
-    """Return ``progress`` with another count: ``before`` and the evaluations of its search, divided by ``parts``."""
+def _counted_from(before: int, parts: int, progress: Progress | None, others: tuple[int, int]) -> Progress | None:
+    """Return ``progress`` with another count: ``before`` and the evaluations of its search, divided by ``parts``.
+
+    ``others`` are the number of searches before it, and that of all others.
+    """
     if progress is None:
         return None
-    return lambda n, merit: progress(before + n // parts, merit)
+    earlier, more = others
+    return lambda n, merit, number, of: progress(before + n // parts, merit, earlier + number, more + of)
 
 
 def _search_within_limits(
@@ -390,8 +395,9 @@ def search_design(
         Search points (n, size) to start from. None: the best four of ``n_start`` random points, those without violation
         first.
     progress
-        Function that is called after each batch of points, with the number of evaluations so far and the best merit of
-        the current search (one for each start). The merit is the value, or a large negative number with a violation.
+        Function that is called after each batch of points, with the number of evaluations so far, the best merit of the
+        current search, its number from 1 on, and the number of searches. The merit is the value, or a large negative
+        number with a violation.
     n_start
         Number of random points.
     above

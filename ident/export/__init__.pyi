@@ -14,5 +14,6 @@ from .linearisation import linearise as linearise
 from .linearisation import pole_text as pole_text
 from .linearisation import side_inputs as side_inputs
 from .linearisation import sway_slopes as sway_slopes
+from .linearisation import time_text as time_text
 from .state_feedback import StateFeedback as StateFeedback
 from .steady_motion import steady_motion as steady_motion

@@ -189,12 +189,33 @@ class LinearModel:
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the outputs of `C` and `D`, which are the states."""
+        return self.states
+
+    @property
+    def C(self) -> Array:
+        """Output matrix (n, n): the identity, because the outputs are the states."""
+        return np.eye(len(self.states))
+
+    @property
+    def D(self) -> Array:
+        """Feedthrough matrix (n, m): zero, because no state follows an input at once."""
+        return np.zeros_like(self.B)
+
+    @property
+    def operating_point(self) -> dict[str, float]:
+        """Values of states and inputs at the operating point by name, those of `x0` and `u0`."""
+        values = [*self.x0.tolist(), *self.u0.tolist()]
+        return NamedValues(dict(zip((*self.states, *self.inputs), values, strict=True)), "state or input")
+
+    @property
     def outside(self) -> str:
         """List of the states and inputs of the operating point that leave their ranges in the fitted data.
 
         Each has its value and its range. The text is empty if all are inside. Otherwise the model extrapolates.
         """
-        return outside_text(dict(zip((*self.states, *self.inputs), (*self.x0, *self.u0), strict=True)), self.ranges)
+        return outside_text(self.operating_point, self.ranges)
 
     @property
     def drift(self) -> str:
@@ -507,7 +528,7 @@ class LinearModel:
     def __repr__(self) -> str:
         """Return speed, stability, poles and time constants as a few lines of text."""
         lines = [f"<Linearisation at {self.speed:g} m/s, {self.stability}>", f"states {', '.join(self.states)}"]
-        lines.append(f"inputs {', '.join(self.inputs)}")
+        lines.append(f"inputs {', '.join(f'{n} = {self.operating_point[n]:.4g}' for n in self.inputs)}")
         if self.conditions:
             lines.append(f"taken as constant: {conditions_text(self.conditions)}")
         if words := heading_sentence(self.conditions):
@@ -517,8 +538,7 @@ class LinearModel:
         if words := self.outside:
             lines.append(f"outside the fitted data: {words}")
         for pole, constant, error in zip(self.poles, self.time_constants, self.time_constant_errors, strict=True):
-            words = "not determined" if is_undetermined(constant, error) else f"{constant:.4g} s"
-            lines.append(f"pole {pole_text(pole)} 1/s, time constant {words}")
+            lines.append(f"pole {pole_text(pole)} 1/s, {time_text(constant, error)}")
         return "\n".join(lines)
 
 
@@ -561,6 +581,16 @@ def side_inputs(names: Sequence[str]) -> list[str]:
 def pole_text(pole: complex) -> str:
     """Return a pole as text with four digits: the real part, and the imaginary part with its sign if it is not zero."""
     return f"{pole.real:.4g}" + (f" {pole.imag:+.4g}j" if pole.imag else "")
+
+
+def time_text(constant: float, error: float) -> str:
+    """Return a time constant [s] as text, such as ``time constant 2.1 s``; of an unstable pole how fast it grows.
+
+    The standard error ``error`` [s] decides whether it is determined.
+    """
+    if is_undetermined(constant, error):
+        return "time constant not determined"
+    return f"grows by a factor of e in {-constant:.4g} s" if constant < 0.0 else f"time constant {constant:.4g} s"
 
 
 def linearise(

@@ -22,6 +22,7 @@ from .linear_algebra import unit_diagonal as unit_diagonal
 from .pattern_search import Evaluate as Evaluate
 from .pattern_search import EvaluateAbove as EvaluateAbove
 from .pattern_search import PatternSearch as PatternSearch
+from .pattern_search import Progress as Progress
 from .pattern_search import SearchResult as SearchResult
 from .pattern_search import violates_constraint as violates_constraint
 from .rotations import Matrix as Matrix

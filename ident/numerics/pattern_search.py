@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ from seatrial.ident.numerics.linear_algebra import Array
 
 Evaluate = Callable[[Array], tuple[Array, Array]]
 EvaluateAbove = Callable[[Array, float], tuple[Array, Array]]
+Progress = Callable[[int, float, int, int], None]  # evaluations so far, best merit, search number, of how many
 VIOLATION_PENALTY = 1e12  # a point that violates a constraint has a merit of minus this, or less
 FIRST_MESH, LAST_MESH = 0.25, 1e-3  # mesh size at the start and at the end, relative to the range of a coordinate
 BATCH = 64  # number of points that are evaluated together
@@ -167,9 +169,7 @@ class PatternSearch:
         self.rng = np.random.default_rng([seed, 7])
         self.groups = np.arange(low.size) if groups is None else groups
 
-    def run(
-        self, starts: Array, evaluations: int, progress: Callable[[int, float], None] | None = None
-    ) -> SearchResult:
+    def run(self, starts: Array, evaluations: int, progress: Progress | None = None) -> SearchResult:
         """Search from several starts, and continue from the best of them.
 
         Parameters
@@ -181,8 +181,9 @@ class PatternSearch:
             Total number of evaluations, without those of the starts and of the result. The last batch of each search
             may exceed it. A search ends earlier if its mesh becomes finer than 0.001 of the range of a coordinate.
         progress
-            Function that is called after each batch with the number of evaluations of all searches, and the best merit
-            of the current search.
+            Function that is called after each batch with the number of evaluations of all searches, the best merit of
+            the current search, its number from 1 on, and the number of searches: one for each start, and the
+            continuation of the best if there are several starts.
 
         Returns
         -------
@@ -195,19 +196,22 @@ class PatternSearch:
             for z, m in zip(starts, penalised_objective(value, violation).tolist(), strict=True)
         ]
 
-        def report(merit: float) -> None:
-            """Call ``progress`` with the number of evaluations so far, and the best merit of the current search."""
+        many = len(searches) + 1 if len(searches) > 1 else 1
+
+        def report(merit: float, number: int) -> None:
+            """Call ``progress`` with the evaluations so far, and the best merit and number of the current search."""
             if progress is not None:
-                progress(sum(s.evaluations for s in searches), merit)
+                progress(sum(s.evaluations for s in searches), merit, number, many)
 
         share = evaluations // (2 * len(searches)) if len(searches) > 1 else evaluations
-        for search in searches:
-            self._continue_search(search, share, report)
+        for number, search in enumerate(searches, 1):
+            self._continue_search(search, share, partial(report, number=number))
         merits = tuple(s.merit for s in searches)
         best = max(searches, key=lambda s: s.merit)
         if len(searches) > 1:
             best.mesh = max(best.mesh, FIRST_MESH / 4)
-            self._continue_search(best, best.evaluations + evaluations - sum(s.evaluations for s in searches), report)
+            until = best.evaluations + evaluations - sum(s.evaluations for s in searches)
+            self._continue_search(best, until, partial(report, number=many))
         value, violation = self.evaluate(best.z[None])
         spent = sum(s.evaluations for s in searches)
         return SearchResult(best.z, float(value[0]), float(violation[0]), spent, tuple(best.history), merits)

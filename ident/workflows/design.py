@@ -30,6 +30,7 @@ from seatrial.ident.experiment_design import (
     PRIOR_HALFWIDTH,
     RATE,
     REST_S,
+    SINGULAR,
     BaselineSignal,
     Design,
     DesignEvaluator,
@@ -56,7 +57,7 @@ from seatrial.ident.experiment_design import (
 )
 from seatrial.ident.model import Effect, Model, Parameter
 from seatrial.ident.models import make_model, scale_priors, size_of
-from seatrial.ident.numerics import Array
+from seatrial.ident.numerics import Array, violates_constraint
 from seatrial.ident.report import typeset_unit, write_design_page
 from seatrial.ident.reporter import QUIET, Reporter, TimeLeft
 from seatrial.ident.results import (
@@ -201,9 +202,9 @@ def make_design(
         made = design(
             task,
             evaluations=request.evaluations,
-            progress=lambda n, merit: reporter.progress(
-                f"design: {n} of at most {request.evaluations} simulations, {request.criterion} {merit:.2f} "
-                f"({left.text(n)})"
+            progress=lambda n, merit, number, of: reporter.progress(
+                f"design: {n} of at most {request.evaluations} simulations, search {number} of {of}, "
+                f"{search_state(merit, f'{request.criterion} {merit:.2f}')} ({left.text(n)})"
             ),
         )
     reporter.progress("design: baseline signals")
@@ -509,6 +510,21 @@ def make_task(
     return replace(task, grid=row_spacing(members, GRID, request.n_max)), compared
 
 
+def search_state(merit: float, value: str) -> str:
+    """Return ``value``, the criterion of the best mission of a search as text, or why there is none so far.
+
+    ``merit`` is that of the best mission, a large negative number if it violates a limit.
+    """
+    if violates_constraint(merit):
+        return "no mission within the limits so far"
+    return "no mission so far that informs all parameters" if merit <= SINGULAR else value
+
+
+def _separation_text(merit: float) -> str:
+    """Return the criterion T with three digits, from its logarithm; 0 for the large negative number of a violation."""
+    return f"{float(f'{np.exp(merit):.3g}'):g}"
+
+
 def _criterion_parameters(task: DesignProblem) -> tuple[str, ...]:
     """Return the names of the parameters of the design criterion: the chosen ones, or all that the sensors observe.
 
@@ -536,9 +552,9 @@ def _discrimination_design(
         b,
         task,
         evaluations=total,
-        progress=lambda n, merit: reporter.progress(
-            f"design: {n} of about {total} comparisons, separation of the two effects (T) "
-            f"{float(f'{np.exp(merit):.3g}'):g} ({left.text(n)})"
+        progress=lambda n, merit, number, of: reporter.progress(
+            f"design: {n} of about {total} comparisons, search {number} of {of}, "
+            f"{search_state(merit, f'separation of the two effects (T) {_separation_text(merit)}')} ({left.text(n)})"
         ),
         phase=lambda words: reporter.progress(f"design: {words}"),
     )
@@ -817,11 +833,20 @@ def warn_worse_than_baseline(baseline: BaselineSignal, made: Design) -> str:
     made : Design
         The design.
     """
-    free = ", which ignores the limits," if made.problem.limits.bind else ""
+    problem, limits = made.problem, made.problem.limits
+    free = ", which ignores the limits," if limits.bind else ""
+    given = {"--area": limits.area, "--max-speed": limits.speed, "--energy": limits.energy}
+    wider = [name for name, value in given.items() if value is not None]
+    keep = (
+        f" If that changes little, the limits cost this information: give a larger {' or '.join(wider)}, or a longer "
+        "--duration."
+        if wider
+        else " If that changes little, give other --steps or a longer --duration."
+    )
     return (
-        f"The designed mission is worse than a random sequence: its {made.problem.criterion} criterion is "
-        f"{format_number(made.value)}, the best of 20 {baseline.kind}{free} has {format_number(baseline.value)}. Give "
-        "more --evaluations, other --steps, a longer --duration or wider limits."
+        f"The designed mission is worse than a random sequence: its {problem.criterion} criterion is "
+        f"{format_number(made.value)}, the best of 20 {baseline.kind}{free} has {format_number(baseline.value)}. "
+        f"Repeat the design with twice the --evaluations.{keep}"
     )
 
 

@@ -117,7 +117,9 @@ class Comparison(Shown):
                 by_record = found.setdefault(names[p.model], {}).setdefault(horizon, ByRecord[Prediction]())
                 predicted = measured - wrap(measured - p.predicted, True) if x.angle else p.predicted
                 samples = Prediction(p.t, measured, predicted, p.sd, x.unit)
-                by_record.setdefault(x.record, {})[x.channel] = samples
+                if x.record not in by_record:
+                    by_record[x.record] = {}
+                by_record[x.record][x.channel] = samples
         return found
 
     def plot(self, *channels: str, horizon: float | Literal["simulation"] | None = None) -> Figure:

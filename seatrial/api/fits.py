@@ -66,6 +66,8 @@ OTHER_NAMES = {
     "loglike": "log_likelihood",
     "cov_params": "cov_to_pandas",
     "resid": "residuals",
+    "test_serial_correlation": "residual_tests",
+    "test_normality": "residual_tests",
     "fittedvalues": "predict",
     "forecast": "predict",
     "x": "params",
@@ -242,6 +244,28 @@ class FitReport(Shown):
             If pandas is not installed.
         """
         return tables.frame(self.result)
+
+    def residual_tests(self) -> Any:
+        """Return the tests of the residuals of the estimation data as a ``pandas.DataFrame`` with a row for each test.
+
+        Each record and channel has the tests ``ljung-box`` and ``periodogram`` of whiteness, ``normality``, and a
+        ``cross-correlation`` with each input. Of a diagnosis they are those of the model with the effects. The columns
+        are:
+
+        - record, channel, test, and input of a cross-correlation;
+        - statistic, the largest deviation that the test found: an autocorrelation, a distance of the cumulative
+          periodogram from that of white noise, a residual in standard deviations, or a correlation coefficient;
+        - p, the p value;
+        - lag [s] of the largest correlation, and frequency [Hz] of the largest distance of the periodogram;
+        - verdict in words. A whiteness test fails below 0.5 %, normality below 1 %, and a correlation below 1 % divided
+          by the number of correlations.
+
+        Raises
+        ------
+        SeatrialError
+            If pandas is not installed.
+        """
+        return tables.residual_frame(self.result)
 
     def plot(self, *channels: str) -> Figure:
         """Return a figure of measured and predicted channels over the horizon, of all records of the result.

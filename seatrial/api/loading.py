@@ -208,6 +208,18 @@ class Saved(MotionMethods, Shown):
         errors = self.standard_errors
         return "\n".join(f"{n} = {v:.6g} ± {errors.get(n, np.nan):.2g}" for n, v in self.params.items())
 
+    def residual_tests(self) -> Any:
+        """Return the tests of the residuals as a ``pandas.DataFrame``, as `FittedVehicle.residual_tests`.
+
+        Raises
+        ------
+        SeatrialError
+            If no result of a fit was loaded, or if pandas is not installed.
+        """
+        if not hasattr(self.result, "residuals"):
+            raise SeatrialError(f"{self.path}: no {RESULT} of a fit was loaded; load the folder that contains it")
+        return tables.residual_frame(self.result)
+
     def plot(self, *channels: str) -> Figure:
         """Return a figure of measured and predicted channels over the horizon, as that of a fit of this process.
 

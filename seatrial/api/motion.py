@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from io import BytesIO
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from seatrial.api.arguments import named_arguments
+from seatrial.api.arguments import as_path, named_arguments
 from seatrial.api.figures import Figure
 from seatrial.api.fits import FittedResult, model_path
 from seatrial.api.loading import Saved
@@ -18,7 +20,15 @@ from seatrial.api.messages import errors_of_users
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError, counted, warn
 from seatrial.daq.log import import_library
-from seatrial.ident.export import Inputs, LinearModel, conditions_text, heading_sentence, pole_text, turn_sentence
+from seatrial.ident.export import (
+    Inputs,
+    LinearModel,
+    conditions_text,
+    heading_sentence,
+    pole_text,
+    time_text,
+    turn_sentence,
+)
 from seatrial.ident.model import THRUSTER_FORCE, drive_word, is_of_thruster
 from seatrial.ident.numerics import is_undetermined
 
@@ -35,6 +45,11 @@ STEP = 0.1  # size of a step of the command, in a figure
 def _determined(value: float, error: float, words: str) -> str:
     """Return the text of a value, or ``not determined`` if its standard error is more than half of its size."""
     return "not determined" if is_undetermined(value, error) else words
+
+
+def _time_cell(constant: float, error: float) -> str:
+    """Return the cell of a time constant [s] with its standard error; of an unstable pole how fast it grows."""
+    return _determined(constant, error, time_text(constant, error) if constant < 0.0 else number(constant))
 
 
 @dataclass(frozen=True, repr=False)
@@ -78,27 +93,90 @@ class Linearisation(Shown, LinearModel):
         """Return the poles as a ``pandas.DataFrame`` with a row for each, the slowest first.
 
         The columns are real, imaginary [1/s], time_constant [s], se (its standard error; NaN if unknown), frequency
-        [Hz] and damping (ratio, 1 for a real stable pole).
+        [Hz] and damping (ratio, 1 for a real stable pole). An unstable pole has no time constant (NaN): it grows by a
+        factor of e in the time 1 / real.
 
         Raises
         ------
         SeatrialError
             If pandas is not installed.
         """
-        poles, size = self.poles, np.abs(self.poles)
+        poles, size, grows = self.poles, np.abs(self.poles), self.poles.real > 0.0
         with np.errstate(divide="ignore", invalid="ignore"):
             damping = np.where(size > 0.0, -poles.real / size, np.nan)
         columns = {
             "real": poles.real,
             "imaginary": poles.imag,
-            "time_constant": self.time_constants,
-            "se": self.time_constant_errors,
+            "time_constant": np.where(grows, np.nan, self.time_constants),
+            "se": np.where(grows, np.nan, self.time_constant_errors),
             "frequency": size / (2.0 * np.pi),
             "damping": damping,
         }
         frame = import_library("pandas").DataFrame(columns)
         frame.index.name = "pole"
         return frame
+
+    def to_mat(self, path: PathLike, force: bool = False) -> Path:
+        """Write the linear model to a MATLAB file, for ``ss(A, B, C, D)`` after ``load``, and return its path.
+
+        The file has these variables:
+
+        - A, B, C, D, and x0 and u0 as columns;
+        - states, inputs, outputs: cell arrays of the names. The outputs are the states;
+        - state_units, input_units: cell arrays of the units, "1" for a number without a unit;
+        - input_delay [s]: dead time of each input, which the matrices do not contain;
+        - by_heading: derivatives of the rates by the heading;
+        - A_se, B_se, x0_se, u0_se: standard errors; NaN if those of the estimates are unknown;
+        - speed [m/s], and the struct conditions.
+
+        Parameters
+        ----------
+        path : path
+            The file, whose name ends in .mat.
+        force : bool
+            Whether an existing file is replaced.
+
+        Raises
+        ------
+        SeatrialError
+            If the name does not end in .mat, if the file exists and ``force`` is False, or if scipy is not installed.
+        """
+        from seatrial.daq.files import require_new, write_output
+
+        file = as_path(path, "path")
+        if file.suffix != ".mat":
+            raise SeatrialError(f"{file}: MATLAB loads files whose name ends in .mat; give such a name")
+        with errors_of_users():
+            require_new(file, force, "path")
+            content = BytesIO()
+            import_library("scipy.io").savemat(content, self._variables(), long_field_names=True, oned_as="column")
+            write_output(file, content.getvalue(), force)
+        return file
+
+    def _variables(self) -> dict[str, Any]:
+        """Return the variables of the MATLAB file by name."""
+
+        def cells(texts: Iterable[str]) -> NDArray[np.object_]:
+            """Return texts as an array of objects, which becomes a cell array."""
+            return np.array(list(texts), dtype=object)
+
+        values = {name: np.asarray(getattr(self, name)) for name in ("A", "B", "x0", "u0")}
+        errors = {f"{n}_se": self.error_of(v, [getattr(m, n) for m in self.moved]) for n, v in values.items()}
+        return {
+            **values,
+            **errors,
+            "C": self.C,
+            "D": self.D,
+            "states": cells(self.states),
+            "inputs": cells(self.inputs),
+            "outputs": cells(self.outputs),
+            "state_units": cells(self.units[n] or "1" for n in self.states),
+            "input_units": cells(self.units[n] or "1" for n in self.inputs),
+            "input_delay": np.array([self.delays.get(n, 0.0) for n in self.inputs]),
+            "by_heading": self.by_heading,
+            "speed": self.speed,
+            "conditions": dict(self.conditions),
+        }
 
     def plot_step(self, inputs: Inputs | None = None, size: float = STEP, t: ArrayLike | None = None) -> Figure:
         """Return a figure of the step responses, with a panel for each state that responds, and 95 % bands.
@@ -202,7 +280,7 @@ class Linearisation(Shown, LinearModel):
         """Return speed and stability, and the table of the poles."""
         at = ", ".join(f"{n} {number(v)}" for n, v in zip(self.inputs, self.u0, strict=True))
         rows = [
-            (pole_text(pole), _determined(constant, se, number(constant)), number(se, 2))
+            (pole_text(pole), _time_cell(constant, se), "" if constant < 0.0 else number(se, 2))
             for pole, constant, se in zip(self.poles, self.time_constants, self.time_constant_errors, strict=True)
         ]
         answer = f"Linear model at {self.speed:g} m/s ({at}), {self.stability}."

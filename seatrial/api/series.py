@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from seatrial.daq.errors import counted
+from seatrial.daq.errors import NamedValues, counted
 from seatrial.daq.log import import_library
 
 
@@ -100,8 +101,27 @@ def _span(t: NDArray[np.float64]) -> str:
 T = TypeVar("T", Series, Prediction)
 
 
-class ByRecord(dict[str, dict[str, T]]):
-    """Residuals or predictions: a dict by record of a dict by channel, which also makes a table in pandas."""
+class ByRecord(NamedValues[dict[str, T]]):
+    """Residuals or predictions: a dict by record of a dict by channel, which also makes a table in pandas.
+
+    An unknown record or channel raises KeyError with the names that exist.
+
+    Parameters
+    ----------
+    values : dict of str to dict, optional
+        The values by record and channel.
+    """
+
+    def __init__(self, values: Mapping[str, Mapping[str, T]] | None = None) -> None:
+        """Copy the values."""
+        super().__init__({}, "record")
+        for record, channels in (values or {}).items():
+            self[record] = channels
+
+    def __setitem__(self, record: str, channels: Mapping[str, T]) -> None:
+        """Store a copy of the channels of a record."""
+        named: Any = NamedValues(channels, f"channel of {record}")
+        super().__setitem__(record, named)
 
     def to_pandas(self) -> Any:
         """Return all values as a ``pandas.DataFrame`` with a row for each sample.

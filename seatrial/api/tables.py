@@ -17,10 +17,11 @@ from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import import_library
 
 if TYPE_CHECKING:
-    from seatrial.ident.results import FitResult, ParameterRow, Result
+    from seatrial.ident.results import FitResult, ParameterRow, Result, WhitenessTests
 
 NORMAL_95 = 1.959964  # standard deviations of a normal distribution on each side of its 95 % interval
 WIDTH = 100  # columns of a summary
+LEVEL = 0.01  # significance level of the residual tests
 COLUMNS = ("", "estimate", "s.e.", "2.5 %", "97.5 %", "t", "unit", "origin")
 
 
@@ -60,6 +61,42 @@ class Statistics(NamedTuple):
     free: bool
     flag: str
     meaning: str
+
+
+class ResidualTest(NamedTuple):
+    """Test of the residuals of one channel in a record, as a row of the table of residual tests.
+
+    Attributes
+    ----------
+    record, channel : str
+        Names of the record and of the measured channel.
+    test : str
+        ``ljung-box``, ``periodogram``, ``normality`` or ``cross-correlation``.
+    input : str
+        Input of a cross-correlation; empty for the other tests.
+    statistic : float
+        Largest deviation that the test found, without unit. Of ``ljung-box`` it is an autocorrelation, of
+        ``cross-correlation`` a correlation coefficient. Of ``periodogram`` it is a distance of the cumulative
+        periodogram, 0 to 1, from that of white noise. Of ``normality`` it is a residual in standard deviations.
+    p : float
+        p value of the test; NaN if it could not be computed.
+    lag : float
+        Lag [s] of the largest correlation; NaN for ``periodogram`` and ``normality``.
+    frequency : float
+        Frequency [Hz] of the largest distance of the periodogram; NaN for the other tests.
+    verdict : str
+        Verdict in words, such as ``not white``.
+    """
+
+    record: str
+    channel: str
+    test: str
+    input: str
+    statistic: float
+    p: float
+    lag: float
+    frequency: float
+    verdict: str
 
 
 def full_name(row: ParameterRow) -> str:
@@ -162,6 +199,80 @@ def frame(result: FitResult) -> Any:
     """Return the parameters of a fit as a ``pandas.DataFrame`` with a row for each; SeatrialError without pandas."""
     rows = [statistics(row) for row in result.fit.parameters]
     return import_library("pandas").DataFrame(rows, columns=list(Statistics._fields)).set_index("name")
+
+
+def residual_tests(result: FitResult) -> list[ResidualTest]:
+    """Return the tests of the residuals of the estimation data; of a diagnosis, those of the model with the effects.
+
+    Each channel of a record has three tests of its own, and one of the correlation with each input. One of the two
+    whiteness tests fails below 0.5 %, so that white residuals fail one of them in 1 % of the cases, as in the report.
+    Normality fails below 1 %, and a correlation below 1 % divided by the number of correlations, as in the answer.
+    """
+    rows = []
+    for row in result.residuals:
+        rows += _tests_of_channel(row.record, row.channel, row.after or row, row.lags, row.frequency)
+    pairs = [(row, row.after or row) for row in result.cross]
+    number = sum(test.p is not None for _, test in pairs)
+    return rows + [
+        ResidualTest(
+            row.record, row.channel, "cross-correlation", row.input, _or_nan(test.largest), _or_nan(test.p),
+            _at_largest(row.lags, test.z), math.nan, _verdict(test.p, LEVEL / number, "uncorrelated", "correlated"),
+        )
+        for row, test in pairs if number
+    ]  # fmt: skip
+
+
+def residual_frame(result: FitResult) -> Any:
+    """Return the `residual_tests` of a fit as a ``pandas.DataFrame``; SeatrialError without pandas."""
+    return import_library("pandas").DataFrame(residual_tests(result), columns=list(ResidualTest._fields))
+
+
+def _tests_of_channel(
+    record: str, channel: str, tests: WhitenessTests, lags: NDArray[np.float64], frequency: NDArray[np.float64]
+) -> list[ResidualTest]:
+    """Return both whiteness tests and the test of normality of a channel.
+
+    ``lags`` [s] belong to the autocorrelation, and ``frequency`` [Hz] to the cumulative periodogram.
+    """
+    size = tests.cumulative.size
+    distance = np.abs(tests.cumulative - np.arange(1, size + 1) / size)
+    normal = _verdict(tests.normal_p, LEVEL, "normal", "not normal")
+    if tests.outliers:
+        normal += f", {tests.outliers} beyond 6 standard deviations"
+
+    def row(test: str, statistic: float, p: float | None, lag: float, at: float, verdict: str) -> ResidualTest:
+        """Return the row of one test."""
+        return ResidualTest(record, channel, test, "", statistic, _or_nan(p), lag, at, verdict)
+
+    return [
+        row("ljung-box", _largest(tests.acf), tests.ljung_box_p, _at_largest(lags, tests.acf), math.nan,
+            _verdict(tests.ljung_box_p, LEVEL / 2, "white", "not white")),
+        row("periodogram", _largest(distance), tests.periodogram_p, math.nan, _at_largest(frequency, distance),
+            _verdict(tests.periodogram_p, LEVEL / 2, "white", "not white")),
+        row("normality", tests.largest, tests.normal_p, math.nan, math.nan, normal),
+    ]  # fmt: skip
+
+
+def _verdict(p: float | None, level: float, passed: str, failed: str) -> str:
+    """Return the word for a p value: ``failed`` if it is not above a level, and "not tested" without a p value."""
+    return "not tested" if p is None else passed if p > level else failed
+
+
+def _or_nan(value: float | None) -> float:
+    """Return a number, or NaN for None."""
+    return math.nan if value is None else value
+
+
+def _largest(values: NDArray[np.float64]) -> float:
+    """Return the largest size of values (n,); NaN if none is finite."""
+    finite = np.abs(values[np.isfinite(values)])
+    return float(finite.max()) if finite.size else math.nan
+
+
+def _at_largest(places: NDArray[np.float64], values: NDArray[np.float64]) -> float:
+    """Return the place (lag or frequency) of the largest size of values (n,); NaN if none is finite."""
+    sizes = np.where(np.isfinite(values), np.abs(values), -1.0)
+    return float(places[np.argmax(sizes)]) if sizes.size and sizes.max() >= 0.0 else math.nan
 
 
 def read_parquet(path: Path) -> Any:

@@ -22,6 +22,7 @@ import numpy as np
 import pytest
 from mcap.writer import Writer
 from msgspec import structs
+from scipy.io import loadmat
 
 import seatrial as st
 from seatrial import command_line
@@ -354,6 +355,54 @@ def test_residuals_are_standardised(fit: st.FittedVehicle) -> None:
         assert re.fullmatch(r"Series\(\d+ samples, [\d.]+ to [\d.]+ s\)", repr(channel))
 
 
+def test_the_residual_tests_are_a_table(fit: st.FittedVehicle, tmp_path: Path) -> None:
+    table = fit.residual_tests()
+    result = fit.result
+    assert len(table) == 3 * len(result.residuals) + len(result.cross)
+    (row,) = [r for r in result.residuals if (r.record, r.channel) == ("run1", "r")]
+    of = table.query("record == 'run1' and channel == 'r' and input == ''").set_index("test")
+    assert list(of["p"]) == [row.ljung_box_p, row.periodogram_p, row.normal_p]
+    assert of.loc["ljung-box", "statistic"] == np.abs(row.acf).max()
+    assert of.loc["ljung-box", "lag"] == row.lags[np.argmax(np.abs(row.acf))]
+    k = int(np.flatnonzero(row.frequency == of.loc["periodogram", "frequency"])[0])
+    assert of.loc["periodogram", "statistic"] == abs(row.cumulative[k] - (k + 1) / row.cumulative.size)
+    assert of.loc["normality", "statistic"] == row.largest
+    crossed = table.query("test == 'cross-correlation'").reset_index()
+    assert list(crossed["p"]) == [c.p for c in result.cross]
+    assert list(crossed["input"]) == [c.input for c in result.cross]
+    assert list(crossed["statistic"]) == [c.largest for c in result.cross]
+    found = result.cross[0]
+    assert crossed.loc[0, "lag"] == found.lags[np.argmax(np.abs(found.z))]
+    again = st.load(fit.save(tmp_path / "fit")).residual_tests()
+    assert list(again["verdict"]) == list(table["verdict"])
+    with pytest.raises(SeatrialError, match=r"no result\.json of a fit was loaded"):
+        st.load(tmp_path / "fit/model.toml").residual_tests()
+    with pytest.raises(AttributeError, match="did you mean 'residual_tests'"):
+        fit.test_normality  # noqa: B018
+
+
+def test_residual_tests_have_the_verdicts_of_report_and_answer(
+    fit: st.FittedVehicle, found: st.FittedDiagnosis
+) -> None:
+    """Each whiteness test fails below 0.5 %, and a correlation below 1 % over the number of correlations."""
+    first = fit.result.residuals[0]
+    spoiled = structs.replace(first, ljung_box_p=0.004, periodogram_p=0.006, normal_p=None, outliers=2)
+    pairs = len(fit.result.cross)
+    cross = [structs.replace(c, p=p / pairs) for c, p in zip(fit.result.cross, (0.009, 0.011), strict=False)]
+    cross += fit.result.cross[2:]
+    result = structs.replace(fit.result, residuals=(spoiled,), cross=tuple(cross))
+    verdicts = list(replace(fit, result=result).residual_tests()["verdict"])
+    assert verdicts[:5] == [
+        "not white", "white", "not tested, 2 beyond 6 standard deviations", "correlated", "uncorrelated"
+    ]  # fmt: skip
+    for row in found.result.residuals:
+        assert row.after is not None
+        tests = found.residual_tests().query("record == @row.record and channel == @row.channel")
+        whiteness = tests[tests["test"].isin(["ljung-box", "periodogram"])]
+        assert (whiteness["verdict"] == "white").all() == row.after.white
+        assert whiteness["p"].iloc[0] == row.after.ljung_box_p
+
+
 def test_predictions_have_the_errors_of_the_result(fit: st.FittedVehicle) -> None:
     errors = fit.result.errors.validation
     assert errors is not None
@@ -503,6 +552,9 @@ def test_an_unknown_name_gives_the_similar_one(logs: list[Path], fit: st.FittedV
         (lambda: fit.params["mu"], "there is no parameter 'mu'; did you mean 'm_u'?"),
         (lambda: fit.standard_errors["mu"], "there is no estimated parameter 'mu'; did you mean 'm_u'?"),
         (lambda: st.open_log(logs[0])["yaw"], "run1.mcap has no signal 'yaw'; did you mean 'psi'? It has x, y"),
+        (lambda: fit.residuals()["run9"], "there is no record 'run9'; did you mean 'run1'?"),
+        (lambda: fit.predict(5.0)["other"], "there is no record 'other'; the names are run2"),
+        (lambda: fit.residuals()["run1"]["yaw"], "there is no channel of run1 'yaw'; the names are "),
         (lambda: fit.linearise(0.5).bode("yaw"), "no input 'yaw'; did you mean 'turn'?"),
         (lambda: fit.linearise(0.5).bode("r"), "'r' is a state, not an input; name an input, and take the item 'r'"),
         (lambda: fit.linearise(0.5).bode("turn")["yaw"], "there is no state that responds 'yaw'; the names are v, r"),
@@ -610,6 +662,51 @@ def test_linear_model_has_table_and_figures_with_errors(fit: st.FittedVehicle, t
     rise = next(trace for trace in step.data if trace["name"] == "u")
     assert rise["y"][-1] == pytest.approx(0.2 * at.step_response("n_left", np.array([5.0]))["u"][0], rel=1e-4)
     step.save(tmp_path / "step.html")
+
+
+def test_linear_model_is_written_for_matlab(fit: st.FittedVehicle, tmp_path: Path) -> None:
+    at = fit.linearise(0.5)
+    path = at.to_mat(tmp_path / "linear.mat")
+    read = loadmat(path)
+    for name in ("A", "B", "C", "D"):
+        np.testing.assert_array_equal(read[name], getattr(at, name))
+    assert read["C"].tolist() == np.eye(3).tolist()
+    assert read["D"].shape == read["B"].shape
+    for name in ("states", "inputs", "outputs"):
+        assert [str(cell[0]) for cell in read[name].ravel()] == list(getattr(at, name))
+    assert [str(cell[0]) for cell in read["state_units"].ravel()] == ["m/s", "m/s", "rad/s"]
+    np.testing.assert_array_equal(read["u0"][:, 0], at.u0)
+    assert read["input_delay"].tolist() == [[0.0], [0.0]]
+    # The error of the surge rate by the speed follows from that of the pole of surge, which is this element.
+    k = int(np.argmin(np.abs(at.poles - at.A[0, 0])))
+    assert read["A_se"][0, 0] == pytest.approx(at.pole_errors[k], rel=0.05)
+    with pytest.raises(SeatrialError, match=r"linear\.mat: the file exists already; force=True replaces it"):
+        at.to_mat(path)
+    assert at.to_mat(path, force=True) == path
+    with pytest.raises(SeatrialError, match=r"linear\.m: MATLAB loads files whose name ends in \.mat"):
+        at.to_mat(tmp_path / "linear.m")
+    delayed = replace(at, delays={"n_right": 0.2}).to_mat(tmp_path / "delayed.mat")
+    assert loadmat(delayed)["input_delay"].tolist() == [[0.0], [0.2]]
+
+
+def test_an_unstable_pole_has_no_time_constant(fit: st.FittedVehicle) -> None:
+    at = fit.linearise(0.5)
+    unstable = replace(at, A=np.diag([-0.5, -1.0, 0.36]), moved=())
+    assert "pole 0.36 1/s, grows by a factor of e in 2.778 s" in repr(unstable)
+    table = unstable.to_pandas()
+    assert np.isnan(table.loc[table["real"] > 0.0, ["time_constant", "se"]]).all(axis=None)
+    assert sorted(table["time_constant"].dropna()) == [1.0, 2.0]
+    shown = unstable._repr_html_()
+    assert "-2.778" not in shown
+    assert "<td>grows by a factor of e in 2.778 s</td>" in shown
+
+
+def test_the_operating_point_has_plain_numbers(fit: st.FittedVehicle) -> None:
+    at = fit.linearise(0.5)
+    assert "np.float64" not in str(dict(at.operating_point))
+    assert at.operating_point["n_left"] == at.u0[0]
+    assert list(at.operating_point) == [*at.states, *at.inputs]
+    assert f"inputs n_left = {at.u0[0]:.4g}, n_right = {at.u0[1]:.4g}" in repr(at)
 
 
 def test_conditions_of_effects_are_stated_and_can_be_chosen(fit: st.FittedVehicle, tmp_path: Path) -> None:

@@ -36,7 +36,7 @@ def bend(s: Signals) -> None:
 
 EFFECT = Effect(
     name="thrust-exponent",
-    title="a thrust-curve exponent other than two",
+    title="a thrust-curve exponent other than two, on the bench",
     place="actuator",
     hooks={"thrust": bend},
     parameters=(EXPONENT,),

@@ -47,7 +47,7 @@ def _delay_effect(name: str, quantity: Quantity, requires: tuple[str, ...], **de
     now = [Input(f"{quantity}_{side}", "", "linear") for side in SIDES]
     return Effect(
         name,
-        "a thrust delay",
+        "a thrust delay" if quantity == "n" else "a thrust delay, in a model driven by forces",
         {"shaft": late},
         (
             Parameter(

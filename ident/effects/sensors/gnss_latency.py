@@ -146,7 +146,7 @@ EFFECTS = (
     ),
     Effect(
         "gnss-latency-command",
-        "GNSS latency",
+        "GNSS latency, in a model driven by commands",
         {"late_fix": delay_driven_shaft},
         (TAU,),
         requires=("hull", "n_state"),
@@ -154,7 +154,7 @@ EFFECTS = (
     ),
     Effect(
         "gnss-latency-force",
-        "GNSS latency",
+        "GNSS latency, in a model driven by forces",
         {"late_fix": delay_force},
         (TAU,),
         requires=("hull", "f_input"),

@@ -36,11 +36,10 @@ COMMON: dict[str, Any] = {
     "source": "Groves 2013, section 2.5",
     "alternatives": ("gnss-latency", "cg-offset"),
 }
-TITLE = "a GNSS antenna lever arm"
 EFFECTS = (
     Effect(
         "lever-arm",
-        TITLE,
+        "a GNSS antenna lever arm",
         {"output": move},
         ARM,
         formula="p_measured = p + R(psi) l, v_measured = v + r x R(psi) l",
@@ -50,7 +49,7 @@ EFFECTS = (
     ),
     Effect(
         "lever-arm-attitude",
-        TITLE,
+        "a GNSS antenna lever arm, in a model with measured attitude",
         {"output": move_tilted},
         (*ARM, HEIGHT),
         formula="p_measured = p + R l, v_measured = v + R (omega x l), R and omega measured",

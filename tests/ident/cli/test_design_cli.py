@@ -19,11 +19,19 @@ from seatrial.daq.errors import SeatrialError
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.model_file import SavedModel, load_model
 from seatrial.ident.estimation.refitted_effect import RefittedEffect
+from seatrial.ident.experiment_design.criteria import SINGULAR
 from seatrial.ident.experiment_design.prior import prior_from_fit
-from seatrial.ident.experiment_design.problem import COAST_S, REST_S
+from seatrial.ident.experiment_design.problem import COAST_S, REST_S, DesignLimits
 from seatrial.ident.model.structure import Model
 from seatrial.ident.models.horizontal import horizontal_model
-from seatrial.ident.workflows.design import DesignRequest, hypotheses, make_design, make_task
+from seatrial.ident.workflows.design import (
+    DesignRequest,
+    hypotheses,
+    make_design,
+    make_task,
+    search_state,
+    warn_worse_than_baseline,
+)
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "formats" / "model.md"
 QUICK = ("--evaluations", "500", "--duration", "40", "--steps", "8")
@@ -103,13 +111,31 @@ def test_progress_counts_all_simulations_and_has_the_time_to_go(duration: float,
     reporter: Any = SimpleNamespace(progress=lines.append, warning=lines.append)
     request = DesignRequest(duration=duration, steps=steps, evaluations=900)
     make_design("horizontal:shaft:no-current", request, tmp_path / "m.toml", "", reporter)
-    pattern = r"design: (\d+) of at most 900 simulations, \w+ .*\((\d+) (s|min) to go\)"
+    pattern = r"design: (\d+) of at most 900 simulations, search (\d+) of (\d+), D [-\d.]+ \((\d+) (s|min) to go\)"
     found = [match for line in lines if (match := re.fullmatch(pattern, line))]
     counts = [int(match[1]) for match in found]
     assert len(counts) > 5
     assert counts == sorted(counts)
     assert 800 < counts[-1] < 1000
-    assert found[-1][2] == "0"
+    assert found[-1][4] == "0"
+    searches, many = [int(match[2]) for match in found], 6 if duration == 240.0 else 5
+    assert {match[3] for match in found} == {str(many)}
+    assert searches == sorted(searches)
+    assert set(searches) == set(range(1, many + 1))
+
+
+def test_progress_has_no_criterion_while_a_limit_is_violated(tmp_path: Path) -> None:
+    lines = list[str]()
+    reporter: Any = SimpleNamespace(progress=lines.append, warning=lines.append)
+    request = DesignRequest(duration=40.0, steps=8, evaluations=400, limits=DesignLimits(area=(0.5, 0.5)))
+    with pytest.raises(SeatrialError, match="--area"):
+        make_design("horizontal:shaft:no-current", request, tmp_path / "m.toml", "", reporter)
+    found = [line for line in lines if "simulations" in line]
+    assert found
+    for line in found:
+        assert re.search(r", search \d of 5, no mission within the limits so far \(\d+ \w+ to go\)$", line), line
+    assert search_state(SINGULAR, "D -1e9") == "no mission so far that informs all parameters"
+    assert search_state(38.2, "D 38.20") == "D 38.20"
 
 
 def test_design_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -136,6 +162,27 @@ def test_design_that_is_worse_than_a_random_signal_is_reported_first(
         result = json.loads(out.with_suffix(".json").read_text())
         assert (result["value"] < max(row["value"] for row in result["baselines"])) == worse
         assert result["answer"].startswith("The designed mission is worse than " if worse else "After this mission")
+        assert ("Repeat the design with twice the --evaluations. If that changes little" in result["answer"]) == worse
+
+
+@pytest.mark.parametrize(
+    ("limits", "advice"),
+    [
+        (DesignLimits(area=(40.0, 40.0), speed=1.2), "give a larger --area or --max-speed, or a longer --duration."),
+        (DesignLimits(), "give other --steps or a longer --duration."),
+    ],
+)
+def test_a_design_that_is_worse_says_what_to_do(limits: DesignLimits, advice: str) -> None:
+    made: Any = SimpleNamespace(value=60.0, problem=SimpleNamespace(limits=limits, criterion="D"))
+    baseline: Any = SimpleNamespace(kind="PRBS", value=63.0)
+    text = warn_worse_than_baseline(baseline, made)
+    assert text.endswith(advice)
+    assert ("which ignores the limits" in text) == limits.bind
+
+
+def test_the_help_of_the_area_says_that_a_boat_may_leave_it(capsys: pytest.CaptureFixture[str]) -> None:
+    text = " ".join(run(capsys, "design", "--help")[1].split())
+    assert "The tracks of 24 boats of the prior keep to it; your boat may leave it" in text
 
 
 def test_existing_files_are_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import permutations
@@ -89,6 +90,12 @@ def nothing_late() -> Effect:
 def test_nomoto_model_covers_the_age_of_its_inputs_by_its_delay() -> None:
     assert not make_model("nomoto").accepts(telemetry_age())
     assert make_model("horizontal:shaft").accepts(telemetry_age())
+
+
+def test_titles_are_distinct() -> None:
+    """A list of effects by title, as that of the candidates, is ambiguous otherwise."""
+    names = Counter(effect.title for effect in catalogue().values())
+    assert not [title for title, number in names.items() if number > 1]
 
 
 @pytest.mark.parametrize("name", catalogue())

@@ -414,7 +414,7 @@ def test_discrimination_reports_each_phase_before_and_after_the_search(monkeypat
         b,
         problem,
         evaluations=500,
-        progress=lambda n, merit: lines.append("search"),
+        progress=lambda n, merit, number, of: lines.append("search"),
         phase=lines.append,
     )
     starts = ["compiling both models", *(f"random start points, {n} of 128" for n in (32, 64, 96))]

@@ -12,6 +12,7 @@ from tests.ident.workflows.test_use_a_model import run
 from tests.test_docs import blocks, how_to
 
 PAGE = how_to("control")
+WIND = {"F_wx": -3.0, "F_wy": 2.0, "w_x": 0.3}  # N, N, and the frontal area over the lateral one
 pytestmark = pytest.mark.pages
 
 
@@ -48,6 +49,21 @@ def test_controller_of_the_page_with_a_model_of_commands(block: int, folder: Pat
     old = 'MODEL, PLANT = "boat", "plant"'
     assert old in code
     assert run(code.replace(old, 'MODEL, PLANT = "command", "commanded"'), folder) == output(code, 1)
+
+
+def test_the_integral_of_the_pid_holds_the_heading_in_wind(folder: Path) -> None:
+    """Its linear model knows no wind, so that its inputs leave an error of the heading."""
+    rows = "".join(f'[[parameter]]\nname = "{n}"\nvalue = {v}\nfree = false\n' for n, v in WIND.items())
+    calm = (folder / "boat/model.toml").read_text(encoding="utf-8")
+    (folder / "windy.toml").write_text(calm.replace("effects = []", 'effects = ["wind"]') + rows, encoding="utf-8")
+    words = ["export", folder / "windy.toml", "--to", "python", "--thruster", folder / "thruster/model.toml"]
+    ident.main([str(w) for w in (*words, "--name", "windy", "-o", folder / "windy.py")], standalone_mode=False)
+    code = blocks(PAGE, "python")[1].replace('MODEL, PLANT = "boat", "plant"', 'MODEL, PLANT = "boat", "windy"')
+    assert run(code, folder) == "windy after 40 s: 0.800 m/s, heading 40.00 deg\n"
+    assert "0.2 * turn_integral" in code
+    found = re.search(r"heading ([\d.]+) deg", run(code.replace("0.2 * turn_integral", "0.0"), folder))
+    assert found
+    assert abs(float(found[1]) - 40.0) > 0.5
 
 
 def test_mpc_with_shaft_speeds_stays_at_rest(folder: Path) -> None:
