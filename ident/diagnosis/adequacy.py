@@ -33,6 +33,8 @@ from seatrial.ident.experiment_design import reason_without_mission
 from seatrial.ident.model import Effect, EffectKind, Parameter
 from seatrial.ident.models import SENSOR_ERRORS, THRUST_LOSSES
 
+SIZE_IS_KNOWN = 1.96  # standard errors from zero, from which the 95 % interval of a size does not contain zero
+
 
 @dataclass(frozen=True)
 class AttributionEvidence:
@@ -246,11 +248,13 @@ def _undetermined_size_reasons(
     if any(c.effect.is_table_of(effect.nonparametric_of) for c in chosen):
         return []
     sizes = [i for i, p in of_effect.items() if p.value == 0.0 and fit.errors[i] > 0]
-    if not sizes or _distance_from_zero(fit, sizes) >= policy.min_significance:
+    if not sizes or (distance := _distance_from_zero(fit, sizes)) >= policy.min_significance:
         return []
     name, value, error, unit = _reported_estimate(fit, of_effect[sizes[0]])
     in_degrees = f" ({math.degrees(value):.2g} ± {math.degrees(error):.2g} deg)" if unit == "rad" else ""
-    return [f"the data do not determine its size: {name} = {value:.3g} ± {error:.2g} {unit}".rstrip() + in_degrees]
+    known = distance >= SIZE_IS_KNOWN
+    why = f"its size is {distance:.1f} standard errors from zero" if known else "the data do not determine its size"
+    return [f"{why}: {name} = {value:.3g} ± {error:.2g} {unit}".rstrip() + in_degrees]
 
 
 def _reported_estimate(fit: Fit, p: Parameter) -> tuple[str, float, float, str]:

@@ -77,7 +77,7 @@ FAR_FROM_MAXIMUM = 0.5  # standard errors by which a fit can still move; less do
 UNUSUAL = 3.0  # standard deviations of its prior, from which an estimate is far from its usual size
 LARGEST_ASYMMETRY = 0.5  # of c2 over c1: one direction then has a third of the other's thrust
 UNEQUAL_THRUST = 0.05  # difference of the thrust ahead from the given mean, relative to it, from which it is reported
-MOST_ADDED = 2.5  # largest plausible mass in surge, as a multiple of the weighed mass
+MOST_ADDED = 2.0  # largest plausible mass in surge, as a multiple of the weighed mass
 SHORT_BENCH_S = 20.0  # as SHORT_DATA_S, of a thruster: some held commands of 4 s, forward and in reverse
 LEAST_PULL = 0.03  # difference of the inputs of both sides on a straight course, relative to their mean, to report
 SAME_WEATHER = timedelta(hours=3)  # between the starts of logs, up to which one value of the wind is plausible

@@ -30,7 +30,7 @@ EFFECT = Effect(
             step=0.01,
         ),
     ),
-    formula="n_ref = sgn(c) max(|c| - b_cmd, 0) / (1 - b_cmd), c: delayed command outside the dead zone",
+    formula="n_ref = sgn(c) max(|c| - b_cmd, 0) / (1 - b_cmd)",
     source="speed controllers of model aircraft: the throttle range begins beyond the dead band around neutral",
     experiment="slow ramps of the command of both signs through zero, and many steady levels",
     requires=("bench",),

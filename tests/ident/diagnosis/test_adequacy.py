@@ -408,7 +408,7 @@ HUMP = (Parameter("A", 0.0, "N", "height of the hump"), Parameter("w", 0.2, "m/s
         (-6.0, 0.13, (), None),
         (6.0, 1.0, (("w", AT_BOUND),), "its parameter w (its width) is at its bound, 1 m/s"),
         (6.0, 0.13, (("d_u", AT_BOUND), ("w", "half of its information comes from its prior")), None),
-        (-3.1, 0.37, (), "the data do not determine its size: A = -3.1 ± 1 N"),
+        (-3.1, 0.37, (), "its size is 3.1 standard errors from zero: A = -3.1 ± 1 N"),
     ],
 )
 def test_effect_whose_parameters_are_at_bounds_or_undetermined_is_ambiguous(
@@ -428,7 +428,7 @@ def test_caveat_has_no_newtons_if_the_thrust_is_unknown() -> None:
     fit = a_fit(["A"], [0.1 * thrust], np.array([[(0.05 * thrust) ** 2]]), model)
     fit.parameters = (SimpleNamespace(name="A", unit="N", segment=None),)
     (found,) = attributions_of(one_round(refit("hump", 800.0, fit=fit, parameters=(free,))))
-    assert found.reasons == ("the data do not determine its size: A/T = 0.1 ± 0.05",)
+    assert found.reasons == ("its size is 2.0 standard errors from zero: A/T = 0.1 ± 0.05",)
     fit.flags = (("A", AT_BOUND),)
     (found,) = attributions_of(one_round(refit("hump", 800.0, fit=fit, parameters=(free,))))
     assert found.reasons == ("its parameter A/T (height of the hump) is at its bound, 0.1",)
