@@ -221,43 +221,11 @@ _SI_OF = {"m": "x y", "m/s": "u v vx vy speed", "m/s2": "ax ay", "rad": "psi cou
 _SI = {meaning: unit for unit, meanings in _SI_OF.items() for meaning in meanings.split()}
 _MEANING = {name: meaning for meaning, names in NAMES.items() for name in names.split()}
 # Words of a struct whose fields are not measured motions of the boat
-_OF_OTHERS = frozenset(
-    [
-        "accuracy",
-        "air",
-        "bias",
-        "cmd",
-        "command",
-        "commands",
-        "cov",
-        "covariance",
-        "current",
-        "demand",
-        "desired",
-        "err",
-        "error",
-        "goal",
-        "guidance",
-        "limit",
-        "pid",
-        "planner",
-        "ref",
-        "reference",
-        "residual",
-        "setpoint",
-        "sigma",
-        "sp",
-        "std",
-        "target",
-        "truth",
-        "var",
-        "variance",
-        "water",
-        "waypoint",
-        "wind",
-        "wp",
-    ]
-)
+_OF_OTHERS = frozenset([
+    "accuracy", "air", "bias", "cmd", "command", "commands", "cov", "covariance", "current", "demand", "desired",
+    "err", "error", "goal", "guidance", "limit", "pid", "planner", "ref", "reference", "residual", "setpoint",
+    "sigma", "sp", "std", "target", "truth", "var", "variance", "water", "waypoint", "wind", "wp",
+])  # fmt: skip
 _LETTER_OF = {  # a single letter has its meaning only in a struct with one of these words: mag.x is no position
     "r": frozenset(["ahrs", "att", "attitude", "ekf", "gyro", "imu", "ins", "nav", "omega", "rate", "rates", "state"]),
     **dict.fromkeys("xy", frozenset(["local", "ned", "pos", "pose", "position"])),

@@ -311,9 +311,10 @@ def models_table(result: ComparisonResult) -> Table:
 
 
 def differences_table(result: ComparisonResult) -> Table | None:
-    """Return the table of what differs between each model and the first one; None without any known difference.
+    """Return the table of the differences of each model from the first one; None without a known difference.
 
-    A cell has what only this model has, and then what only the first one has.
+    A row has one kind of difference. Its cell lists the entries of this model that the first model lacks, and then the
+    entries of the first model that this model lacks.
     """
     reference = result.models[0].label
     table = titled_table("What differs")

@@ -10,6 +10,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from datetime import datetime, timedelta
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -1006,56 +1007,78 @@ def curve_notes(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) -> 
 def straight_sentence(dynamics: Dynamics | None) -> str:
     """Return the sentence on a boat that turns although both sides have the same input: what a straight course needs.
 
-    It has the inputs of the linear model in the middle of the speeds. The text is empty for None, for a model without
-    an input for each side, and if the inputs differ by less than 3 % of their mean.
+    It has the inputs of the linear model in the middle of the speeds; in wind, or under a similar force, those of the
+    two headings on which the sides differ most (`_straight_by_heading`). The text is empty for None, for a model
+    without an input for each side, and if the inputs differ by less than 3 % of their mean.
     """
     if dynamics is None or not dynamics.points:
         return ""
     if dynamics.headings:
         return _straight_by_heading(dynamics.headings)
     point = dynamics.points[(len(dynamics.points) - 1) // 2]
-    sides = {name.rpartition("_")[2]: (name, value) for name, value in point.inputs.items()}
-    if len(point.inputs) != 2 or set(sides) != {"left", "right"}:
+    pull = _pull(point.inputs)
+    if pull is None or not pull.matters:
         return ""
-    (left_name, left), (right_name, right) = sides["left"], sides["right"]
-    if abs(right - left) < LEAST_PULL * 0.5 * abs(right + left):
-        return ""
-    side = "starboard" if right > left else "port"
-    drive = drive_word(point.inputs)
-    unit = " N" if drive == "thrust" else ""
     heading = f" on heading {math.degrees(dynamics.conditions['psi']):.0f} deg" if "psi" in dynamics.conditions else ""
     return (
-        f"With equal {drive}s the boat turns to {side}: to go straight at {point.speed:.3g} m/s"
-        f"{heading}, it needs {left_name} {left:.3g}{unit} and {right_name} {right:.3g}{unit}."
+        f"With equal {drive_word(point.inputs)}s the boat turns to {pull.side}: to go straight at {point.speed:.3g} m/s"
+        f"{heading}, it needs {pull.text}."
     )
+
+
+class _Pull(NamedTuple):
+    """Difference of the inputs of both sides on a straight course.
+
+    Attributes
+    ----------
+    difference
+        Input of the right side less that of the left side.
+    matters
+        Whether it is at least 3 % of their mean.
+    text
+        Both inputs with their names.
+    """
+
+    difference: float
+    matters: bool
+    text: str
+
+    @property
+    def side(self) -> str:
+        """Side to which the boat turns with equal inputs."""
+        return "starboard" if self.difference > 0.0 else "port"
+
+
+def _pull(inputs: Mapping[str, float]) -> _Pull | None:
+    """Return the difference of the inputs of both sides; None for a model without an input for each side."""
+    sides = {name.rpartition("_")[2]: (name, value) for name, value in inputs.items()}
+    if len(inputs) != 2 or set(sides) != {"left", "right"}:
+        return None
+    (left_name, left), (right_name, right) = sides["left"], sides["right"]
+    unit = " N" if drive_word(inputs) == "thrust" else ""
+    text = f"{left_name} {left:.3g}{unit} and {right_name} {right:.3g}{unit}"
+    return _Pull(right - left, abs(right - left) >= LEAST_PULL * 0.5 * abs(right + left), text)
 
 
 def _straight_by_heading(points: Sequence[HeadingPoint]) -> str:
     """Return the sentence on the inputs of a straight course of a boat on which the wind acts, or a similar force.
 
-    It has the two headings on which the sides differ most, one in each direction, or the largest and the smallest
-    difference. The text is empty without an input for each side, and if no difference exceeds 3 % of the mean.
+    It has the headings with the smallest and the largest difference of the right side from the left one. The text is
+    empty without an input for each side, and if no difference is at least 3 % of the mean.
     """
-    rows = []
-    for p in points:
-        sides = {name.rpartition("_")[2]: (name, value) for name, value in p.inputs.items()}
-        if len(p.inputs) != 2 or set(sides) != {"left", "right"}:
-            return ""
-        (left_name, left), (right_name, right) = sides["left"], sides["right"]
-        unit = " N" if drive_word(p.inputs) == "thrust" else ""
-        text = f"{left_name} {left:.3g}{unit} and {right_name} {right:.3g}{unit}"
-        heading = f"(heading {math.degrees(p.heading):.0f} deg)"
-        rows.append((right - left, LEAST_PULL * 0.5 * abs(right + left), f"{text} {heading}"))
-    low, high = min(rows), max(rows)
-    if all(abs(difference) < least for difference, least, _ in rows):
+    pulls = [(pull, p.heading) for p in points if (pull := _pull(p.inputs)) is not None]
+    matter = [pull for pull, _ in pulls if pull.matters]
+    if not matter:
         return ""
-    drive, speed = drive_word(points[0].inputs), f"{points[0].speed:.3g} m/s"
-    if high[0] <= high[1] or low[0] >= -low[1]:
-        side = "starboard" if high[0] > high[1] else "port"
-        turns = f"With equal {drive}s the boat turns to {side}, more on some headings than on others"
-    else:
-        turns = f"With equal {drive}s the boat turns to starboard on some headings and to port on others"
-    return f"{turns}: to go straight at {speed}, it needs from {low[2]} to {high[2]}."
+    sides = {pull.side for pull in matter}
+    where = f"{sides.pop()}, more on some headings than on others"
+    if sides:
+        where = "starboard on some headings and to port on others"
+    low, high = (f"{pull.text} (heading {math.degrees(psi):.0f} deg)" for pull, psi in (min(pulls), max(pulls)))
+    return (
+        f"With equal {drive_word(points[0].inputs)}s the boat turns to {where}: to go straight at "
+        f"{points[0].speed:.3g} m/s, it needs from {low} to {high}."
+    )
 
 
 def candidate_sentence(found: ModelUncertainty | None) -> str:

@@ -148,7 +148,7 @@ class InformationCriteria(Part, frozen=True, kw_only=True):
 
 
 class ModelDifference(Part, frozen=True, kw_only=True):
-    """What a model has and the first one has not, and the other way round, of one kind."""
+    """One kind of difference between a model and the first model: the entries that only one of them has."""
 
     kind: Annotated[
         DifferenceKind,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from typing import Literal
 
 import msgspec
@@ -43,7 +42,6 @@ COMMAND_STEP = 0.1  # size of the steps of the command, as a part of the largest
 Z95 = 1.96  # half the width of a 95 % interval in standard errors
 UNKNOWN_GAIN = float(np.log(np.sqrt(2.0)))  # standard error of the logarithm of a gain that is unknown: 3 dB
 HEADINGS = 8  # headings on which the straight course of a boat in wind is computed
-NO_OPERATING_POINT = (SeatrialError, ArithmeticError, np.linalg.LinAlgError, TypeError, ValueError)
 UNITS = {"u": "m/s", "v": "m/s", "r": "rad/s"}
 
 
@@ -70,7 +68,7 @@ def dynamics_of(fitted: FittedModel) -> Dynamics | None:
     conditions = chosen_conditions(model, ranges)
     curves = steady_curves(model, ranges, known, conditions=conditions)
     reached = [np.nanmax(c.value) for c in curves if c.motion == "straight"]
-    linear = _linear_models(model, float(reached[0]), known, conditions) if reached else []
+    linear = _linear_models(model, _operating_speeds(float(reached[0])), known, conditions) if reached else []
     if not curves and not linear:
         return None
     drives, steps, responses = Drives(model, ranges), list[StepResponse](), list[FrequencyResponse]()
@@ -78,12 +76,17 @@ def dynamics_of(fitted: FittedModel) -> Dynamics | None:
     if linear:
         middle = linear[(len(linear) - 1) // 2]
         steps, responses = _steps(middle, drives), _responses(middle, drives)
-        by_heading = _by_heading(model, [x.speed for x in linear], conditions) if "psi" in conditions else {}
-        headings = [
-            _heading_point(psi, x) for psi, found in by_heading.items() for x in found if x.speed == middle.speed
-        ]
         course = _course_stability(linear, ranges.get("u"))
-        course = _worst_course(course, model, by_heading, known, conditions, ranges.get("u"))
+        if "psi" in conditions:
+            at, angles = [x.speed for x in linear], (2.0 * np.pi * k / HEADINGS for k in range(HEADINGS))
+            by_heading = {psi: _linear_models(model, at, None, {**conditions, "psi": psi}) for psi in angles}
+            headings = [
+                HeadingPoint(heading=psi, speed=x.speed, inputs=_inputs_of(x))
+                for psi, found in by_heading.items()
+                for x in found
+                if x.speed == middle.speed
+            ]
+            course = _worst_course(model, by_heading, known, conditions, ranges.get("u")) or course
         if course is not None:
             lowest = _negative_sway_damping_from(model, linear, ranges.get("u"), conditions)
             course = msgspec.structs.replace(course, sway_from=lowest)
@@ -121,30 +124,7 @@ def _course_stability(linear: Sequence[LinearModel], speeds: tuple[float, float]
     return CourseStability(speed=at.speed, pole=real, low=finite(real - half), high=finite(real + half), sway=sway)
 
 
-def _by_heading(
-    model: Model, speeds: Sequence[float], conditions: Mapping[str, float]
-) -> dict[float, list[LinearModel]]:
-    """Return the linear models at these speeds on eight headings [rad], without standard errors.
-
-    An operating point that is not found, such as one against a wind that is too strong, is left out.
-    """
-    found = dict[float, list[LinearModel]]()
-    for k in range(HEADINGS):
-        psi = 2.0 * np.pi * k / HEADINGS
-        for speed in speeds:
-            with suppress(*NO_OPERATING_POINT):
-                found.setdefault(psi, []).append(linearise(model, speed, None, {**conditions, "psi": psi}))
-    return found
-
-
-def _heading_point(heading: float, linear: LinearModel) -> HeadingPoint:
-    """Return the inputs of a straight course on a heading [rad], from the linear model there."""
-    inputs = {name: float(value) for name, value in zip(linear.inputs, linear.u0, strict=True)}
-    return HeadingPoint(heading=heading, speed=linear.speed, inputs=inputs)
-
-
 def _worst_course(
-    course: CourseStability | None,
     model: Model,
     by_heading: Mapping[float, Sequence[LinearModel]],
     known: ParameterCovariance,
@@ -155,13 +135,10 @@ def _worst_course(
 
     Parameters
     ----------
-    course
-        Least stable pole on the heading of ``conditions``; None: there is none.
     model
         The fitted model.
     by_heading
-        Linear models by heading [rad] (`_by_heading`). Empty for a model that does not depend on the heading: the
-        result is ``course``.
+        Linear models by heading [rad]; standard errors are not needed.
     known
         Covariance of the estimates.
     conditions
@@ -169,19 +146,13 @@ def _worst_course(
     speeds
         Smallest and largest forward speed in the data [m/s].
     """
-    worst: tuple[float, CourseStability] | None = None
-    for psi, linear in by_heading.items():
-        found = _course_stability(linear, speeds)
-        if found is not None and (worst is None or found.pole > worst[1].pole):
-            worst = psi, found
-    if course is None or worst is None:
-        return course
-    psi, found = worst
-    try:
-        again = _course_stability([linearise(model, found.speed, known, {**conditions, "psi": psi})], None)
-    except NO_OPERATING_POINT:
-        return course
-    return course if again is None else msgspec.structs.replace(again, heading=psi)
+    courses = [(psi, _course_stability(linear, speeds)) for psi, linear in by_heading.items()]
+    found = [(course.pole, psi, course.speed) for psi, course in courses if course is not None]
+    if not found:
+        return None
+    _, psi, speed = max(found)
+    course = _course_stability(_linear_models(model, [speed], known, {**conditions, "psi": psi}), None)
+    return None if course is None else msgspec.structs.replace(course, heading=psi)
 
 
 def _negative_sway_damping_from(
@@ -328,30 +299,40 @@ def _turn(
     )
 
 
-def _linear_models(
-    model: Model, fastest: float, known: ParameterCovariance, conditions: Mapping[str, float]
-) -> list[LinearModel]:
-    """Return the linear models at parts of the speed ``fastest`` [m/s]. A speed without one is left out.
+def _operating_speeds(fastest: float) -> list[float]:
+    """Return the speeds [m/s] of the linear models: parts of the speed ``fastest``, to two digits."""
+    return [
+        float(f"{part * fastest:.2g}") if part < 1.0 else float(np.floor(fastest * 100.0) / 100.0) for part in SPEEDS
+    ]
 
-    Their standard errors are from the covariance ``known`` of the estimates.
+
+def _linear_models(
+    model: Model, speeds: Sequence[float], known: ParameterCovariance | None, conditions: Mapping[str, float]
+) -> list[LinearModel]:
+    """Return the linear models at these speeds [m/s]. A speed without one is left out.
+
+    Their standard errors are from the covariance ``known`` of the estimates; None: they have no standard errors.
     """
     found = []
-    for part in SPEEDS:
-        speed = float(f"{part * fastest:.2g}") if part < 1.0 else float(np.floor(fastest * 100.0) / 100.0)
+    for speed in speeds:
         try:
             found.append(linearise(model, speed, known, conditions))
-        except NO_OPERATING_POINT:
+        except (SeatrialError, ArithmeticError, np.linalg.LinAlgError, TypeError, ValueError):
             continue
     return found
+
+
+def _inputs_of(linear: LinearModel) -> dict[str, float]:
+    """Return the inputs of the operating point of a linear model, by name."""
+    return {name: float(value) for name, value in zip(linear.inputs, linear.u0, strict=True)}
 
 
 def _point(linear: LinearModel) -> OperatingPoint:
     """Return the operating point of a linear model with its poles, for the result."""
     poles = linear.poles
-    inputs = {name: float(value) for name, value in zip(linear.inputs, linear.u0, strict=True)}
     return OperatingPoint(
         speed=linear.speed,
-        inputs=inputs,
+        inputs=_inputs_of(linear),
         real=poles.real,
         imaginary=poles.imag,
         stable=linear.stable,

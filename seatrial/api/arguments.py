@@ -51,8 +51,8 @@ def shortened(value: object) -> str:
     return text if len(text) <= LONGEST_VALUE and "\n" not in text else f"a {type(value).__name__}"
 
 
-def as_path(value: object, what: str) -> Path:
-    """Convert an argument with the name ``what`` to a path.
+def as_path(value: object, name: str) -> Path:
+    """Convert the argument of this name to a path.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def as_path(value: object, what: str) -> Path:
         If the argument is neither a str nor a Path.
     """
     if not isinstance(value, str | Path):
-        raise SeatrialError(f"{what}: {shortened(value)} is no path; give the path of one file or folder as text")
+        raise SeatrialError(f"{name}: {shortened(value)} is no path; give the path of one file or folder as text")
     return Path(value)
 
 
