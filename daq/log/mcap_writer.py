@@ -123,18 +123,18 @@ class LogWriter:
         self.path = path
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-        except FileExistsError as error:
+        except FileExistsError:
             raise SeatrialError(
                 f"{path}: the folder cannot be created: {path.parent} is not a folder; give another path"
-            ) from error
+            ) from None
         except OSError as error:
             raise SeatrialError(f"{path}: the folder cannot be created: {error.strerror}; give another path") from error
         try:
             self._stream = WholeRecordStream(path)
-        except FileExistsError as error:
+        except FileExistsError:
             raise SeatrialError(
                 f"{path}: the file exists already, and a log is never overwritten; give another name"
-            ) from error
+            ) from None
         except OSError as error:
             text = f"{path}: the log cannot be created: {error.strerror}; give another path, or free disk space"
             raise (DiskFull(text, complete=True) if error.errno in DISK_FULL_ERRORS else SeatrialError(text)) from error

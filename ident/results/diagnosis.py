@@ -487,10 +487,12 @@ def _resemblance_clause(titles: Sequence[str]) -> str:
 
 
 def diagnosis_caveat(diagnosis: Diagnosis) -> str | None:
-    """Return the caveat of a diagnosis: an uncertain name of an effect, and an end of the search by --max-effects.
+    """Return the caveat of a diagnosis: an uncertain name of an effect, and residuals that are left unexplained.
 
-    For the name, only the first reason of the first ambiguous effect is given. For the end, the number of added effects
-    and the candidates that were not tried are given. The result is None if neither applies.
+    For the name, only the first reason of the first ambiguous effect is given. If the search ended by --max-effects,
+    the number of added effects and the candidates that were not tried are given. Otherwise, if all names are certain
+    and candidates still pass the score test, their number, the strongest and the reason why none was added are given.
+    The result is None if none of these applies.
     """
     titles = {r.effect.name: r.effect.title for r in diagnosis.effects}
     doubted = [j for j in diagnosis.attributions if j.attribution == "ambiguous" and j.reasons]
@@ -504,6 +506,15 @@ def diagnosis_caveat(diagnosis: Diagnosis) -> str | None:
         sentences.append(
             f"The search ended when it had added {many}{gone}: it had reached --max-effects; give a larger number to "
             f"try the other candidates: {_remaining_names(diagnosis)}."
+        )
+    elif diagnosis.effects and diagnosis.remaining and not doubted:
+        many = counted(len(diagnosis.remaining), "other candidate")
+        passes, added = ("passes", "It was not") if len(diagnosis.remaining) == 1 else ("pass", "None was")
+        last = diagnosis.rounds[-1]
+        why = f": {last.explanation}" if last.chosen is None else ""
+        sentences.append(
+            f"A part of the residuals stays unexplained: {many} still {passes} the score test "
+            f"({_remaining_names(diagnosis)}). {added} added{why}."
         )
     return " ".join(sentences) or None
 

@@ -189,12 +189,12 @@ def _command_scale_warning(model: Model, logs: Sequence[LoadedLog]) -> ResultWar
     listed = first_names([f"{own:.2f} ({name})" for name, own in known.items()])
     ratio = math.sqrt(share)
     text = (
-        f"The shaft speeds over the commands, each as a share of full, are {listed}. If the given c1 = {c1.value:.4g} "
-        f"N is the thrust at full shaft speed, the commands give {share:.2f} of it, and all masses are wrong by this "
-        f"factor: fit with the shaft speeds, or multiply the scale of the commands in the import map by {ratio:.2f}, "
-        f"which has the effect of c1 and c2 multiplied by {share:.2f} (c1 = {share * c1.value:.4g} N). If "
-        f"{c1.value:.4g} N is the thrust at full command already, the masses are right; divide the scale of the shaft "
-        f"speeds in the import map by {ratio:.2f}, or multiply rpm_max in the rig file by it, and this warning ends."
+        f"The shafts turn at {listed} times the commanded speed, and the model takes c1 = {c1.value:.4g} N as the "
+        f"thrust at full command. Was it measured at full command? If yes, the masses are right: "
+        f"divide the scale of the shaft speeds in the import map by {ratio:.2f}, or multiply rpm_max in the rig file "
+        f"by it, and this warning ends. If it was measured at full shaft speed, all masses are {1 / share:.2f} times "
+        f"their true value: give {share:.2f} of the thrust (c1 = {share * c1.value:.4g} N), or fit with the shaft "
+        f"speeds, or multiply the scale of the commands in the import map by {ratio:.2f}."
     )
     return ResultWarning(code="command-scale", text=text)
 

@@ -286,6 +286,22 @@ def test_search_that_reached_its_limit_names_the_untried_candidates(monkeypatch:
     )
 
 
+def test_caveat_of_a_certain_name_has_the_candidates_that_still_pass() -> None:
+    chosen, after = refit("hump", 900.0), blank(fit=blank(flags=()))
+    left = (Score("wind", 90.0, 1, 50.0, {}, {}, threshold=12.0),)
+    rounds = (Round((), (), (chosen,), chosen), Round(left, ("wind",), (), None))
+    certain = (EffectAttribution("hump", "identified"),)
+    weight = EffectImportance("hump", 900.0, 1.3, 50.0, 5.0)
+    found = Diagnosis(after, after, rounds, left, (), attributions=certain, importances=(weight,))
+    assert diagnosis_caveat(found) == (
+        "A part of the residuals stays unexplained: 1 other candidate still passes the score test (wind). It was not "
+        "added: no candidate that passed could be fitted."
+    )
+    assert diagnosis_caveat(replace(found, remaining=())) is None
+    doubted = replace(found, attributions=(EffectAttribution("hump", "ambiguous", ("a lag resembles it",)),))
+    assert diagnosis_caveat(doubted) == "It is uncertain whether the missing effect is hump: a lag resembles it."
+
+
 def test_a_removed_effect_takes_no_place_of_another(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of one effect at most, the first is removed again, and the search goes on without trying it again."""
     mine = a_search(*(Effect(n, n, {}) for n in ("motor", "wind", "hump")))
