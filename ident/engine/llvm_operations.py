@@ -119,11 +119,12 @@ def rewritten() -> dict[int, Any]:
 def _sine_and_cosine(x: Any) -> tuple[Any, Any]:
     """Return CasADi expressions of the sine and the cosine of x [rad], accurate for |x| below 1e5.
 
-    The argument is reduced to -pi/4 to pi/4 by subtraction of a multiple of pi/2, which is represented by two numbers
-    for accuracy. The polynomials are those of the C library fdlibm.
+    The argument is reduced to -pi/4 to pi/4 by subtraction of a multiple k of pi/2, which is represented by three
+    numbers for accuracy. The products of k and the first two are exact on processors without fused multiplication, too,
+    since these numbers have 33 bits and k has at most 17. The polynomials are those of the C library fdlibm.
     """
     k = ca.floor(x * 0.6366197723675814 + 0.5)
-    r = x - k * 1.5707963267948966 - k * 6.123233995736766e-17
+    r = x - k * 1.57079632673412561417 - k * 6.07710050630396597660e-11 - k * 2.02226624879595063154e-21
     z = r * r
     s = r + r * z * ca.polyval(
         [

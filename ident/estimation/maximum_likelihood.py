@@ -409,12 +409,12 @@ def _assess_uncertainty(problem: Problem, optimum: Optimum, with_robust: bool) -
     optimum
         Maximum of the objective.
     with_robust
-        Whether to compute three things that cost evaluations: robust errors, the uncertainty from considered parameters
-        (not estimated, with an uncertain prior), and the intervals of parameters with a flat likelihood. Otherwise the
-        robust errors are NaN, and the other two are left out.
+        Whether to compute four things that cost evaluations: robust errors, the uncertainty from considered parameters
+        (not estimated, with an uncertain prior), the intervals of parameters with a flat likelihood, and how far a
+        parameter at its bound may leave it. Otherwise the robust errors are NaN, and the other three are left out.
     """
     z, slopes = optimum.z, problem.slopes(optimum.z)
-    # The many rough fits of a diagnosis skip these two: both cost evaluations.
+    # The many rough fits of a diagnosis skip what costs evaluations.
     information, bounds = optimum.at.information, problem.bounds
     flat = flat_coordinates(problem.value, z, problem.parameters, information, bounds) if with_robust else []
     considered = considered_information(problem, z) if with_robust and problem.model.considered else None
@@ -426,6 +426,7 @@ def _assess_uncertainty(problem: Problem, optimum: Optimum, with_robust: bool) -
         slopes,
         problem.prior[1],
         considered,
+        problem.value if with_robust else None,
     )
     known = replace(known, flags=(*known.flags, *[(problem.names[p.coordinate], p.remark) for p in flat]))
     robust = Sandwich(*np.full((3, z.size), np.nan))

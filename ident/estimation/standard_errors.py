@@ -31,6 +31,8 @@ MAX_LOG_ERROR = 5.0  # a logarithm with a larger standard error (a factor 150) c
 FLAGGED_INFLATION = 1.5  # a standard error gets a flag if a parameter at its bound makes it larger than by this factor
 AT_BOUND, VAGUE = "at its bound", "the data do not determine its order of magnitude"  # flags of a parameter
 TRIED_STEPS = 10.0 ** np.arange(-2.0, 5.0)  # distances tried by `flat_coordinates`, in characteristic steps
+# `_reach_in_direction` ends at this share of the quadratic approximation's distance, and halves its bracket so often
+NEAREST_REACH, N_REACH_HALVINGS = 1e-4, 4
 N_HALVINGS = 12  # bisections of the bracket of an interval's end: a relative width of 0.02 %
 DropTest = Callable[[float], bool | None]  # whether the log-likelihood has fallen by 1.92 at a value, see `_drop_test`
 MAX_BLOCKS, MIN_BLOCKS = 40, 12  # numbers of blocks of rows, over all records together
@@ -95,6 +97,7 @@ def assess(
     slopes: Array,
     prior: Array,
     considered: Array | None = None,
+    value: Callable[[Array], float] | None = None,
 ) -> Uncertainty:
     """Return standard errors, covariance and flags of an estimate from the Fisher information at the optimum.
 
@@ -115,6 +118,9 @@ def assess(
     considered : Array (n, k), optional
         Fisher information between the estimates and each of k considered parameters (not estimated, with an uncertain
         prior), multiplied by the prior standard deviation of the considered parameter. None: no considered parameters.
+    value, optional
+        Returns the objective (log-likelihood plus log-prior) at coordinates (n,). With it, a parameter at its bound
+        widens the errors of the others only as far as the objective allows. None: its quadratic approximation is used.
 
     Returns
     -------
@@ -143,7 +149,7 @@ def assess(
     for i in vague:
         flags.append((names[i], VAGUE))
     P[vague, :] = P[:, vague] = np.nan
-    spread, limits, inflated = _covariance_from_bounds(at, z, bounds, P, names)
+    spread, limits, inflated = _covariance_from_bounds(at, z, bounds, P, names, value)
     flags += inflated
     follow = np.zeros((n, 1)) if considered is None else -np.nan_to_num(P) @ considered
     by_considered = follow @ follow.T
@@ -172,7 +178,12 @@ def assess(
 
 
 def _covariance_from_bounds(
-    at: Evaluation, z: Array, bounds: Bounds, P: Array, names: Sequence[str]
+    at: Evaluation,
+    z: Array,
+    bounds: Bounds,
+    P: Array,
+    names: Sequence[str],
+    value: Callable[[Array], float] | None,
 ) -> tuple[Array, Array, list[tuple[str, str]]]:
     """Return the covariance that parameters at their bounds add to the estimates of the other parameters.
 
@@ -188,6 +199,8 @@ def _covariance_from_bounds(
         Covariance of the coordinates, with those at a bound held there. NaN for coordinates without an error.
     names
         Names of the parameters, for the flags.
+    value
+        Returns the objective at coordinates (n,). None: only its quadratic approximation is used.
 
     Returns
     -------
@@ -213,6 +226,10 @@ def _covariance_from_bounds(
     other coordinates then moves by ``f d95`` with ``f = -I_oo^-1 I_ob`` (I: information; o: other coordinates), and
     their 95 % intervals have to reach as far. The covariance is therefore widened by ``f f' (d95 / 1.96)^2``. This term
     vanishes for a large g. For g = 0 it is all that a free b would add.
+
+    Far from the bound, the objective is not quadratic. Where the term would make an error more than 1.5 times as large,
+    it ends where the objective itself has fallen by 1.92 in the direction ``f``. An example is a correlation time that
+    may leave its bound for values a thousand times as long.
     """
     n = z.size
     spread, limits = np.zeros((n, n)), np.full(n, np.nan)
@@ -228,11 +245,49 @@ def _covariance_from_bounds(
         reach = min(2 * DROP_95 / (push + np.sqrt(push**2 + 2 * DROP_95 * curvature)), room)
         limits[b] = z[b] + inward * reach
         added = np.outer(follow, follow) * (reach / Z_95) ** 2
+        if value is not None and np.any(np.diag(added) > (FLAGGED_INFLATION**2 - 1.0) * np.diag(P)[good]):
+            direction = np.zeros(n)
+            direction[b], direction[good] = inward, inward * follow
+            added *= (_reach_in_direction(value, z, direction, reach, bounds) / reach) ** 2
         spread[np.ix_(good, good)] += added
         wider = np.sqrt(1.0 + np.diag(added) / np.diag(P)[good])
         for k in np.flatnonzero(wider > FLAGGED_INFLATION).tolist():
             flags[names[good[k]]] = f"its error is {wider[k]:.1f} times as large because {names[b]} may leave its bound"
     return spread, limits, list(flags.items())
+
+
+def _reach_in_direction(
+    value: Callable[[Array], float], z: Array, direction: Array, reach: float, bounds: Bounds
+) -> float:
+    """Return the distance at which the objective has fallen by 1.92 in a direction, at most ``reach``.
+
+    Parameters
+    ----------
+    value
+        Returns the objective at coordinates (n,).
+    z : Array (n,)
+        Coordinates of the optimum.
+    direction : Array (n,)
+        Change of the coordinates per distance.
+    reach
+        Largest distance.
+    bounds
+        Bounds of the coordinates. Coordinates that would leave them stay there.
+    """
+    top = value(z)
+
+    def has_fallen(distance: float) -> bool:
+        return not value(np.clip(z + distance * direction, bounds.low, bounds.high)) >= top - DROP_95
+
+    if not has_fallen(reach):
+        return reach
+    inner, outer = 0.5 * reach, reach
+    while has_fallen(inner) and inner > NEAREST_REACH * reach:
+        inner, outer = 0.5 * inner, inner
+    for _ in range(N_REACH_HALVINGS):
+        middle = 0.5 * (inner + outer)
+        inner, outer = (inner, middle) if has_fallen(middle) else (middle, outer)
+    return outer
 
 
 def _unidentified_parameters(

@@ -12,7 +12,7 @@ import pytest
 from seatrial.ident.engine import jit
 from seatrial.ident.engine.filter_kernels import FilterKernels, filter_kernels_for
 from seatrial.ident.engine.kernel import Arena, Kernel
-from seatrial.ident.engine.llvm_operations import FLUSH_TO_ZERO, FlushToZero
+from seatrial.ident.engine.llvm_operations import FLUSH_TO_ZERO, FlushToZero, rewritten
 from seatrial.ident.engine.loop_plan import GramStage, Plan, stage
 from seatrial.ident.estimation.prepared_record import Preparer
 from seatrial.ident.model.parameter import Parameter
@@ -55,6 +55,14 @@ def operations() -> dict[str, ca.SX]:
         "sine of many turns": ca.sin(1e4 * x),
         "cosine of many turns": ca.cos(1e4 * x),
     }
+
+
+def test_sine_and_cosine_of_many_turns_need_no_fused_multiplication() -> None:
+    """CasADi rounds after each operation, as a processor without fused multiplication does."""
+    x = np.random.default_rng(3).uniform(-1e5, 1e5, 4000)
+    for code, exact in ((ca.OP_SIN, np.sin), (ca.OP_COS, np.cos)):
+        found = np.array(rewritten()[code](x[None], np.zeros_like(x)[None])).ravel()
+        np.testing.assert_allclose(found, exact(x), rtol=3e-15, atol=3e-16)
 
 
 def points() -> tuple[np.ndarray, np.ndarray]:

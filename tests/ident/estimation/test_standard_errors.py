@@ -58,6 +58,37 @@ def test_error_widens_less_the_stronger_the_bound_is_active() -> None:
     assert assessed(0.95, (3.0, -30.0))[1].flags == (("b", "at its bound"),)
 
 
+@pytest.mark.parametrize("free_b", [0.0, -0.5, -3.0])
+def test_quadratic_objective_does_not_limit_the_widening(free_b: float) -> None:
+    information = np.linalg.inv([[1.0, 0.95], [0.95, 1.0]])
+    z, free = np.array([3.0 - 0.95 * free_b, 0.0]), np.array([3.0, free_b])
+    at = Evaluation(0.0, information @ (free - z), information, np.zeros(2))
+
+    def value(x: np.ndarray) -> float:
+        return float(-0.5 * (x - free) @ information @ (x - free))
+
+    plain, limited = (assess(at, z, BOUNDS, ("a", "b"), np.ones(2), np.zeros(2), value=v) for v in (None, value))
+    assert limited.errors[0] == pytest.approx(plain.errors[0], rel=0.02)
+    assert limited.limits[1] == plain.limits[1]
+
+
+def test_objective_that_falls_far_from_the_bound_limits_the_widening() -> None:
+    """The ridge of the objective is a = tanh(10 b) / 2, which leaves its tangent a = 5 b at 0.05."""
+    sd, bounds = 0.01, Bounds(BOUNDS.low, np.array([np.inf, 4.0]), BOUNDS.logarithmic)
+    information = np.array([[1.0, -5.0], [-5.0, 25.0]]) / sd**2
+    at = Evaluation(0.0, np.zeros(2), information, np.zeros(2))
+
+    def value(x: np.ndarray) -> float:
+        return float(-0.5 * (x[0] - 0.5 * np.tanh(10.0 * x[1])) ** 2 / sd**2)
+
+    plain, limited = (
+        assess(at, np.zeros(2), bounds, ("a", "b"), np.ones(2), np.zeros(2), value=v) for v in (None, value)
+    )
+    assert plain.errors[0] > 5.0
+    assert 0.1 < limited.errors[0] < 0.15
+    assert limited.flags[1][1].startswith("its error is 1")
+
+
 def test_uncorrelated_bound_or_interior_neighbour_does_not_change_the_error() -> None:
     assert assessed(0.3, (3.0, 0.0))[1].flags == (("b", "at its bound"),)
     _, found = assessed(0.95, (3.0, 0.5))
