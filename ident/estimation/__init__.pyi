@@ -65,6 +65,7 @@ from .parameter_covariance import ParameterUncertainty as ParameterUncertainty
 from .parameter_covariance import dynamic_parameters as dynamic_parameters
 from .parameter_covariance import parameter_uncertainty as parameter_uncertainty
 from .parameter_covariance import prediction_variance as prediction_variance
+from .parameter_covariance import principal_axes as principal_axes
 from .parameter_covariance import principal_directions as principal_directions
 from .parameter_covariance import uncertainty_of as uncertainty_of
 from .prior_knowledge import apply_rig_geometry as apply_rig_geometry

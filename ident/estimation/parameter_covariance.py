@@ -24,7 +24,7 @@ from seatrial.ident.estimation.likelihood import Likelihood
 from seatrial.ident.estimation.maximum_likelihood import Fit
 from seatrial.ident.estimation.output_error import simulate
 from seatrial.ident.estimation.prepared_record import Preparer
-from seatrial.ident.model import Model
+from seatrial.ident.model import Model, Parameter
 from seatrial.ident.numerics import Array, covariance_root
 
 NULL_SPACE_TOLERANCE = 1e-12  # smaller eigenvalues of the correlation, relative to the largest, are rounding
@@ -193,17 +193,68 @@ def uncertainty_of(known: ParameterCovariance, model: Model) -> ParameterUncerta
     return ParameterUncertainty(columns, covariance_root(P, NULL_SPACE_TOLERANCE))
 
 
-def principal_directions(model: Model, values: Array, known: ParameterCovariance | None) -> list[Array]:
-    """Return parameter vectors moved by 0.05 standard deviations along each principal direction of their covariance.
+@dataclass(frozen=True)
+class PrincipalAxes:
+    """Principal axes of the parameter covariance, in the estimator's coordinates (logarithms of positive parameters).
 
-    Finite differences between these vectors give the effect of the parameter errors on a state estimate. The directions
-    are in the estimator's coordinates (logarithms of positive parameters). Noise parameters are not moved: the state
-    estimate hardly depends on them.
+    Noise parameters are left out: a state estimate hardly depends on them.
+
+    Attributes
+    ----------
+    parameters
+        The n parameters that have a covariance and are no noise.
+    at
+        Their indices in the parameters of the model.
+    axes : Array (n, n)
+        Each column is one axis, as long as one standard deviation.
+    """
+
+    parameters: tuple[Parameter, ...]
+    at: tuple[int, ...]
+    axes: Array
+
+    def moved(self, values: Array, along: Array) -> Array:
+        """Return the parameter vector that is ``along`` (n,) standard deviations along each axis from the estimates.
+
+        ``values`` (n_parameters,) has the other entries. The result is not clipped to the bounds of the parameters.
+        """
+        point = values.copy()
+        for p, i, step in zip(self.parameters, self.at, self.axes @ along, strict=True):
+            point[i] = p.from_free(p.to_free(p.value) + step)
+        return point
+
+
+def principal_axes(model: Model, known: ParameterCovariance | None) -> PrincipalAxes:
+    """Return the principal axes of the covariance of a model's parameters; without axes if the covariance is unknown.
 
     Parameters
     ----------
     model
-        Model at whose values the directions are computed.
+        Model whose values are the estimates.
+    known
+        Covariance of the parameters in their own units; None if unknown.
+    """
+    places = {p.name: i for i, p in enumerate(model.parameters)}
+    keep: list[int] = []
+    if known is not None and known.covariance is not None:
+        keep = [i for i, n in enumerate(known.names) if n in places and n not in model.noises]
+    if known is None or known.covariance is None or not keep:
+        return PrincipalAxes((), (), np.zeros((0, 0)))
+    parameters = tuple(model.parameter(known.names[i]) for i in keep)
+    slopes = np.array([p.slope(p.value) for p in parameters])
+    w, V = np.linalg.eigh(known.covariance[np.ix_(keep, keep)] / np.outer(slopes, slopes))
+    return PrincipalAxes(parameters, tuple(places[p.name] for p in parameters), V * np.sqrt(np.maximum(w, 0.0)))
+
+
+def principal_directions(model: Model, values: Array, known: ParameterCovariance | None) -> list[Array]:
+    """Return parameter vectors moved by 0.05 standard deviations along each principal axis of their covariance.
+
+    Finite differences between these vectors give the effect of the parameter errors on a result.
+
+    Parameters
+    ----------
+    model
+        Model at whose values the axes are computed.
     values : Array (n_parameters,)
         Vector of which moved copies are returned, in the order of ``model.parameters``.
     known
@@ -212,26 +263,12 @@ def principal_directions(model: Model, values: Array, known: ParameterCovariance
     Returns
     -------
     list of Array (n_parameters,)
-        One vector for each direction. In it, each moved parameter has the value of the model plus the step, in one
-        direction only and not clipped to its bounds; the other entries are those of ``values``. The list is empty if
-        the covariance is unknown or contains no parameter of the model except noise.
+        One vector for each axis. In it, each moved parameter has the value of the model plus the step, in one direction
+        only and not clipped to its bounds; the other entries are those of ``values``. The list is empty if the
+        covariance is unknown or contains no parameter of the model except noise.
     """
-    if known is None or known.covariance is None:
-        return []
-    noise = model.noises
-    keep = [i for i, n in enumerate(known.names) if n in model.values and n not in noise]
-    if not keep:
-        return []
-    parameters = [model.parameter(known.names[i]) for i in keep]
-    slopes = np.array([p.slope(p.value) for p in parameters])
-    w, V = np.linalg.eigh(known.covariance[np.ix_(keep, keep)] / np.outer(slopes, slopes))
-    names, moved = [p.name for p in model.parameters], []
-    for size, direction in zip(np.sqrt(np.maximum(w, 0.0)), V.T, strict=True):
-        point = values.copy()
-        for p, d in zip(parameters, direction, strict=True):
-            point[names.index(p.name)] = p.from_free(p.to_free(p.value) + PARAMETER_STEP * size * d)
-        moved.append(point)
-    return moved
+    found = principal_axes(model, known)
+    return [found.moved(values, PARAMETER_STEP * unit) for unit in np.eye(len(found.at))]
 
 
 def dynamic_parameters(model: Model) -> list[str]:

@@ -1,15 +1,20 @@
 """Navigation: filtered and smoothed states of a fitted model along a record, with their covariance.
 
 The ocean current is a state here. A fit estimates the current as a parameter of each record; a navigator does not have
-this parameter in advance and estimates the current along the record. Parameter errors are included as a consider
-covariance, the contribution of quantities that the filter does not estimate (Bierman 1977, chapter 8):
+this parameter in advance and estimates the current along the record.
 
-    P_total = P + sum_i dx_i dx_i'
+Nor are the other parameters exact. They are constant states whose initial covariance is that of the fit. The two-stage
+filter estimates them (Friedland 1969, Treatment of bias in recursive filtering, IEEE Trans. Automatic Control 14):
 
-The sum is over the principal directions i of the parameter covariance; dx_i is the change of the estimate if the
-parameters change by one standard deviation in direction i. The result is exact if the estimate is linear in the
-parameters and the parameters were estimated from other records. GNSS samples may be withheld to measure the effect of
-an outage (``seatrial.ident.navigation.outages``).
+    x_total = x + D d,    P_total = P + D C D',    C = (1 + sum G' G)^-1,    d = -C sum G' e
+
+The filter of the states runs with the parameters of the fit: state x, covariance P, innovations e over their standard
+deviations. D and G are the derivatives of x and e by the parameters, along the principal directions of their covariance
+and in standard deviations. The sums are over the samples that the estimate uses: all if it is smoothed. They are
+divided by the excess of the score's variance, if the innovations are correlated because the model lacks something. The
+result is that of one filter with states and parameters, if the model is linear in the parameters, and if the parameters
+were estimated from other records. GNSS samples may be withheld to measure the effect of an outage
+(``seatrial.ident.navigation.outages``).
 """
 
 from __future__ import annotations
@@ -29,7 +34,7 @@ from seatrial.ident.estimation import (
     FilterResult,
     Likelihood,
     ParameterCovariance,
-    principal_directions,
+    principal_axes,
     smooth,
     smoothed_mean,
 )
@@ -41,6 +46,9 @@ Kind = Literal["smoothed", "filtered"]
 CURRENT = {"V_x": "drift_x", "V_y": "drift_y"}  # parameters of the current, and the states that replace them
 POSITION = ("x", "y")
 GNSS = {"x", "y", "vx", "vy", "speed"}  # outputs of a GNSS receiver
+LARGEST_INNOVATION = 3.0  # standard deviations; larger innovations count as if they had this distance
+NEAR = 0.5  # standard deviations of the fit; over this distance the states are linear in the parameters
+SCORE_BLOCK = 10.0  # s; blocks of the score's variance, longer than innovations are correlated
 CURRENT_SD = 0.5  # m/s, initial standard deviation of the current if its parameter has no prior
 
 
@@ -249,8 +257,7 @@ def navigate(
             f"{record.name}: the filter of model {model.name} diverges on this record; check that the model was fitted "
             "to this boat"
         )
-    x, P = _best_states(run, smoothed)
-    d_pred, d_best = _consider_covariance(likelihood, reduced, values, run, x, known, smoothed)
+    values, run, predicted, best = _with_estimated_parameters(likelihood, reduced, run, smoothed, known)
     kind: Kind = "smoothed" if smoothed else "filtered"
     at = [o.name for o in model.outputs].index(POSITION[0])
     return Navigation(
@@ -258,24 +265,23 @@ def navigate(
         record,
         values,
         kind,
-        Estimate(run.x_pred, run.P_pred + d_pred),
-        Estimate(x, P + d_best),
+        predicted,
+        best,
         run,
         np.isfinite(reduced.y[:, at]),
         withheld,
     )
 
 
-def _best_states(run: FilterResult, smoothed: bool) -> tuple[Array, Array]:
-    """Return means (n_rows, n_states) and covariances (n_rows, n_states, n_states) of the best estimate.
+def _best_states(run: FilterResult, smoothed: bool) -> Estimate:
+    """Return the best estimate: that of the smoother (given all samples) if ``smoothed``, else that of the filter.
 
-    They are those of the smoother (given all samples) if ``smoothed``, else those of the filter after the samples of
-    each row. The errors of the parameters are not included.
+    The estimate of the filter is that after the samples of each row. The errors of the parameters are not included.
     """
     if not smoothed:
-        return run.x_filt, run.P_filt
+        return Estimate(run.x_filt, run.P_filt)
     smoother = smooth(run)
-    return smoother.x, smoother.P
+    return Estimate(smoother.x, smoother.P)
 
 
 def _without_gnss_samples(
@@ -326,46 +332,155 @@ def _without_gnss_samples(
     return replace(record, y=y), in_outage & has_fix
 
 
-def _consider_covariance(
-    likelihood: Likelihood,
-    record: Record,
-    values: Array,
-    run: FilterResult,
-    x: Array,
-    known: ParameterCovariance | None,
-    smoothed: bool,
-) -> tuple[Array, Array]:
-    """Return what parameter errors add to the covariances of one-step prediction and best estimate.
+def _with_estimated_parameters(
+    likelihood: Likelihood, record: Record, run: FilterResult, smoothed: bool, known: ParameterCovariance | None
+) -> tuple[Array, FilterResult, Estimate, Estimate]:
+    """Estimate states and parameters along a record.
 
-    Both results (consider covariances) are (n_rows, n_states, n_states). The filter, and the smoother if ``smoothed``,
-    run again with parameters that are moved by 0.05 standard deviations to one side along each principal direction of
-    their covariance. The change of the states, scaled to one standard deviation, enters the covariance. A direction for
-    which the filter diverges is left out.
+    The filter, and the smoother if ``smoothed``, run again with parameters that are moved by 0.05 standard deviations
+    to one side along each principal axis of their covariance. The changes, scaled to one standard deviation, are the
+    derivatives of states and innovations. An axis for which the filter diverges is left out. If the parameters are
+    found to be further than half a standard deviation from where the derivatives were taken, all is repeated there.
 
     Parameters
     ----------
-    likelihood, record, values
-        Likelihood of the model, record, and parameter values (n_parameters,).
+    likelihood, record
+        Likelihood of the model, and record.
     run
-        Filter run at these values.
-    x
-        Best estimate (n_rows, n_states) at these values.
-    known
-        Covariance of the parameters; None: the result is zero.
+        Filter run with the parameters of the model.
     smoothed
         Whether the best estimate is that of the smoother.
+    known
+        Covariance of the parameters; None: the parameters are exact.
+
+    Returns
+    -------
+    values : Array (n_parameters,)
+        Parameters at which the derivatives were taken.
+    run : FilterResult
+        Filter run with these parameters.
+    predicted, best : Estimate
+        One-step prediction and best estimate.
     """
-    n = x.shape[1]
-    added = np.zeros((2, len(x), n, n))
-    for moved in principal_directions(likelihood.model, values, known):
-        moved_run = likelihood.filter(record, moved)
-        if not np.isfinite(moved_run.value):  # the filter diverges with these parameters
-            continue
-        moved_best = smoothed_mean(moved_run) if smoothed else moved_run.x_filt
-        for k, (a, b) in enumerate(((moved_run.x_pred, run.x_pred), (moved_best, x))):
-            d = _state_difference(likelihood.model, a, b) / PARAMETER_STEP
-            added[k] += d[:, :, None] * d[:, None, :]
-    return added[0], added[1]
+    model = likelihood.model
+    values = np.array([p.value for p in model.parameters])
+    axes = principal_axes(model, known)
+    n = len(axes.at)
+    centre = np.zeros(n)
+    while True:
+        predicted, best = Estimate(run.x_pred, run.P_pred), _best_states(run, smoothed)
+        sd = np.sqrt(run.S)
+        slopes = np.zeros((*run.eps.shape, n))
+        d_pred, d_best = np.zeros((2, *best.x.shape, n))
+        for j, unit in enumerate(np.eye(n)):
+            moved = likelihood.filter(record, axes.moved(values, centre + PARAMETER_STEP * unit))
+            if not np.isfinite(moved.value):  # the filter diverges with these parameters
+                continue
+            moved_best = smoothed_mean(moved) if smoothed else moved.x_filt
+            d_pred[:, :, j] = _state_difference(model, moved.x_pred, run.x_pred) / PARAMETER_STEP
+            d_best[:, :, j] = _state_difference(model, moved_best, best.x) / PARAMETER_STEP
+            slopes[:, :, j] = np.nan_to_num((moved.eps - run.eps) / sd) / PARAMETER_STEP
+        e = np.nan_to_num(run.eps / sd)
+        found = _parameter_filter(slopes, e, -centre)
+        # A model that lacks something has innovations that are correlated for seconds: they inform less.
+        root = np.sqrt(_excess_of_score_variance(record.t, slopes, e + slopes @ found.mean[-1]))
+        found = _parameter_filter(slopes / root, e / root, -centre)
+        ahead = centre + found.mean[-1]
+        if n == 0 or np.max(np.abs(ahead - centre)) < NEAR:
+            break
+        moved_run = likelihood.filter(record, axes.moved(values, ahead))
+        if not moved_run.value > run.value:
+            break
+        centre, run = ahead, moved_run
+    for_best = found.at(slice(-1, None)) if smoothed else found.at(slice(1, None))
+    return (
+        axes.moved(values, centre),
+        run,
+        found.at(slice(0, -1)).added_to(predicted, d_pred),
+        for_best.added_to(best, d_best),
+    )
+
+
+@dataclass(frozen=True)
+class _RowParameters:
+    """Errors of the parameters before each row, and after the last one, in standard deviations of the fit.
+
+    Attributes
+    ----------
+    mean : Array (n_rows, n_axes)
+        Means, from where the derivatives were taken; one row stands for all rows.
+    C : Array (n_rows, n_axes, n_axes)
+        Covariances.
+    """
+
+    mean: Array
+    C: Array
+
+    def at(self, rows: slice) -> _RowParameters:
+        """Return the errors of some rows."""
+        return _RowParameters(self.mean[rows], self.C[rows])
+
+    def added_to(self, estimate: Estimate, D: Array) -> Estimate:
+        """Return an estimate with these errors, by its derivatives ``D`` (n_rows, n_states, n_directions)."""
+        return Estimate(estimate.x + (D @ self.mean[:, :, None])[:, :, 0], estimate.P + D @ self.C @ D.swapaxes(1, 2))
+
+
+def _excess_of_score_variance(t: Array, G: Array, e: Array) -> float:
+    """Return by which factor the variance of the score exceeds the information of the innovations, at least 1.
+
+    The factor is 1 if the innovations are white. The variance is that of sums over blocks of 10 s, as in a sandwich
+    covariance (White 1982). Parameters that the innovations determine better than the fit count more.
+
+    Parameters
+    ----------
+    t : Array (n_rows,)
+        Times of the rows [s].
+    G : Array (n_rows, n_outputs, n_axes)
+        Derivatives of the innovations by the parameters, in standard deviations of both.
+    e : Array (n_rows, n_outputs)
+        Innovations with the estimated parameters, in their standard deviations.
+    """
+    if not G.shape[2]:
+        return 1.0
+    score = np.einsum("kij,ki->kj", G, np.clip(e, -LARGEST_INNOVATION, LARGEST_INNOVATION))
+    block = np.unique(t // SCORE_BLOCK, return_inverse=True)[1]
+    sums = np.zeros((block[-1] + 1, G.shape[2]))
+    np.add.at(sums, block, score)
+    information = np.einsum("kij,kil->jl", G, G)
+    weight = np.linalg.inv(np.eye(G.shape[2]) + information)
+    expected = np.trace(weight @ information)
+    return max(float(np.trace(weight @ (sums.T @ sums)) / expected), 1.0) if expected > 0.0 else 1.0
+
+
+def _parameter_filter(G: Array, e: Array, mean: Array) -> _RowParameters:
+    """Estimate the parameters from the innovations before each row, and from all.
+
+    Parameters
+    ----------
+    G : Array (n_rows, n_outputs, n_axes)
+        Derivatives of the innovations by the parameters, in standard deviations of both.
+    e : Array (n_rows, n_outputs)
+        Innovations in their standard deviations. A sample that is not measured has 0 here and in ``G``.
+    mean : Array (n_axes,)
+        Estimates of the fit, from where the derivatives were taken. Their covariance is the unit matrix.
+    """
+    n_rows, n_outputs, n = G.shape
+    C = np.eye(n)
+    found = _RowParameters(np.empty((n_rows + 1, n)), np.empty((n_rows + 1, n, n)))
+    found.mean[0], found.C[0] = mean, C
+    for k in range(n_rows):
+        for i in range(n_outputs):  # the innovations of a row are independent of each other
+            g = G[k, i]
+            Cg = C @ g
+            variance = 1.0 + g @ Cg
+            innovation = e[k, i] + g @ mean
+            # An outlier informs of the parameters no more than a sample at this distance (Huber).
+            distance = abs(innovation) / np.sqrt(variance)
+            gain = Cg / (variance * max(distance / LARGEST_INNOVATION, 1.0))
+            mean = mean - gain * innovation
+            C = C - np.outer(gain, Cg)
+        found.mean[k + 1], found.C[k + 1] = mean, C
+    return found
 
 
 def _state_difference(model: Model, a: Array, b: Array) -> Array:

@@ -9,6 +9,7 @@ import json
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +21,8 @@ from seatrial.ident.cli.commands import ident
 from seatrial.ident.data.record import LogSegment, Record, make_record
 from seatrial.ident.estimation.fitted_model import FittedModel, fit_nominal_model
 from seatrial.ident.estimation.parameter_covariance import ParameterCovariance
+from seatrial.ident.model.parameter import Parameter
+from seatrial.ident.model.structure import Input, Model, Output, Sensor, State, plain_model
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.navigation.navigator import Navigation, navigate, navigator
 from seatrial.ident.navigation.outages import circular_error, ellipse, gnss_outages
@@ -184,26 +187,58 @@ def test_model_without_a_current_is_unchanged() -> None:
     assert navigate(still, mission(1, 2)[0]).current() is None
 
 
-def test_effect_of_parameter_errors_equals_a_monte_carlo_result() -> None:
-    fitted = fit_to_mission(1)
-    rows = mission(1, 2)[0].part(0.0, 90.0)
-    gap = [(40.0, 70.0)]
-    model, covariance = fitted.fit.model, known(fitted)
-    assert covariance.covariance is not None
-    i, names = covariance.names.index("m_u"), ("m_u", "d_v")
-    # The errors are enlarged so that they matter.
-    sd = 10.0 * np.sqrt(np.diag(covariance.covariance))[[i, covariance.names.index("d_v")]]
-    wide = ParameterCovariance(names, np.diag(sd**2))
-    exact, sure = navigate(model, rows, without_gnss=gap), navigate(model, rows, without_gnss=gap, known=wide)
-    rng = np.random.default_rng(5)
-    drawn = []
-    for _ in range(30):
-        own = {n: model.values[n] * np.exp(s / model.values[n] * rng.normal()) for n, s in zip(names, sd, strict=True)}
-        drawn.append(navigate(model.with_values(own), rows, smoothed=False, without_gnss=gap).run.x_pred)
-    k = int(np.searchsorted(rows.t, 70.0)) - 1
-    added = np.diag(sure.predicted.P[k] - exact.predicted.P[k])[:2].sum()
-    assert added == pytest.approx(np.var(np.array(drawn)[:, k, :2], axis=0).sum(), rel=0.5)
-    assert added > 0.05 * np.diag(exact.predicted.P[k])[:2].sum()
+def test_uncertain_parameters_are_estimated_like_states() -> None:
+    """In a linear model, the two-stage filter equals a Kalman filter with the parameters among its states."""
+
+    def rates(x: Any, u: Any, p: Any) -> dict[str, Any]:
+        force = getattr(x, "error", 0.0) + p.force
+        return {"x": x.u, "y": 0.3 * x.u, "u": u.n + force, **({"error": 0.0} if hasattr(x, "error") else {})}
+
+    def model(*more: State) -> Model:
+        return plain_model(
+            "line",
+            f=rates,
+            h=lambda x, u, p: {"x": x.x, "y": x.y + 0.5 * x.u},
+            states=(State("x", "m", sd0=1.0), State("y", "m", sd0=1.0), State("u", "m/s", noise=0.05, sd0=0.4), *more),
+            inputs=(Input("n", "1", hold="linear"),),
+            sensors=(Sensor("position", (Output("x", "m", "e"), Output("y", "m", "e"))),),
+            parameters=(Parameter("force", 0.02), Parameter("e", 0.1, transform="log")),
+        )
+
+    rng, t, sd = np.random.default_rng(4), np.arange(0.0, 30.0, 0.2), 0.05
+    place = 0.5 * 0.08 * t**2
+    y = np.column_stack([place, 0.3 * place + 0.5 * 0.08 * t]) + 0.1 * rng.normal(size=(t.size, 2))
+    y[60:100] = np.nan
+    record = Record("run", t, *np.zeros((2, t.size, 1)), y, ("n",), ("x", "y"))
+    known, with_state = ParameterCovariance(("force",), np.array([[sd**2]])), model(State("error", "m/s2", sd0=sd))
+    for smoothed in (False, True):
+        two_stage = navigate(model(), record, smoothed=smoothed, known=known)
+        joint = navigate(with_state, record, smoothed=smoothed)
+        held = navigate(model(), record, smoothed=smoothed)
+        for found, wanted in ((two_stage.predicted, joint.predicted), (two_stage.best, joint.best)):
+            np.testing.assert_allclose(found.x, wanted.x[:, :3], rtol=1e-6, atol=1e-8)
+            np.testing.assert_allclose(found.P, wanted.P[:, :3, :3], rtol=1e-6, atol=1e-10)
+        assert np.abs(two_stage.best.x - held.best.x)[:, 2].max() > 0.02
+
+
+def test_wrong_parameters_are_corrected_within_their_errors() -> None:
+    fitted, (rows, truth) = fit_to_mission(1), mission(1, 2)
+    names = ("m_u", "d_u", "d_v")
+    sd = [0.3 * fitted.fit.model.values[n] for n in names]
+    wrong = fitted.fit.model.with_values({n: fitted.fit.model.values[n] + s for n, s in zip(names, sd, strict=True)})
+    wide = ParameterCovariance(names, np.diag(np.square(sd)))
+    errors = []
+    for known_errors in (None, wide):
+        done = navigate(wrong, rows, without_gnss=GAPS, known=known_errors)
+        place, P = done.position(done.predicted)
+        e = (place - truth_at(done, truth))[done.withheld]
+        errors.append(np.sqrt(np.mean(e**2)))
+    filtered_sd = navigate(wrong, rows, smoothed=False, without_gnss=GAPS, known=wide).best.sd
+    assert errors[1] < 0.3 * errors[0]
+    # The smoother has more samples than the filter.
+    assert (done.best.sd < filtered_sd + 1e-9).mean() > 0.99
+    d2 = np.einsum("ki,kij,kj->k", e, np.linalg.inv(P[done.withheld]), e)
+    assert np.mean(d2 < stats.chi2.ppf(0.95, 2)) > 0.6  # 4 % without the correction
 
 
 def test_circle_holds_95_percent() -> None:
