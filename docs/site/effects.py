@@ -65,6 +65,8 @@ def section(effect: Effect) -> list[str]:
         unit = f" [{p.unit}]" if p.unit else ""
         each = ", one value for each log" if p.per_record else ""
         lines.append(f"- `{p.name}`{unit}: {p.meaning}{each}")
+    if effect.causes:
+        lines.append(f"- Look for: {effect.causes}")
     lines.append(f"- Experiment: {effect.experiment}")
     if effect.alternatives:
         links = ", ".join(f"[{name}](#{name})" for name in effect.alternatives)

@@ -33,6 +33,7 @@ from seatrial.ident.experiment_design import reason_without_mission
 from seatrial.ident.model import Effect, EffectKind, Parameter
 from seatrial.ident.models import SENSOR_ERRORS, THRUST_LOSSES
 
+MOST_SIZES = 4  # sizes of an effect that a reason for ambiguity lists
 SIZE_IS_KNOWN = 1.96  # standard errors from zero, from which the 95 % interval of a size does not contain zero
 
 
@@ -250,11 +251,16 @@ def _undetermined_size_reasons(
     sizes = [i for i, p in of_effect.items() if p.value == 0.0 and fit.errors[i] > 0]
     if not sizes or (distance := _distance_from_zero(fit, sizes)) >= policy.min_significance:
         return []
-    name, value, error, unit = _reported_estimate(fit, of_effect[sizes[0]])
-    in_degrees = f" ({math.degrees(value):.2g} ± {math.degrees(error):.2g} deg)" if unit == "rad" else ""
-    known = distance >= SIZE_IS_KNOWN
-    why = f"its size is {distance:.1f} standard errors from zero" if known else "the data do not determine its size"
-    return [f"{why}: {name} = {value:.3g} ± {error:.2g} {unit}".rstrip() + in_degrees]
+    shown = []
+    for i in sizes[:MOST_SIZES]:
+        name, value, error, unit = _reported_estimate(fit, of_effect[i])
+        in_degrees = f" ({math.degrees(value):.2g} ± {math.degrees(error):.2g} deg)" if unit == "rad" else ""
+        shown.append(f"{name} = {value:.3g} ± {error:.2g} {unit}".rstrip() + in_degrees)
+    why = "the data do not determine its size"
+    if distance >= SIZE_IS_KNOWN:
+        size = "its size is" if len(sizes) == 1 else "its sizes together are"
+        why = f"{size} {distance:.1f} standard errors from zero (a sure name needs {policy.min_significance:g})"
+    return [f"{why}: {', '.join(shown)}"]
 
 
 def _reported_estimate(fit: Fit, p: Parameter) -> tuple[str, float, float, str]:

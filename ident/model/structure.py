@@ -375,6 +375,9 @@ class Effect:
         Physical origin: ``actuator``, ``hull``, ``environment``, ``sensor`` or ``bench``.
     formula, source, experiment : str
         Equation, literature, and the experiment that identifies the effect.
+    causes : str
+        What to look for on the craft and around it: parts or conditions that have this effect, separated by commas.
+        Empty if the title says it.
     requires : tuple[str, ...]
         Signals that the model must provide, for example ``f`` (thrust by thruster).
     one_sided : bool
@@ -417,6 +420,7 @@ class Effect:
     formula: str = ""
     source: str = ""
     experiment: str = ""
+    causes: str = ""
     requires: tuple[str, ...] = ()
     one_sided: bool = False
     alternatives: tuple[str, ...] = ()

@@ -48,6 +48,7 @@ from seatrial.ident.results import (
     Result,
     ThrusterResult,
     VehicleResult,
+    causes_sentence,
     name_probabilities,
 )
 
@@ -460,6 +461,8 @@ def print_result(result: Result, console: Console) -> None:
         print_prose(console, Text(names))
     if isinstance(result, DiagnosisResult) and result.caveat:
         print_prose(console, Text(result.caveat, style="yellow"))
+    if isinstance(result, DiagnosisResult) and (causes := causes_sentence(result.effects)):
+        print_prose(console, Text(causes))
     table: Table | None = None
     for table in _all_tables(result):
         if table is not None:

@@ -132,6 +132,7 @@ from .result_file import AnyResult as AnyResult
 from .result_file import read_result as read_result
 from .result_file import to_json as to_json
 from .result_file import write_result as write_result
+from .tables import causes_sentence as causes_sentence
 from .tables import error_rows as error_rows
 from .tables import finite as finite
 from .tables import format_number as format_number

@@ -201,7 +201,7 @@ def _fit_sentence(prediction: PredictionFit, errors: Errors, horizon: float) -> 
         interval = " (without a useful 95 % interval)"
         cause = (
             f" {_percent(largest.share)} of the squared errors are from {largest.begin:.0f} to {largest.end:.0f} s of "
-            f"{largest.record}; look there for outliers, gaps, or a motion that the other logs lack."
+            f"{largest.record}; look there for outliers, gaps, or a motion that the other logs lack (a higher speed)."
         )
     ends = [f"{_percent(each[n])} ({NAMES.get(n, n)})" for n in sorted(each, key=lambda n: -each[n])]
     span = f" Best channel: {ends[0]}; worst: {ends[-1]}." if len(ends) > 1 else ""

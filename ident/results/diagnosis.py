@@ -639,6 +639,7 @@ def _effect_rows(diagnosis: Diagnosis, role: parts.Role) -> tuple[parts.EffectRo
                 source=e.source,
                 place=e.place,
                 experiment=e.experiment,
+                causes=e.causes,
                 alternatives=tuple(
                     parts.Alternative(
                         name=q.effect.name, title=q.effect.title, criterion_behind=r.criterion - q.criterion

@@ -1129,6 +1129,7 @@ class EffectRow(Part, frozen=True, kw_only=True):
     source: Annotated[str, Meta(description="literature")]
     place: Annotated[str, Meta(description="part of the model that the effect acts on")]
     experiment: Annotated[str, Meta(description="experiment that shows the effect")]
+    causes: Annotated[str, Meta(description="what to look for on the craft and around it")] = ""
     alternatives: Annotated[tuple[Alternative, ...], Meta(description="competing models")]
     attribution: Annotated[
         Literal["identified", "ambiguous", "nonparametric"],

@@ -861,3 +861,12 @@ def name_probabilities(effects: Sequence[EffectRow]) -> str:
         f"Names of the effects: {names}. On simulated boats with known effects, {' and '.join(right)} were right; this "
         "is no probability for your boat."
     )
+
+
+def causes_sentence(effects: Sequence[EffectRow]) -> str:
+    """Return a sentence with what to look for on the craft and around it, by effect.
+
+    The text is empty if the catalogue has no such text for any of the effects.
+    """
+    known = [f"{e.title}: {e.causes}" for e in effects if e.causes]
+    return f"Look for the cause of {'; of '.join(known)}." if known else ""

@@ -37,6 +37,7 @@ EFFECT = Effect(
     scan={"T_creep": (20.0, 60.0, 300.0)},
     formula="F_measured = F + F_creep (1 - exp(-t / T_creep))",
     source="creep and warm-up of strain gauges, OIML R 60",
+    causes="a load cell that warms up, an amplifier without temperature compensation",
     experiment="the unloaded cell logged for an hour from switching on; a tare before and after every run",
     requires=("bench", "thrust"),
     alternatives=("recirculation",),

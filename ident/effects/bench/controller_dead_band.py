@@ -32,6 +32,7 @@ EFFECT = Effect(
     ),
     formula="n_ref = sgn(c) max(|c| - b_cmd, 0) / (1 - b_cmd)",
     source="speed controllers of model aircraft: the throttle range begins beyond the dead band around neutral",
+    causes="a dead band around neutral in the settings of the speed controller",
     experiment="slow ramps of the command of both signs through zero, and many steady levels",
     requires=("bench",),
     one_sided=True,

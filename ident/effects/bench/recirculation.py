@@ -51,6 +51,7 @@ EFFECT = Effect(
     scan={"T_wash": (1.5, 3.0, 6.0, 12.0, 25.0)},
     formula="T w' = n^2 - w, f *= 1 - k w",
     source="bollard tests in basins: ITTC 7.5-02-03-02.1 requires a basin in which the jet does not return",
+    causes="a basin that is too small for the jet",
     experiment="full speed held for a minute, then the same step after five minutes of rest",
     requires=("bench", "thrust"),
     one_sided=True,

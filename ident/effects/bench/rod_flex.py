@@ -61,6 +61,7 @@ EFFECT = Effect(
     scan={"f_rod": (1.8, 2.4, 3.2, 4.2, 5.2, 6.4, 7.8, 9.5, 12.0, 15.0)},
     formula="z'' + 2 zeta w z' + w^2 z = w^2 f, F -> F + g (z - F)",
     source="a mass on a cantilever; a hammer test of the rod shows the frequency",
+    causes="a rod or frame of the bench that bends",
     experiment="steps between zero and half speed with the cell at 80 Hz or more; a tap on the rod at rest",
     requires=("bench", "thrust"),
     one_sided=True,

@@ -41,6 +41,7 @@ EFFECT = Effect(
     scan={"n_slew": (0.15, 0.3, 0.5, 0.8, 1.2, 1.8, 2.5, 3.5)},
     formula="n' = w / (1 + (w / S)^8)^(1/8), w = a (n_ref - n)",
     source="current limits and ramps of speed controllers",
+    causes="a ramp or a current limit of the speed controller",
     experiment="steps of many sizes from rest: with a limit, larger steps take longer to rise",
     requires=("bench",),
     one_sided=True,

@@ -40,6 +40,7 @@ EFFECT = Effect(
     scan={"n_top": (0.3, 0.45, 0.6, 0.75, 0.85)},
     formula="n_ref -> n_ref / (1 + (n_ref / n_top)^32)^(1/32)",
     source="governors, power limits and end points of speed controllers",
+    causes="end points, a governor or a current limit of the speed controller",
     experiment="steady commands in small steps up to the highest",
     requires=("bench",),
     one_sided=True,

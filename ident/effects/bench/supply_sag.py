@@ -42,6 +42,7 @@ EFFECT = Effect(
     states=(State("used", "", "work done, relative to that of 30 s at full power", 0.0, sd0=1e-4),),
     formula="n_ref *= 1 - k E, E' = |n|^3 / 30 s",
     source="open-loop speed control on a sagging supply; vendors' tables of shaft speed against voltage",
+    causes="a supply whose voltage falls with load",
     experiment="the same steps at the start and at the end of a long run, with the voltage logged",
     requires=("bench",),
     one_sided=True,

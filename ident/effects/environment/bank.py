@@ -38,6 +38,7 @@ EFFECT = Effect(
     formula="Y += (Y_bank + Y_slope d) u^2 sin(psi_bank - psi), N -= (N_bank + N_slope d) u^2 sin(psi_bank - psi), "
     "d = x cos(psi_bank) + y sin(psi_bank)",
     source="bank suction and bow-out moment: Norrbin 1974; Vantorre, Delefortrie and Eloot 2003",
+    causes="a shore, a wall or a pontoon beside the track",
     experiment="straight runs in both directions along the bank, near to it and far from it",
     requires=("hull",),
     fixed_point=True,

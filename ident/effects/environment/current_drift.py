@@ -46,6 +46,7 @@ EFFECT = Effect(
     inputs=(Input("t", "s", "linear"),),
     formula="V(t) = V + V_d (t / 600 s - 1/2)",
     source="tide and eddies; Fossen 2011, section 8.3",
+    causes="a tide, an eddy, a current that changes in time",
     experiment="drifting without thrust at the start, in the middle and at the end",
     requires=("plane",),
     alternatives=("wind", "battery-sag", "tether"),

@@ -36,6 +36,7 @@ EFFECT = Effect(
     ),
     formula="V(x, y) = V + (V_xx x + V_xy y, V_yx x + V_yy y)",
     source="shear of a current near a shore or a jetty, to first order in the distance",
+    causes="a current that is weaker near a shore or a jetty",
     experiment="drifting without thrust at places that are far apart",
     requires=("plane",),
     alternatives=("current-drift", "wind", "tether", "bank"),

@@ -29,6 +29,7 @@ EFFECT = Effect(
     ),
     formula="N += N_s sin psi + N_c cos psi + N_2s sin 2psi + N_2c cos 2psi",
     source="wind and waves on an asymmetric hull; Fossen 2011, section 8.2",
+    causes="wind or waves from one side on a hull or a superstructure that is not symmetric",
     experiment="slow turns through all headings, in both directions",
     requires=("hull",),
     nonparametric_of=ForceCurve("N", "psi"),

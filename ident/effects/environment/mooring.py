@@ -45,6 +45,7 @@ EFFECT = Effect(
     ),
     formula="F = -k (1 - l / d) (p - a) beyond d = |p - a| = l, the fixed point a at (F_mx, F_my) / k",
     source="a mooring line or an umbilical as a spring, Faltinsen 1990, chapter 8",
+    causes="a line or an umbilical that is made fast",
     experiment="runs away from the fixed point in several directions, slack and taut",
     requires=("hull",),
     one_sided=True,

@@ -26,6 +26,7 @@ EFFECT = Effect(
     ),
     formula="X -= (d_north x + d_east y) u|u|",
     source="resistance in shallow water: Lackenby 1963, to first order in the distance",
+    causes="a part of the area that is shallow",
     experiment="straight runs at one level of thrust over the shoal and beside it",
     requires=("hull",),
     fixed_point=True,

@@ -28,6 +28,7 @@ EFFECT = Effect(
     ),
     formula="(X, Y) += R(psi)' (F_north, F_east)",
     source="a line that is much longer than the track; the steady part of wind and waves, Fossen 2011, chapter 8",
+    causes="wind, a line from the boat to a fixed point",
     experiment="drifting without thrust on several headings, and straight runs on opposite headings",
     requires=("hull",),
     alternatives=("wind", "mooring", "steady-force"),

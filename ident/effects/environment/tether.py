@@ -53,6 +53,7 @@ EFFECT = Effect(
     scan={f"{axis}_tether": (-30.0, -12.0, 0.0, 12.0, 30.0) for axis in "xy"},
     formula="F -= k d |V| V, d the distance from the fixed end, V the velocity over ground",
     source="Faltinsen 1990, chapter 8: drag of a cable that is towed in the direction of its length d",
+    causes="a long cable that the boat drags along",
     experiment="the same runs near the fixed end of the tether and far from it, outbound and inbound",
     requires=("hull",),
     one_sided=True,

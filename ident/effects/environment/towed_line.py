@@ -81,6 +81,7 @@ EFFECT = Effect(
     formula="F = -k V^2 e at x_line; V = max(w e, 0) if |d| = l, else 0; d' = w - V e the vector from the end of the "
     "line to the tow point, e = d / |d|, w the velocity of the tow point through the water",
     source="quasi-steady towing of a short line, whose end is drawn through the water; Faltinsen 1990, chapter 8",
+    causes="a line, an umbilical or a sensor that the boat tows",
     experiment="zigzags and turns at several speeds, with and without the line",
     requires=("hull",),
     one_sided=True,

@@ -79,6 +79,7 @@ EFFECT = Effect(
     ),
     formula="F += A sqrt(4 zeta w) z, z'' + 2 zeta w z' + w^2 z = w e(t), e white; F each of X, Y, N",
     source="Fossen 2011, section 8.2: linear approximation of the wave spectrum",
+    causes="waves or wakes",
     experiment="drifting without thrust in beam seas and head seas: the spectral peak remains at zero inputs",
     requires=("hull",),
     one_sided=True,

@@ -63,6 +63,7 @@ EFFECT = Effect(
     scan={"w_n": (-0.4, -0.15, -0.05, 0.0, 0.05, 0.15, 0.4)},
     formula="X += w_x k |V_rel| V_along, Y += k |V_rel| V_across, N += k V_across (w_n |V_rel| + w_nn V_along)",
     source="Isherwood 1972; Blendermann 1994; Fossen 2011, section 8.1",
+    causes="wind on hull, superstructure and payload",
     experiment="drifting without thrust on several headings, and straight runs on opposite headings",
     requires=("hull",),
     alternatives=("steady-pull", "steady-force", "current-drift", "heading-moment", "mount"),

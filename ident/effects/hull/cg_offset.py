@@ -37,6 +37,7 @@ EFFECT = Effect(
     formula="a (v' + u r) - b (u' - v r) in yaw, a r' - b r^2 in sway, -a r^2 - b r' in surge; "
     "a = m_u x_g, b = m_u y_g",
     source="Fossen 2011, section 3.3",
+    causes="a battery or ballast that is not where the drawing has it",
     experiment="turns at several speeds; turning on the spot; steps of equal thrust from rest",
     requires=("hull",),
     alternatives=("sway-yaw", "turning-resistance", "lever-arm", "mismatch"),

@@ -22,6 +22,7 @@ EFFECT = Effect(
     parameters=(Parameter("f_C", 0.0, "N", "Coulomb friction force", prior=(0.0, 10.0), bounds=(0.0, INF), step=0.5),),
     formula="X -= f_C tanh(u / 0.05)",
     source="towed weed or line; smoothed Coulomb friction",
+    causes="weed or a line that drags, a shaft that rubs",
     experiment="slow runs forward and in reverse, and coasting to rest",
     requires=("hull",),
     one_sided=True,

@@ -34,6 +34,7 @@ EFFECT = Effect(
     inputs=(Input("t", "s", "linear"),),
     formula="d_u (1 + g), d_uu (1 + g); g = g_before + g_rate t",
     source="growth of resistance with time: Fossen 2011, section 6.4 (friction); see also the effect tether",
+    causes="weed that collects, a cover that comes loose",
     experiment="the same straight run at the start and at the end of a trial; look at hull and propellers after it",
     requires=("hull",),
     alternatives=("leak", "battery-sag", "tether", "current-drift"),

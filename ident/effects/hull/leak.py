@@ -36,6 +36,7 @@ EFFECT = Effect(
     inputs=(Input("t", "s", "linear"),),
     formula="m_u + w m_u, m_v + w m_u, m_r (1 + w); w = w_before + w_rate t",
     source="added water as payload: Fossen 2011, section 3.3",
+    causes="water in the hull, foam or a payload that soaks it up",
     experiment="the same run at the start and at the end of a trial; weigh the boat after it",
     requires=("hull",),
     alternatives=("growing-drag", "battery-sag", "payload-shift"),

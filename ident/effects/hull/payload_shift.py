@@ -47,6 +47,7 @@ EFFECT = Effect(
     scan={"t_shift": (30.0, 60.0, 90.0, 120.0, 160.0, 210.0, 280.0)},
     formula="x_g = x_before + x_shift (t > t_shift), and y_g likewise; the motion as for cg-offset",
     source="change of the mass matrix: Fossen 2011, section 3.3",
+    causes="a payload, a battery or ballast that moved",
     experiment="the same run with the payload lashed down",
     requires=("hull",),
     nests=("cg-offset",),

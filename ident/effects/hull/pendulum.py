@@ -96,6 +96,7 @@ def _moving_mass_effect(name: str, title: str, force: str, of: str, alternatives
         scan={f"f_{of}": FREQUENCIES_HZ},
         formula=f"z'' + 2 zeta w z' + w^2 z = -a_{axis}, {force} += m_p (a_{axis} + 2 zeta w z' + w^2 z)",
         source="thesis section 6 names sloshing; Ibrahim 2005, equivalent mechanical models",
+        causes="liquid in a tank or in the bilge, a payload that hangs",
         experiment=f"chirp of {chirp} thrust through 0.2 to 1.5 Hz",
         requires=("hull",),
         one_sided=True,

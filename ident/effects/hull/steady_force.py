@@ -20,6 +20,7 @@ EFFECT = Effect(
     ),
     formula="X += X_0, Y += Y_0",
     source="a thruster that turns at zero command, a jet of cooling water, an asymmetric hull",
+    causes="a jet of cooling water, a thruster that turns at zero command",
     experiment="drifting without thrust on several headings",
     requires=("hull",),
     alternatives=("steady-pull", "coulomb", "reverse-thrust", "mount"),

@@ -20,6 +20,7 @@ EFFECT = Effect(
     ),
     formula="N += N_0 + N_uu u|u|",
     source="an asymmetric or fouled hull, a bent keel, a trailing line",
+    causes="a bent skeg, keel or rudder, growth on one side, a line that trails on one side",
     experiment="coasting without thrust, and runs on opposite headings",
     requires=("hull",),
     alternatives=("mismatch", "heading-moment", "sway-yaw"),

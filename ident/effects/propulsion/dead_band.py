@@ -30,6 +30,7 @@ EFFECT = Effect(
     ),
     formula="n_eff = sgn(n) max(|n| - n_dead, 0)",
     source="ESC data; propellers at low Reynolds number",
+    causes="speed controllers or propellers that start late",
     experiment="small steps of both signs around zero",
     requires=("n", "f"),
     one_sided=True,

@@ -51,6 +51,7 @@ EFFECT = Effect(
     ),
     formula="f_L *= 1 + eps, f_R *= 1 - eps",
     source="propeller wear, fouling, ESC end points",
+    causes="a fouled or damaged propeller, a propeller of another pitch, end points of one speed controller",
     experiment="equal commands in forward and reverse, at several levels: the yaw rate follows the thrust",
     requires=("f", "hull"),
     alternatives=("yaw-bias", "sway-yaw"),

@@ -32,6 +32,7 @@ EFFECT = Effect(
     scan={"x_walk": (-0.9, -0.5, -0.1)},
     formula="Y += k_ahead (f > 0) + k_astern (f < 0), N += x_walk Y, f the sum over the propellers",
     source="transverse thrust of propellers: Carlton 2018, Marine Propellers and Propulsion",
+    causes="propellers that turn in the same direction, a propeller near the surface or the hull",
     experiment="equal commands from rest, ahead and then astern, at several levels",
     requires=("f", "hull"),
     alternatives=("thrust-angle", "mismatch", "yaw-bias", "cg-offset"),

@@ -19,6 +19,7 @@ EFFECT = Effect(
     parameters=(Parameter("rho_rev", 0.0, "", "relative loss of reverse thrust", prior=(0.0, 0.4), step=0.05),),
     formula="f_i *= 1 - rho_rev for n_i < 0",
     source="four-quadrant open-water data; the hull in the slipstream of a reversed thruster",
+    causes="propellers that are weaker astern than the given curve, thrusters that blow against the hull",
     experiment="reverse steps of several levels, and turning on the spot",
     requires=("n", "f"),
     alternatives=("dead-band", "mismatch", "thruster-interaction"),

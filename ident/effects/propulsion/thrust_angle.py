@@ -51,6 +51,7 @@ EFFECT = Effect(
     scan={"x_delta": (-0.9, -0.5, -0.1)},
     formula="Y += delta_L f_L + delta_R f_R, N += x_delta (delta_L f_L + delta_R f_R)",
     source="thrust allocation of fixed thrusters at an angle: Fossen 2011, section 12.3",
+    causes="thrusters that are turned on their mounts or not parallel to the hull",
     experiment="each thruster alone, ahead and astern; steps of equal thrust: the boat moves sideways",
     requires=("f", "hull"),
     alternatives=("propeller-walk", "mismatch", "yaw-bias", "cg-offset"),

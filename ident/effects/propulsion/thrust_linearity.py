@@ -26,6 +26,7 @@ EFFECT = Effect(
     ),
     formula="f_i = c1 ((1 - lambda_n) n_i |n_i| + lambda_n n_i) + c2 n_i^2",
     source="ArduPilot's MOT_THST_EXPO, whose exponent is 1 - lambda_n; jets; controllers that are linearised in thrust",
+    causes="an autopilot or speed controller that linearises thrust (MOT_THST_EXPO)",
     experiment="many levels of steady command, with long levels below a third of full forward",
     requires=("n", "f"),
     alternatives=("thrust-power", "dead-band", "reverse-thrust", "advance-ratio"),

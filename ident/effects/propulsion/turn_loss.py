@@ -60,6 +60,7 @@ def _loss_effect(
         parameters=(parameter,),
         formula=f"f_i /= 1 + {parameter.name} |{variable}|",
         source="propellers in oblique inflow and ventilation, Carlton 2018, chapters 6 and 11",
+        causes="propellers that draw air in turns, the hull in front of a propeller",
         experiment="straight runs and turning circles of several radii at the same shaft speeds",
         requires=requires,
         one_sided=True,

@@ -26,6 +26,7 @@ EFFECT = Effect(
     ),
     formula="a_x += g k_pitch X, a_y += g k_roll u r",
     source="IEEE Std 1293; metacentric stability",
+    causes="an inertial sensor that is not level, a hull that trims or heels with speed and turns",
     experiment="forward and reverse steps on a straight line, then turns at speed",
     requires=("hull",),
     alternatives=("accelerometer-scale", "cg-offset"),

@@ -58,6 +58,7 @@ EFFECT = Effect(
     ),
     formula="psi_measured = psi + dev_s sin psi + dev_c cos psi + dev_2s sin 2psi + dev_2c cos 2psi",
     source="compass adjusters' coefficients B to E, their sign reversed; Bowditch, chapter 6",
+    causes="iron or magnets near the compass, a calibration that was made outside the boat",
     experiment="swinging the compass: slow turns through all headings, in both directions",
     requires=("hull",),
     alternatives=("mount", "gyro-scale", "wind", "compass-filtered"),

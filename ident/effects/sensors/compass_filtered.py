@@ -70,6 +70,7 @@ EFFECT = Effect(
     formula="psi_measured = psi + delta, T delta' = dev_f1s sin psi + dev_f1c cos psi + dev_f2s sin 2psi "
     "+ dev_f2c cos 2psi - delta; (u, v) rotated by delta",
     source="compass adjusters' coefficients B to E behind a complementary filter (Mahony, Hamel and Pflimlin 2008)",
+    causes="iron or magnets near the compass, a calibration that was made outside the boat",
     experiment="swinging the compass: slow turns through all headings, in both directions, and the same fast",
     requires=("hull",),
     scan={"T_head": (1.0, 3.0, 8.0)},

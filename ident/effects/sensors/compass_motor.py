@@ -66,6 +66,7 @@ EFFECT = Effect(
     formula="psi_measured = psi + delta, T delta' = sum|n_i| (dev_ms sin psi + dev_mc cos psi) - delta; "
     "(u, v) rotated by delta",
     source="ArduPilot manual, compass/motor interference compensation; Bowditch, chapter 6",
+    causes="cables of the motors or of the battery near the compass",
     experiment="full forward and full reverse on four constant headings, under way and moored",
     requires=("n", "f", "hull"),
     scan={"T_dev": (3.0, 8.0, 20.0)},

@@ -129,6 +129,7 @@ COMMON: dict[str, Any] = {
     "place": "sensor",
     "formula": "p_measured(t) = p(t - tau), v_measured(t) = v(t - tau), expanded in their derivatives",
     "source": "Groves 2013, section 10.5",
+    "causes": "a receiver or its filter, the rate of its messages",
     "experiment": "fast straight runs with hard stops, and turns at speed",
     "one_sided": True,
     "alternatives": ("lever-arm", "delay"),

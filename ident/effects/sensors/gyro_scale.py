@@ -18,6 +18,7 @@ EFFECT = Effect(
     parameters=(Parameter("k_gyro", 0.0, "", "relative scale-factor error of the gyro", prior=(0.0, 0.1), step=0.005),),
     formula="r_measured = (1 + k) r",
     source="IEEE Std 1293",
+    causes="a gyro without a calibrated scale, a wrong unit in the import map",
     experiment="several full turns in one direction, then as many in the other",
     requires=("hull",),
     alternatives=("compass",),

@@ -34,6 +34,7 @@ HEIGHT = Parameter("l_z", 0.0, "m", "antenna below the origin", prior=(0.0, 1.0)
 COMMON: dict[str, Any] = {
     "place": "sensor",
     "source": "Groves 2013, section 2.5",
+    "causes": "the position of the antenna in the rig file or import map, an antenna that was moved",
     "alternatives": ("gnss-latency", "cg-offset"),
 }
 EFFECTS = (

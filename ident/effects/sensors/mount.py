@@ -58,6 +58,7 @@ TILT = tuple(
 COMMON: dict[str, Any] = {
     "place": "sensor",
     "source": "boresight alignment, Groves 2013, section 5.6",
+    "causes": "an AHRS that is turned on its mount, magnetic in place of true north",
     "alternatives": ("compass", "wind"),
 }
 EFFECTS = (

@@ -142,6 +142,7 @@ def effect_card(effect: EffectRow, horizon: float) -> EffectCard:
     facts = (
         ("In words", effect.in_words),
         ("Acts on", effect.place),
+        ("Look for", effect.causes),
         ("Source", effect.source),
         ("Shown by", effect.experiment),
         ("Competing models, Δ BIC", ", ".join(alternatives)),

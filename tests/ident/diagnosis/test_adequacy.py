@@ -408,7 +408,7 @@ HUMP = (Parameter("A", 0.0, "N", "height of the hump"), Parameter("w", 0.2, "m/s
         (-6.0, 0.13, (), None),
         (6.0, 1.0, (("w", AT_BOUND),), "its parameter w (its width) is at its bound, 1 m/s"),
         (6.0, 0.13, (("d_u", AT_BOUND), ("w", "half of its information comes from its prior")), None),
-        (-3.1, 0.37, (), "its size is 3.1 standard errors from zero: A = -3.1 ± 1 N"),
+        (-3.1, 0.37, (), "its size is 3.1 standard errors from zero (a sure name needs 4): A = -3.1 ± 1 N"),
     ],
 )
 def test_effect_whose_parameters_are_at_bounds_or_undetermined_is_ambiguous(
@@ -428,7 +428,7 @@ def test_caveat_has_no_newtons_if_the_thrust_is_unknown() -> None:
     fit = a_fit(["A"], [0.1 * thrust], np.array([[(0.05 * thrust) ** 2]]), model)
     fit.parameters = (SimpleNamespace(name="A", unit="N", segment=None),)
     (found,) = attributions_of(one_round(refit("hump", 800.0, fit=fit, parameters=(free,))))
-    assert found.reasons == ("its size is 2.0 standard errors from zero: A/T = 0.1 ± 0.05",)
+    assert found.reasons == ("its size is 2.0 standard errors from zero (a sure name needs 4): A/T = 0.1 ± 0.05",)
     fit.flags = (("A", AT_BOUND),)
     (found,) = attributions_of(one_round(refit("hump", 800.0, fit=fit, parameters=(free,))))
     assert found.reasons == ("its parameter A/T (height of the hump) is at its bound, 0.1",)
@@ -455,6 +455,16 @@ def test_sizes_of_an_effect_are_tested_jointly(
     assert found.attribution == attribution
 
 
+def test_reason_has_all_sizes_that_it_judges() -> None:
+    fit = a_fit(("F_x", "F_y"), (2.0, 2.5), np.eye(2))
+    both = (Parameter("F_x", 0.0, "N"), Parameter("F_y", 0.0, "N"))
+    (found,) = attributions_of(one_round(refit("wind", 800.0, fit=fit, parameters=both)))
+    (reason,) = found.reasons
+    assert reason == (
+        "its sizes together are 3.2 standard errors from zero (a sure name needs 4): F_x = 2 ± 1 N, F_y = 2.5 ± 1 N"
+    )
+
+
 def test_no_size_is_tested_beside_the_curve_that_contains_the_effect() -> None:
     """Only the sum of the effect and the curve is determined."""
     fit = a_fit(("N_s",), (0.1,), np.eye(1))
@@ -476,7 +486,7 @@ def test_size_of_a_per_record_parameter_is_tested_like_a_common_parameter() -> N
         fitted = cast(Any, SimpleNamespace(fit=fit, **vars(records)))
         (found,) = attributions_of(one_round(replace(drifting, fitted=fitted)))
         assert found.attribution == attribution
-    assert found.reasons == ("the data do not determine its size: V_dx@0 = 0.5 ± 1 m/s^2",)
+    assert found.reasons == ("the data do not determine its size: V_dx@0 = 0.5 ± 1 m/s^2, V_dx@1 = 0.1 ± 1 m/s^2",)
 
 
 def test_attribution_uses_the_estimates_of_the_final_model() -> None:

@@ -300,6 +300,10 @@ def test_terminal_shows_the_probability_of_a_name_and_what_sorts_the_candidates(
         "99 % of the names that were identified were right; this is no probability for your boat."
     )
     assert text.index("72 % of the error on new data.") < text.index(name) < text.index("Parameters")
+    assert "Look for" not in text
+    result["effects"][0]["causes"] = "a worn propeller"
+    causes = "Look for the cause of loss of thrust with forward speed: a worn propeller."
+    assert causes in " ".join(printed(result).split())
     assert "best by score/df" in text
     wide = next(c for c in result["rounds"][0]["candidates"] if c["df"] == 6)
     row = next(line for line in printed(result).splitlines() if "surge force over surge" in line)
