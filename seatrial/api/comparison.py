@@ -14,7 +14,7 @@ from seatrial.api import tables
 from seatrial.api.arguments import as_path, check_above_zero, check_rate, named_arguments, output_folder
 from seatrial.api.figures import Figure
 from seatrial.api.fits import FittedResult, Logs, model_path, python_call, refuse_log, window_of
-from seatrial.api.logs import PathLike, as_paths
+from seatrial.api.logs import Log, PathLike, as_paths
 from seatrial.api.messages import Messages, errors_of_users, text_of, warn_of_result
 from seatrial.api.series import ByRecord, ComparedPredictions, Prediction
 from seatrial.api.shown import Content, Shown, number
@@ -309,7 +309,7 @@ def _models_and_logs(models: Any, others: Sequence[Any], logs: Logs | None) -> t
     SeatrialError
         If there are no logs, or if a list of models is followed by more than the logs.
     """
-    several = isinstance(models, Mapping | Sequence) and not isinstance(models, str | bytes)
+    several = isinstance(models, Mapping | Sequence) and not isinstance(models, str | bytes | Log)
     rest = list(others)
     if logs is None:
         if not rest:

@@ -15,7 +15,7 @@ from seatrial.api import tables
 from seatrial.api.arguments import as_path, named_arguments, shortened
 from seatrial.api.findings import DiagnosisFindings
 from seatrial.api.fits import FittedResult, MotionMethods, known_options, model_path, unknown_attribute
-from seatrial.api.logs import PathLike
+from seatrial.api.logs import Log, PathLike
 from seatrial.api.messages import errors_of_users, text_of
 from seatrial.api.plots import comparison_figure, prediction_figure
 from seatrial.api.series import Series, Simulation
@@ -555,7 +555,7 @@ def _checked_inputs(
     known = list(dict.fromkeys(i.tap_of or i.name for i in structure.inputs))
     needed = [n for n in known if n not in (TIME_INPUT, WORK_INPUT)]  # those are computed
     form = "{" + ", ".join(f"{n!r}: 0.5 + 0 * t" for n in needed) + "}"
-    if not hasattr(inputs, "items"):
+    if not hasattr(inputs, "items") or isinstance(inputs, Log):
         raise SeatrialError(f"inputs: give a dict with the values of each input by name, such as {form}")
     named = {str(name): np.asarray(values, dtype=float) for name, values in inputs.items()}
     for name, values in named.items():

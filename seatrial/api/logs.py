@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -67,8 +67,8 @@ class Signal:
 
 
 @dataclass(frozen=True, repr=False)
-class Log(Shown):
-    """Log, or a window of it, with the signals that models use.
+class Log(Shown, Mapping[str, Signal]):
+    """Log, or a window of it, with the signals that models use. It is a mapping of its signals by name.
 
     Attributes
     ----------
@@ -97,10 +97,23 @@ class Log(Shown):
         if name not in self.signals:
             from seatrial.daq.importers.recognise import read_name  # imported here, as only this error needs it
 
-            near = closest_name(ALIASES.get(name) or read_name(name).meaning or name, self.signals)
+            text = str(name)  # a number is no name, but may be given by mistake
+            near = closest_name(ALIASES.get(text) or read_name(text).meaning or text, self.signals)
             hint = f"did you mean {near!r}? It" if near else "it"
             raise KeyError(f"{self.path.name} has no signal {name!r}; {hint} has {', '.join(self.signals)}")
         return self.signals[name]
+
+    def __iter__(self) -> Iterator[str]:
+        """Return an iterator over the names of the signals."""
+        return iter(self.signals)
+
+    def __len__(self) -> int:
+        """Return the number of signals."""
+        return len(self.signals)
+
+    def __contains__(self, name: object) -> bool:
+        """Return whether the log has a signal of this name."""
+        return name in self.signals
 
     def _content(self) -> Content:
         """Return name and duration of the log, and a table of its signals."""

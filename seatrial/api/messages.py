@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 ARGUMENTS = {
     "--fix": "fixed", "--prior": "priors", "--initial": "initial", "--effect": "effects", "--effects": "effects_file",
     "--per-log": "per_log", "--validate": "validate", "--max-effects": "max_effects", "--exclude": "exclude",
-    "--model": "model", "--horizon": "horizon",
+    "--model": "model", "--horizon": "horizon", "--gnss-outage": "gnss_outages",
     "--thruster": "thruster", "--robust": "outlier_model", "--profile": "profiles", "--settle": "settle",
     "--force": "force=True", "--despite-faults": "despite_faults=True", "--no-reml": "reml=False",
     "--second-order": "mean_order=2", "--no-second-order": "mean_order=1", "--no-score-tests": "score_tests=False",

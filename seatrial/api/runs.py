@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.api import tables
-from seatrial.api.arguments import as_path, check_number, check_rate, named_arguments, output_folder
+from seatrial.api.arguments import as_intervals, as_path, check_number, check_rate, named_arguments, output_folder
 from seatrial.api.fits import (
     FittedDiagnosis,
     FittedResult,
@@ -367,7 +367,7 @@ def thruster(logs: Logs, **options: Unpack[ThrusterOptions]) -> FittedThruster |
 def navigate(
     model: PathLike | FittedVehicle | FittedDiagnosis | Saved,
     logs: Logs,
-    gnss_outages: Sequence[tuple[float, float]] = (),
+    gnss_outages: Sequence[tuple[float, float]] | tuple[float, float] = (),
     smoothed: bool = True,
     thruster: PathLike | None = None,
     rate: float = 10.0,
@@ -380,7 +380,7 @@ def navigate(
         The fitted model.
     logs : path, `Log` or sequence of them
         Logs with different names, which the model should not have been fitted to. Of a `Log`, its own window is used.
-    gnss_outages : sequence of (from, to)
+    gnss_outages : sequence of (from, to), or one pair
         Intervals [s from the start of the log] in which the samples of GNSS are not used.
     smoothed : bool
         Whether each state is estimated from all samples (smoother), or only from those up to its time (filter).
@@ -397,8 +397,8 @@ def navigate(
     Raises
     ------
     SeatrialError
-        If two logs have the same name, if they lack signals that the model needs, or if the rate is not from 1 to 200
-        Hz.
+        If two logs have the same name, if they lack signals that the model needs, if the rate is not from 1 to 200 Hz,
+        or if an outage is no pair of numbers whose second is the larger one.
 
     Examples
     --------
@@ -408,11 +408,12 @@ def navigate(
     from seatrial.ident.workflows.navigate import NavigationRequest, navigate_logs
 
     check_rate(rate)
+    outages = as_intervals("gnss_outages", gnss_outages)
     paths, curve = as_paths(logs), None if thruster is None else model_file(as_path(thruster, "thruster"))
 
     def work(out: Path) -> Any:
         """Estimate the states, write the files of the command to the folder `out`, and return the result."""
-        request = NavigationRequest(path, paths, out, smoothed, gnss_outages, window_of(logs), rate, curve)
+        request = NavigationRequest(path, paths, out, smoothed, outages, window_of(logs), rate, curve)
         return navigate_logs(request, python_call("navigate", paths), messages)
 
     messages = Messages(False)

@@ -1113,6 +1113,55 @@ def test_navigate_returns_and_saves_the_states(logs: list[Path], fit: st.FittedV
         saved.to_pandas()
 
 
+def test_a_log_is_a_mapping_of_its_signals(logs: list[Path], fit: st.FittedVehicle) -> None:
+    log = st.open_log(logs[0])
+    assert list(log) == list(log.keys()) == list(log.signals)
+    assert len(log) == len(log.signals) > 3
+    assert ("psi" in log, "heading" in log, 0 in log) == (True, False, False)
+    assert dict(log.items())["psi"] is log["psi"]
+    assert log.get("heading") is None
+    with pytest.raises(KeyError, match="no signal 0; it has "):
+        log[0]  # type: ignore[index]
+    assert st.check(log) == st.check(logs[0])  # and still one log, not a sequence of paths
+    with pytest.raises(SeatrialError, match="is a log, not a model"):
+        st.compare(log, fit)
+    with pytest.raises(SeatrialError, match="inputs: give a dict"):
+        st.simulate(fit, [0.0, 1.0], log)
+
+
+def test_one_pair_is_one_gnss_outage(logs: list[Path], fit: st.FittedVehicle) -> None:
+    one, several = (st.navigate(fit, logs[2], gnss_outages=x) for x in ((30.0, 50.0), np.array([[30, 50]])))
+    assert [(o.start, o.withheld) for o in one.result.outages] == [(o.start, o.withheld) for o in several.result.outages]
+    assert any(o.withheld for o in one.result.outages)
+
+
+@pytest.mark.parametrize(
+    ("outages", "message"),
+    [
+        (60.0, "gnss_outages 60.0: give pairs (from, to) in s, such as gnss_outages=[(60.0, 90.0)]"),
+        ("60:90", "gnss_outages '60:90': give pairs"),
+        ({30.0: 50.0}, "gnss_outages {30.0: 50.0}: give pairs"),
+        (None, "gnss_outages None: give pairs"),
+        (np.array(3.0), "gnss_outages array(3.): give pairs"),
+        ([30.0, 50.0, 60.0], "gnss_outages 30.0: is no pair of numbers; give pairs"),
+        ([(30.0, 50.0), 60.0], "gnss_outages 60.0: is no pair of numbers"),
+        ([(30.0, "50")], "gnss_outages (30.0, '50'): is no pair of numbers"),
+        ([(30.0, 50.0, 60.0)], "gnss_outages (30.0, 50.0, 60.0): is no pair of numbers"),
+        ((50.0, 30.0), "gnss_outages (50, 30): the end is not a time after the beginning"),
+        ([(30.0, np.nan)], "gnss_outages (30, nan): the end is not a time after the beginning"),
+        ((30.0, np.inf), "gnss_outages (30, inf): the end is not a time after the beginning"),
+        ((500.0, 600.0), "give an interval in this time to gnss_outages"),
+    ],
+)
+def test_a_malformed_gnss_outage_gives_a_one_line_error(
+    logs: list[Path], fit: st.FittedVehicle, outages: Any, message: str
+) -> None:
+    with pytest.raises(SeatrialError) as raised:
+        st.navigate(fit, logs[2], gnss_outages=outages)
+    assert message in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
