@@ -10,7 +10,7 @@ from seatrial.api.arguments import as_path
 from seatrial.api.fits import FitOptions, Logs, vehicle_request
 from seatrial.api.fleet import common_window
 from seatrial.api.logs import PathLike, as_paths
-from seatrial.api.messages import Messages, errors_of_users, text_of, warn_of_result
+from seatrial.api.messages import Messages, errors_of_users, in_python, text_of, warn_of_result
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import import_library
@@ -77,7 +77,12 @@ class CampaignComparison(Shown):
             (p.name, number(p.before.mean), number(p.after.mean), change_of(p), number(p.q, 2), p.unit)
             for p in self.result.parameters
         ]
-        return Content(self.answer, self.result.notes, ("", "before", "after", "change (95 %)", "q", "unit"), rows)
+        return Content(
+            self.answer,
+            tuple(map(in_python, self.result.notes)),
+            ("", "before", "after", "change (95 %)", "q", "unit"),
+            rows,
+        )
 
     def __repr__(self) -> str:
         """Return a short text for the interpreter: number of logs, and `answer`."""

@@ -398,8 +398,9 @@ def load(path: PathLike) -> Saved:
     found = {file.suffix == ".json": file for file in files if file.exists()}
     if not found:
         raise SeatrialError(f"{path}: contains neither {MODEL} nor {RESULT}; give the folder of a result")
-    saved = load_model(found[False]) if False in found else None
-    read = read_result(found[True]) if True in found else None
+    with errors_of_users():
+        saved = load_model(found[False]) if False in found else None
+        read = read_result(found[True]) if True in found else None
     return (SavedDiagnosis if isinstance(read, DiagnosisResult) else Saved)(path, saved, read)
 
 

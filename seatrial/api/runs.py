@@ -25,7 +25,7 @@ from seatrial.api.fits import (
     window_of,
 )
 from seatrial.api.logs import PathLike, as_paths
-from seatrial.api.messages import OF_THRUSTER, Messages, errors_of_users, warn_of_result
+from seatrial.api.messages import OF_THRUSTER, Messages, errors_of_users, warn_of_result, with_texts_in_python
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.files import write_output
@@ -469,7 +469,7 @@ def design(
         request = DesignRequest(**given)
         found = make_design(str(source), request, file, f"seatrial.design(out={str(out)!r})", reporter, force)
     warn_of_result(found, reporter)
-    return found
+    return with_texts_in_python(found)
 
 
 def _with_files(work: Callable[[Path], T], own: Mapping[str, str] | None = None) -> tuple[T, Files]:

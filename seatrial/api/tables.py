@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from seatrial.api.messages import in_python
+from seatrial.api.messages import in_python, with_texts_in_python
 from seatrial.api.shown import Content
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import import_library
@@ -114,7 +114,7 @@ def statistics(row: ParameterRow) -> Statistics:
     reach = NORMAL_95 * se
     return Statistics(
         full_name(row), row.value, se, row.value - reach, row.value + reach, row.value / se if se > 0 else math.nan,
-        row.unit, row.origin, row.free, row.flag or "", row.meaning,
+        row.unit, row.origin, row.free, in_python(row.flag or ""), row.meaning,
     )  # fmt: skip
 
 
@@ -140,6 +140,7 @@ def summary(result: FitResult) -> str:
     """
     from seatrial.ident.results import name_probabilities
 
+    result = with_texts_in_python(result)
     fit = result.fit
     lines = [
         f"{fit.model}: {fit.method}{', REML' if fit.restricted else ''}, {fit.message}",
@@ -166,7 +167,7 @@ def summary(result: FitResult) -> str:
     flags = [f"{row.name}: {row.flag}" for row in rows if row.free and row.flag]
     lines += [textwrap.fill(flag, WIDTH, initial_indent="  ", subsequent_indent="    ") for flag in flags]
     if experiment := getattr(result, "next_experiment", ""):
-        lines += ["", textwrap.fill(in_python(experiment), WIDTH)]
+        lines += ["", textwrap.fill(experiment, WIDTH)]
     fixed = [f"{row.name} = {row.value:.6g} {row.unit}".strip() + f" ({row.origin})" for row in rows if not row.free]
     lines += ["", textwrap.fill(f"fixed: {', '.join(fixed)}", WIDTH)] if fixed else []
     lines += (

@@ -8,6 +8,7 @@ import inspect
 import io
 import json
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -26,6 +27,8 @@ from scipy.io import loadmat
 
 import seatrial as st
 from seatrial import command_line
+from seatrial.api.messages import text_of, with_texts_in_python
+from seatrial.daq.checks import Finding
 from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
 from seatrial.daq.log import bag_of_ros
 from seatrial.ident.results import read_result
@@ -1131,8 +1134,85 @@ def test_a_log_is_a_mapping_of_its_signals(logs: list[Path], fit: st.FittedVehic
 
 def test_one_pair_is_one_gnss_outage(logs: list[Path], fit: st.FittedVehicle) -> None:
     one, several = (st.navigate(fit, logs[2], gnss_outages=x) for x in ((30.0, 50.0), np.array([[30, 50]])))
-    assert [(o.start, o.withheld) for o in one.result.outages] == [(o.start, o.withheld) for o in several.result.outages]
+    assert [(o.start, o.withheld) for o in one.result.outages] == [
+        (o.start, o.withheld) for o in several.result.outages
+    ]
     assert any(o.withheld for o in one.result.outages)
+
+
+def test_texts_of_results_and_checks_have_no_options_of_the_command_line(
+    logs: list[Path], fit: st.FittedVehicle, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A flag of an estimate, an answer and the advice of a check may name options, which are arguments in Python."""
+    rows = [structs.replace(p, flag="at its bound. Fix it (--fix d_rr=0)") for p in fit.result.fit.parameters]
+    result = structs.replace(fit.result, fit=structs.replace(fit.result.fit, parameters=tuple(rows)))
+    result = structs.replace(result, answer="The mass is uncertain: give it (--fix e_psi=VALUE) or --prior m_u=30:2.")
+    told = replace(fit, result=result)
+    text = " ".join(told.summary().split())
+    assert "Fix it (fixed={'d_rr': 0})" in text
+    assert "give it (fixed={'e_psi': VALUE}) or priors={'m_u': (30, 2)}." in text
+    assert "--fix" not in text
+    assert "--fix" not in " ".join(told.to_pandas()["flag"])
+    assert "--fix" not in text_of(result)
+    assert with_texts_in_python(result).residuals is result.residuals  # what has no option is not copied
+    advice = "the heading is 0.02 rad off: --fix e_psi=0.02"
+    told_by = [Finding("warning", "code", "heading", "run1", "it is off", advice)]
+    monkeypatch.setattr("seatrial.bench.preflight.log_findings.log_findings", lambda *_: told_by)
+    (found,) = st.check(logs[0])
+    assert found.advice == "the heading is 0.02 rad off: fixed={'e_psi': 0.02}"
+
+
+def test_a_log_that_exists_is_named_with_the_arguments_of_the_import(page: Page, tmp_path: Path) -> None:
+    st.import_log(page.folder / "other.csv", out_dir=tmp_path)
+    with pytest.raises(SeatrialError, match=r"; force=True replaces it, out_dir names another$"):
+        st.import_log(page.folder / "other.csv", out_dir=tmp_path)
+
+
+def test_a_file_without_a_recognised_signal_gives_an_error_about_this_file(tmp_path: Path) -> None:
+    file = tmp_path / "junk.csv"
+    file.write_text("aa,bb\n" + "".join(f"{k},{k * k}\n" for k in range(20)), encoding="utf-8")
+    with pytest.raises(SeatrialError) as raised:
+        st.import_log(file, out_dir=tmp_path)
+    text = str(raised.value)
+    assert text.startswith(f"{file}: no signal was recognised in ")
+    assert f"`seatrial import --guess {file} -o map.toml`" in text
+    assert "give it as map_path" in text
+    assert "junk.toml" not in text
+
+
+def test_an_error_of_a_guessed_map_names_the_file(page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The guessed map is a temporary file, which the user cannot open."""
+
+    def fails(map_path: Path, *_: Any, **__: Any) -> None:
+        raise SeatrialError(f"{map_path}: signal[1]: unknown")
+
+    monkeypatch.setattr("seatrial.daq.importers.import_files.import_files", fails)
+    file = page.folder / "other.csv"
+    with pytest.raises(SeatrialError, match=rf"^guessed map of {file}: signal\[1\]: unknown$"):
+        st.import_log(file, out_dir=tmp_path)
+
+
+def test_files_with_the_same_caveats_give_one_warning_with_a_command_that_runs(tmp_path: Path) -> None:
+    folder, t = tmp_path / "my runs", np.arange(0.0, 20.0, 0.1)
+    folder.mkdir()
+    files = [folder / "lake_1.csv", folder / "lake_2.csv"]
+    for file, top in zip(files, (400.0, 900.0), strict=True):
+        table = np.column_stack([t, np.cos(t), top * np.sin(t), top * np.cos(t), t**2])
+        np.savetxt(file, table, delimiter=",", header="t,yaw,rpm_port,rpm_stbd,mystery", comments="")
+    with pytest.warns(SeatrialWarning) as issued:
+        st.import_log(files, out_dir=tmp_path / "logs")
+    texts = [str(w.message) for w in issued]
+    guess = [x for x in texts if "the import map is a guess" in x]
+    left_out = [x for x in texts if "not recognised and left out: mystery" in x]
+    assert (len(guess), len(left_out), len(texts)) == (1, 1, 2)
+    for text in texts:
+        assert text.startswith("lake_1.csv, lake_2.csv: ")
+        words = shlex.split(text.split("`")[1])
+        assert words == ["seatrial", "import", "--guess", *map(str, files), "-o", "map.toml"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path)
+        run(*words[1:])
+    assert len(st.import_log(files, tmp_path / "map.toml", out_dir=tmp_path / "again")) == 2
 
 
 @pytest.mark.parametrize(
@@ -1218,9 +1298,18 @@ def test_a_malformed_gnss_outage_gives_a_one_line_error(
             "validation logs are always used as a whole",
         ),
         (lambda logs, fit: st.diagnose("nowhere", logs[0]), "nowhere: no such file"),
-        (lambda logs, fit: st.open_log(bag_in(logs[0].parent)), "bag is a bag of ROS 2; import it first: seatrial"),
-        (lambda logs, fit: st.fit(bag_in(logs[0].parent)), "bag is a bag of ROS 2; import it first: seatrial import"),
-        (lambda logs, fit: st.check(bag_in(logs[0].parent)), "bag is a bag of ROS 2; import it first: seatrial"),
+        (
+            lambda logs, fit: st.open_log(bag_in(logs[0].parent)),
+            "bag is a bag of ROS 2; import it first with `st.import_log('",
+        ),
+        (
+            lambda logs, fit: st.fit(bag_in(logs[0].parent)),
+            "bag is a bag of ROS 2; import it first with `st.import_log('",
+        ),
+        (
+            lambda logs, fit: st.check(bag_in(logs[0].parent)),
+            "bag is a bag of ROS 2; import it first with `st.import_log('",
+        ),
         (
             lambda logs, fit: st.fit(logs[0].parent),
             "is a folder of 3 logs: name one of run1.mcap, run2.mcap, run3.mcap",
@@ -1232,7 +1321,7 @@ def test_a_malformed_gnss_outage_gives_a_one_line_error(
         (lambda logs, fit: st.navigate(logs[0], fit), "FittedVehicle: this is not a log; give the path of a log"),
         (lambda logs, fit: st.diagnose(3, logs[0]), "int: this is not a model; give a model.toml, a folder with one"),
         (lambda logs, fit: st.export(logs[0], "out", "c"), "run1.mcap: is a log, not a model; the model is the first"),
-        (lambda logs, fit: st.open_log(logs[0], 100.0, 90.0), "90 s is not after start of st.open_log 100 s; give a"),
+        (lambda logs, fit: st.open_log(logs[0], 100.0, 90.0), "end 90 s is not after start 100 s; give a later end"),
         (lambda logs, fit: st.open_log(logs[0], 50.0001, 50.0002), "there is no sample from 50.0001 s to 50.0002 s"),
         (
             lambda logs, fit: st.simulate(fit, np.arange(100) / 10, np.zeros((100, 2))),
@@ -1297,7 +1386,7 @@ def test_a_malformed_gnss_outage_gives_a_one_line_error(
         ),
         (
             lambda logs, fit: st.open_log(file_of_ros(logs[0].parent)),
-            "of_ros.mcap is a bag of ROS 2; import it first: se",
+            "of_ros.mcap is a bag of ROS 2; import it first with `st.import_log('",
         ),
         (lambda logs, fit: fit.predict(horizon=-1.0), "horizon -1.0: give a time above zero [s]"),
         (lambda logs, fit: fit.predict(horizon="5"), "horizon '5': give a time above zero [s]"),
@@ -1329,9 +1418,9 @@ def test_wrong_arguments_give_a_one_line_error(
 def test_a_file_of_a_ros_bag_is_named_with_the_way_to_import_it(logs: list[Path], tmp_path: Path) -> None:
     (fault,) = st.check(file_of_ros(tmp_path)).faults
     assert (fault.code, fault.text) == ("ros-bag", "it is a bag of ROS 2, not a log")
-    assert fault.advice.endswith(f"seatrial import --guess {tmp_path / 'of_ros/of_ros.mcap'}")
+    assert fault.advice == f"import it with `st.import_log('{tmp_path / 'of_ros/of_ros.mcap'}')`, and check the log"
     (tmp_path / "of_ros/metadata.yaml").write_text("rosbag2_bagfile_information:\n  version: 5\n", encoding="utf-8")
-    with pytest.raises(SeatrialError, match=rf"import it first: seatrial import --guess {tmp_path / 'of_ros'}$"):
+    with pytest.raises(SeatrialError, match=rf"import it first with `st\.import_log\('{tmp_path / 'of_ros'}'\)`$"):
         st.fit(tmp_path / "of_ros/of_ros.mcap")
     assert bag_of_ros(logs[0]) is None  # a log has the profile of ROS 2 too
 
