@@ -257,8 +257,9 @@ class FitReport(Shown):
           periodogram from that of white noise, a residual in standard deviations, or a correlation coefficient;
         - p, the p value;
         - lag [s] of the largest correlation, and frequency [Hz] of the largest distance of the periodogram;
-        - verdict in words. A whiteness test fails below 0.5 %, normality below 1 %, and a correlation below 1 % divided
-          by the number of correlations.
+        - limit, the level below which p is a failure: 0.5 % for a test of whiteness, 1 % for normality, and 1 % divided
+          by the number of correlations of the result for each of these;
+        - verdict in words.
 
         Raises
         ------
@@ -266,6 +267,26 @@ class FitReport(Shown):
             If pandas is not installed.
         """
         return tables.residual_frame(self.result)
+
+    def errors_to_pandas(self) -> Any:
+        """Return the RMS prediction errors as a ``pandas.DataFrame``, with those before and after a diagnosis.
+
+        There is a row for each role (``estimation`` and, if there are such data, ``validation``), kind of prediction
+        and channel. The columns are:
+
+        - role; kind (``one_step``, ``horizon`` or ``simulation``); seconds, the horizon [s], NaN for the other kinds;
+        - channel, and unit of its errors (SI units and radians);
+        - before and after, the RMS errors of the models without and with the effects of a diagnosis. For a fit, after
+          is the error of the model, and before is NaN. A prediction that diverged is NaN;
+        - low and high, the 95 % interval of after / before, NaN without one;
+        - verdict on the change: ``fell``, ``rose`` or ``unchanged``, empty without one.
+
+        Raises
+        ------
+        SeatrialError
+            If pandas is not installed.
+        """
+        return tables.error_frame(self.result)
 
     def plot(self, *channels: str) -> Figure:
         """Return a figure of measured and predicted channels over the horizon, of all records of the result.

@@ -220,6 +220,18 @@ class Saved(MotionMethods, Shown):
             raise SeatrialError(f"{self.path}: no {RESULT} of a fit was loaded; load the folder that contains it")
         return tables.residual_frame(self.result)
 
+    def errors_to_pandas(self) -> Any:
+        """Return the RMS prediction errors as a ``pandas.DataFrame``, as `FittedVehicle.errors_to_pandas`.
+
+        Raises
+        ------
+        SeatrialError
+            If no result of a fit was loaded, or if pandas is not installed.
+        """
+        if not hasattr(self.result, "horizon_seconds"):
+            raise SeatrialError(f"{self.path}: no {RESULT} of a fit was loaded; load the folder that contains it")
+        return tables.error_frame(self.result)
+
     def plot(self, *channels: str) -> Figure:
         """Return a figure of measured and predicted channels over the horizon, as that of a fit of this process.
 

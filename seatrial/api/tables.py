@@ -84,6 +84,9 @@ class ResidualTest(NamedTuple):
         Lag [s] of the largest correlation; NaN for ``periodogram`` and ``normality``.
     frequency : float
         Frequency [Hz] of the largest distance of the periodogram; NaN for the other tests.
+    limit : float
+        Level of the test: it fails if p is not above it. Of ``cross-correlation`` it is 0.01 divided by the number of
+        correlations of the result that could be computed.
     verdict : str
         Verdict in words, such as ``not white``.
     """
@@ -96,6 +99,42 @@ class ResidualTest(NamedTuple):
     p: float
     lag: float
     frequency: float
+    limit: float
+    verdict: str
+
+
+class ErrorRow(NamedTuple):
+    """RMS prediction error of one channel for one kind of prediction, as a row of the table of errors.
+
+    Attributes
+    ----------
+    role : str
+        ``estimation`` or ``validation``: the data whose samples are predicted.
+    kind : str
+        ``one_step``, ``horizon`` or ``simulation``.
+    seconds : float
+        Horizon [s]; NaN for the other kinds.
+    channel, unit : str
+        Name of the channel, and unit of ``before`` and ``after``.
+    before : float
+        Error of the model without the effects that a diagnosis added; NaN for a fit.
+    after : float
+        Error of the model; of a diagnosis, of that with the effects. NaN: the prediction diverged.
+    low, high : float
+        Ends of the 95 % interval of after / before; NaN without an interval.
+    verdict : str
+        ``fell``, ``rose`` or ``unchanged``; empty without a comparison.
+    """
+
+    role: str
+    kind: str
+    seconds: float
+    channel: str
+    unit: str
+    before: float
+    after: float
+    low: float
+    high: float
     verdict: str
 
 
@@ -217,7 +256,8 @@ def residual_tests(result: FitResult) -> list[ResidualTest]:
     return rows + [
         ResidualTest(
             row.record, row.channel, "cross-correlation", row.input, _or_nan(test.largest), _or_nan(test.p),
-            _at_largest(row.lags, test.z), math.nan, _verdict(test.p, LEVEL / number, "uncorrelated", "correlated"),
+            _at_largest(row.lags, test.z), math.nan, LEVEL / number,
+            _verdict(test.p, LEVEL / number, "uncorrelated", "correlated"),
         )
         for row, test in pairs if number
     ]  # fmt: skip
@@ -226,6 +266,28 @@ def residual_tests(result: FitResult) -> list[ResidualTest]:
 def residual_frame(result: FitResult) -> Any:
     """Return the `residual_tests` of a fit as a ``pandas.DataFrame``; SeatrialError without pandas."""
     return import_library("pandas").DataFrame(residual_tests(result), columns=list(ResidualTest._fields))
+
+
+def error_rows(result: FitResult) -> list[ErrorRow]:
+    """Return the prediction errors of a fit or a diagnosis by data, kind of prediction and channel."""
+    found = []
+    for role in ("estimation", "validation"):
+        table = getattr(result.errors, role)
+        for kind in () if table is None else table.__struct_fields__:
+            seconds = result.horizon_seconds if kind == "horizon" else math.nan
+            found += [
+                ErrorRow(
+                    role, kind, seconds, channel, e.unit, _or_nan(e.before), _or_nan(e.after), _or_nan(e.low),
+                    _or_nan(e.high), e.verdict or "",
+                )
+                for channel, e in getattr(table, kind).items()
+            ]  # fmt: skip
+    return found
+
+
+def error_frame(result: FitResult) -> Any:
+    """Return the `error_rows` of a fit as a ``pandas.DataFrame``; SeatrialError without pandas."""
+    return import_library("pandas").DataFrame(error_rows(result), columns=list(ErrorRow._fields))
 
 
 def _tests_of_channel(
@@ -237,20 +299,19 @@ def _tests_of_channel(
     """
     size = tests.cumulative.size
     distance = np.abs(tests.cumulative - np.arange(1, size + 1) / size)
-    normal = _verdict(tests.normal_p, LEVEL, "normal", "not normal")
-    if tests.outliers:
-        normal += f", {tests.outliers} beyond 6 standard deviations"
+    outliers = f", {tests.outliers} beyond 6 standard deviations" if tests.outliers else ""
 
-    def row(test: str, statistic: float, p: float | None, lag: float, at: float, verdict: str) -> ResidualTest:
+    def row(test: str, statistic: float, p: float | None, lag: float, at: float, limit: float) -> ResidualTest:
         """Return the row of one test."""
-        return ResidualTest(record, channel, test, "", statistic, _or_nan(p), lag, at, verdict)
+        words = ("normal", "not normal") if test == "normality" else ("white", "not white")
+        verdict = _verdict(p, limit, *words) + (outliers if test == "normality" else "")
+        return ResidualTest(record, channel, test, "", statistic, _or_nan(p), lag, at, limit, verdict)
 
     return [
-        row("ljung-box", _largest(tests.acf), tests.ljung_box_p, _at_largest(lags, tests.acf), math.nan,
-            _verdict(tests.ljung_box_p, LEVEL / 2, "white", "not white")),
+        row("ljung-box", _largest(tests.acf), tests.ljung_box_p, _at_largest(lags, tests.acf), math.nan, LEVEL / 2),
         row("periodogram", _largest(distance), tests.periodogram_p, math.nan, _at_largest(frequency, distance),
-            _verdict(tests.periodogram_p, LEVEL / 2, "white", "not white")),
-        row("normality", tests.largest, tests.normal_p, math.nan, math.nan, normal),
+            LEVEL / 2),
+        row("normality", tests.largest, tests.normal_p, math.nan, math.nan, LEVEL),
     ]  # fmt: skip
 
 

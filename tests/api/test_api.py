@@ -23,6 +23,7 @@ import numpy as np
 import pytest
 from mcap.writer import Writer
 from msgspec import structs
+from pandas.testing import assert_frame_equal
 from scipy.io import loadmat
 
 import seatrial as st
@@ -404,6 +405,49 @@ def test_residual_tests_have_the_verdicts_of_report_and_answer(
         whiteness = tests[tests["test"].isin(["ljung-box", "periodogram"])]
         assert (whiteness["verdict"] == "white").all() == row.after.white
         assert whiteness["p"].iloc[0] == row.after.ljung_box_p
+
+
+def test_the_limit_of_a_residual_test_is_in_its_table(fit: st.FittedVehicle) -> None:
+    table = fit.residual_tests()
+    limits = table.groupby("test")["limit"].unique().map(list).to_dict()
+    pairs = sum(c.p is not None for c in fit.result.cross)
+    assert pairs > 1
+    assert limits == {
+        "ljung-box": [0.005], "periodogram": [0.005], "normality": [0.01], "cross-correlation": [0.01 / pairs]
+    }  # fmt: skip
+    failed = table["verdict"].str.split(",").str[0].isin(["not white", "not normal", "correlated"])
+    assert list(failed) == list(table["p"] <= table["limit"])
+
+
+def test_errors_before_and_after_a_diagnosis_are_a_table(
+    fit: st.FittedVehicle, found: st.FittedDiagnosis, tmp_path: Path
+) -> None:
+    table = found.errors_to_pandas()
+    errors = found.result.errors
+    assert errors.validation is not None
+    assert list(table.columns) == [
+        "role", "kind", "seconds", "channel", "unit", "before", "after", "low", "high", "verdict"
+    ]  # fmt: skip
+    for role in ("estimation", "validation"):
+        for kind in ("one_step", "horizon", "simulation"):
+            rows = table[(table["role"] == role) & (table["kind"] == kind)].set_index("channel")
+            expected = getattr(getattr(errors, role), kind)
+            assert list(rows.index) == list(expected)
+            assert list(rows["before"]) == [e.before for e in expected.values()]
+            assert list(rows["after"]) == [e.after for e in expected.values()]
+            assert list(rows["unit"]) == [e.unit for e in expected.values()]
+            seconds = found.result.horizon_seconds if kind == "horizon" else np.nan
+            np.testing.assert_array_equal(rows["seconds"], seconds)
+    assert len(table) == sum(len(getattr(t, k)) for t in (errors.estimation, errors.validation) for k in
+                             ("one_step", "horizon", "simulation"))  # fmt: skip
+    ahead = table.query("kind == 'horizon'")
+    assert set(ahead["verdict"]) <= {"fell", "rose", "unchanged"}
+    assert_frame_equal(st.load(found.save(tmp_path / "found")).errors_to_pandas(), table, rtol=1e-5)
+    of_fit = fit.errors_to_pandas()
+    assert of_fit["before"].isna().all()
+    assert (of_fit["after"] > 0.0).all()
+    with pytest.raises(SeatrialError, match=r"no result\.json of a fit was loaded"):
+        st.load(tmp_path / "found/model.toml").errors_to_pandas()
 
 
 def test_predictions_have_the_errors_of_the_result(fit: st.FittedVehicle) -> None:
@@ -1130,6 +1174,22 @@ def test_a_log_is_a_mapping_of_its_signals(logs: list[Path], fit: st.FittedVehic
         st.compare(log, fit)
     with pytest.raises(SeatrialError, match="inputs: give a dict"):
         st.simulate(fit, [0.0, 1.0], log)
+
+
+def test_navigation_of_a_log_of_the_fit_gives_a_warning(
+    logs: list[Path], fit: st.FittedVehicle, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.warns(SeatrialWarning, match=r"the model was fitted to run1: these data are counted twice"):
+        done = st.navigate(fit, [logs[0], logs[2]])
+    assert [w.code for w in done.result.warnings if w.code == "navigated-fitted-log"] == ["navigated-fitted-log"]
+    with pytest.warns(SeatrialWarning, match="the model was fitted to run1"):  # a part of the log has no hash
+        st.navigate(fit, st.open_log(logs[0], 20.0, 60.0))
+    assert not [w for w in st.navigate(fit, logs[2]).warnings if "counted twice" in w]
+    model = fit.save(tmp_path / "vehicle") / "model.toml"
+    capsys.readouterr()
+    run("ident", "navigate", model, logs[0], "--out", tmp_path / "out")
+    assert "these data are counted twice" in " ".join("".join(capsys.readouterr()).split())
+    assert "these data are counted twice" in (tmp_path / "out/report.html").read_text(encoding="utf-8")
 
 
 def test_one_pair_is_one_gnss_outage(logs: list[Path], fit: st.FittedVehicle) -> None:
