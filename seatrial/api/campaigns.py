@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 from seatrial.api import tables
 from seatrial.api.arguments import as_path
+from seatrial.api.calls import python_call
 from seatrial.api.fits import FitOptions, Logs, vehicle_request
 from seatrial.api.fleet import common_window
 from seatrial.api.logs import PathLike, as_paths
@@ -153,7 +154,9 @@ def compare_campaigns(
         request = ChangesRequest(
             earlier, later, vehicle, folder, Workers(jobs, backend, scheduler), force, false_discovery_rate
         )
-        command = f"seatrial.compare_campaigns({len(earlier)} logs, {len(later)} logs, model={str(model)!r})"
+        arguments: dict[str, Any] = {"before": before, "after": after, "model": model, "out": out}
+        arguments |= {"false_discovery_rate": false_discovery_rate, "backend": backend, "scheduler": scheduler}
+        command = python_call(compare_campaigns, {**arguments, "jobs": jobs, "force": force, **options})
         messages = Messages(progress)
         done = find_changes(request, command, messages)
         warn_of_result(done.result, messages)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from seatrial.api import plots, tables
 from seatrial.api.arguments import as_path, check_values, output_folder, shortened
+from seatrial.api.calls import python_call
 from seatrial.api.figures import Figure
 from seatrial.api.findings import DiagnosisFindings
 from seatrial.api.logs import Log, PathLike, as_list, as_paths
@@ -676,7 +677,8 @@ def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[
     with errors_of_users():
         request, progress = vehicle_request(as_paths(logs), _paths_or_none(validate), model, window_of(logs), options)
         messages = Messages(progress)
-        done: VehicleFit = fit_vehicle(request, python_call("fit", request.logs, model=model), messages)
+        command = python_call(fit, {"logs": logs, "model": model, "validate": validate, **options})
+        done: VehicleFit = fit_vehicle(request, command, messages)
     warn_of_result(done.result, messages)
     return FittedVehicle(done.result, done.fitted)
 
@@ -799,7 +801,8 @@ def diagnose(
             window=window_of(logs),
             **given,
         )
-        done: DiagnosedModel = diagnose_model(request, python_call("diagnose", request.logs), messages)
+        command = python_call(diagnose, {"model": model, "logs": logs, "validate": validate, **options})
+        done: DiagnosedModel = diagnose_model(request, command, messages)
         result, advice = done.result, done.result.recommended_experiment
         if isinstance(model, FittedResult) and advice:
             # The file of a fitted model was temporary. The user saves the model to run the command.
@@ -922,16 +925,6 @@ def known_options(given: Mapping[str, Any], options: type) -> dict[str, Any]:
             raise SeatrialError(f"there is no option {name!r}; {hint} {', '.join(known)}")
     check_values(given)
     return {n: [v] if n in LISTS and isinstance(v, str) else v for n, v in given.items()}
-
-
-def python_call(function: str, logs: Sequence[Path], **more: str) -> str:
-    """Return the Python call for the provenance of a result, such as ``seatrial.fit(['run1.mcap'], model='auto')``.
-
-    `function` is the name of the function, `logs` are its logs, of which only the file names are shown, and `more` are
-    further arguments by name. Options are not included.
-    """
-    rest = "".join(f", {name}={value!r}" for name, value in more.items())
-    return f"seatrial.{function}({[p.name for p in logs]}{rest})"
 
 
 def _prediction(

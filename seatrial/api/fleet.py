@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 from seatrial.api import tables
 from seatrial.api.arguments import as_path
+from seatrial.api.calls import python_call
 from seatrial.api.fits import FitOptions, Logs, vehicle_request, window_of
 from seatrial.api.logs import PathLike, as_paths
 from seatrial.api.messages import Messages, errors_of_users, in_python, text_of, warn_of_result
@@ -166,7 +167,9 @@ def fit_many(
         paths, folder = as_paths(logs, existing=False), None if out is None else as_path(out, "out")
         request = FleetRequest(paths, vehicle, folder, Workers(jobs, backend, scheduler), force)
         messages = Messages(progress)
-        done = fit_fleet(request, f"seatrial.fit_many({len(paths)} logs, model={model!r})", messages)
+        arguments = {"logs": logs, "model": model, "out": out, "backend": backend, "scheduler": scheduler}
+        command = python_call(fit_many, {**arguments, "jobs": jobs, "force": force, **options})
+        done = fit_fleet(request, command, messages)
         warn_of_result(done.result, messages)
     return FittedFleet(done.result, done.table)
 

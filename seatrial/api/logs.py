@@ -201,7 +201,7 @@ def open_log(path: PathLike, start: float = 0.0, end: float = np.inf) -> Log:
     (file,) = files
     check_number("start", start, "s")
     check_number("end", end, "s")
-    window = TimeWindow(start, end)
+    window = TimeWindow(float(start), float(end))  # a number of numpy would not fit into a result
     with errors_of_users(OF_WINDOW):
         window.check()
         return _log_of(load_run(file, "estimation", window), file, window)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from seatrial.api import tables
 from seatrial.api.arguments import as_intervals, as_path, check_number, check_rate, named_arguments, output_folder
+from seatrial.api.calls import python_call
 from seatrial.api.fits import (
     FittedDiagnosis,
     FittedResult,
@@ -21,7 +22,6 @@ from seatrial.api.fits import (
     Logs,
     known_options,
     model_path,
-    python_call,
     window_of,
 )
 from seatrial.api.logs import PathLike, as_paths
@@ -351,7 +351,9 @@ def thruster(logs: Logs, **options: Unpack[ThrusterOptions]) -> FittedThruster |
     def work(out: Path) -> Any:
         """Fit the thruster, write the files of the command to the folder `out`, and return the fit."""
         found = fit_thruster(
-            ThrusterRequest(paths, out, estimation=how, **given), python_call("thruster", paths), reporter
+            ThrusterRequest(paths, out, estimation=how, **given),
+            python_call(thruster, {"logs": logs, **options}),
+            reporter,
         )
         found.write(out)
         return found
@@ -414,9 +416,11 @@ def navigate(
     def work(out: Path) -> Any:
         """Estimate the states, write the files of the command to the folder `out`, and return the result."""
         request = NavigationRequest(path, paths, out, smoothed, outages, window_of(logs), rate, curve)
-        return navigate_logs(request, python_call("navigate", paths), messages)
+        return navigate_logs(request, command, messages)
 
     messages = Messages(False)
+    arguments = {"model": model, "logs": logs, "gnss_outages": outages, "smoothed": smoothed, "thruster": thruster}
+    command = python_call(navigate, {**arguments, "rate": rate})
     with model_path(model) as path:
         found = Navigated(*_with_files(work))
     warn_of_result(found.result, messages)
@@ -467,7 +471,8 @@ def design(
     fitted = isinstance(model, FittedVehicle | FittedDiagnosis | Saved) or Path(str(model)).exists()
     with errors_of_users(), model_path(model) if fitted else nullcontext(Path(str(model))) as source:
         request = DesignRequest(**given)
-        found = make_design(str(source), request, file, f"seatrial.design(out={str(out)!r})", reporter, force)
+        command = python_call(design, {"model": model, "out": out, "force": force, **options})
+        found = make_design(str(source), request, file, command, reporter, force)
     warn_of_result(found, reporter)
     return with_texts_in_python(found)
 

@@ -28,6 +28,7 @@ from scipy.io import loadmat
 
 import seatrial as st
 from seatrial import command_line
+from seatrial.api.calls import as_code, python_call
 from seatrial.api.messages import text_of, with_texts_in_python
 from seatrial.daq.checks import Finding
 from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
@@ -269,7 +270,7 @@ def test_fit_is_that_of_the_command(logs: list[Path], fit: st.FittedVehicle, tmp
     words = ("--prior", "c1=40:2", "--fix", "c2=1.1", "--no-score-tests", "--validate", logs[1])
     run("ident", "vehicle", logs[0], *words, "--out", tmp_path / "command")
     results = [json.loads((tmp_path / k / "result.json").read_text("utf-8")) for k in ("python", "command")]
-    assert results[0].pop("command") == "seatrial.fit(['run1.mcap'], model='auto')"
+    assert results[0].pop("command") == fit.result.command
     for result in results:
         result.pop("created")
         result.pop("command", None)
@@ -1190,6 +1191,56 @@ def test_navigation_of_a_log_of_the_fit_gives_a_warning(
     run("ident", "navigate", model, logs[0], "--out", tmp_path / "out")
     assert "these data are counted twice" in " ".join("".join(capsys.readouterr()).split())
     assert "these data are counted twice" in (tmp_path / "out/report.html").read_text(encoding="utf-8")
+
+
+def test_the_command_of_a_result_repeats_the_run(
+    logs: list[Path], fit: st.FittedVehicle, found: st.FittedDiagnosis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It has every argument that is not the default; a fitted model is the call that fitted it."""
+    made = fit.result.command
+    assert made.startswith("seatrial.fit(['run1.mcap'], validate=['run2.mcap'], ")
+    assert "priors={'c1': (40.0, 2.0)}" in made
+    assert "fixed={'c2': 1.1}" in made
+    assert "model=" not in made
+    assert found.result.command == f"seatrial.diagnose({made}, ['run1.mcap'], validate=['run2.mcap'], max_effects=1)"
+    saved = st.load(fit.save(tmp_path / "vehicle"))
+    part = st.open_log(logs[2], start=np.float64(20.0))
+    done = st.navigate(saved, part, gnss_outages=(30, np.int64(50)), smoothed=False)
+    assert done.result.command == (
+        f"seatrial.navigate(seatrial.load({str(tmp_path / 'vehicle')!r}), "
+        "[seatrial.open_log('run3.mcap', start=20.0)], gnss_outages=((30.0, 50.0),), smoothed=False)"
+    )
+    compared = st.compare({"a": tmp_path / "vehicle", "b": found}, logs[2], horizon=[5.0])
+    assert compared.result.command == (
+        f"seatrial.compare({{'a': {str(tmp_path / 'vehicle')!r}, 'b': {found.result.command}}}, logs=['run3.mcap'], "
+        "horizon=[5.0])"
+    )
+    monkeypatch.chdir(logs[0].parent)
+    again = eval(made, {"seatrial": st})
+    assert again.params == fit.params
+    assert again.result.command == made
+    repeated = eval(done.result.command, {"seatrial": st})
+    assert repeated.files["run3.csv"] == done.files["run3.csv"]
+
+
+@pytest.mark.parametrize(
+    ("value", "code"),
+    [
+        (np.array([1.0, 2.0]), "[1.0, 2.0]"),
+        ({"c1": np.float64(6.5)}, "{'c1': 6.5}"),
+        ((3.0,), "(3.0,)"),
+        (["a", Path("b")], "['a', 'b']"),
+        (None, "None"),
+        (object, "<class 'object'>"),
+    ],
+)
+def test_the_value_of_an_argument_is_code(value: Any, code: str) -> None:
+    assert as_code(value) == code
+
+
+def test_many_logs_are_shown_by_their_number() -> None:
+    call = python_call(st.fit_many, {"logs": [f"{k}.mcap" for k in range(21)], "out": None, "mass": 3.0})
+    assert call == "seatrial.fit_many([21 logs], mass=3.0)"
 
 
 def test_one_pair_is_one_gnss_outage(logs: list[Path], fit: st.FittedVehicle) -> None:
