@@ -245,7 +245,7 @@ def test_mock_log_is_that_of_the_packaged_boat(tmp_path: Path) -> None:
     assert list(log.signals) == list(same.signals)
     for name, signal in log.signals.items():
         np.testing.assert_array_equal(signal.value, same[name].value)
-    with pytest.raises(SeatrialError, match="exists already; force=True replaces it"):
+    with pytest.raises(SeatrialError, match="exists already; force=True replaces it, path names another$"):
         st.mock_log(tmp_path / "mock.mcap", 20.0)
     st.mock_log(tmp_path / "mock.mcap", 15.0, force=True)
     assert st.open_log(tmp_path / "mock.mcap").duration == pytest.approx(15.0, abs=0.1)
