@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shlex
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -51,7 +52,7 @@ def log_findings(
         if samples:
             here += _motion_findings(check_motion, path)
         elif (bag := bag_of_ros(path)) is not None:
-            advice = f"import it, and check the log: seatrial import --guess {bag}"
+            advice = f"import it with `seatrial import --guess {shlex.quote(str(bag))}`, and check the log"
             here.append(Finding(FAULT, "ros-bag", "log", path.name, "it is a bag of ROS 2, not a log", advice))
         else:
             advice = "`seatrial info` shows what it contains; if devices were connected, record it again"

@@ -7,6 +7,7 @@ a file alone is not sufficient. Segments may be missing, and each segment may be
 from __future__ import annotations
 
 import re
+import shlex
 from collections import Counter
 from collections.abc import Collection, Iterator
 from itertools import pairwise
@@ -275,7 +276,9 @@ def log_file(path: Path) -> Path:
         return path
     bag = path / "metadata.yaml"
     if bag.is_file() and BAG in bag.read_bytes():
-        raise SeatrialError(f"{path} is a bag of ROS 2; import it first: seatrial import --guess {path}")
+        raise SeatrialError(
+            f"{path} is a bag of ROS 2; import it first with `seatrial import --guess {shlex.quote(str(path))}`"
+        )
     found = first_segments(path)
     if not found and any((path / name).is_file() for name in RESULT_FILES):
         raise SeatrialError(f"{path} is the folder of a model or a result, not a log; give the path of a log")

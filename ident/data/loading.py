@@ -23,6 +23,7 @@ a model.
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
@@ -991,7 +992,9 @@ def load_run(path: Path, role: str, window: TimeWindow = WHOLE, device_faults: D
             unknown = _unknown_inputs(log)
             faults = tuple(device_faults(log)) if device_faults is not None and found else None
         if not found and (bag := bag_of_ros(path)) is not None:
-            raise SeatrialError(f"{path} is a bag of ROS 2; import it first: seatrial import --guess {bag}")
+            raise SeatrialError(
+                f"{path} is a bag of ROS 2; import it first with `seatrial import --guess {shlex.quote(str(bag))}`"
+            )
         if not found:
             raise SeatrialError(
                 f"{path}: has no signal that an identification can use; list its signals with `seatrial info {path}`"

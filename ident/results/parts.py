@@ -141,6 +141,7 @@ WarningCode = Literal[
     "thrust-astern",
     "unusual-estimate",
     "compared-on-fitted-log",
+    "navigated-fitted-log",
     "compared-on-validation-log",
     "compared-in-blocks",
     "effect-estimated-on-compared-log",

@@ -12,7 +12,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from seatrial.daq.errors import SeatrialError, counted
+from seatrial.daq.errors import SeatrialError, counted, first_names
 from seatrial.daq.files import new_file
 from seatrial.ident.data import (
     WHOLE,
@@ -25,7 +25,7 @@ from seatrial.ident.data import (
     share_frame,
     window_of_each,
 )
-from seatrial.ident.estimation import ParameterCovariance, load_model, reported_units
+from seatrial.ident.estimation import ParameterCovariance, SavedModel, load_model, reported_units
 from seatrial.ident.model import Model
 from seatrial.ident.navigation import CURRENT, POSITION, Navigation, Outage, OutageErrors, gnss_outages, navigate
 from seatrial.ident.numerics import Array
@@ -38,6 +38,7 @@ from seatrial.ident.results import (
     NavigatedRecord,
     NavigationResult,
     PositionEllipse,
+    ResultWarning,
     StateTrace,
     WithheldErrors,
     finite,
@@ -46,6 +47,7 @@ from seatrial.ident.results import (
     record_inputs,
     write_result,
 )
+from seatrial.ident.workflows.comparison_likelihood import used_logs
 from seatrial.ident.workflows.model_inputs import (
     hold_lines,
     known_curve,
@@ -154,7 +156,7 @@ def navigate_logs(request: NavigationRequest, command: str, reporter: Reporter) 
         navigation=tuple(_navigated_record(d, t0, table) for (d, t0, _), table in zip(parts, tables, strict=True)),
         outages=tuple(_outage_row(o, d.record.name, t0) for d, t0, found in parts for o in found),
         inputs=tuple(row for d, t0, _ in parts for row in _input_traces(d, t0)),
-        warnings=tuple(assumed),
+        warnings=(*assumed, *_counted_twice(saved, loaded)),
         notes=tuple(_navigation_notes(parts, known)),
     )
     _write_results(request.out, result, dict(zip((log.run.name for log in loaded), tables, strict=True)))
@@ -171,6 +173,20 @@ def _write_results(out: Path, result: NavigationResult, tables: Mapping[str, Col
         write_csv(out / f"{name}.csv", table)
     write_result(result, out / "result.json")
     write_report(result, out / "report.html")
+
+
+def _counted_twice(saved: SavedModel, loaded: Sequence[LoadedLog]) -> list[ResultWarning]:
+    """Return a warning if the model was fitted to logs that are navigated, or an empty list.
+
+    The parameters are then correlated with the samples, which the covariance of the states does not include.
+    """
+    if not (used := used_logs(saved, loaded)):
+        return []
+    text = (
+        f"the model was fitted to {first_names(used)}: these data are counted twice, so that the standard deviations "
+        "of the states are too small. Navigate logs that the fit has not used."
+    )
+    return [ResultWarning(code="navigated-fitted-log", text=text)]
 
 
 def _outages_by_segment(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import wraps
 from inspect import signature
 from numbers import Real
@@ -98,6 +98,46 @@ def check_above_zero(name: str, value: object) -> None:
     if isinstance(value, bool) or not isinstance(value, Real) or not 0.0 < float(value) < math.inf:
         shown = f"{value:g}" if isinstance(value, int | float) else shortened(value)
         raise SeatrialError(f"{name} {shown}: give {what} above zero, in {unit}")
+
+
+def as_intervals(name: str, value: object) -> tuple[tuple[float, float], ...]:
+    """Return the argument ``name`` as intervals of time (from, to) [s]. One pair of numbers is one interval.
+
+    Raises
+    ------
+    SeatrialError
+        If the argument is neither a pair nor a sequence of pairs of numbers, if a number is not finite, or if the end
+        of an interval is not after its beginning.
+    """
+    advice = f"give pairs (from, to) in s, such as {name}=[(60.0, 90.0)]"
+    several = _items(value)
+    if several is None:
+        raise SeatrialError(f"{name} {shortened(value)}: {advice}")
+    found = []
+    for interval in [value] if len(several) == 2 and all(map(_is_number, several)) else several:
+        ends = _items(interval)
+        if ends is None or len(ends) != 2 or not all(map(_is_number, ends)):
+            raise SeatrialError(f"{name} {shortened(interval)}: is no pair of numbers; {advice}")
+        begin, end = float(ends[0]), float(ends[1])
+        if not -math.inf < begin < end < math.inf:
+            raise SeatrialError(f"{name} ({begin:g}, {end:g}): the end is not a time after the beginning; {advice}")
+        found.append((begin, end))
+    return tuple(found)
+
+
+def _items(value: object) -> list[Any] | None:
+    """Return the items of a sequence or an array as a list; None for text, a dict, and what has no items."""
+    if isinstance(value, str | bytes | Mapping) or not isinstance(value, Iterable):
+        return None
+    try:
+        return list(value)
+    except TypeError:  # an array without a dimension
+        return None
+
+
+def _is_number(value: object) -> bool:
+    """Return whether a value is a real number. True and False are none."""
+    return isinstance(value, Real) and not isinstance(value, bool)
 
 
 def check_values(given: Mapping[str, Any]) -> None:

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 from seatrial.api import tables
 from seatrial.api.arguments import as_path
+from seatrial.api.calls import python_call
 from seatrial.api.fits import FitOptions, Logs, vehicle_request
 from seatrial.api.fleet import common_window
 from seatrial.api.logs import PathLike, as_paths
-from seatrial.api.messages import Messages, errors_of_users, text_of, warn_of_result
+from seatrial.api.messages import Messages, errors_of_users, in_python, text_of, warn_of_result
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import import_library
@@ -77,7 +78,12 @@ class CampaignComparison(Shown):
             (p.name, number(p.before.mean), number(p.after.mean), change_of(p), number(p.q, 2), p.unit)
             for p in self.result.parameters
         ]
-        return Content(self.answer, self.result.notes, ("", "before", "after", "change (95 %)", "q", "unit"), rows)
+        return Content(
+            self.answer,
+            tuple(map(in_python, self.result.notes)),
+            ("", "before", "after", "change (95 %)", "q", "unit"),
+            rows,
+        )
 
     def __repr__(self) -> str:
         """Return a short text for the interpreter: number of logs, and `answer`."""
@@ -148,7 +154,9 @@ def compare_campaigns(
         request = ChangesRequest(
             earlier, later, vehicle, folder, Workers(jobs, backend, scheduler), force, false_discovery_rate
         )
-        command = f"seatrial.compare_campaigns({len(earlier)} logs, {len(later)} logs, model={str(model)!r})"
+        arguments: dict[str, Any] = {"before": before, "after": after, "model": model, "out": out}
+        arguments |= {"false_discovery_rate": false_discovery_rate, "backend": backend, "scheduler": scheduler}
+        command = python_call(compare_campaigns, {**arguments, "jobs": jobs, "force": force, **options})
         messages = Messages(progress)
         done = find_changes(request, command, messages)
         warn_of_result(done.result, messages)

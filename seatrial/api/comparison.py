@@ -12,9 +12,10 @@ import numpy as np
 
 from seatrial.api import tables
 from seatrial.api.arguments import as_path, check_above_zero, check_rate, named_arguments, output_folder
+from seatrial.api.calls import python_call
 from seatrial.api.figures import Figure
-from seatrial.api.fits import FittedResult, Logs, model_path, python_call, refuse_log, window_of
-from seatrial.api.logs import PathLike, as_paths
+from seatrial.api.fits import FittedResult, Logs, model_path, refuse_log, window_of
+from seatrial.api.logs import Log, PathLike, as_paths
 from seatrial.api.messages import Messages, errors_of_users, text_of, warn_of_result
 from seatrial.api.series import ByRecord, ComparedPredictions, Prediction
 from seatrial.api.shown import Content, Shown, number
@@ -293,7 +294,9 @@ def compare(
             workers=Workers(jobs, backend, scheduler),
         )
         messages = Messages(False)
-        result = compare_models(request, python_call("compare", files, models=str(list(named))), messages)
+        arguments = {"models": chosen, "logs": data, "horizon": horizon, "rate": rate, "thruster": thruster}
+        command = python_call(compare, {**arguments, "backend": backend, "scheduler": scheduler, "jobs": jobs})
+        result = compare_models(request, command, messages)
     warn_of_result(result, messages)
     return Comparison(result)
 
@@ -309,7 +312,7 @@ def _models_and_logs(models: Any, others: Sequence[Any], logs: Logs | None) -> t
     SeatrialError
         If there are no logs, or if a list of models is followed by more than the logs.
     """
-    several = isinstance(models, Mapping | Sequence) and not isinstance(models, str | bytes)
+    several = isinstance(models, Mapping | Sequence) and not isinstance(models, str | bytes | Log)
     rest = list(others)
     if logs is None:
         if not rest:

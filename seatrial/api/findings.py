@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from seatrial.api.messages import in_python
+
 if TYPE_CHECKING:
     from seatrial.ident.results import DiagnosisResult
 
@@ -54,9 +56,10 @@ class DiagnosisFindings:
         effect of each round. None if no experiment is recommended; `no_experiment` has the reason. If the diagnosed
         model was no file, the command names ``model.toml``: save the model, and give the path of this file.
         """
-        return self.result.recommended_experiment
+        advice = self.result.recommended_experiment
+        return None if advice is None else in_python(advice)
 
     @property
     def no_experiment(self) -> str:
         """Reason why no experiment is recommended, such as an effect without competing ones; empty if there is one."""
-        return self.result.no_experiment
+        return in_python(self.result.no_experiment)

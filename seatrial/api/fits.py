@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from seatrial.api import plots, tables
 from seatrial.api.arguments import as_path, check_values, output_folder, shortened
+from seatrial.api.calls import python_call
 from seatrial.api.figures import Figure
 from seatrial.api.findings import DiagnosisFindings
 from seatrial.api.logs import Log, PathLike, as_list, as_paths
@@ -257,8 +258,9 @@ class FitReport(Shown):
           periodogram from that of white noise, a residual in standard deviations, or a correlation coefficient;
         - p, the p value;
         - lag [s] of the largest correlation, and frequency [Hz] of the largest distance of the periodogram;
-        - verdict in words. A whiteness test fails below 0.5 %, normality below 1 %, and a correlation below 1 % divided
-          by the number of correlations.
+        - limit, the level below which p is a failure: 0.5 % for a test of whiteness, 1 % for normality, and 1 % divided
+          by the number of correlations of the result for each of these;
+        - verdict in words.
 
         Raises
         ------
@@ -266,6 +268,26 @@ class FitReport(Shown):
             If pandas is not installed.
         """
         return tables.residual_frame(self.result)
+
+    def errors_to_pandas(self) -> Any:
+        """Return the RMS prediction errors as a ``pandas.DataFrame``, with those before and after a diagnosis.
+
+        There is a row for each role (``estimation`` and, if there are such data, ``validation``), kind of prediction
+        and channel. The columns are:
+
+        - role; kind (``one_step``, ``horizon`` or ``simulation``); seconds, the horizon [s], NaN for the other kinds;
+        - channel, and unit of its errors (SI units and radians);
+        - before and after, the RMS errors of the models without and with the effects of a diagnosis. For a fit, after
+          is the error of the model, and before is NaN. A prediction that diverged is NaN;
+        - low and high, the 95 % interval of after / before, NaN without one;
+        - verdict on the change: ``fell``, ``rose`` or ``unchanged``, empty without one.
+
+        Raises
+        ------
+        SeatrialError
+            If pandas is not installed.
+        """
+        return tables.error_frame(self.result)
 
     def plot(self, *channels: str) -> Figure:
         """Return a figure of measured and predicted channels over the horizon, of all records of the result.
@@ -655,7 +677,8 @@ def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[
     with errors_of_users():
         request, progress = vehicle_request(as_paths(logs), _paths_or_none(validate), model, window_of(logs), options)
         messages = Messages(progress)
-        done: VehicleFit = fit_vehicle(request, python_call("fit", request.logs, model=model), messages)
+        command = python_call(fit, {"logs": logs, "model": model, "validate": validate, **options})
+        done: VehicleFit = fit_vehicle(request, command, messages)
     warn_of_result(done.result, messages)
     return FittedVehicle(done.result, done.fitted)
 
@@ -778,7 +801,8 @@ def diagnose(
             window=window_of(logs),
             **given,
         )
-        done: DiagnosedModel = diagnose_model(request, python_call("diagnose", request.logs), messages)
+        command = python_call(diagnose, {"model": model, "logs": logs, "validate": validate, **options})
+        done: DiagnosedModel = diagnose_model(request, command, messages)
         result, advice = done.result, done.result.recommended_experiment
         if isinstance(model, FittedResult) and advice:
             # The file of a fitted model was temporary. The user saves the model to run the command.
@@ -901,16 +925,6 @@ def known_options(given: Mapping[str, Any], options: type) -> dict[str, Any]:
             raise SeatrialError(f"there is no option {name!r}; {hint} {', '.join(known)}")
     check_values(given)
     return {n: [v] if n in LISTS and isinstance(v, str) else v for n, v in given.items()}
-
-
-def python_call(function: str, logs: Sequence[Path], **more: str) -> str:
-    """Return the Python call for the provenance of a result, such as ``seatrial.fit(['run1.mcap'], model='auto')``.
-
-    `function` is the name of the function, `logs` are its logs, of which only the file names are shown, and `more` are
-    further arguments by name. Options are not included.
-    """
-    rest = "".join(f", {name}={value!r}" for name, value in more.items())
-    return f"seatrial.{function}({[p.name for p in logs]}{rest})"
 
 
 def _prediction(

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 from seatrial.api import tables
 from seatrial.api.arguments import as_path
+from seatrial.api.calls import python_call
 from seatrial.api.fits import FitOptions, Logs, vehicle_request, window_of
 from seatrial.api.logs import PathLike, as_paths
-from seatrial.api.messages import Messages, errors_of_users, text_of, warn_of_result
+from seatrial.api.messages import Messages, errors_of_users, in_python, text_of, warn_of_result
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import import_library
@@ -18,6 +19,8 @@ from seatrial.daq.log import import_library
 if TYPE_CHECKING:
     from seatrial.ident.data import TimeWindow
     from seatrial.ident.results import FleetResult
+
+TEXTS = ("flag", "error", "warning_texts")  # columns of the table with sentences
 
 
 @dataclass(frozen=True, repr=False)
@@ -43,7 +46,7 @@ class FittedFleet(Shown):
     @property
     def failed(self) -> dict[str, str]:
         """Reason by log of each log without a fit, in one line; empty if the model was fitted to all logs."""
-        return {row.log: row.reason for row in self.result.failed}
+        return {row.log: in_python(row.reason) for row in self.result.failed}
 
     def to_pandas(self) -> Any:
         """Return all estimates as a ``pandas.DataFrame`` with a row for each log and parameter.
@@ -56,7 +59,11 @@ class FittedFleet(Shown):
             If pandas is not installed.
         """
         import_library("pandas")
-        return self.table.to_pandas()
+        frame = self.table.to_pandas()
+        for name in TEXTS:
+            if name in frame:
+                frame[name] = [in_python(x) if isinstance(x, str) else x for x in frame[name]]
+        return frame
 
     def values(self, column: str = "value") -> Any:
         """Return one column of the estimates as a ``pandas.DataFrame`` with a row for each log, a column for each name.
@@ -160,7 +167,9 @@ def fit_many(
         paths, folder = as_paths(logs, existing=False), None if out is None else as_path(out, "out")
         request = FleetRequest(paths, vehicle, folder, Workers(jobs, backend, scheduler), force)
         messages = Messages(progress)
-        done = fit_fleet(request, f"seatrial.fit_many({len(paths)} logs, model={model!r})", messages)
+        arguments = {"logs": logs, "model": model, "out": out, "backend": backend, "scheduler": scheduler}
+        command = python_call(fit_many, {**arguments, "jobs": jobs, "force": force, **options})
+        done = fit_fleet(request, command, messages)
         warn_of_result(done.result, messages)
     return FittedFleet(done.result, done.table)
 

@@ -15,7 +15,7 @@ from seatrial.api import tables
 from seatrial.api.arguments import as_path, named_arguments, shortened
 from seatrial.api.findings import DiagnosisFindings
 from seatrial.api.fits import FittedResult, MotionMethods, known_options, model_path, unknown_attribute
-from seatrial.api.logs import PathLike
+from seatrial.api.logs import Log, PathLike
 from seatrial.api.messages import errors_of_users, text_of
 from seatrial.api.plots import comparison_figure, prediction_figure
 from seatrial.api.series import Series, Simulation
@@ -220,6 +220,18 @@ class Saved(MotionMethods, Shown):
             raise SeatrialError(f"{self.path}: no {RESULT} of a fit was loaded; load the folder that contains it")
         return tables.residual_frame(self.result)
 
+    def errors_to_pandas(self) -> Any:
+        """Return the RMS prediction errors as a ``pandas.DataFrame``, as `FittedVehicle.errors_to_pandas`.
+
+        Raises
+        ------
+        SeatrialError
+            If no result of a fit was loaded, or if pandas is not installed.
+        """
+        if not hasattr(self.result, "horizon_seconds"):
+            raise SeatrialError(f"{self.path}: no {RESULT} of a fit was loaded; load the folder that contains it")
+        return tables.error_frame(self.result)
+
     def plot(self, *channels: str) -> Figure:
         """Return a figure of measured and predicted channels over the horizon, as that of a fit of this process.
 
@@ -398,8 +410,9 @@ def load(path: PathLike) -> Saved:
     found = {file.suffix == ".json": file for file in files if file.exists()}
     if not found:
         raise SeatrialError(f"{path}: contains neither {MODEL} nor {RESULT}; give the folder of a result")
-    saved = load_model(found[False]) if False in found else None
-    read = read_result(found[True]) if True in found else None
+    with errors_of_users():
+        saved = load_model(found[False]) if False in found else None
+        read = read_result(found[True]) if True in found else None
     return (SavedDiagnosis if isinstance(read, DiagnosisResult) else Saved)(path, saved, read)
 
 
@@ -555,7 +568,7 @@ def _checked_inputs(
     known = list(dict.fromkeys(i.tap_of or i.name for i in structure.inputs))
     needed = [n for n in known if n not in (TIME_INPUT, WORK_INPUT)]  # those are computed
     form = "{" + ", ".join(f"{n!r}: 0.5 + 0 * t" for n in needed) + "}"
-    if not hasattr(inputs, "items"):
+    if not hasattr(inputs, "items") or isinstance(inputs, Log):
         raise SeatrialError(f"inputs: give a dict with the values of each input by name, such as {form}")
     named = {str(name): np.asarray(values, dtype=float) for name, values in inputs.items()}
     for name, values in named.items():

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+import shlex
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +15,7 @@ from numpy.typing import NDArray
 
 from seatrial.api.arguments import as_path, check_number, named_arguments
 from seatrial.api.figures import Figure
-from seatrial.api.messages import errors_of_users
+from seatrial.api.messages import OF_IMPORT, OF_WINDOW, errors_of_users, in_python
 from seatrial.api.series import Series
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.checks import FAULT, WARNING, Finding, findings_lines, findings_summary, worst_first
@@ -21,6 +23,7 @@ from seatrial.daq.errors import SeatrialError, closest_name, counted, file_hint,
 from seatrial.daq.log import import_library, log_file
 
 if TYPE_CHECKING:
+    from seatrial.daq.importers.guess import Guess
     from seatrial.ident.data import LoadedLog, TimeWindow
 
 PathLike = str | Path
@@ -67,8 +70,8 @@ class Signal:
 
 
 @dataclass(frozen=True, repr=False)
-class Log(Shown):
-    """Log, or a window of it, with the signals that models use.
+class Log(Shown, Mapping[str, Signal]):
+    """Log, or a window of it, with the signals that models use. It is a mapping of its signals by name.
 
     Attributes
     ----------
@@ -97,10 +100,23 @@ class Log(Shown):
         if name not in self.signals:
             from seatrial.daq.importers.recognise import read_name  # imported here, as only this error needs it
 
-            near = closest_name(ALIASES.get(name) or read_name(name).meaning or name, self.signals)
+            text = str(name)  # a number is no name, but may be given by mistake
+            near = closest_name(ALIASES.get(text) or read_name(text).meaning or text, self.signals)
             hint = f"did you mean {near!r}? It" if near else "it"
             raise KeyError(f"{self.path.name} has no signal {name!r}; {hint} has {', '.join(self.signals)}")
         return self.signals[name]
+
+    def __iter__(self) -> Iterator[str]:
+        """Return an iterator over the names of the signals."""
+        return iter(self.signals)
+
+    def __len__(self) -> int:
+        """Return the number of signals."""
+        return len(self.signals)
+
+    def __contains__(self, name: object) -> bool:
+        """Return whether the log has a signal of this name."""
+        return name in self.signals
 
     def _content(self) -> Content:
         """Return name and duration of the log, and a table of its signals."""
@@ -185,8 +201,8 @@ def open_log(path: PathLike, start: float = 0.0, end: float = np.inf) -> Log:
     (file,) = files
     check_number("start", start, "s")
     check_number("end", end, "s")
-    window = TimeWindow(start, end)
-    with errors_of_users():
+    window = TimeWindow(float(start), float(end))  # a number of numpy would not fit into a result
+    with errors_of_users(OF_WINDOW):
         window.check()
         return _log_of(load_run(file, "estimation", window), file, window)
 
@@ -246,25 +262,75 @@ def import_log(
     import_map = None if map_path is None else as_path(map_path, "map_path")
     folder.mkdir(parents=True, exist_ok=True)
     made: list[Path] = []
-    with errors_of_users():
+    with errors_of_users(OF_IMPORT):
         if import_map is not None:
             return import_files(import_map, sources, out_dir=folder, force=force)
-        for source, guess in zip(sources, guess_maps(sources), strict=True):
-            with TemporaryDirectory() as scratch:
-                if caveats := dict.fromkeys(re.findall(r"# caveat: (.+)", guess.text)):
-                    warn(
-                        f"{source.name}: the import map is a guess ({'; '.join(caveats)}); correct the map of "
-                        f"`seatrial import --guess {source.name}` and give it as map_path"
-                    )
-                if guess.unrecognised:
-                    warn(
-                        f"{source.name}: not recognised and left out: {first_names(guess.unrecognised, 10)}; add those "
-                        f"that a fit needs to the map of `seatrial import --guess {source.name}`"
-                    )
-                guessed = Path(scratch) / f"{source.stem}.toml"
-                guessed.write_text(guess.text, encoding="utf-8")
+        guesses = guess_maps(sources)
+        for source, guess in zip(sources, guesses, strict=True):
+            _require_signals(source, guess)
+    _warn_of_guesses(sources, guesses)
+    with errors_of_users(OF_IMPORT), TemporaryDirectory() as scratch:
+        for source, guess in zip(sources, guesses, strict=True):
+            guessed = Path(scratch) / f"{source.stem}.toml"
+            guessed.write_text(guess.text, encoding="utf-8")
+            try:
                 made += import_files(guessed, [source], out_dir=folder, force=force)
+            except SeatrialError as problem:
+                if type(problem) is not SeatrialError or str(guessed) not in str(problem):
+                    raise
+                raise SeatrialError(str(problem).replace(str(guessed), f"guessed map of {source}")) from problem
     return made
+
+
+def _require_signals(source: Path, guess: Guess) -> None:
+    """Raise SeatrialError if no signal was recognised in a source file, so that its guessed map is without signals."""
+    if tomllib.loads(guess.text)["signal"]:
+        return
+    columns = f" in {first_names(guess.unrecognised, 10)}" if guess.unrecognised else ""
+    raise SeatrialError(
+        f"{source}: no signal was recognised{columns}; write a map with {_guess_command([source])}, add the signals to "
+        "it, and give it as map_path"
+    )
+
+
+def _warn_of_guesses(sources: Sequence[Path], guesses: Sequence[Guess]) -> None:
+    """Warn of the caveats of guessed maps, and of columns that were not recognised: once for files that are alike.
+
+    Files are alike if their caveats, or their columns, differ in numbers and in the name of the file at most. The text
+    is then that of the first of them.
+    """
+    guessed, left_out = dict[Any, list[tuple[Path, str]]](), dict[Any, list[tuple[Path, str]]]()
+    for source, guess in zip(sources, guesses, strict=True):
+        caveats = "; ".join(dict.fromkeys(re.findall(r"# caveat: (.+)", guess.text)))
+        columns = first_names(guess.unrecognised, 10) if guess.unrecognised else ""
+        for text, groups in ((caveats, guessed), (columns, left_out)):
+            if text:
+                groups.setdefault(re.sub(r"\d+", "", text.replace(source.stem, "")), []).append((source, text))
+    for alike in guessed.values():
+        paths, names = _of_group(alike)
+        one = len({text for _, text in alike}) == 1
+        of_first = "" if one else f", in {paths[0].name}"
+        warn(
+            f"{names}: the import map is a guess{of_first} ({alike[0][1]}); correct the map of {_guess_command(paths)} "
+            "and give it as map_path"
+        )
+    for alike in left_out.values():
+        paths, names = _of_group(alike)
+        warn(
+            f"{names}: not recognised and left out: {alike[0][1]}; add those that a fit needs to the map of "
+            f"{_guess_command(paths)} and give it as map_path"
+        )
+
+
+def _of_group(alike: Sequence[tuple[Path, str]]) -> tuple[list[Path], str]:
+    """Return the paths of files that are alike, and their names for a message."""
+    paths = [source for source, _ in alike]
+    return paths, first_names([source.name for source in paths], 5)
+
+
+def _guess_command(paths: Sequence[Path]) -> str:
+    """Return the command that writes the guessed map of files to map.toml, between backticks; it runs in any folder."""
+    return f"`seatrial import --guess {shlex.join(str(path.absolute()) for path in paths)} -o map.toml`"
 
 
 class Findings(Shown, tuple[Finding, ...]):
@@ -332,8 +398,10 @@ def check(logs: PathLike | Sequence[PathLike]) -> Findings:
     from seatrial.bench.preflight.log_findings import log_findings
     from seatrial.ident.checks import LogChecks
 
-    checks = LogChecks()
-    return Findings(worst_first(log_findings(checks.check, as_paths(logs), checks.differences)))
+    checks, paths = LogChecks(), as_paths(logs)
+    with errors_of_users():
+        found = worst_first(log_findings(checks.check, paths, checks.differences))
+    return Findings(f._replace(text=in_python(f.text), advice=in_python(f.advice)) for f in found)
 
 
 def as_list(logs: PathLike | Log | Sequence[PathLike | Log]) -> list[PathLike | Log]:
@@ -378,4 +446,5 @@ def as_paths(
     for path in paths:
         if not path.exists():
             raise SeatrialError(f"{path}: no such file or folder; {file_hint(path)}give the path of a log")
-    return [log_file(path) for path in paths] if folders else paths
+    with errors_of_users():
+        return [log_file(path) for path in paths] if folders else paths

@@ -3,32 +3,43 @@
 from __future__ import annotations
 
 import re
+import shlex
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar, cast
+
+import msgspec
 
 from seatrial.daq.errors import SeatrialError, warn
 
 if TYPE_CHECKING:
     from seatrial.ident.results import Result
 
+T = TypeVar("T")
+
 # Arguments of the functions of `seatrial` by the command-line option. An option without an entry stays as it is.
 ARGUMENTS = {
     "--fix": "fixed", "--prior": "priors", "--initial": "initial", "--effect": "effects", "--effects": "effects_file",
     "--per-log": "per_log", "--validate": "validate", "--max-effects": "max_effects", "--exclude": "exclude",
-    "--model": "model", "--horizon": "horizon",
+    "--model": "model", "--horizon": "horizon", "--gnss-outage": "gnss_outages",
     "--thruster": "thruster", "--robust": "outlier_model", "--profile": "profiles", "--settle": "settle",
     "--force": "force=True", "--despite-faults": "despite_faults=True", "--no-reml": "reml=False",
     "--second-order": "mean_order=2", "--no-second-order": "mean_order=1", "--no-score-tests": "score_tests=False",
     "--thrust-curve": "thrust_curve", "--thrust-input": "thrust_input", "--source-only": "source_only=True",
     "--mass": "mass", "--inertia": "inertia", "--backend": "backend", "--scheduler": "scheduler", "--out": "out",
     "--from": "start of st.open_log", "--to": "end of st.open_log", "--out-dir": "out_dir",
+    "-o": "out",
 }  # fmt: skip
 
-# An option with the value of a parameter, such as --fix y_left=-0.3 or --initial NAME=VALUE
-VALUE_OF_PARAMETER = re.compile(r"(?P<option>--(?:fix|initial)) (?P<name>\w+)=(?P<value>[-+]?\w+(?:\.\w+)*|\.\.\.)")
+# An option with the value of a parameter, such as --fix y_left=-0.3, --initial NAME=VALUE or --prior c1=40:2
+VALUE = r"(?:[-+]?\w+(?:\.\w+)*(?:(?<=e)[-+]\d+)?|\.\.\.)"
+VALUE_OF_PARAMETER = re.compile(
+    rf"(?P<option>--(?:fix|initial|prior)) (?P<name>[A-Za-z]\w*)=(?P<value>{VALUE})(?::(?P<sd>{VALUE}))?"
+)
+OPTION = re.compile(r"(?<![\w-])(?:--[a-z]+(?:-[a-z]+)*|-o(?![\w-]))")
+GUESS = "seatrial import --guess "  # command that st.import_log without a map replaces, before the paths
 
 # Functions of `seatrial` by the command that calls them, in a text between backticks.
 FUNCTIONS = {
@@ -42,6 +53,8 @@ FUNCTIONS = {
 
 # Arguments of `st.thruster` that differ from those of the other functions
 OF_THRUSTER = {"--thruster": "name"}
+OF_IMPORT = {"-o": "out_dir"}  # those of `st.import_log`
+OF_WINDOW = {"--from": "start", "--to": "end"}  # those of `st.open_log`
 
 
 def in_python(text: str, own: Mapping[str, str] = MappingProxyType({})) -> str:
@@ -49,24 +62,39 @@ def in_python(text: str, own: Mapping[str, str] = MappingProxyType({})) -> str:
 
     For example, ``--fix e_psi=0.03`` becomes ``fixed={'e_psi': 0.03}``, and a command without arguments between
     backticks becomes the function that it calls. Options without an entry in the tables stay. So does a command with
-    arguments, which can be run as it is. ``own`` has the arguments of a function that differ from those of the others,
-    by the option.
+    arguments, which can be run as it is, except the guess of an import map alone, which becomes ``st.import_log``.
+    ``own`` has the arguments of a function that differ from those of the others, by the option.
     """
     arguments = {**ARGUMENTS, **own}
 
     def replaced(part: str, between_backticks: bool) -> str:
         """Return a part of the message, between two backticks or outside of them, in the words of Python."""
+        if between_backticks and part.startswith(GUESS):
+            return _as_import(part)
         if between_backticks and part.startswith("seatrial "):
             return FUNCTIONS.get(part, part)
         part = VALUE_OF_PARAMETER.sub(_as_dictionary, part)
-        return re.sub(r"--[a-z]+(?:-[a-z]+)*", lambda found: arguments.get(found.group(), found.group()), part)
+        return OPTION.sub(lambda found: arguments.get(found.group(), found.group()), part)
 
     return "`".join(replaced(part, i % 2 == 1) for i, part in enumerate(text.split("`")))
 
 
 def _as_dictionary(option: re.Match[str]) -> str:
-    """Return a match of `VALUE_OF_PARAMETER` as an argument of Python, such as ``fixed={'e_psi': 0.03}``."""
-    return f"{ARGUMENTS[option['option']]}={{'{option['name']}': {option['value']}}}"
+    """Return a match of `VALUE_OF_PARAMETER` as an argument of Python, such as ``fixed={'e_psi': 0.03}``.
+
+    A prior with its standard deviation is a pair: ``priors={'c1': (40, 2)}``.
+    """
+    value = option["value"] if option["sd"] is None else f"({option['value']}, {option['sd']})"
+    return f"{ARGUMENTS[option['option']]}={{'{option['name']}': {value}}}"
+
+
+def _as_import(command: str) -> str:
+    """Return the command of a guessed import map as a call of Python; unchanged if it has further options."""
+    paths = shlex.split(command.removeprefix(GUESS))
+    if any(path.startswith("-") for path in paths):
+        return command
+    files: object = paths[0] if len(paths) == 1 else paths
+    return f"st.import_log({files!r})"
 
 
 class Messages:
@@ -110,8 +138,35 @@ def text_of(result: Result) -> str:
     from seatrial.ident.report import print_result
 
     text = StringIO()
-    print_result(result, Console(file=text, width=100, highlight=False, color_system=None, force_jupyter=False))
-    return "\n".join(line.rstrip() for line in text.getvalue().strip("\n").splitlines())
+    shown = with_texts_in_python(result)  # before the lines are broken, which may part an option from its value
+    print_result(shown, Console(file=text, width=100, highlight=False, color_system=None, force_jupyter=False))
+    return in_python("\n".join(line.rstrip() for line in text.getvalue().strip("\n").splitlines()))
+
+
+def with_texts_in_python(part: T) -> T:
+    """Return a part of a result with all its texts in the words of the Python interface.
+
+    The command of its provenance stays, and so do arrays and the keys of dictionaries.
+    """
+    return cast(T, _translated(part))
+
+
+def _translated(part: Any) -> Any:
+    """Return a text, tuple, dictionary or structure as `with_texts_in_python`; the same object if nothing changes."""
+    if isinstance(part, str):
+        text = in_python(part)
+        return part if text == part else text
+    if isinstance(part, tuple):
+        items = tuple(map(_translated, part))
+        return part if all(a is b for a, b in zip(items, part, strict=True)) else items
+    if isinstance(part, dict):
+        changed = {key: new for key, old in part.items() if (new := _translated(old)) is not old}
+        return part | changed if changed else part
+    if isinstance(part, msgspec.Struct):
+        values = {name: getattr(part, name) for name in part.__struct_fields__ if name != "command"}
+        changed = {name: new for name, old in values.items() if (new := _translated(old)) is not old}
+        return msgspec.structs.replace(part, **changed) if changed else part
+    return part
 
 
 @contextmanager

@@ -81,7 +81,7 @@ def mock_log(
         raise SeatrialError(f"there is no hidden effect {effect!r}; `seatrial mock boat --help` lists them") from None
     out = Path(path)
     with errors_of_users():
-        require_new(out, force, "another path")
+        require_new(out, force, "path")
     out.unlink(missing_ok=True)
     plan = make_mission("mixed", seconds, mission)
     t, n = plan.setpoints()

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.api import tables
-from seatrial.api.arguments import as_path, check_number, check_rate, named_arguments, output_folder
+from seatrial.api.arguments import as_intervals, as_path, check_number, check_rate, named_arguments, output_folder
+from seatrial.api.calls import python_call
 from seatrial.api.fits import (
     FittedDiagnosis,
     FittedResult,
@@ -21,11 +22,10 @@ from seatrial.api.fits import (
     Logs,
     known_options,
     model_path,
-    python_call,
     window_of,
 )
 from seatrial.api.logs import PathLike, as_paths
-from seatrial.api.messages import OF_THRUSTER, Messages, errors_of_users, warn_of_result
+from seatrial.api.messages import OF_THRUSTER, Messages, errors_of_users, warn_of_result, with_texts_in_python
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.files import write_output
@@ -351,7 +351,9 @@ def thruster(logs: Logs, **options: Unpack[ThrusterOptions]) -> FittedThruster |
     def work(out: Path) -> Any:
         """Fit the thruster, write the files of the command to the folder `out`, and return the fit."""
         found = fit_thruster(
-            ThrusterRequest(paths, out, estimation=how, **given), python_call("thruster", paths), reporter
+            ThrusterRequest(paths, out, estimation=how, **given),
+            python_call(thruster, {"logs": logs, **options}),
+            reporter,
         )
         found.write(out)
         return found
@@ -367,7 +369,7 @@ def thruster(logs: Logs, **options: Unpack[ThrusterOptions]) -> FittedThruster |
 def navigate(
     model: PathLike | FittedVehicle | FittedDiagnosis | Saved,
     logs: Logs,
-    gnss_outages: Sequence[tuple[float, float]] = (),
+    gnss_outages: Sequence[tuple[float, float]] | tuple[float, float] = (),
     smoothed: bool = True,
     thruster: PathLike | None = None,
     rate: float = 10.0,
@@ -380,7 +382,7 @@ def navigate(
         The fitted model.
     logs : path, `Log` or sequence of them
         Logs with different names, which the model should not have been fitted to. Of a `Log`, its own window is used.
-    gnss_outages : sequence of (from, to)
+    gnss_outages : sequence of (from, to), or one pair
         Intervals [s from the start of the log] in which the samples of GNSS are not used.
     smoothed : bool
         Whether each state is estimated from all samples (smoother), or only from those up to its time (filter).
@@ -397,8 +399,8 @@ def navigate(
     Raises
     ------
     SeatrialError
-        If two logs have the same name, if they lack signals that the model needs, or if the rate is not from 1 to 200
-        Hz.
+        If two logs have the same name, if they lack signals that the model needs, if the rate is not from 1 to 200 Hz,
+        or if an outage is no pair of numbers whose second is the larger one.
 
     Examples
     --------
@@ -408,14 +410,17 @@ def navigate(
     from seatrial.ident.workflows.navigate import NavigationRequest, navigate_logs
 
     check_rate(rate)
+    outages = as_intervals("gnss_outages", gnss_outages)
     paths, curve = as_paths(logs), None if thruster is None else model_file(as_path(thruster, "thruster"))
 
     def work(out: Path) -> Any:
         """Estimate the states, write the files of the command to the folder `out`, and return the result."""
-        request = NavigationRequest(path, paths, out, smoothed, gnss_outages, window_of(logs), rate, curve)
-        return navigate_logs(request, python_call("navigate", paths), messages)
+        request = NavigationRequest(path, paths, out, smoothed, outages, window_of(logs), rate, curve)
+        return navigate_logs(request, command, messages)
 
     messages = Messages(False)
+    arguments = {"model": model, "logs": logs, "gnss_outages": outages, "smoothed": smoothed, "thruster": thruster}
+    command = python_call(navigate, {**arguments, "rate": rate})
     with model_path(model) as path:
         found = Navigated(*_with_files(work))
     warn_of_result(found.result, messages)
@@ -466,9 +471,10 @@ def design(
     fitted = isinstance(model, FittedVehicle | FittedDiagnosis | Saved) or Path(str(model)).exists()
     with errors_of_users(), model_path(model) if fitted else nullcontext(Path(str(model))) as source:
         request = DesignRequest(**given)
-        found = make_design(str(source), request, file, f"seatrial.design(out={str(out)!r})", reporter, force)
+        command = python_call(design, {"model": model, "out": out, "force": force, **options})
+        found = make_design(str(source), request, file, command, reporter, force)
     warn_of_result(found, reporter)
-    return found
+    return with_texts_in_python(found)
 
 
 def _with_files(work: Callable[[Path], T], own: Mapping[str, str] | None = None) -> tuple[T, Files]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from seatrial.api.messages import in_python
+from seatrial.api.messages import in_python, with_texts_in_python
 from seatrial.api.shown import Content
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import import_library
@@ -84,6 +84,9 @@ class ResidualTest(NamedTuple):
         Lag [s] of the largest correlation; NaN for ``periodogram`` and ``normality``.
     frequency : float
         Frequency [Hz] of the largest distance of the periodogram; NaN for the other tests.
+    limit : float
+        Level of the test: it fails if p is not above it. Of ``cross-correlation`` it is 0.01 divided by the number of
+        correlations of the result that could be computed.
     verdict : str
         Verdict in words, such as ``not white``.
     """
@@ -96,6 +99,42 @@ class ResidualTest(NamedTuple):
     p: float
     lag: float
     frequency: float
+    limit: float
+    verdict: str
+
+
+class ErrorRow(NamedTuple):
+    """RMS prediction error of one channel for one kind of prediction, as a row of the table of errors.
+
+    Attributes
+    ----------
+    role : str
+        ``estimation`` or ``validation``: the data whose samples are predicted.
+    kind : str
+        ``one_step``, ``horizon`` or ``simulation``.
+    seconds : float
+        Horizon [s]; NaN for the other kinds.
+    channel, unit : str
+        Name of the channel, and unit of ``before`` and ``after``.
+    before : float
+        Error of the model without the effects that a diagnosis added; NaN for a fit.
+    after : float
+        Error of the model; of a diagnosis, of that with the effects. NaN: the prediction diverged.
+    low, high : float
+        Ends of the 95 % interval of after / before; NaN without an interval.
+    verdict : str
+        ``fell``, ``rose`` or ``unchanged``; empty without a comparison.
+    """
+
+    role: str
+    kind: str
+    seconds: float
+    channel: str
+    unit: str
+    before: float
+    after: float
+    low: float
+    high: float
     verdict: str
 
 
@@ -114,7 +153,7 @@ def statistics(row: ParameterRow) -> Statistics:
     reach = NORMAL_95 * se
     return Statistics(
         full_name(row), row.value, se, row.value - reach, row.value + reach, row.value / se if se > 0 else math.nan,
-        row.unit, row.origin, row.free, row.flag or "", row.meaning,
+        row.unit, row.origin, row.free, in_python(row.flag or ""), row.meaning,
     )  # fmt: skip
 
 
@@ -135,18 +174,19 @@ def summary(result: FitResult) -> str:
     """Return the result of a fit as text: its conclusion, a table of the estimates, fixed parameters and warnings.
 
     The parameters of effects that the user or a diagnosis added come first in the table. Above it are method and
-    log-likelihood, then the `conclusion`, and of a diagnosis the
-    labels of the names. Flags, which name problems of single estimates, follow the table.
+    log-likelihood, then the `conclusion`, and of a diagnosis the labels of the names and what to look for on the craft.
+    Flags, which name problems of single estimates, follow the table.
     """
-    from seatrial.ident.results import name_probabilities
+    from seatrial.ident.results import causes_sentence, name_probabilities
 
-    fit = result.fit
+    result = with_texts_in_python(result)
+    fit, effects = result.fit, getattr(result, "effects", ())
     lines = [
         f"{fit.model}: {fit.method}{', REML' if fit.restricted else ''}, {fit.message}",
         f"log-likelihood {fit.log_likelihood:.2f}" if fit.log_likelihood is not None else "log-likelihood not finite",
         "",
         textwrap.fill(conclusion(result), WIDTH),
-        *filter(None, [textwrap.fill(name_probabilities(getattr(result, "effects", ())), WIDTH)]),
+        *[textwrap.fill(text, WIDTH) for text in (name_probabilities(effects), causes_sentence(effects)) if text],
         "",
     ]
     first = effect_parameters(result)
@@ -166,7 +206,7 @@ def summary(result: FitResult) -> str:
     flags = [f"{row.name}: {row.flag}" for row in rows if row.free and row.flag]
     lines += [textwrap.fill(flag, WIDTH, initial_indent="  ", subsequent_indent="    ") for flag in flags]
     if experiment := getattr(result, "next_experiment", ""):
-        lines += ["", textwrap.fill(in_python(experiment), WIDTH)]
+        lines += ["", textwrap.fill(experiment, WIDTH)]
     fixed = [f"{row.name} = {row.value:.6g} {row.unit}".strip() + f" ({row.origin})" for row in rows if not row.free]
     lines += ["", textwrap.fill(f"fixed: {', '.join(fixed)}", WIDTH)] if fixed else []
     lines += (
@@ -216,7 +256,8 @@ def residual_tests(result: FitResult) -> list[ResidualTest]:
     return rows + [
         ResidualTest(
             row.record, row.channel, "cross-correlation", row.input, _or_nan(test.largest), _or_nan(test.p),
-            _at_largest(row.lags, test.z), math.nan, _verdict(test.p, LEVEL / number, "uncorrelated", "correlated"),
+            _at_largest(row.lags, test.z), math.nan, LEVEL / number,
+            _verdict(test.p, LEVEL / number, "uncorrelated", "correlated"),
         )
         for row, test in pairs if number
     ]  # fmt: skip
@@ -225,6 +266,28 @@ def residual_tests(result: FitResult) -> list[ResidualTest]:
 def residual_frame(result: FitResult) -> Any:
     """Return the `residual_tests` of a fit as a ``pandas.DataFrame``; SeatrialError without pandas."""
     return import_library("pandas").DataFrame(residual_tests(result), columns=list(ResidualTest._fields))
+
+
+def error_rows(result: FitResult) -> list[ErrorRow]:
+    """Return the prediction errors of a fit or a diagnosis by data, kind of prediction and channel."""
+    found = []
+    for role in ("estimation", "validation"):
+        table = getattr(result.errors, role)
+        for kind in () if table is None else table.__struct_fields__:
+            seconds = result.horizon_seconds if kind == "horizon" else math.nan
+            found += [
+                ErrorRow(
+                    role, kind, seconds, channel, e.unit, _or_nan(e.before), _or_nan(e.after), _or_nan(e.low),
+                    _or_nan(e.high), e.verdict or "",
+                )
+                for channel, e in getattr(table, kind).items()
+            ]  # fmt: skip
+    return found
+
+
+def error_frame(result: FitResult) -> Any:
+    """Return the `error_rows` of a fit as a ``pandas.DataFrame``; SeatrialError without pandas."""
+    return import_library("pandas").DataFrame(error_rows(result), columns=list(ErrorRow._fields))
 
 
 def _tests_of_channel(
@@ -236,20 +299,19 @@ def _tests_of_channel(
     """
     size = tests.cumulative.size
     distance = np.abs(tests.cumulative - np.arange(1, size + 1) / size)
-    normal = _verdict(tests.normal_p, LEVEL, "normal", "not normal")
-    if tests.outliers:
-        normal += f", {tests.outliers} beyond 6 standard deviations"
+    outliers = f", {tests.outliers} beyond 6 standard deviations" if tests.outliers else ""
 
-    def row(test: str, statistic: float, p: float | None, lag: float, at: float, verdict: str) -> ResidualTest:
+    def row(test: str, statistic: float, p: float | None, lag: float, at: float, limit: float) -> ResidualTest:
         """Return the row of one test."""
-        return ResidualTest(record, channel, test, "", statistic, _or_nan(p), lag, at, verdict)
+        words = ("normal", "not normal") if test == "normality" else ("white", "not white")
+        verdict = _verdict(p, limit, *words) + (outliers if test == "normality" else "")
+        return ResidualTest(record, channel, test, "", statistic, _or_nan(p), lag, at, limit, verdict)
 
     return [
-        row("ljung-box", _largest(tests.acf), tests.ljung_box_p, _at_largest(lags, tests.acf), math.nan,
-            _verdict(tests.ljung_box_p, LEVEL / 2, "white", "not white")),
+        row("ljung-box", _largest(tests.acf), tests.ljung_box_p, _at_largest(lags, tests.acf), math.nan, LEVEL / 2),
         row("periodogram", _largest(distance), tests.periodogram_p, math.nan, _at_largest(frequency, distance),
-            _verdict(tests.periodogram_p, LEVEL / 2, "white", "not white")),
-        row("normality", tests.largest, tests.normal_p, math.nan, math.nan, normal),
+            LEVEL / 2),
+        row("normality", tests.largest, tests.normal_p, math.nan, math.nan, LEVEL),
     ]  # fmt: skip
 
 

@@ -8,6 +8,7 @@ import inspect
 import io
 import json
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -22,10 +23,14 @@ import numpy as np
 import pytest
 from mcap.writer import Writer
 from msgspec import structs
+from pandas.testing import assert_frame_equal
 from scipy.io import loadmat
 
 import seatrial as st
 from seatrial import command_line
+from seatrial.api.calls import as_code, python_call
+from seatrial.api.messages import text_of, with_texts_in_python
+from seatrial.daq.checks import Finding
 from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
 from seatrial.daq.log import bag_of_ros
 from seatrial.ident.results import read_result
@@ -240,7 +245,7 @@ def test_mock_log_is_that_of_the_packaged_boat(tmp_path: Path) -> None:
     assert list(log.signals) == list(same.signals)
     for name, signal in log.signals.items():
         np.testing.assert_array_equal(signal.value, same[name].value)
-    with pytest.raises(SeatrialError, match="exists already; force=True replaces it"):
+    with pytest.raises(SeatrialError, match=r"exists already; force=True replaces it, path names another$"):
         st.mock_log(tmp_path / "mock.mcap", 20.0)
     st.mock_log(tmp_path / "mock.mcap", 15.0, force=True)
     assert st.open_log(tmp_path / "mock.mcap").duration == pytest.approx(15.0, abs=0.1)
@@ -265,7 +270,7 @@ def test_fit_is_that_of_the_command(logs: list[Path], fit: st.FittedVehicle, tmp
     words = ("--prior", "c1=40:2", "--fix", "c2=1.1", "--no-score-tests", "--validate", logs[1])
     run("ident", "vehicle", logs[0], *words, "--out", tmp_path / "command")
     results = [json.loads((tmp_path / k / "result.json").read_text("utf-8")) for k in ("python", "command")]
-    assert results[0].pop("command") == "seatrial.fit(['run1.mcap'], model='auto')"
+    assert results[0].pop("command") == fit.result.command
     for result in results:
         result.pop("created")
         result.pop("command", None)
@@ -401,6 +406,49 @@ def test_residual_tests_have_the_verdicts_of_report_and_answer(
         whiteness = tests[tests["test"].isin(["ljung-box", "periodogram"])]
         assert (whiteness["verdict"] == "white").all() == row.after.white
         assert whiteness["p"].iloc[0] == row.after.ljung_box_p
+
+
+def test_the_limit_of_a_residual_test_is_in_its_table(fit: st.FittedVehicle) -> None:
+    table = fit.residual_tests()
+    limits = table.groupby("test")["limit"].unique().map(list).to_dict()
+    pairs = sum(c.p is not None for c in fit.result.cross)
+    assert pairs > 1
+    assert limits == {
+        "ljung-box": [0.005], "periodogram": [0.005], "normality": [0.01], "cross-correlation": [0.01 / pairs]
+    }  # fmt: skip
+    failed = table["verdict"].str.split(",").str[0].isin(["not white", "not normal", "correlated"])
+    assert list(failed) == list(table["p"] <= table["limit"])
+
+
+def test_errors_before_and_after_a_diagnosis_are_a_table(
+    fit: st.FittedVehicle, found: st.FittedDiagnosis, tmp_path: Path
+) -> None:
+    table = found.errors_to_pandas()
+    errors = found.result.errors
+    assert errors.validation is not None
+    assert list(table.columns) == [
+        "role", "kind", "seconds", "channel", "unit", "before", "after", "low", "high", "verdict"
+    ]  # fmt: skip
+    for role in ("estimation", "validation"):
+        for kind in ("one_step", "horizon", "simulation"):
+            rows = table[(table["role"] == role) & (table["kind"] == kind)].set_index("channel")
+            expected = getattr(getattr(errors, role), kind)
+            assert list(rows.index) == list(expected)
+            assert list(rows["before"]) == [e.before for e in expected.values()]
+            assert list(rows["after"]) == [e.after for e in expected.values()]
+            assert list(rows["unit"]) == [e.unit for e in expected.values()]
+            seconds = found.result.horizon_seconds if kind == "horizon" else np.nan
+            np.testing.assert_array_equal(rows["seconds"], seconds)
+    assert len(table) == sum(len(getattr(t, k)) for t in (errors.estimation, errors.validation) for k in
+                             ("one_step", "horizon", "simulation"))  # fmt: skip
+    ahead = table.query("kind == 'horizon'")
+    assert set(ahead["verdict"]) <= {"fell", "rose", "unchanged"}
+    assert_frame_equal(st.load(found.save(tmp_path / "found")).errors_to_pandas(), table, rtol=1e-5)
+    of_fit = fit.errors_to_pandas()
+    assert of_fit["before"].isna().all()
+    assert (of_fit["after"] > 0.0).all()
+    with pytest.raises(SeatrialError, match=r"no result\.json of a fit was loaded"):
+        st.load(tmp_path / "found/model.toml").errors_to_pandas()
 
 
 def test_predictions_have_the_errors_of_the_result(fit: st.FittedVehicle) -> None:
@@ -1113,6 +1161,198 @@ def test_navigate_returns_and_saves_the_states(logs: list[Path], fit: st.FittedV
         saved.to_pandas()
 
 
+def test_a_log_is_a_mapping_of_its_signals(logs: list[Path], fit: st.FittedVehicle) -> None:
+    log = st.open_log(logs[0])
+    assert list(log) == list(log.keys()) == list(log.signals)
+    assert len(log) == len(log.signals) > 3
+    assert ("psi" in log, "heading" in log, 0 in log) == (True, False, False)
+    assert dict(log.items())["psi"] is log["psi"]
+    assert log.get("heading") is None
+    with pytest.raises(KeyError, match="no signal 0; it has "):
+        log[0]  # type: ignore[index]
+    assert st.check(log) == st.check(logs[0])  # and still one log, not a sequence of paths
+    with pytest.raises(SeatrialError, match="is a log, not a model"):
+        st.compare(log, fit)
+    with pytest.raises(SeatrialError, match="inputs: give a dict"):
+        st.simulate(fit, [0.0, 1.0], log)
+
+
+def test_navigation_of_a_log_of_the_fit_gives_a_warning(
+    logs: list[Path], fit: st.FittedVehicle, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.warns(SeatrialWarning, match=r"the model was fitted to run1: these data are counted twice"):
+        done = st.navigate(fit, [logs[0], logs[2]])
+    assert [w.code for w in done.result.warnings if w.code == "navigated-fitted-log"] == ["navigated-fitted-log"]
+    with pytest.warns(SeatrialWarning, match="the model was fitted to run1"):  # a part of the log has no hash
+        st.navigate(fit, st.open_log(logs[0], 20.0, 60.0))
+    assert not [w for w in st.navigate(fit, logs[2]).warnings if "counted twice" in w]
+    model = fit.save(tmp_path / "vehicle") / "model.toml"
+    capsys.readouterr()
+    run("ident", "navigate", model, logs[0], "--out", tmp_path / "out")
+    assert "these data are counted twice" in " ".join("".join(capsys.readouterr()).split())
+    assert "these data are counted twice" in (tmp_path / "out/report.html").read_text(encoding="utf-8")
+
+
+def test_the_command_of_a_result_repeats_the_run(
+    logs: list[Path], fit: st.FittedVehicle, found: st.FittedDiagnosis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It has every argument that is not the default; a fitted model is the call that fitted it."""
+    made = fit.result.command
+    assert made.startswith("seatrial.fit(['run1.mcap'], validate=['run2.mcap'], ")
+    assert "priors={'c1': (40.0, 2.0)}" in made
+    assert "fixed={'c2': 1.1}" in made
+    assert "model=" not in made
+    assert found.result.command == f"seatrial.diagnose({made}, ['run1.mcap'], validate=['run2.mcap'], max_effects=1)"
+    saved = st.load(fit.save(tmp_path / "vehicle"))
+    part = st.open_log(logs[2], start=np.float64(20.0))
+    done = st.navigate(saved, part, gnss_outages=(30, np.int64(50)), smoothed=False)
+    assert done.result.command == (
+        f"seatrial.navigate(seatrial.load({str(tmp_path / 'vehicle')!r}), "
+        "[seatrial.open_log('run3.mcap', start=20.0)], gnss_outages=((30.0, 50.0),), smoothed=False)"
+    )
+    compared = st.compare({"a": tmp_path / "vehicle", "b": found}, logs[2], horizon=[5.0])
+    assert compared.result.command == (
+        f"seatrial.compare({{'a': {str(tmp_path / 'vehicle')!r}, 'b': {found.result.command}}}, logs=['run3.mcap'], "
+        "horizon=[5.0])"
+    )
+    monkeypatch.chdir(logs[0].parent)
+    again = eval(made, {"seatrial": st})
+    assert again.params == fit.params
+    assert again.result.command == made
+    repeated = eval(done.result.command, {"seatrial": st})
+    assert repeated.files["run3.csv"] == done.files["run3.csv"]
+
+
+@pytest.mark.parametrize(
+    ("value", "code"),
+    [
+        (np.array([1.0, 2.0]), "[1.0, 2.0]"),
+        ({"c1": np.float64(6.5)}, "{'c1': 6.5}"),
+        ((3.0,), "(3.0,)"),
+        (["a", Path("b")], "['a', 'b']"),
+        (None, "None"),
+        (object, "<class 'object'>"),
+    ],
+)
+def test_the_value_of_an_argument_is_code(value: Any, code: str) -> None:
+    assert as_code(value) == code
+
+
+def test_many_logs_are_shown_by_their_number() -> None:
+    call = python_call(st.fit_many, {"logs": [f"{k}.mcap" for k in range(21)], "out": None, "mass": 3.0})
+    assert call == "seatrial.fit_many([21 logs], mass=3.0)"
+
+
+def test_one_pair_is_one_gnss_outage(logs: list[Path], fit: st.FittedVehicle) -> None:
+    one, several = (st.navigate(fit, logs[2], gnss_outages=x) for x in ((30.0, 50.0), np.array([[30, 50]])))
+    assert [(o.start, o.withheld) for o in one.result.outages] == [
+        (o.start, o.withheld) for o in several.result.outages
+    ]
+    assert any(o.withheld for o in one.result.outages)
+
+
+def test_texts_of_results_and_checks_have_no_options_of_the_command_line(
+    logs: list[Path], fit: st.FittedVehicle, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A flag of an estimate, an answer and the advice of a check may name options, which are arguments in Python."""
+    rows = [structs.replace(p, flag="at its bound. Fix it (--fix d_rr=0)") for p in fit.result.fit.parameters]
+    result = structs.replace(fit.result, fit=structs.replace(fit.result.fit, parameters=tuple(rows)))
+    result = structs.replace(result, answer="The mass is uncertain: give it (--fix e_psi=VALUE) or --prior m_u=30:2.")
+    told = replace(fit, result=result)
+    text = " ".join(told.summary().split())
+    assert "Fix it (fixed={'d_rr': 0})" in text
+    assert "give it (fixed={'e_psi': VALUE}) or priors={'m_u': (30, 2)}." in text
+    assert "--fix" not in text
+    assert "--fix" not in " ".join(told.to_pandas()["flag"])
+    assert "--fix" not in text_of(result)
+    assert with_texts_in_python(result).residuals is result.residuals  # what has no option is not copied
+    advice = "the heading is 0.02 rad off: --fix e_psi=0.02"
+    told_by = [Finding("warning", "code", "heading", "run1", "it is off", advice)]
+    monkeypatch.setattr("seatrial.bench.preflight.log_findings.log_findings", lambda *_: told_by)
+    (found,) = st.check(logs[0])
+    assert found.advice == "the heading is 0.02 rad off: fixed={'e_psi': 0.02}"
+
+
+def test_a_log_that_exists_is_named_with_the_arguments_of_the_import(page: Page, tmp_path: Path) -> None:
+    st.import_log(page.folder / "other.csv", out_dir=tmp_path)
+    with pytest.raises(SeatrialError, match=r"; force=True replaces it, out_dir names another$"):
+        st.import_log(page.folder / "other.csv", out_dir=tmp_path)
+
+
+def test_a_file_without_a_recognised_signal_gives_an_error_about_this_file(tmp_path: Path) -> None:
+    file = tmp_path / "junk.csv"
+    file.write_text("aa,bb\n" + "".join(f"{k},{k * k}\n" for k in range(20)), encoding="utf-8")
+    with pytest.raises(SeatrialError) as raised:
+        st.import_log(file, out_dir=tmp_path)
+    text = str(raised.value)
+    assert text.startswith(f"{file}: no signal was recognised in ")
+    assert f"`seatrial import --guess {file} -o map.toml`" in text
+    assert "give it as map_path" in text
+    assert "junk.toml" not in text
+
+
+def test_an_error_of_a_guessed_map_names_the_file(page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The guessed map is a temporary file, which the user cannot open."""
+
+    def fails(map_path: Path, *_: Any, **__: Any) -> None:
+        raise SeatrialError(f"{map_path}: signal[1]: unknown")
+
+    monkeypatch.setattr("seatrial.daq.importers.import_files.import_files", fails)
+    file = page.folder / "other.csv"
+    with pytest.raises(SeatrialError, match=rf"^guessed map of {file}: signal\[1\]: unknown$"):
+        st.import_log(file, out_dir=tmp_path)
+
+
+def test_files_with_the_same_caveats_give_one_warning_with_a_command_that_runs(tmp_path: Path) -> None:
+    folder, t = tmp_path / "my runs", np.arange(0.0, 20.0, 0.1)
+    folder.mkdir()
+    files = [folder / "lake_1.csv", folder / "lake_2.csv"]
+    for file, top in zip(files, (400.0, 900.0), strict=True):
+        table = np.column_stack([t, np.cos(t), top * np.sin(t), top * np.cos(t), t**2])
+        np.savetxt(file, table, delimiter=",", header="t,yaw,rpm_port,rpm_stbd,mystery", comments="")
+    with pytest.warns(SeatrialWarning) as issued:
+        st.import_log(files, out_dir=tmp_path / "logs")
+    texts = [str(w.message) for w in issued]
+    guess = [x for x in texts if "the import map is a guess" in x]
+    left_out = [x for x in texts if "not recognised and left out: mystery" in x]
+    assert (len(guess), len(left_out), len(texts)) == (1, 1, 2)
+    for text in texts:
+        assert text.startswith("lake_1.csv, lake_2.csv: ")
+        words = shlex.split(text.split("`")[1])
+        assert words == ["seatrial", "import", "--guess", *map(str, files), "-o", "map.toml"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path)
+        run(*words[1:])
+    assert len(st.import_log(files, tmp_path / "map.toml", out_dir=tmp_path / "again")) == 2
+
+
+@pytest.mark.parametrize(
+    ("outages", "message"),
+    [
+        (60.0, "gnss_outages 60.0: give pairs (from, to) in s, such as gnss_outages=[(60.0, 90.0)]"),
+        ("60:90", "gnss_outages '60:90': give pairs"),
+        ({30.0: 50.0}, "gnss_outages {30.0: 50.0}: give pairs"),
+        (None, "gnss_outages None: give pairs"),
+        (np.array(3.0), "gnss_outages array(3.): give pairs"),
+        ([30.0, 50.0, 60.0], "gnss_outages 30.0: is no pair of numbers; give pairs"),
+        ([(30.0, 50.0), 60.0], "gnss_outages 60.0: is no pair of numbers"),
+        ([(30.0, "50")], "gnss_outages (30.0, '50'): is no pair of numbers"),
+        ([(30.0, 50.0, 60.0)], "gnss_outages (30.0, 50.0, 60.0): is no pair of numbers"),
+        ((50.0, 30.0), "gnss_outages (50, 30): the end is not a time after the beginning"),
+        ([(30.0, np.nan)], "gnss_outages (30, nan): the end is not a time after the beginning"),
+        ((30.0, np.inf), "gnss_outages (30, inf): the end is not a time after the beginning"),
+        ((500.0, 600.0), "give an interval in this time to gnss_outages"),
+    ],
+)
+def test_a_malformed_gnss_outage_gives_a_one_line_error(
+    logs: list[Path], fit: st.FittedVehicle, outages: Any, message: str
+) -> None:
+    with pytest.raises(SeatrialError) as raised:
+        st.navigate(fit, logs[2], gnss_outages=outages)
+    assert message in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -1169,9 +1409,18 @@ def test_navigate_returns_and_saves_the_states(logs: list[Path], fit: st.FittedV
             "validation logs are always used as a whole",
         ),
         (lambda logs, fit: st.diagnose("nowhere", logs[0]), "nowhere: no such file"),
-        (lambda logs, fit: st.open_log(bag_in(logs[0].parent)), "bag is a bag of ROS 2; import it first: seatrial"),
-        (lambda logs, fit: st.fit(bag_in(logs[0].parent)), "bag is a bag of ROS 2; import it first: seatrial import"),
-        (lambda logs, fit: st.check(bag_in(logs[0].parent)), "bag is a bag of ROS 2; import it first: seatrial"),
+        (
+            lambda logs, fit: st.open_log(bag_in(logs[0].parent)),
+            "bag is a bag of ROS 2; import it first with `st.import_log('",
+        ),
+        (
+            lambda logs, fit: st.fit(bag_in(logs[0].parent)),
+            "bag is a bag of ROS 2; import it first with `st.import_log('",
+        ),
+        (
+            lambda logs, fit: st.check(bag_in(logs[0].parent)),
+            "bag is a bag of ROS 2; import it first with `st.import_log('",
+        ),
         (
             lambda logs, fit: st.fit(logs[0].parent),
             "is a folder of 3 logs: name one of run1.mcap, run2.mcap, run3.mcap",
@@ -1183,7 +1432,7 @@ def test_navigate_returns_and_saves_the_states(logs: list[Path], fit: st.FittedV
         (lambda logs, fit: st.navigate(logs[0], fit), "FittedVehicle: this is not a log; give the path of a log"),
         (lambda logs, fit: st.diagnose(3, logs[0]), "int: this is not a model; give a model.toml, a folder with one"),
         (lambda logs, fit: st.export(logs[0], "out", "c"), "run1.mcap: is a log, not a model; the model is the first"),
-        (lambda logs, fit: st.open_log(logs[0], 100.0, 90.0), "90 s is not after start of st.open_log 100 s; give a"),
+        (lambda logs, fit: st.open_log(logs[0], 100.0, 90.0), "end 90 s is not after start 100 s; give a later end"),
         (lambda logs, fit: st.open_log(logs[0], 50.0001, 50.0002), "there is no sample from 50.0001 s to 50.0002 s"),
         (
             lambda logs, fit: st.simulate(fit, np.arange(100) / 10, np.zeros((100, 2))),
@@ -1248,7 +1497,7 @@ def test_navigate_returns_and_saves_the_states(logs: list[Path], fit: st.FittedV
         ),
         (
             lambda logs, fit: st.open_log(file_of_ros(logs[0].parent)),
-            "of_ros.mcap is a bag of ROS 2; import it first: se",
+            "of_ros.mcap is a bag of ROS 2; import it first with `st.import_log('",
         ),
         (lambda logs, fit: fit.predict(horizon=-1.0), "horizon -1.0: give a time above zero [s]"),
         (lambda logs, fit: fit.predict(horizon="5"), "horizon '5': give a time above zero [s]"),
@@ -1280,9 +1529,9 @@ def test_wrong_arguments_give_a_one_line_error(
 def test_a_file_of_a_ros_bag_is_named_with_the_way_to_import_it(logs: list[Path], tmp_path: Path) -> None:
     (fault,) = st.check(file_of_ros(tmp_path)).faults
     assert (fault.code, fault.text) == ("ros-bag", "it is a bag of ROS 2, not a log")
-    assert fault.advice.endswith(f"seatrial import --guess {tmp_path / 'of_ros/of_ros.mcap'}")
+    assert fault.advice == f"import it with `st.import_log('{tmp_path / 'of_ros/of_ros.mcap'}')`, and check the log"
     (tmp_path / "of_ros/metadata.yaml").write_text("rosbag2_bagfile_information:\n  version: 5\n", encoding="utf-8")
-    with pytest.raises(SeatrialError, match=rf"import it first: seatrial import --guess {tmp_path / 'of_ros'}$"):
+    with pytest.raises(SeatrialError, match=rf"import it first with `st\.import_log\('{tmp_path / 'of_ros'}'\)`$"):
         st.fit(tmp_path / "of_ros/of_ros.mcap")
     assert bag_of_ros(logs[0]) is None  # a log has the profile of ROS 2 too
 

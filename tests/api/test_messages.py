@@ -21,6 +21,15 @@ from seatrial.daq.errors import SeatrialWarning
         ("the option `--model`", "the option `model`"),
         ("give `--fix c1=40` and --validate", "give `fixed={'c1': 40}` and validate"),
         ("`seatrial mission design MODEL --model x -o m.toml`", "`seatrial mission design MODEL --model x -o m.toml`"),
+        (
+            "give --prior c1=6.85:0.3, or --prior c1=MEAN:SD",
+            "give priors={'c1': (6.85, 0.3)}, or priors={'c1': (MEAN, SD)}",
+        ),
+        ("--fix d_rr=1e-05.", "fixed={'d_rr': 1e-05}."),
+        ("it exists; -o names another, as in a-o and --on", "it exists; out names another, as in a-o and --on"),
+        ("import it with `seatrial import --guess '/a b/c'`", "import it with `st.import_log('/a b/c')`"),
+        ("`seatrial import --guess a b`", "`st.import_log(['a', 'b'])`"),
+        ("`seatrial import --guess a -o map.toml`", "`seatrial import --guess a -o map.toml`"),
         ("an option --unknown stays", "an option --unknown stays"),
     ],
 )

@@ -325,7 +325,7 @@ def test_impossible_request_gives_a_one_line_error(
     ("words", "message"),
     [
         *(
-            (words, "bag is a bag of ROS 2; import it first: seatrial import --guess ")
+            (words, "bag is a bag of ROS 2; import it first with `seatrial import --guess ")
             for words in (
                 "vehicle {bag}",
                 "vehicle {log} --validate {bag}",

@@ -20,7 +20,7 @@ import pytest
 
 import seatrial as st
 from seatrial import command_line
-from seatrial.api.messages import text_of
+from seatrial.api.messages import in_python, text_of
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.estimation.maximum_likelihood import EstimationOptions
 from seatrial.ident.numerics import Array
@@ -352,7 +352,7 @@ def test_result_says_whether_the_fits_had_score_tests() -> None:
         result = fleet_result(pyarrow.Table.from_pylist(of, schema=schema), 2, vehicle, "", "")
         assert result.score_tests is (name != "off")
         (notes[name],) = result.notes
-        assert notes[name][:60] in " ".join(text_of(result).split())
+        assert in_python(notes[name])[:60] in " ".join(text_of(result).split())
     assert notes["off"].startswith("The fits have no score tests: all logs have the same model")
     assert "All logs have the same model" in notes["on"]
     assert "The logs have 2 different models. --no-score-tests leaves" in notes["two"]

@@ -47,10 +47,19 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_navigation_with_a_log_of_commands(folder: Path) -> None:
-    (code,) = blocks(how_to("navigate"), "python")
+    public, internal = (code.replace("(60.0, 90.0)", "(20.0, 30.0)") for code in blocks(how_to("navigate"), "python"))
     space: dict[str, Any] = {}
-    exec(compile(code.replace("(60.0, 90.0)", "(20.0, 30.0)"), "navigate.md", "exec"), space)
-    assert np.shape(space["x"])[0] > 500
+    exec(compile(public, "navigate.md", "exec"), space)
+    states, done = space["states"], space["done"]
+    assert any(one.withheld for one in done.result.outages)
+    assert (folder / "outage/validation.csv").is_file()
+    assert "seatrial." not in public  # internal modules
+    exec(compile(internal, "navigate.md", "exec"), space)
+    x, P = np.asarray(space["x"]), np.asarray(space["P"])
+    assert x.shape[0] > 500
+    assert P.shape == (*x.shape, x.shape[1])
+    k = space["done"].states.index("psi")
+    assert np.sqrt(P[:, k, k]).max() == pytest.approx(states["sd_psi"].max(), rel=0.01)
 
 
 def test_simulation_with_a_model_of_commands(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
