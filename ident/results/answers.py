@@ -80,6 +80,7 @@ LARGEST_ASYMMETRY = 0.5  # of c2 over c1: one direction then has a third of the 
 UNEQUAL_THRUST = 0.05  # difference of the thrust ahead from the given mean, relative to it, from which it is reported
 MOST_ADDED = 2.0  # largest plausible mass in surge, as a multiple of the weighed mass
 SHORT_BENCH_S = 20.0  # as SHORT_DATA_S, of a thruster: some held commands of 4 s, forward and in reverse
+LIFT = "Y_uv"  # parameter of the hull lift: damping of sway per forward speed
 LEAST_PULL = 0.03  # difference of the inputs of both sides on a straight course, relative to their mean, to report
 SAME_WEATHER = timedelta(hours=3)  # between the starts of logs, up to which one value of the wind is plausible
 NO_DATE = 1970  # year of the times of a log that has no date
@@ -1123,12 +1124,13 @@ def wind_sentence(made: Provenance, model: Model) -> str:
     )
 
 
-def course_sentence(course: CourseStability | None) -> str:
+def course_sentence(course: CourseStability | None, model: Model | None = None) -> str:
     """Return the sentence on a boat that is directionally unstable, with the time constant and its 95 % interval.
 
     If the interval of the pole contains zero, the sentence says that the boat is not distinguishable from a stable one.
     If the estimated damping of sway is negative, there is no statement on the stability, but one on the hull form,
-    with the lowest speed at which it is negative. The text is empty for a stable estimate and for None.
+    with the lowest speed at which it is negative. If the hull lift of ``model`` is the reason, the sentence says how to
+    fit the model without it. The text is empty for a stable estimate and for None.
     """
     if course is None:
         return ""
@@ -1136,10 +1138,17 @@ def course_sentence(course: CourseStability | None) -> str:
     if lowest is not None or (course.sway is not None and course.sway > 0.0):
         at = f"At {course.speed:.3g} m/s" if lowest is None else f"From {lowest:.2g} m/s on"
         speeds = "that speed" if lowest is None else "these speeds"
+        lift = None if model is None else next((p for p in model.parameters if p.name == LIFT and p.free), None)
+        held = ""
+        if lift is not None and lift.value < 0.0:
+            held = (
+                f", or fit the model again with the hull lift held (`seatrial ident vehicle LOGS --model MODEL.toml "
+                f"--fix {LIFT}=0 --no-score-tests`) and compare both on a log that neither has used"
+            )
         return (
             f"{at} the estimated damping of sway is negative, which no hull has: the data do not determine the form of "
             f"the hull there (lift, cross-flow). Do not design a controller with this model at {speeds}; record turns "
-            f"at {'it' if lowest is None else 'them'}."
+            f"at {'it' if lowest is None else 'them'}{held}."
         )
     if not course.unstable:
         return ""

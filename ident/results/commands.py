@@ -153,7 +153,7 @@ def vehicle_result(
     searchable = bool(residuals_of(evaluation.model))
     prediction = prediction_fit(evaluation)
     fit_answer = vehicle_answer(prediction, errors, evaluation.horizon, residuals, cross, searchable=searchable)
-    course = course_sentence(posed.dynamics.course if posed.dynamics else None)
+    course = course_sentence(posed.dynamics.course if posed.dynamics else None, fitted.fit.model)
     tested = any(a.name.startswith("F_w") for a in homogeneity)  # the wind force: its sentence follows
     wind = "" if tested else wind_sentence(made, fitted.fit.model)
     candidate = candidate_sentence(posed.uncertainty) if searchable else ""

@@ -115,7 +115,7 @@ def diagnosis_result(
     recommended = recommended_experiment(diagnosis)
     rounds, effects = tuple(_round_row(r) for r in diagnosis.rounds), _effect_rows(diagnosis, role)
     answer = "" if failed else diagnosis_answer(diagnosis, prediction, after.horizon, poor_channel(errors))
-    course = course_sentence(dynamics.course if dynamics else None)
+    course = course_sentence(dynamics.course if dynamics else None, diagnosis.after.fit.model)
     wind = wind_sentence(made, diagnosis.after.fit.model)
     return DiagnosisResult(
         **msgspec.structs.asdict(made),

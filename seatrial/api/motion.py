@@ -490,7 +490,7 @@ def linearise(
     >>> at_half_a_metre.plot_bode("turn")
     >>> feedback = at_half_a_metre.lqr({"u": 4.0, "r": 1.0, "psi": 4.0})
     """
-    from seatrial.ident.export import chosen_conditions
+    from seatrial.ident.export import chosen_conditions, sway_slopes
     from seatrial.ident.export import linearise as about_speed
 
     _warn_of_degrees(at)
@@ -503,6 +503,12 @@ def linearise(
             f"{speed:g} m/s is outside the speeds of the fitted data, {low:.3g} to {high:.3g} m/s; choose one of these"
         )
         warn(text)
+    if (sway_slopes(structure, np.array([speed]), found.u0[None], found.conditions) > 0.0).any():
+        warn(
+            f"at {speed:g} m/s the estimated damping of sway without drift is negative, which no hull has: poles that "
+            "are stable here need not be stable on another heading, and a controller can fail; record turns at this "
+            "speed, or fit a model without the hull lift that causes it (fixed={'Y_uv': 0.0})"
+        )
     assumed = tuple(n for n in found.conditions if n not in (at or {}))
     linear = Linearisation(**{**vars(found), "assumed": assumed, "ranges": ranges})
     beside = {n: v for n, v in linear.ranges.items() if n != "u"}  # the speed has a warning of its own

@@ -656,6 +656,13 @@ def test_log_with_commands_for_a_model_of_measured_shaft_speeds_gives_a_warning(
         st.navigate(model, logs[2])
 
 
+def test_linearisation_with_negative_damping_of_sway_gives_a_warning(logs: list[Path]) -> None:
+    how = {**LIKELIHOOD, "fixed": {**LIKELIHOOD["fixed"], "d_v": 20.0, "Y_uv": -100.0}}
+    lifted = st.fit(logs[1], effects=["lift"], **how)
+    with pytest.warns(SeatrialWarning, match=r"^at 0\.5 m/s the estimated damping of sway without drift is negative"):
+        st.linearise(lifted, 0.5)
+
+
 def test_linearisation_is_shown_in_a_few_lines_and_warns_outside_the_data(fit: st.FittedVehicle) -> None:
     at = st.linearise(fit, 0.5)
     assert repr(at).startswith("<Linearisation at 0.5 m/s, stable>\nstates u, v, r")

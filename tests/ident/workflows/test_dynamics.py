@@ -129,6 +129,9 @@ def test_negative_damping_of_sway_has_its_lowest_speed(fitted: FittedModel) -> N
     assert found.course is not None
     assert found.course.sway_from == pytest.approx(from_speed, abs=0.02 * fastest)
     assert f"From {found.course.sway_from:.2g} m/s on the estimated damping of sway" in course_sentence(found.course)
+    held = "fit the model again with the hull lift held (`seatrial ident vehicle LOGS --model MODEL.toml --fix Y_uv=0"
+    assert held in course_sentence(found.course, lifted)
+    assert held not in course_sentence(found.course, lifted.with_values({"Y_uv": 1.0}))
     assert {"u", "v", "n_left"} <= set(found.ranges)
     assert all(p.states["u"] == p.speed for p in found.points)
 
