@@ -562,15 +562,35 @@ def comparison_answer(result: ComparisonResult) -> str:
         words = f"No model is significantly better than ({first.label}) {first.name} {seconds:g} s ahead."
         if len(shown) == 1:
             words += f" {_change_words(*shown[0], first)}"
-    return words
+    of = best[0] if best is not None else shown[0][0] if len(shown) == 1 else None
+    return words if of is None else words + _other_horizons(of, result.horizons[1:])
 
 
 def _change_words(model: ComparedModel, ratio: ComparedRatio, reference: ComparedModel) -> str:
     """Return a sentence on the error of a model over all channels against that of the reference."""
+    return (
+        f"The error of ({model.label}) over all channels is {_size_of_change(ratio, 'than that of')} "
+        f"({reference.label}){_interval_of_change(ratio)}."
+    )
+
+
+def _other_horizons(model: ComparedModel, horizons: Sequence[float]) -> str:
+    """Return a sentence, after a space, on the error of a model over further horizons [s]; empty without any."""
+    changes = [(s, ratio) for s in horizons if (ratio := model.ahead(s)) is not None]
+    if not changes:
+        return ""
+    return f" It is {', '.join(f'{_size_of_change(r)} {s:g} s ahead{_interval_of_change(r)}' for s, r in changes)}."
+
+
+def _size_of_change(ratio: ComparedRatio, than: str = "") -> str:
+    """Return by how much an error is smaller or larger, as text, such as ``14 % smaller``, with ``than`` after it."""
     by = 100.0 * (ratio.ratio - 1.0)
-    side = "smaller" if by < 0.0 else "larger"
-    words = f"The error of ({model.label}) over all channels is {abs(by):.0f} % {side} than that of ({reference.label})"
+    return f"{abs(by):.0f} % {'smaller' if by < 0.0 else 'larger'} {than}".rstrip()
+
+
+def _interval_of_change(ratio: ComparedRatio) -> str:
+    """Return the 95 % interval of a change in per cent, as text behind its size."""
     if ratio.low is None or ratio.high is None:
-        return f"{words}, without an interval."
+        return ", without an interval"
     low, high = (f"{100.0 * (r - 1.0):+.0f}".replace("-", "−") for r in (ratio.low, ratio.high))
-    return f"{words} (95 %: {low} to {high} %)."
+    return f" (95 %: {low} to {high} %)"

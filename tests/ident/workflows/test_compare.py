@@ -165,6 +165,7 @@ def test_every_kind_channel_and_model_has_an_error_and_a_verdict(compared: Compa
     assert (compared.models[1].score.verdict, compared.models[1].score.held_out) == ("worse", True)
     assert compared.best == "a"
     assert compared.answer.startswith("Best 2 s ahead: (a) good. The error of (b) over all channels is ")
+    assert re.search(r"than that of \(a\) \(95 %: .* %\)\. It is \d+ % larger 5 s ahead \(95 %: ", compared.answer)
     assert sum(compared.counts("b").values()) == 32
     assert compared.counts("b")["worse"] > 3
     assert compared.counts("b")["no-interval"] > 0
