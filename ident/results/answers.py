@@ -78,6 +78,7 @@ FAR_FROM_MAXIMUM = 0.5  # standard errors by which a fit can still move; less do
 UNUSUAL = 3.0  # standard deviations of its prior, from which an estimate is far from its usual size
 LARGEST_ASYMMETRY = 0.5  # of c2 over c1: one direction then has a third of the other's thrust
 UNEQUAL_THRUST = 0.05  # difference of the thrust ahead from the given mean, relative to it, from which it is reported
+USUAL_ADDED = 1.3  # usual largest mass in surge of a slender hull, as a multiple of the weighed mass
 MOST_ADDED = 2.0  # largest plausible mass in surge, as a multiple of the weighed mass
 SHORT_BENCH_S = 20.0  # as SHORT_DATA_S, of a thruster: some held commands of 4 s, forward and in reverse
 LIFT = "Y_uv"  # parameter of the hull lift: damping of sway per forward speed
@@ -401,10 +402,10 @@ def mass_warnings(fit: Fit, weighed: float | None) -> list[ResultWarning]:
     """Return a warning if the estimated mass in surge contradicts the weighed mass of the boat [kg].
 
     The mass in surge is the weighed mass and the added mass of the water. A mass below the weighed one, by more than
-    two standard errors, or above 2.5 times the weighed one is implausible. The list is empty without a weighed mass, if
+    two standard errors, or above twice the weighed one is implausible. The list is empty without a weighed mass, if
     the model has no mass in surge, and if the thrust was not given, so that masses are known as ratios only.
     """
-    if weighed is None or "m_u" not in fit.model.values or thrust_scale_of(fit.model).relative:
+    if weighed is None or not _has_mass_to_weigh(fit):
         return []
     mass, error = fit.estimate("m_u")
     found = f"The estimated mass in surge, m_u, is {plus_minus(mass, error)} kg, and the boat weighs {weighed:g} kg"
@@ -419,6 +420,31 @@ def mass_warnings(fit: Fit, weighed: float | None) -> list[ResultWarning]:
     else:
         return []
     return [ResultWarning(code="mass-implausible", text=text)]
+
+
+def _has_mass_to_weigh(fit: Fit) -> bool:
+    """Return whether the fit has a mass in surge in kilograms, which it has not without a given thrust."""
+    return "m_u" in fit.model.values and not thrust_scale_of(fit.model).relative
+
+
+def mass_notes(fit: Fit, weighed: float | None) -> list[str]:
+    """Return a note that compares the estimated mass in surge with the weighed mass of the boat [kg], or an empty list.
+
+    The list is empty where `mass_warnings` warns, and where there is nothing to compare.
+    """
+    if weighed is None or not _has_mass_to_weigh(fit) or mass_warnings(fit, weighed):
+        return []
+    mass, error = fit.estimate("m_u")
+    found = (
+        f"The mass in surge, m_u, is {mass / weighed:.2f} times the weighed mass of {weighed:g} kg; the rest is the "
+        "added mass of the water, for a slender hull 5 to 30 % of the mass."
+    )
+    if mass - 2.0 * np.nan_to_num(error) > USUAL_ADDED * weighed:
+        found += (
+            " It is more here. If the hull is slender, check the given thrust, the scale of the shaft speeds (full "
+            "speed) and the load."
+        )
+    return [found]
 
 
 def design_warnings(model: Model, thrust: float, pole: float | None) -> list[ResultWarning]:

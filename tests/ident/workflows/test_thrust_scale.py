@@ -25,7 +25,7 @@ from seatrial.ident.cli.commands import ident
 from seatrial.ident.estimation.model_file import load_model
 from seatrial.ident.estimation.thrust_scale import thrust_scale_of
 from seatrial.ident.model.parameter import ParameterOrigin
-from seatrial.ident.results.answers import mass_warnings
+from seatrial.ident.results.answers import mass_notes, mass_warnings
 
 if TYPE_CHECKING:
     from seatrial.ident.estimation.maximum_likelihood import Fit
@@ -231,6 +231,27 @@ def test_weighed_mass_says_nothing_about_ratios_and_within_the_errors(
     for error, expected in ((0.6, []), (0.2, ["mass-implausible"])):
         estimate = SimpleNamespace(model=model, estimate=lambda _, e=error: (12.0, e))
         assert [w.code for w in mass_warnings(cast("Fit", estimate), 13.0)] == expected
+
+
+@pytest.mark.parametrize(
+    ("error", "weighed", "begin", "is_much"),
+    [
+        (0.2, 11.0, "The mass in surge, m_u, is 1.09 times the weighed mass of 11 kg", False),
+        (0.2, 8.0, "The mass in surge, m_u, is 1.50 times the weighed mass of 8 kg", True),
+        (1.0, 8.0, "The mass in surge, m_u, is 1.50 times the weighed mass of 8 kg", False),
+        (0.2, 13.0, "", False),  # There is a warning.
+        (0.2, None, "", False),
+    ],
+)
+def test_weighed_mass_is_compared_in_a_note(
+    bare: tuple[dict[str, Any], str, Path], error: float, weighed: float | None, begin: str, is_much: bool
+) -> None:
+    model = load_model(bare[2] / "model.toml").model
+    assert mass_notes(cast("Fit", SimpleNamespace(model=model, estimate=lambda _: (12.0, error))), weighed) == []
+    model = model.replace_parameters(model.parameter("c1").known(12.0, 0.0, ParameterOrigin.GIVEN))
+    notes = mass_notes(cast("Fit", SimpleNamespace(model=model, estimate=lambda _: (12.0, error))), weighed)
+    assert [note.startswith(begin) for note in notes] == ([True] if begin else [])
+    assert any("It is more here." in note for note in notes) == is_much
 
 
 @pytest.mark.study
