@@ -21,6 +21,7 @@ from .api.logs import Findings as Findings
 from .api.logs import Log as Log
 from .api.logs import Signal as Signal
 from .api.logs import check as check
+from .api.logs import guess_map as guess_map
 from .api.logs import import_log as import_log
 from .api.logs import open_log as open_log
 from .api.mock_logs import mock_log as mock_log

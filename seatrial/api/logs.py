@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shlex
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -221,6 +220,49 @@ def _log_of(loaded: LoadedLog, path: Path, window: TimeWindow) -> Log:
 
 
 @named_arguments
+def guess_map(files: PathLike | Sequence[PathLike], path: PathLike | None = None, force: bool = False) -> str:
+    """Guess the import map of files of other software, as ``seatrial import --guess``.
+
+    Correct its text where it has caveats, and give it to `import_log` as ``map_path``.
+
+    Parameters
+    ----------
+    files : path or sequence of paths
+        Files of the same kind, or folders of ROS bags. The columns are those of the first file; a scale that is guessed
+        from numbers is that of all.
+    path : path, optional
+        File to which the map is written. None: it is only returned.
+    force : bool
+        Whether an existing file is replaced. If false, an existing file is an error.
+
+    Returns
+    -------
+    str
+        Text of the map (TOML), with comments on what is uncertain.
+
+    Raises
+    ------
+    SeatrialError
+        If a file does not exist or cannot be read, or if the map cannot be written.
+
+    Examples
+    --------
+    >>> print(st.guess_map(["lake_1.csv", "lake_2.csv"], "lake.toml"))
+    >>> logs = st.import_log(["lake_1.csv", "lake_2.csv"], map_path="lake.toml")
+    """
+    from seatrial.daq.files import write_output
+    from seatrial.daq.importers.guess import guess_maps
+    from seatrial.daq.importers.write_log import replacing
+
+    sources, out = as_paths(files, folders=False), None if path is None else as_path(path, "path")
+    with errors_of_users({"-o": "path"}):
+        text = guess_maps(sources, folder=None if out is None else out.parent)[0].text
+        if out is not None:
+            with replacing(out, force, sources) as part:
+                write_output(part, text)
+    return text
+
+
 def import_log(
     files: PathLike | Sequence[PathLike], map_path: PathLike | None = None, out_dir: PathLike = ".", force: bool = False
 ) -> list[Path]:
@@ -233,7 +275,7 @@ def import_log(
     map_path : path, optional
         Import map, which assigns columns to signals. None: a map is guessed for each file; a scale that is guessed from
         numbers is the same for all files. The caveats of a guessed map are a `SeatrialWarning`. Look at the map before
-        you rely on it (``seatrial import --guess FILE``).
+        you rely on it (`guess_map`).
     out_dir : path
         Folder of the logs, which is created. A log has the name of its file; if the map merges files, that of the map.
     force : bool
@@ -288,7 +330,7 @@ def _require_signals(source: Path, guess: Guess) -> None:
         return
     columns = f" in {first_names(guess.unrecognised, 10)}" if guess.unrecognised else ""
     raise SeatrialError(
-        f"{source}: no signal was recognised{columns}; write a map with {_guess_command([source])}, add the signals to "
+        f"{source}: no signal was recognised{columns}; write a map with {_guess_call([source])}, add the signals to "
         "it, and give it as map_path"
     )
 
@@ -311,14 +353,14 @@ def _warn_of_guesses(sources: Sequence[Path], guesses: Sequence[Guess]) -> None:
         one = len({text for _, text in alike}) == 1
         of_first = "" if one else f", in {paths[0].name}"
         warn(
-            f"{names}: the import map is a guess{of_first} ({alike[0][1]}); correct the map of {_guess_command(paths)} "
+            f"{names}: the import map is a guess{of_first} ({alike[0][1]}); correct the map of {_guess_call(paths)} "
             "and give it as map_path"
         )
     for alike in left_out.values():
         paths, names = _of_group(alike)
         warn(
             f"{names}: not recognised and left out: {alike[0][1]}; add those that a fit needs to the map of "
-            f"{_guess_command(paths)} and give it as map_path"
+            f"{_guess_call(paths)} and give it as map_path"
         )
 
 
@@ -328,9 +370,11 @@ def _of_group(alike: Sequence[tuple[Path, str]]) -> tuple[list[Path], str]:
     return paths, first_names([source.name for source in paths], 5)
 
 
-def _guess_command(paths: Sequence[Path]) -> str:
-    """Return the command that writes the guessed map of files to map.toml, between backticks; it runs in any folder."""
-    return f"`seatrial import --guess {shlex.join(str(path.absolute()) for path in paths)} -o map.toml`"
+def _guess_call(paths: Sequence[Path]) -> str:
+    """Return the call that writes the guessed map of files to map.toml; it runs in any folder."""
+    absolute = [str(path.absolute()) for path in paths]
+    files: object = absolute[0] if len(absolute) == 1 else absolute
+    return f"st.guess_map({files!r}, 'map.toml')"
 
 
 class Findings(Shown, tuple[Finding, ...]):

@@ -1293,9 +1293,23 @@ def test_a_file_without_a_recognised_signal_gives_an_error_about_this_file(tmp_p
         st.import_log(file, out_dir=tmp_path)
     text = str(raised.value)
     assert text.startswith(f"{file}: no signal was recognised in ")
-    assert f"`seatrial import --guess {file} -o map.toml`" in text
+    assert f"write a map with st.guess_map('{file}', 'map.toml')" in text
     assert "give it as map_path" in text
     assert "junk.toml" not in text
+
+
+def test_a_guessed_map_is_written_corrected_and_used(page: Page, tmp_path: Path) -> None:
+    file, written = page.folder / "other.csv", tmp_path / "map.toml"
+    text = st.guess_map(file, written)
+    assert written.read_text(encoding="utf-8") == text == st.guess_map([file])
+    assert text.startswith("# ")
+    with pytest.raises(SeatrialError, match=r"exists already; force=True replaces it, path names another$"):
+        st.guess_map(file, written)
+    assert st.guess_map(file, written, force=True) == text
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", SeatrialWarning)  # a given map is no guess
+        (log,) = st.import_log(file, map_path=written, out_dir=tmp_path)
+    assert "psi" in st.open_log(log)
 
 
 def test_an_error_of_a_guessed_map_names_the_file(page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
