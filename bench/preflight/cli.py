@@ -294,7 +294,7 @@ def _findings_at_rest(rig: Rig, seconds: float, mission: Any, path: Path) -> lis
     """
     from seatrial.bench.execution import SafetyGuard
     from seatrial.bench.preflight.mission_checks import check_mission
-    from seatrial.bench.preflight.rig_checks import check_computer, check_limits, check_ports, listen
+    from seatrial.bench.preflight.rig_checks import check_computer, check_defaults, check_limits, check_ports, listen
     from seatrial.daq.checks import check_devices
     from seatrial.daq.log import open_log
 
@@ -304,7 +304,7 @@ def _findings_at_rest(rig: Rig, seconds: float, mission: Any, path: Path) -> lis
     silent = {finding.where for finding in found if finding.check == "alive"}
     with open_log(path) as log:
         found += [finding for finding in check_devices(log) if finding.where not in silent]
-    found += [*check_computer(rig, status), *check_limits(rig, guard, status)]
+    found += [*check_computer(rig, status), *check_limits(rig, guard, status), *check_defaults(rig)]
     return found if mission is None else [*found, *check_mission(mission, rig)]
 
 

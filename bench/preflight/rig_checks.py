@@ -12,8 +12,9 @@ from seatrial.daq.acquisition import Acquisition, PortStatus, Status
 from seatrial.daq.checks import FAULT, OK, WARNING, Finding
 from seatrial.daq.clock import RunClock
 from seatrial.daq.drivers import LinkStatus, check_parameters
+from seatrial.daq.errors import counted
 from seatrial.daq.protocol import EKF_POSITION, EKF_STANDS, ROVER
-from seatrial.daq.rig import LOAD_CELLS, Device, Rig
+from seatrial.daq.rig import LOAD_CELLS, UNCHECKED, Device, Rig
 
 ARMED = "autopilot-armed"  # code of the finding that is also printed as the last line
 STILL_WALL_S = 1.0  # wall s of silence that a busy machine alone can cause
@@ -253,6 +254,28 @@ def check_computer(rig: Rig, status: Status) -> Iterator[Finding]:
         )
     else:
         yield Finding(OK, "disk-as-expected", "disk", str(place), text)
+
+
+def check_defaults(rig: Rig) -> Iterator[Finding]:
+    """Yield one warning that names the values of a rig file which are still the defaults of `seatrial init`; or none.
+
+    They are the lines whose comment has the mark "default, check". The user removes it when the value is checked.
+    """
+    names, place, key_of_table = [], "", ""
+    for number, line in enumerate(rig.text.splitlines(), start=1):
+        written, _, comment = line.partition("#")
+        written = written.strip()
+        if written.startswith("["):
+            place = key_of_table = written.strip("[] ")
+        key, is_value, value = (part.strip() for part in written.partition("="))
+        if is_value and key == "name" and key_of_table in ("device", "thruster"):
+            place = value.strip("\"'")
+        if is_value and UNCHECKED in comment:
+            names.append(f"{place + '.' if place else ''}{key} = {value} (line {number})")
+    if names:
+        text = f'{counted(len(names), "value")} of {rig.path.name} marked "{UNCHECKED}": {", ".join(names)}'
+        advice = "measure or look up each value, and remove its mark; a wrong one spoils a fit without an error message"
+        yield Finding(WARNING, "rig-default", "rig", rig.name, text, advice)
 
 
 def _wanted_limits(rig: Rig) -> list[str]:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Sequence
 
-from seatrial.daq.new_rig.draft import UNCHECKED
-from seatrial.daq.rig import LOAD_CELLS, Rig, Thruster
+from seatrial.daq.rig import LOAD_CELLS, UNCHECKED, Rig, Thruster
 
 FIRST_N = 0.1  # largest command of the first turns
 
