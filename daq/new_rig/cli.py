@@ -141,8 +141,8 @@ def init(folder: Path, yes: bool, force: bool, **options: Any) -> None:
     from seatrial.daq.files import require_new, write_output
     from seatrial.daq.new_rig.checklist import checklist
     from seatrial.daq.new_rig.draft import rig_text
-    from seatrial.daq.rig import UNCHECKED
     from seatrial.daq.new_rig.questions import Interview, draft_rig
+    from seatrial.daq.rig import UNCHECKED
 
     rig_path, list_path = folder / RIG, folder / CHECKLIST
     for path in (rig_path, list_path):
