@@ -294,13 +294,22 @@ def _findings_at_rest(rig: Rig, seconds: float, mission: Any, path: Path) -> lis
     """
     from seatrial.bench.execution import SafetyGuard
     from seatrial.bench.preflight.mission_checks import check_mission
-    from seatrial.bench.preflight.rig_checks import check_computer, check_defaults, check_limits, check_ports, listen
+    from seatrial.bench.preflight.rig_checks import (
+        check_computer,
+        check_defaults,
+        check_limits,
+        check_ports,
+        listen,
+        other_protocols,
+    )
     from seatrial.daq.checks import check_devices
     from seatrial.daq.log import open_log
 
     guard = SafetyGuard(rig, rig.speed, tuple(thruster.name for thruster in rig.thrusters))
     status = listen(rig, seconds, path, guard)
-    found = list(check_ports(rig, status))
+    with open_log(path) as log:
+        others = other_protocols(rig, status, log)
+    found = list(check_ports(rig, status, others))
     silent = {finding.where for finding in found if finding.check == "alive"}
     with open_log(path) as log:
         found += [finding for finding in check_devices(log) if finding.where not in silent]

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 from seatrial.bench.execution import TELEMETRY, SafetyGuard, silent_devices
 from seatrial.daq.acquisition import Acquisition, PortStatus, Status
 from seatrial.daq.checks import FAULT, OK, WARNING, Finding
 from seatrial.daq.clock import RunClock
 from seatrial.daq.drivers import LinkStatus, check_parameters
-from seatrial.daq.errors import counted
-from seatrial.daq.protocol import EKF_POSITION, EKF_STANDS, ROVER
+from seatrial.daq.errors import SeatrialError, counted
+from seatrial.daq.log import Log
+from seatrial.daq.protocol import CAN, DEVICES, EKF_POSITION, EKF_STANDS, ROVER
 from seatrial.daq.rig import LOAD_CELLS, UNCHECKED, Device, Rig
 
 ARMED = "autopilot-armed"  # code of the finding that is also printed as the last line
@@ -54,19 +57,43 @@ def listen(rig: Rig, wall_s: float, path: Path, guard: SafetyGuard) -> Status:
         return acquisition.status()
 
 
-def check_ports(rig: Rig, status: Status) -> Iterator[Finding]:
+def other_protocols(rig: Rig, status: Status, log: Log) -> dict[str, str]:
+    """Return the protocol that the bytes of a device without a sample fit, by the name of the device.
+
+    Devices whose bytes fit the protocol of the rig, or no known protocol, are left out. ``log`` is the recording, with
+    the bytes of all ports, and ``status`` the last status of it.
+    """
+    from seatrial.daq.tools import recognise_protocol
+
+    found = {}
+    for device in rig.devices:
+        port = status.ports.get(device.name)
+        if port is None or port.samples or not port.bytes_in or DEVICES[device.protocol].bus == CAN:
+            continue
+        with contextlib.suppress(SeatrialError):  # a log without bytes of this port
+            protocol = recognise_protocol((t, data) for t, way, data in log.raw(device.name) if way == "rx")
+            if protocol not in ("", device.protocol):
+                found[device.name] = protocol
+    return found
+
+
+def check_ports(rig: Rig, status: Status, others: Mapping[str, str] = MappingProxyType({})) -> Iterator[Finding]:
     """Yield the findings on the ports of a rig after a recording at rest.
 
     They are devices without a sample, ports with an error (fault) or a remark of the decoder on the received data
     (warning), devices that have fallen silent (for more than 10 periods of their rate, and 1 s of run and of wall
     time), autopilots, and thrusters that are not reported. The latter are left out if no device at all has sent a
     sample. For a device without a sample this fault is the only finding, and a port with an error or remark is not
-    tested for silence. ``status`` is the last status of the recording.
+    tested for silence. ``status`` is the last status of the recording. ``others`` has the protocol of devices whose
+    bytes fit another protocol than that of the rig (`other_protocols`).
     """
     for device in rig.devices:
         port = status.ports.get(device.name)
         if port is None or port.samples == 0:
-            yield _silent_device_finding(device, port)
+            if port is not None and device.name in others:
+                yield _other_protocol_finding(rig, device, others)
+            else:
+                yield _silent_device_finding(device, port)
             continue
         if port.message and port.message == port.remark:
             yield Finding(
@@ -99,6 +126,24 @@ def check_ports(rig: Rig, status: Status) -> Iterator[Finding]:
             )
 
 
+def _other_protocol_finding(rig: Rig, device: Device, others: Mapping[str, str]) -> Finding:
+    """Return the fault that the bytes of a device are of another protocol, with the device whose port it may be.
+
+    ``others`` has the recognised protocols of devices, by name.
+    """
+    protocol = others[device.name]
+    text = f"the bytes of {device.port} are {protocol} ({DEVICES[protocol].description}), not {device.protocol}"
+    same = [other for other in rig.devices if other.protocol == protocol and other.name != device.name]
+    # The other device of an exchange gets the bytes of this one, if it gets bytes that fit a protocol.
+    pairs = [other for other in same if others.get(other.name) == device.protocol] or same
+    if pairs:
+        names = f"{device.name} and {' or '.join(other.name for other in pairs)}"
+        advice = f"are the ports of {names} exchanged? Correct `port` in the rig, or the cables"
+    else:
+        advice = "correct `protocol` or `port` of this device in the rig, or the output that the device is set to"
+    return Finding(FAULT, "device-silent", "alive", device.name, text, advice)
+
+
 def _silent_device_finding(device: Device, port: PortStatus | None) -> Finding:
     """Return the fault that a device has sent no sample, with its probable cause and a remedy.
 
@@ -114,7 +159,9 @@ def _silent_device_finding(device: Device, port: PortStatus | None) -> Finding:
         text = f"{port.bytes_in} bytes received, but no sample: wrong baud rate or protocol?"
         advice = "compare baud rate and protocol in the rig with the settings of the device"
     if port is not None and port.message:
-        text, advice = port.message, "correct this, and check power, cable and port; then check again"
+        # Most messages of a port end with an advice of their own.
+        has_advice = "; " in port.message or ": check " in port.message
+        text, advice = port.message, "" if has_advice else "check power, cable and port"
     return Finding(FAULT, "device-silent", "alive", device.name, text, advice)
 
 

@@ -123,3 +123,19 @@ def test_a_mission_is_checked_without_any_device(tmp_path: Path) -> None:
     assert {where for check, where in reported if check == "alive"} >= {"ahrs", "gnss", "esc"}
     assert reported["limits", "mixed, seed 1"]["level"] == "ok"
     assert "no c1" in reported["fence", "mixed, seed 1"]["text"]
+
+
+def test_exchanged_ports_are_recognised_by_the_bytes(tmp_path: Path) -> None:
+    with mock(tmp_path, "boat", speed=FAST):
+        text = (tmp_path / "boat-rig.toml").read_text(encoding="utf-8")
+        text = (
+            text.replace('"ports/ahrs"', '"X"').replace('"ports/gnss"', '"ports/ahrs"').replace('"X"', '"ports/gnss"')
+        )
+        (tmp_path / "exchanged.toml").write_text(text, encoding="utf-8")
+        done = check(tmp_path, "exchanged.toml", "--json")
+    assert done.returncode == 1, done.stderr
+    silent = {f["where"]: f for f in json.loads(done.stdout)["findings"] if f["code"] == "device-silent"}
+    assert "are nmea (GNSS receiver or compass, NMEA 0183), not vectornav" in silent["ahrs"]["text"]
+    assert "are the ports of ahrs and gnss exchanged?" in silent["ahrs"]["advice"]
+    assert "are vectornav (VectorNav AHRS, ASCII and binary), not nmea" in silent["gnss"]["text"]
+    assert "are the ports of gnss and ahrs exchanged?" in silent["gnss"]["advice"]
