@@ -116,7 +116,7 @@ def log(rig: Path, duration: float | None, out: Path | None, ask: bool, serve: b
         if not stop.is_set():
             acquisition.end_reason = f"the duration of {duration:g} s has ended"
     last = acquisition.status()
-    console.print(log_summary(last, path), soft_wrap=True, markup=False)
+    console.print(log_summary(last, path, loaded.speed), soft_wrap=True, markup=False)
     if not any(port.samples for port in last.ports.values()):
         raise SeatrialError(
             f"{path}: no device sent any data; check power and cables, and compare ports and baud rates in {rig} with "
