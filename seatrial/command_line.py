@@ -393,6 +393,8 @@ def main(args: Sequence[str] | None = None) -> None:
         line, status = _line_and_status(error)
         try:
             print(f"seatrial: {line}", file=sys.stderr)
+            if detail := getattr(error, "detail", ""):
+                print(f"seatrial: {printable(' '.join(str(detail).split()))}", file=sys.stderr)
         except OSError:  # the terminal was closed
             _silence_output()
     if any(thread.name == WAITING for thread in threading.enumerate()):

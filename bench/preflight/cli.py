@@ -338,22 +338,29 @@ def _confirmed_plan(rig: Rig, thrust: float | None, yes: bool, of_link: bool) ->
     click.UsageError
         If standard input is not a terminal, so that the question cannot be asked; not with ``yes``.
     click.Abort
-        If the operator does not confirm.
+        If the operator presses Ctrl-C at the question.
     SeatrialError
-        If the rig has no thruster for the test, or its `limits.n_max` does not permit the link test.
+        If the operator does not confirm, if the rig has no thruster for the test, or its `limits.n_max` does not permit the link test.
     """
     from seatrial.bench.execution import N_ACTUATOR_TEST, actuator_plan, link_test_plan, turning_warning
 
     plan = link_test_plan(rig) if of_link else actuator_plan(rig, thrust or N_ACTUATOR_TEST)
+    if thrust is not None and not of_link and thrust > plan.n_max:
+        click.echo(
+            f"--thrust {thrust:g} is beyond limits.n_max = {rig.limits.n_max:g} of {rig.path.name}: the test runs at up "
+            f"to n = {plan.n_max:g}",
+            err=True,
+        )
     if not yes:
         if not sys.stdin.isatty():
             raise click.UsageError(
                 f"--actuators: {turning_warning(plan)}; keep clear of the propellers, and give --yes, as there is no "
                 "terminal at which to confirm"
             )
-        click.confirm(
-            f"{turning_warning(plan)}.\nIs everybody clear of the propellers, and the boat free to move?", abort=True
-        )
+        if not click.confirm(
+            f"{turning_warning(plan)}.\nIs everybody clear of the propellers, and the boat free to move?"
+        ):
+            raise SeatrialError("not started, nothing was moved; repeat the command when everybody is clear")
     return plan
 
 

@@ -344,8 +344,8 @@ def log_summary(status: Status, path: Path, speed: float = 1.0) -> str:
     """Return the line for the user at the end of a recording: log file, duration, number of samples and size.
 
     If there are any, it also has the number of lost samples, the devices without a sample, and the devices that were
-    silent at the end, with the time of silence and the fault of the port. `status` is the last status of the acquisition, `path` is the log, and `speed`
-    has run seconds per wall second.
+    silent at the end, with the time of silence and the fault of the port. `status` is the last status of the
+    acquisition, `path` is the log, and `speed` has run seconds per wall second.
     """
     quiet = [
         f"{port.name} for {port.age:.1f} s{f' ({port.message})' if port.message else ''}"

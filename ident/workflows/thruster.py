@@ -337,7 +337,7 @@ def _lookup(result: ThrusterResult, full: float) -> dict[str, Array]:
     """Return command and shaft speed for zero force and evenly spaced forces [N] over the range of the fitted curve.
 
     ``full``: full shaft speed [rev/min], NaN if it is unknown. Where the fitted curve is not monotone, the running
-    maximum of the force counts. A command inside the dead zone has no thrust and is zero. The column ``extrapolated`` is
+    maximum of the force counts. A command inside the dead zone has no thrust and is zero. Column ``extrapolated`` is
     1 for a shaft speed beyond those that were measured, and 0 elsewhere.
     """
     assert result.static is not None
