@@ -128,8 +128,8 @@ def _largest_command_text(kind: str, rig: Rig, given: float | None, used: float)
     limit = rig.limits.n_max
     if given is not None and given > limit:
         raise SeatrialError(
-            f"{rig.path}: --n-max {given:g} of bench {kind} is beyond limits.n_max = {limit:g}; give at most "
-            f"{limit:g}, or leave --n-max out, or raise the limit in the rig"
+            f"{rig.path}: --n-max {given:g} of bench {kind} is too large, as limits.n_max is {limit:g}; give at "
+            f"most {limit:g}, or leave --n-max out, or raise the limit in the rig"
         )
     source = f"the default without --n-max; limits.n_max is {limit:g}"
     if given is not None:

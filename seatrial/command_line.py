@@ -314,7 +314,7 @@ def _usage_line(error: click.UsageError) -> str:
     """
     path = "seatrial" if error.ctx is None else error.ctx.command_path
     text = printable(" ".join(error.format_message().split()).rstrip("."))
-    return f"{path}: {text}{'' if text.endswith(('?', ')')) else ';'} `{path} --help` shows how"
+    return f"{path}: {text}{'' if text.endswith('?') else ';'} `{path} --help` shows how"
 
 
 def _warning_printer(default: Callable[..., None]) -> Callable[..., None]:

@@ -340,15 +340,16 @@ def _confirmed_plan(rig: Rig, thrust: float | None, yes: bool, of_link: bool) ->
     click.Abort
         If the operator presses Ctrl-C at the question.
     SeatrialError
-        If the operator does not confirm, if the rig has no thruster for the test, or its `limits.n_max` does not permit the link test.
+        If the operator does not confirm, if the rig has no thruster for the test, or if its `limits.n_max` does not
+        permit the link test.
     """
     from seatrial.bench.execution import N_ACTUATOR_TEST, actuator_plan, link_test_plan, turning_warning
 
     plan = link_test_plan(rig) if of_link else actuator_plan(rig, thrust or N_ACTUATOR_TEST)
     if thrust is not None and not of_link and thrust > plan.n_max:
         click.echo(
-            f"--thrust {thrust:g} is beyond limits.n_max = {rig.limits.n_max:g} of {rig.path.name}: the test runs at up "
-            f"to n = {plan.n_max:g}",
+            f"--thrust {thrust:g} is beyond limits.n_max = {rig.limits.n_max:g} of {rig.path.name}: the test runs at "
+            f"up to n = {plan.n_max:g}",
             err=True,
         )
     if not yes:

@@ -373,7 +373,8 @@ def check_limits(rig: Rig, guard: SafetyGuard, status: Status) -> Iterator[Findi
         yield Finding(WARNING, "limit-unwatched", "limits", rig.name, text, advice)
     missing = [key for key in _wanted_limits(rig) if getattr(rig.limits, key) is None]
     if missing:
-        text = f"[limits] has no {', '.join(missing)}: a run does not end because of these quantities"
+        which = "this quantity" if len(missing) == 1 else "these quantities"
+        text = f"[limits] has no {', '.join(missing)}: no value of {which} ends a run"
         advice = "set them (`seatrial devices --toml` writes examples), or leave them out on purpose"
         yield Finding(WARNING, "limit-missing", "limits", rig.name, text, advice)
     watched = [f"n_max {rig.limits.n_max:g}"]

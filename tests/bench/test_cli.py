@@ -205,7 +205,7 @@ def test_a_bench_run_says_its_largest_command_and_refuses_one_beyond_the_limit(
     assert status("steps", str(path), "--n-max", "0.4") == 0
     assert "bench steps: commands up to n = 0.4 (by --n-max)" in capsys.readouterr().out
     assert status("steps", str(path), "--n-max", "0.6") == 1
-    assert "rig.toml: --n-max 0.6 of bench steps is beyond limits.n_max = 0.5; give at most 0.5" in (
+    assert "rig.toml: --n-max 0.6 of bench steps is too large, as limits.n_max is 0.5; give at most 0.5" in (
         capsys.readouterr().err
     )
     assert len(plans) == 2

@@ -145,6 +145,8 @@ def test_each_command_of_the_checklist_exists(tmp_path: Path, kind: str, devices
     text = (tmp_path / "CHECKLIST.md").read_text()
     commands = re.findall(r"`(seatrial [^`]*)`", text)
     assert len(commands) >= 3
+    for line in commands:  # a repeated line writes another log
+        assert re.fullmatch(r'.* --out "logs/[\w-]+-\$\(date \+%m%d-%H%M%S\)\.mcap"|(?!.*--out logs).*', line), line
     for line in commands:
         options_of(command_line.cli, shlex.split(line)[1:])
     turning = [text.index(word) for word in ("--actuators", "seatrial bench") if word in text]
@@ -174,6 +176,7 @@ def test_existing_files_stay(tmp_path: Path) -> None:
     [
         ([], "give the devices with --devices, --from-found or both"),
         (["--devices", "gps"], "'gps' is not a protocol; known: vectornav"),
+        (["--devices", "GPS"], "; the usual ones of a device of this name are nmea and ubx"),
         (["--devices", "nmea@p@x"], "'x' is not a whole number"),
         (["--devices", "nmea@a,ubx@a"], "gnss and gnss2 have the same port"),
         (["--devices", "vesc@/dev/ttyUSB0"], "must be slcan:SERIAL or socketcan:NAME"),
@@ -325,3 +328,18 @@ def test_an_autopilot_drives_only_if_its_thrusters_are_known(parameters: dict[st
     (draft,) = drafts_of([rover])
     assert draft.drives is drives
     assert bool(parse_rig(rig_text(RigDraft(Value("boat"), [draft])), Path("rig.toml")).thrusters) is drives
+
+
+def test_a_line_of_the_checklist_reads_the_newest_log(tmp_path: Path) -> None:
+    init(tmp_path, "--kind", "bench", "--devices", "vesc,loadcell")
+    text = (tmp_path / "CHECKLIST.md").read_text()
+    (tmp_path / "logs").mkdir(exist_ok=True)
+    name = re.findall(r'--out ("logs/bench-\w+-[^"]*")', text)[0]
+    newest = re.findall(r'ident thruster ("[^"]*")', text)[0]
+    for age in (100, 0):
+        log = subprocess.run(["sh", "-c", f"printf %s {name}"], cwd=tmp_path, capture_output=True, text=True).stdout
+        log = log.replace(".mcap", f"{age}.mcap")
+        (tmp_path / log).write_bytes(b"")
+        os.utime(tmp_path / log, (time.time() - age, time.time() - age))
+    found = subprocess.run(["sh", "-c", f"printf %s {newest}"], cwd=tmp_path, capture_output=True, text=True).stdout
+    assert found == log
