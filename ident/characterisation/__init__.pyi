@@ -9,6 +9,7 @@ from .sensor_noise import band_spectrum as band_spectrum
 from .sensor_noise import estimate_noise as estimate_noise
 from .sensor_noise import noise_model as noise_model
 from .sensor_noise import welch as welch
+from .steady_bench import EXPO_BOUNDS as EXPO_BOUNDS
 from .steady_bench import SteadyRow as SteadyRow
 from .steady_bench import measured_response as measured_response
 from .steady_bench import newtons_per_watt as newtons_per_watt

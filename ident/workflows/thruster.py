@@ -16,6 +16,7 @@ import numpy as np
 from seatrial.daq.errors import SeatrialError, counted
 from seatrial.daq.files import write_output
 from seatrial.ident.characterisation import (
+    EXPO_BOUNDS,
     REVERSED_LOAD_CELL,
     THRUSTER_RATE,
     Curve,
@@ -48,7 +49,6 @@ from seatrial.ident.characterisation import (
     turning_inside_dead_zone,
     zero_drift,
 )
-from seatrial.ident.characterisation.steady_bench import EXPO_BOUNDS
 from seatrial.ident.checks import device_faults
 from seatrial.ident.data import Channel, LoadedLog, Record, build_record, load_runs
 from seatrial.ident.estimation import EstimationOptions, Fit, FittedModel, RecordEvaluation, profile
