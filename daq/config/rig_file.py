@@ -88,14 +88,14 @@ def parse_rig(text: str, source: Path | str, *, recorded: bool = False) -> Rig:
     ros2 = errors.tried(lambda: _read_ros2(root.table("ros2")), Ros2())
     read = [errors.tried(partial(_read_device, table, folder, recorded), None) for table in root.tables("device")]
     devices = tuple(device for device in read if device is not None)
-    limits = errors.tried(lambda: _read_limits(root.table("limits")), Limits())
-    no_vehicle: dict[str, float] = {}
-    vehicle = errors.tried(lambda: _read_vehicle(root.table("vehicle")), no_vehicle)
     tables = root.tables("thruster")
     # A thruster names its device, which has to be known for its check.
     can_check = bool(devices) and len(devices) == len(read)
     known = [errors.tried(partial(_read_thruster, table, devices), None) for table in tables if can_check]
     thrusters = tuple(thruster for thruster in known if thruster is not None)
+    limits = errors.tried(lambda: _read_limits(root.table("limits")), Limits())
+    no_vehicle: dict[str, float] = {}
+    vehicle = errors.tried(lambda: _read_vehicle(root.table("vehicle")), no_vehicle)
     timer = errors.tried(lambda: root.text("hardware_watchdog", ""), "")
     if read:
         errors.tried(root.done, None)
