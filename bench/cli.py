@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 FILE = click.Path(path_type=Path)
 EXISTING = ExistingPath(dir_okay=False)
 N_MAX_BENCH = 0.9
+_N_MAX_HELP = f"Largest command [default: {N_MAX_BENCH}, or limits.n_max of RIG if that is smaller]."
 ROUTER_S = 3.0  # wall seconds to wait for the router of ROS 2
 _ARM = click.option("--arm", is_flag=True, help="Put an autopilot into MANUAL, arm it, and disarm it at the end.")
 _RETRY = click.option(
@@ -80,7 +81,7 @@ def _add_bench_command(kind: str, text: str) -> None:
     @click.argument("rig_path", metavar="RIG", type=EXISTING)
     @output_option(FILE, "The log to write [default: by date in the rig's log directory].")
     @click.option("--thruster", help="Name of the thruster, if the rig has more than one.")
-    @click.option("--n-max", type=FiniteRange(0, 1, min_open=True), help=f"Largest command [default: {N_MAX_BENCH}].")
+    @click.option("--n-max", type=FiniteRange(0, 1, min_open=True), help=_N_MAX_HELP)
     @_ARM
     @_RETRY
     @view_option
@@ -103,6 +104,8 @@ def _add_bench_command(kind: str, text: str) -> None:
         """
         rig = load_rig(rig_path)
         largest = min(N_MAX_BENCH, rig.limits.n_max) if n_max is None else n_max
+        if kind != "static":
+            click.echo(_largest_command_text(kind, rig, n_max, largest), err=as_json)
         plan = mission_generators.bench_plan(kind, _bench_thruster(rig, thruster), largest, hold)
         _run_plan(plan, rig, out, arm, retry, None, view, as_json)
 
@@ -114,6 +117,26 @@ _add_bench_command("static", "Ten seconds at rest: the load cell's zero and the 
 _add_bench_command("steps", "Progressively increasing steps, up and down, forward and reverse.")
 _add_bench_command("chirp", "A chirp forward and a chirp in reverse.")
 _add_bench_command("all", "Rest, steps, chirps of each sign, rest: about two minutes.")
+
+
+def _largest_command_text(kind: str, rig: Rig, given: float | None, used: float) -> str:
+    """Return the line that says before a bench run which largest command it uses, and where this comes from.
+
+    ``kind`` is that of the bench run. ``given`` is the value of --n-max, None without it, and ``used`` the value that
+    the plan gets. Raises SeatrialError if the given value is beyond `limits.n_max` of the rig.
+    """
+    limit = rig.limits.n_max
+    if given is not None and given > limit:
+        raise SeatrialError(
+            f"{rig.path}: --n-max {given:g} of bench {kind} is too large, as limits.n_max is {limit:g}; give at "
+            f"most {limit:g}, or leave --n-max out, or raise the limit in the rig"
+        )
+    source = f"the default without --n-max; limits.n_max is {limit:g}"
+    if given is not None:
+        source = "by --n-max"
+    elif limit < N_MAX_BENCH:
+        source = f"limits.n_max of {rig.path.name}, which is below the default {N_MAX_BENCH:g}"
+    return f"bench {kind}: commands up to n = {used:g} ({source})"
 
 
 def _bench_thruster(rig: Rig, name: str | None) -> str:

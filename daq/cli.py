@@ -116,7 +116,7 @@ def log(rig: Path, duration: float | None, out: Path | None, ask: bool, serve: b
         if not stop.is_set():
             acquisition.end_reason = f"the duration of {duration:g} s has ended"
     last = acquisition.status()
-    console.print(log_summary(last, path), soft_wrap=True, markup=False)
+    console.print(log_summary(last, path, loaded.speed), soft_wrap=True, markup=False)
     if not any(port.samples for port in last.ports.values()):
         raise SeatrialError(
             f"{path}: no device sent any data; check power and cables, and compare ports and baud rates in {rig} with "
@@ -639,10 +639,12 @@ def export(
         part = opened
         if t_from > 0.0 or t_to < math.inf:
             part = opened.part(opened.start + t_from, opened.start + t_to)
-        if part.start > opened.end or not t_from < t_to:
+        if not t_from < t_to:
+            raise SeatrialError(f"--to {t_to:g} s is not after --from {t_from:g} s; give a later end")
+        if part.start > opened.end:
+            until = f" to {t_to:g} s" if t_to < math.inf else " s on"
             raise SeatrialError(
-                f"{log}: no data from {t_from:g} to {t_to:g} s; it has {opened.duration:.0f} s: give other --from and "
-                "--to"
+                f"{log}: no data from {t_from:g}{until}; it has {opened.duration:.0f} s: give other --from and --to"
             )
         for warning in part.warnings:
             click.echo(f"warning: {log}: {warning}", err=True)

@@ -22,10 +22,13 @@ class SeatrialError(Exception):
     """Error whose cause the user can remove.
 
     The message is ONE clear line: what failed, where, and what to do about it. The command line prints it after
-    `seatrial: ` and exits with `exit_status`, 1. A part that needs another exit status derives its own class.
+    `seatrial: ` and exits with `exit_status`, 1. A part that needs another exit status derives its own class. A fact
+    that must not hide in a long message, such as the path of a log, may stand in `detail`; the command line prints it
+    below the message as one line of its own.
     """
 
     exit_status = 1
+    detail = ""
 
 
 class SafetyStop(SeatrialError):

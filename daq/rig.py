@@ -51,6 +51,7 @@ OTHER_RATES = (  # other messages that may be requested
     "ESC_TELEMETRY_5_TO_8",
     "ESC_STATUS",
 )
+UNCHECKED = "default, check"  # in the comment of a line that `seatrial init` wrote: nobody has given the value
 HIGHEST_ID = 255  # of a MAVLink system or component
 
 

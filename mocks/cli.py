@@ -22,7 +22,7 @@ from seatrial.mocks.devices import KINDS, LOOP_HZ, Faults, by_side, make_emulato
 from seatrial.mocks.hidden_effects import bench as bench_effects
 from seatrial.mocks.hidden_effects import catalogue
 from seatrial.mocks.hidden_effects import realistic as realistic_boats
-from seatrial.mocks.plant import NONE, Bench, Boat, draw_bench, draw_boat, draw_thruster
+from seatrial.mocks.plant import ARM, NONE, Bench, Boat, draw_bench, draw_boat, draw_thruster
 from seatrial.mocks.ports import NetPort, PtyPort
 from seatrial.mocks.random_streams import FAULT, random_stream
 from seatrial.mocks.sensors import CellSpec
@@ -33,6 +33,7 @@ from seatrial.mocks.world import DeviceSpecs, EscSpec, World, bench_world, boat_
 GPS_HZ, ESC_HZ = 5.0, 10.0  # rates of the GNSS receiver and of the speed controllers behind an autopilot
 RPM_MAX = 4500.0  # rev/min; full speed of a thruster without rpm_max in the rig
 LAG_WARNING_S = 0.1  # wall s; for a longer lag the last line is a warning
+PLACE_M = 1e-3  # m; larger differences of places from those of the rig are named
 _FAULT_HELP = "; ".join(f"{name}: {kind.text}" for name, kind in KINDS.items())
 
 Command = Callable[..., None]
@@ -103,7 +104,8 @@ def mock() -> None:
 def boat(rig: Path, seed: int, run: int, effect: str, realistic: bool, truth_file: Path | None, **how: Any) -> None:
     """Serve a simulated boat with two thrusters at the ports of RIG, one thruster on each side.
 
-    Prints `ready` when all ports are open. The thrusters are like that of `mock bench` with the same seed.
+    Prints `ready` when all ports are open. The thrusters are like that of `mock bench` with the same seed. The places
+    of thrusters and antenna are always the same. A line says where those of RIG differ, as a fit uses those of RIG.
 
     \b
     Example: seatrial mock boat boat.toml --seed 7 --effect wind --fault pull/gnss@60:5
@@ -116,7 +118,11 @@ def boat(rig: Path, seed: int, run: int, effect: str, realistic: bool, truth_fil
         effects = () if name == "none" else (catalogue.make_effect(name, seed),)
     plant = draw_boat(seed, effects, draw_thruster(seed))  # the same thruster as on the bench of this seed
     utc = float(round(time.time()))
-    world = boat_world(plant, run, _device_specs(loaded, by_side(loaded)), utc=utc)
+    sides = by_side(loaded)
+    world = boat_world(plant, run, _device_specs(loaded, sides), utc=utc)
+    note = _geometry_note(loaded, sides)
+    if note:
+        click.echo(f"mock: {note}", err=True)  # standard output is for `ready`, for which programs wait
     _serve(loaded, plant, world, run, truth_file, **how)
 
 
@@ -139,6 +145,30 @@ def bench(rig: Path, seed: int, run: int, effect: str, truth_file: Path | None, 
     plant = draw_bench(seed, NONE if name == "none" else bench_effects.make_effect(name, seed))
     world = bench_world(plant, run, _device_specs(loaded, loaded.thrusters), utc=float(round(time.time())))
     _serve(loaded, plant, world, run, truth_file, **how)
+
+
+def _geometry_note(rig: Rig, sides: tuple[Thruster, Thruster]) -> str:
+    """Return how the simulated boat differs from its rig in the geometry that a fit takes from the rig; "" if nowhere.
+
+    Compared are y of the left and the right thruster (``sides``), and x and y of each antenna of a receiver, which is
+    simulated at the origin of the body axes.
+    """
+    parts = []
+    arms = [(t.name, t.position_m[1], y) for t, y in zip(sides, (-ARM, ARM), strict=True)]
+    if any(abs(there - y) > PLACE_M for _, there, y in arms):
+        here = " and ".join(f"{y:+g} m ({name})" for name, _, y in arms)
+        parts.append(f"thrusters at y = {here}, in the rig at {' and '.join(f'{there:+g} m' for _, there, _ in arms)}")
+    for device in rig.devices:
+        x, y, _ = device.lever_arm_m
+        if math.hypot(x, y) > PLACE_M:
+            parts.append(f"antenna of {device.name} at x = 0, y = 0 m, in the rig at x = {x:+g}, y = {y:+g} m")
+    if not parts:
+        return ""
+    return (
+        f"THE SIMULATED BOAT DIFFERS FROM {rig.path.name}: {'; '.join(parts)}. A fit of its logs takes these values "
+        "from the rig, so that its estimates (of the yaw inertia above all) are wrong: rehearse with a copy of the rig "
+        "that has the simulated values"
+    )
 
 
 def _device_specs(rig: Rig, thrusters: Sequence[Thruster]) -> DeviceSpecs:

@@ -314,7 +314,7 @@ def _usage_line(error: click.UsageError) -> str:
     """
     path = "seatrial" if error.ctx is None else error.ctx.command_path
     text = printable(" ".join(error.format_message().split()).rstrip("."))
-    return f"{path}: {text}{'' if text.endswith(('?', ')')) else ';'} `{path} --help` shows how"
+    return f"{path}: {text}{'' if text.endswith('?') else ';'} `{path} --help` shows how"
 
 
 def _warning_printer(default: Callable[..., None]) -> Callable[..., None]:
@@ -393,6 +393,8 @@ def main(args: Sequence[str] | None = None) -> None:
         line, status = _line_and_status(error)
         try:
             print(f"seatrial: {line}", file=sys.stderr)
+            if detail := getattr(error, "detail", ""):
+                print(f"seatrial: {printable(' '.join(str(detail).split()))}", file=sys.stderr)
         except OSError:  # the terminal was closed
             _silence_output()
     if any(thread.name == WAITING for thread in threading.enumerate()):

@@ -332,3 +332,11 @@ def test_warnings_of_seatrial_are_one_line_and_other_warnings_keep_their_locatio
         warnings.showwarning = lambda message, category, *where: print(f"{category.__name__}: {message}")
         status, out, err = run(action)
     assert (status, out, err) == (0, "RuntimeWarning: of a library\n", "seatrial: the engine is slow\n")
+
+
+def test_the_advice_after_a_bracket_is_separated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("a.toml", "b.mcap"):
+        (tmp_path / name).write_bytes(b"")
+    with pytest.raises(SystemExit):
+        command_line.main(["check", str(tmp_path / "a.toml"), str(tmp_path / "b.mcap")])
+    assert "one or more logs (.mcap); `seatrial check --help` shows how" in capsys.readouterr().err

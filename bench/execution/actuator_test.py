@@ -66,4 +66,6 @@ def turning_warning(plan: Mission) -> str:
 
     The text names the thrusters of ``plan``, its largest command, and its duration in run seconds.
     """
-    return f"thruster {', '.join(plan.thrusters)} will turn, at up to n = {plan.n_max:g}, for up to {plan.end:.0f} s"
+    names = plan.thrusters
+    which = f"thrusters {', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else f"thruster {names[0]}"
+    return f"{which} will turn, at up to n = {plan.n_max:g}, for up to {plan.end:.0f} s"

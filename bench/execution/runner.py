@@ -28,7 +28,7 @@ from seatrial.bench.execution.link_test import (
     save_link_tests,
 )
 from seatrial.bench.execution.operator_interface import HELP, WORDS, Display, Keys, MissionStatus, StopSignals
-from seatrial.bench.execution.safety_guard import Rest, Row, SafetyGuard
+from seatrial.bench.execution.safety_guard import Rest, Row, SafetyGuard, unreached_text
 from seatrial.bench.execution.sequencer import CommandFollower, CommandSource, MissionSequencer, Schedule
 from seatrial.bench.execution.tare import Tare, describe_tares, measure_tares
 from seatrial.bench.mission_limits import dry_run
@@ -51,6 +51,7 @@ LONGEST_PAUSE_S = 1.0  # longest pause between two checks of the status
 FLUSH_S = 0.8  # time after which all samples so far are in the file, which is flushed every 0.25 s
 
 ZERO = "thrust is zero"  # used only if zero thrust was measured
+NO_THRUST = "no thrust was commanded"
 
 
 class RunInterrupted(SeatrialError):
@@ -589,7 +590,11 @@ class _Runner:
         if isinstance(error, SeatrialError):
             if self._moved and thrust != ZERO:
                 error.exit_status = SafetyStop.exit_status
-            error.args = (f"{reason}; {thrust}, {log}{self._armed_text()}",)
+            if thrust in (ZERO, NO_THRUST):
+                error.args = (f"{reason}; {thrust}, {log}{self._armed_text()}",)
+            else:  # what to do stands first, and the log on a line of its own
+                error.args = (f"{thrust}; end of the run: {reason}{self._armed_text()}",)
+                error.detail = log
 
     def _armed_text(self) -> str:
         """Return the end of the error message of a run: the names of autopilots that are still armed.
@@ -655,13 +660,30 @@ class _Runner:
             text = f"THRUST CONTINUES on {', '.join(pushing)}: the autopilot is in mode {', '.join(modes)}"
             return f"{text}; stop it yourself by transmitter or kill switch"
         if not self._moved:
-            return "no thrust was commanded"
+            return NO_THRUST
+        unreached = [rest.thruster for rest in wrong if rest.text == unreached_text(rest.thruster)]
+        wrong = [rest for rest in wrong if rest.thruster not in unreached]
         measured = ": thruster " + ", thruster ".join(rest.text for rest in wrong) if wrong else ""
         times = self._vehicles.tested_s.items()
         tested = [f"{name} ended thrust {seconds:.1f} s after its link was lost" for name, seconds in times]
         in_link_test = f" (in its link test {', '.join(tested)})" if tested else ""
-        text = f"zero thrust was sent, not confirmed{measured}{in_link_test}"
-        return f"{text}; MAKE SURE THAT THE PROPELLERS STAND STILL before you approach"
+        known = [self._unreached_words(unreached)] if unreached else []
+        if wrong or not unreached:
+            known.append(f"zero thrust was sent, not confirmed{measured}{in_link_test}")
+        elif in_link_test:
+            known.append(in_link_test.strip(" ()"))
+        return f"MAKE SURE THAT THE PROPELLERS STAND STILL before you approach: {'; '.join(known)}"
+
+    def _unreached_words(self, thrusters: Sequence[str]) -> str:
+        """Return the part of the error message on ``thrusters`` to which zero could not be sent, and what ends them."""
+        text = f"zero could not be sent to {' and '.join(thrusters)}"
+        own = [self._rig.thruster(name) for name in thrusters if not self._is_output(name)]
+        if own:
+            times = ", ".join(f"{thruster.name} {thruster.timeout_s:g} s" for thruster in own)
+            text += f", and only the time-out in the controller ends the thrust (in the rig: {times})"
+        if len(own) < len(thrusters):
+            text += ", and only the failsafe of the autopilot ends the thrust"
+        return f"{text}; not measured"
 
     def _is_output(self, thruster: str) -> bool:
         """Return whether the thruster with this name is connected to an output of an autopilot."""

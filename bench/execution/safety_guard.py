@@ -577,6 +577,11 @@ class Rest(NamedTuple):
     text: str
 
 
+def unreached_text(thruster: str) -> str:
+    """Return the text of `Rest` for a thruster to which zero could not be sent, because its port was lost."""
+    return f"{thruster} was not reached"
+
+
 class _Motion(enum.Enum):
     """Motion of the motor of a thruster while zero is commanded, as its speed controller reports it.
 
@@ -1195,7 +1200,7 @@ class SafetyGuard:
         for thruster in self._thrusters:
             since = status.zeroed.get(thruster.device, math.nan)
             if math.isnan(since):
-                found.append(Rest(thruster.name, None, f"{thruster.name} was not reached"))
+                found.append(Rest(thruster.name, None, unreached_text(thruster.name)))
             elif thruster.output is None:
                 found.append(self._controllers[thruster.name].rest(status, since))
             else:

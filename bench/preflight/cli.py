@@ -294,17 +294,26 @@ def _findings_at_rest(rig: Rig, seconds: float, mission: Any, path: Path) -> lis
     """
     from seatrial.bench.execution import SafetyGuard
     from seatrial.bench.preflight.mission_checks import check_mission
-    from seatrial.bench.preflight.rig_checks import check_computer, check_limits, check_ports, listen
+    from seatrial.bench.preflight.rig_checks import (
+        check_computer,
+        check_defaults,
+        check_limits,
+        check_ports,
+        listen,
+        other_protocols,
+    )
     from seatrial.daq.checks import check_devices
     from seatrial.daq.log import open_log
 
     guard = SafetyGuard(rig, rig.speed, tuple(thruster.name for thruster in rig.thrusters))
     status = listen(rig, seconds, path, guard)
-    found = list(check_ports(rig, status))
+    with open_log(path) as log:
+        others = other_protocols(rig, status, log)
+    found = list(check_ports(rig, status, others))
     silent = {finding.where for finding in found if finding.check == "alive"}
     with open_log(path) as log:
         found += [finding for finding in check_devices(log) if finding.where not in silent]
-    found += [*check_computer(rig, status), *check_limits(rig, guard, status)]
+    found += [*check_computer(rig, status), *check_limits(rig, guard, status), *check_defaults(rig)]
     return found if mission is None else [*found, *check_mission(mission, rig)]
 
 
@@ -329,22 +338,30 @@ def _confirmed_plan(rig: Rig, thrust: float | None, yes: bool, of_link: bool) ->
     click.UsageError
         If standard input is not a terminal, so that the question cannot be asked; not with ``yes``.
     click.Abort
-        If the operator does not confirm.
+        If the operator presses Ctrl-C at the question.
     SeatrialError
-        If the rig has no thruster for the test, or its `limits.n_max` does not permit the link test.
+        If the operator does not confirm, if the rig has no thruster for the test, or if its `limits.n_max` does not
+        permit the link test.
     """
     from seatrial.bench.execution import N_ACTUATOR_TEST, actuator_plan, link_test_plan, turning_warning
 
     plan = link_test_plan(rig) if of_link else actuator_plan(rig, thrust or N_ACTUATOR_TEST)
+    if thrust is not None and not of_link and thrust > plan.n_max:
+        click.echo(
+            f"--thrust {thrust:g} is beyond limits.n_max = {rig.limits.n_max:g} of {rig.path.name}: the test runs at "
+            f"up to n = {plan.n_max:g}",
+            err=True,
+        )
     if not yes:
         if not sys.stdin.isatty():
             raise click.UsageError(
                 f"--actuators: {turning_warning(plan)}; keep clear of the propellers, and give --yes, as there is no "
                 "terminal at which to confirm"
             )
-        click.confirm(
-            f"{turning_warning(plan)}.\nIs everybody clear of the propellers, and the boat free to move?", abort=True
-        )
+        if not click.confirm(
+            f"{turning_warning(plan)}.\nIs everybody clear of the propellers, and the boat free to move?"
+        ):
+            raise SeatrialError("not started, nothing was moved; repeat the command when everybody is clear")
     return plan
 
 

@@ -57,7 +57,7 @@ def _fence_finding(mission: Mission, rig: Rig, radius: float) -> Finding:
         t, far = p.t, np.hypot(p.x - p.x[0], p.y - p.y[0]) + p.radius
         by = f"the design, by model {p.model}"
     elif missing := [name for name in NEEDED if name not in rig.vehicle]:
-        hint = "add them (c1: thrust of a model at full speed, in N), or use a designed mission"
+        hint = "add them (c1: thrust of one thruster at full speed, in N), or use a designed mission"
         return _unpredicted_finding(mission, f"has no {', '.join(missing)}", hint)
     elif wrong := [name for name in MASSES if not rig.vehicle[name] > 0.0]:
         return _unpredicted_finding(

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 from seatrial.bench.execution import TELEMETRY, SafetyGuard, silent_devices
 from seatrial.daq.acquisition import Acquisition, PortStatus, Status
 from seatrial.daq.checks import FAULT, OK, WARNING, Finding
 from seatrial.daq.clock import RunClock
 from seatrial.daq.drivers import LinkStatus, check_parameters
-from seatrial.daq.protocol import EKF_POSITION, EKF_STANDS, ROVER
-from seatrial.daq.rig import LOAD_CELLS, Device, Rig
+from seatrial.daq.errors import SeatrialError, counted
+from seatrial.daq.log import Log
+from seatrial.daq.protocol import CAN, DEVICES, EKF_POSITION, EKF_STANDS, ROVER
+from seatrial.daq.rig import LOAD_CELLS, UNCHECKED, Device, Rig
 
 ARMED = "autopilot-armed"  # code of the finding that is also printed as the last line
 STILL_WALL_S = 1.0  # wall s of silence that a busy machine alone can cause
@@ -53,19 +57,43 @@ def listen(rig: Rig, wall_s: float, path: Path, guard: SafetyGuard) -> Status:
         return acquisition.status()
 
 
-def check_ports(rig: Rig, status: Status) -> Iterator[Finding]:
+def other_protocols(rig: Rig, status: Status, log: Log) -> dict[str, str]:
+    """Return the protocol that the bytes of a device without a sample fit, by the name of the device.
+
+    Devices whose bytes fit the protocol of the rig, or no known protocol, are left out. ``log`` is the recording, with
+    the bytes of all ports, and ``status`` the last status of it.
+    """
+    from seatrial.daq.tools import recognise_protocol
+
+    found = {}
+    for device in rig.devices:
+        port = status.ports.get(device.name)
+        if port is None or port.samples or not port.bytes_in or DEVICES[device.protocol].bus == CAN:
+            continue
+        with contextlib.suppress(SeatrialError):  # a log without bytes of this port
+            protocol = recognise_protocol((t, data) for t, way, data in log.raw(device.name) if way == "rx")
+            if protocol not in ("", device.protocol):
+                found[device.name] = protocol
+    return found
+
+
+def check_ports(rig: Rig, status: Status, others: Mapping[str, str] = MappingProxyType({})) -> Iterator[Finding]:
     """Yield the findings on the ports of a rig after a recording at rest.
 
     They are devices without a sample, ports with an error (fault) or a remark of the decoder on the received data
     (warning), devices that have fallen silent (for more than 10 periods of their rate, and 1 s of run and of wall
     time), autopilots, and thrusters that are not reported. The latter are left out if no device at all has sent a
     sample. For a device without a sample this fault is the only finding, and a port with an error or remark is not
-    tested for silence. ``status`` is the last status of the recording.
+    tested for silence. ``status`` is the last status of the recording. ``others`` has the protocol of devices whose
+    bytes fit another protocol than that of the rig (`other_protocols`).
     """
     for device in rig.devices:
         port = status.ports.get(device.name)
         if port is None or port.samples == 0:
-            yield _silent_device_finding(device, port)
+            if port is not None and device.name in others:
+                yield _other_protocol_finding(rig, device, others)
+            else:
+                yield _silent_device_finding(device, port)
             continue
         if port.message and port.message == port.remark:
             yield Finding(
@@ -98,6 +126,24 @@ def check_ports(rig: Rig, status: Status) -> Iterator[Finding]:
             )
 
 
+def _other_protocol_finding(rig: Rig, device: Device, others: Mapping[str, str]) -> Finding:
+    """Return the fault that the bytes of a device are of another protocol, with the device whose port it may be.
+
+    ``others`` has the recognised protocols of devices, by name.
+    """
+    protocol = others[device.name]
+    text = f"the bytes of {device.port} are {protocol} ({DEVICES[protocol].description}), not {device.protocol}"
+    same = [other for other in rig.devices if other.protocol == protocol and other.name != device.name]
+    # The other device of an exchange gets the bytes of this one, if it gets bytes that fit a protocol.
+    pairs = [other for other in same if others.get(other.name) == device.protocol] or same
+    if pairs:
+        names = f"{device.name} and {' or '.join(other.name for other in pairs)}"
+        advice = f"are the ports of {names} exchanged? Correct `port` in the rig, or the cables"
+    else:
+        advice = "correct `protocol` or `port` of this device in the rig, or the output that the device is set to"
+    return Finding(FAULT, "device-silent", "alive", device.name, text, advice)
+
+
 def _silent_device_finding(device: Device, port: PortStatus | None) -> Finding:
     """Return the fault that a device has sent no sample, with its probable cause and a remedy.
 
@@ -113,7 +159,9 @@ def _silent_device_finding(device: Device, port: PortStatus | None) -> Finding:
         text = f"{port.bytes_in} bytes received, but no sample: wrong baud rate or protocol?"
         advice = "compare baud rate and protocol in the rig with the settings of the device"
     if port is not None and port.message:
-        text, advice = port.message, "correct this, and check power, cable and port; then check again"
+        # Most messages of a port end with an advice of their own.
+        has_advice = "; " in port.message or ": check " in port.message
+        text, advice = port.message, "" if has_advice else "check power, cable and port"
     return Finding(FAULT, "device-silent", "alive", device.name, text, advice)
 
 
@@ -255,6 +303,28 @@ def check_computer(rig: Rig, status: Status) -> Iterator[Finding]:
         yield Finding(OK, "disk-as-expected", "disk", str(place), text)
 
 
+def check_defaults(rig: Rig) -> Iterator[Finding]:
+    """Yield one warning that names the values of a rig file which are still the defaults of `seatrial init`; or none.
+
+    They are the lines whose comment has the mark "default, check". The user removes it when the value is checked.
+    """
+    names, place, key_of_table = [], "", ""
+    for number, line in enumerate(rig.text.splitlines(), start=1):
+        written, _, comment = line.partition("#")
+        written = written.strip()
+        if written.startswith("["):
+            place = key_of_table = written.strip("[] ")
+        key, is_value, value = (part.strip() for part in written.partition("="))
+        if is_value and key == "name" and key_of_table in ("device", "thruster"):
+            place = value.strip("\"'")
+        if is_value and UNCHECKED in comment:
+            names.append(f"{place + '.' if place else ''}{key} = {value} (line {number})")
+    if names:
+        text = f'{counted(len(names), "value")} of {rig.path.name} marked "{UNCHECKED}": {", ".join(names)}'
+        advice = "measure or look up each value, and remove its mark; a wrong one spoils a fit without an error message"
+        yield Finding(WARNING, "rig-default", "rig", rig.name, text, advice)
+
+
 def _wanted_limits(rig: Rig) -> list[str]:
     """Return the keys of the limits that [limits] of this rig should have.
 
@@ -303,7 +373,8 @@ def check_limits(rig: Rig, guard: SafetyGuard, status: Status) -> Iterator[Findi
         yield Finding(WARNING, "limit-unwatched", "limits", rig.name, text, advice)
     missing = [key for key in _wanted_limits(rig) if getattr(rig.limits, key) is None]
     if missing:
-        text = f"[limits] has no {', '.join(missing)}: a run does not end because of these quantities"
+        which = "this quantity" if len(missing) == 1 else "these quantities"
+        text = f"[limits] has no {', '.join(missing)}: no value of {which} ends a run"
         advice = "set them (`seatrial devices --toml` writes examples), or leave them out on purpose"
         yield Finding(WARNING, "limit-missing", "limits", rig.name, text, advice)
     watched = [f"n_max {rig.limits.n_max:g}"]

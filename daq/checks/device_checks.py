@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from seatrial.daq.checks.findings import FAULT, OK, WARNING, Finding, joined
 from seatrial.daq.checks.import_checks import check_missing_inputs, check_rows_left_out
+from seatrial.daq.checks.run_end import check_run_end
 from seatrial.daq.checks.thruster_coverage import check_thruster_coverage
 from seatrial.daq.clock import ClockMap
 from seatrial.daq.errors import counted
@@ -89,8 +90,10 @@ def check_devices(log: Log) -> Iterator[Finding]:
             text,
             "the times come from two clocks, or from one that was set: import the data of each clock separately",
         )
+    last_samples: list[tuple[str, float]] = []
     for source, tables in _tables_by_device(log).items():
         tables = [row for row in tables if len(row[2])]  # a part of a log may contain no sample of a kind
+        last_samples += [(name, float(table["t"][-1])) for _, name, table in tables]
         device = next((d for d in rig.devices if d.name == source), None) if rig else None
         timing: list[Finding] = []
         for _, name, table in tables:
@@ -101,6 +104,7 @@ def check_devices(log: Log) -> Iterator[Finding]:
             yield from _check_stuck(kind, name, table)
             yield from _VALUE_CHECKS.get(kind, _no_findings)(name, table, rig)
         yield from _check_port_counters(source, log)
+    yield from check_run_end(log, last_samples)
     yield from _check_devices_present(log, rig)
     yield from check_thruster_coverage(log)
     yield from _check_shaft_speeds(log)

@@ -6,10 +6,11 @@ import math
 import os
 import re
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from seatrial.daq.config.toml_reader import TomlTable, parse_toml, read_text
+from seatrial.daq.config.toml_reader import ErrorCollector, TomlTable, parse_toml, read_text
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.protocol import BUILT_IN, CAN, DEVICES, Decoder, DeviceType, loadcell, make_decoder
 from seatrial.daq.rig import (
@@ -80,11 +81,25 @@ def parse_rig(text: str, source: Path | str, *, recorded: bool = False) -> Rig:
     root = parse_toml(text, path)
     root.text("format", choices=(FORMAT,))
     name = root.line("name")
-    speed = _read_clock_speed(root)
-    directory, segments = _read_log(root)
-    live = _read_live(root.table("live"))
-    ros2 = _read_ros2(root.table("ros2"))
-    devices = tuple(_read_device(table, folder, recorded) for table in root.tables("device"))
+    errors = ErrorCollector()
+    speed = errors.tried(lambda: _read_clock_speed(root), 1.0)
+    directory, segments = errors.tried(lambda: _read_log(root), ("", Segments()))
+    live = errors.tried(lambda: _read_live(root.table("live")), Live())
+    ros2 = errors.tried(lambda: _read_ros2(root.table("ros2")), Ros2())
+    read = [errors.tried(partial(_read_device, table, folder, recorded), None) for table in root.tables("device")]
+    devices = tuple(device for device in read if device is not None)
+    tables = root.tables("thruster")
+    # A thruster names its device, which has to be known for its check.
+    can_check = bool(devices) and len(devices) == len(read)
+    known = [errors.tried(partial(_read_thruster, table, devices), None) for table in tables if can_check]
+    thrusters = tuple(thruster for thruster in known if thruster is not None)
+    limits = errors.tried(lambda: _read_limits(root.table("limits")), Limits())
+    no_vehicle: dict[str, float] = {}
+    vehicle = errors.tried(lambda: _read_vehicle(root.table("vehicle")), no_vehicle)
+    timer = errors.tried(lambda: root.text("hardware_watchdog", ""), "")
+    if read:
+        errors.tried(root.done, None)
+    errors.raise_all()
     if not devices:
         raise root.error(
             "device", f"missing; a rig needs at least one [[device]]: add one{root.misspelling_hint('device')}"
@@ -92,14 +107,10 @@ def parse_rig(text: str, source: Path | str, *, recorded: bool = False) -> Rig:
     _check_unique(root, "device", [device.name for device in devices])
     if not recorded:  # nothing opens the ports of a log, and this computer may have other links to ports
         _check_ports_differ(root, devices)
-    thrusters = tuple(_read_thruster(table, devices) for table in root.tables("thruster"))
     _check_unique(root, "thruster", [thruster.name for thruster in thrusters])
     _check_unique(root, "thruster", [f"{t.device} node {t.node}" for t in thrusters])
     # An RC override has one value per channel, so two thrusters on one channel would get the command of the last one.
     _check_unique(root, "thruster", [f"{t.device} rc_channel {t.output.rc_channel}" for t in thrusters if t.output])
-    limits = _read_limits(root.table("limits"))
-    vehicle = _read_vehicle(root.table("vehicle"))
-    timer = root.text("hardware_watchdog", "")
     root.done()
     return Rig(
         name, path, text, speed, folder / directory, devices, thrusters, limits, vehicle, segments, live, ros2,

@@ -6,13 +6,14 @@ import math
 import os
 import stat
 import tomllib
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from seatrial.daq.errors import SeatrialError, closest_name, counted
 
 _MISSING = object()  # default of a required key
+Read = TypeVar("Read")
 HUGE = 1e15  # larger numbers are not printed, because they may have thousands of digits
 
 
@@ -63,6 +64,35 @@ def read_text(path: Path) -> str:
         raise SeatrialError(
             f"{path}: cannot be read: {error.strerror or error}; check its path and permissions"
         ) from error
+
+
+class ErrorCollector:
+    """Collector of the errors of the tables of one file, so that the user gets all of them at once."""
+
+    def __init__(self) -> None:
+        """Start without an error."""
+        self._errors: list[SeatrialError] = []
+
+    def tried(self, read: Callable[[], Read], default: Read) -> Read:
+        """Return what a function without arguments reads; if it raises SeatrialError, keep this and return `default`.
+
+        What is returned may be used only after `raise_all`.
+        """
+        try:
+            return read()
+        except SeatrialError as error:
+            self._errors.append(error)
+            return default
+
+    def raise_all(self) -> None:
+        """Raise one SeatrialError with all kept errors, if there are any. A single error is raised as it was."""
+        if len(self._errors) == 1:
+            raise self._errors[0]
+        if self._errors:
+            first, *others = (str(error) for error in self._errors)
+            source = first.partition(": ")[0]
+            more = " | ".join(text.removeprefix(f"{source}: ") for text in others)
+            raise SeatrialError(f"{first} | {counted(len(others), 'more error')}: {more}") from self._errors[0]
 
 
 class TomlTable:
@@ -284,18 +314,20 @@ class TomlTable:
         return [TomlTable(item, self.source, f"{self._full_key(key)}[{i}]") for i, item in enumerate(value, start=1)]
 
     def done(self) -> None:
-        """Raise SeatrialError for the first key that was not read. The message lists the known keys.
+        """Raise SeatrialError for the keys that were not read, if there are any. The message lists the known keys.
 
-        If the table lacks a known key with a similar name, the message suggests that one. The keys of a sub-table are
-        not checked: each table from `table` or `tables` needs its own call.
+        If the table lacks a known key with a name similar to the first unread one, the message suggests that one. The
+        keys of a sub-table are not checked: each table from `table` or `tables` needs its own call.
         """
         for key in self.values:
             if key not in self._taken:
                 known = ", ".join(dict.fromkeys(self._known))
                 near = closest_name(key, [name for name in self._known if name not in self.values])
+                others = [repr(name) for name in self.values if name not in self._taken and name != key]
+                also = f"; also unknown: {', '.join(others)}" if others else ""
                 if near:
-                    raise self.error(key, f"unknown key {key!r}; did you mean {near!r}? Known here: {known}")
-                raise self.error(key, f"unknown key; correct or remove it; known here: {known}")
+                    raise self.error(key, f"unknown key {key!r}; did you mean {near!r}? Known here: {known}{also}")
+                raise self.error(key, f"unknown key; correct or remove it; known here: {known}{also}")
 
     def _to_finite(self, key: str, value: object) -> float:
         """Return a value as a finite float. For any other value raise SeatrialError with the name of `key`.

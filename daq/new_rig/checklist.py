@@ -5,9 +5,9 @@ from __future__ import annotations
 import shlex
 from collections.abc import Sequence
 
-from seatrial.daq.new_rig.draft import UNCHECKED
-from seatrial.daq.rig import LOAD_CELLS, Rig, Thruster
+from seatrial.daq.rig import LOAD_CELLS, UNCHECKED, Rig, Thruster
 
+NOW = "$(date +%m%d-%H%M%S)"  # of a shell, in the names of logs, so that a line can be repeated
 FIRST_N = 0.1  # largest command of the first turns
 
 
@@ -46,6 +46,16 @@ def checklist(rig: Rig, kind: str) -> str:
     return "\n".join(text) + "\n"
 
 
+def _new_log(kind: str) -> str:
+    """Return the name of a log for a shell: with date and time, because a log is never overwritten."""
+    return f'"logs/{kind}-{NOW}.mcap"'
+
+
+def _newest_log(kind: str) -> str:
+    """Return the name of the newest log that a line with `_new_log` has written, for a shell."""
+    return f'"$(ls -t logs/{kind}-[0-9]*.mcap | head -n 1)"'
+
+
 def _desk_steps(rig: Rig, name: str, kind: str) -> list[str]:
     """Return the steps that need the devices but no thrust."""
     steps = []
@@ -64,8 +74,8 @@ def _desk_steps(rig: Rig, name: str, kind: str) -> list[str]:
         rate = next(d.bitrate for d in rig.devices if d.port == f"socketcan:{bus}")
         steps.append(f"The CAN bus is up: `sudo ip link set {bus} up type can bitrate {rate}`")
     steps.append(f"No fault is reported: `seatrial check {name}`")
-    steps.append(f"A log at rest is recorded: `seatrial log {name} --duration 60 --out logs/still.mcap`")
-    steps.append("Its rates and gaps are as expected: `seatrial info logs/still.mcap`")
+    steps.append(f"A log at rest is recorded: `seatrial log {name} --duration 60 --out {_new_log('still')}`")
+    steps.append(f"Its rates and gaps are as expected: `seatrial info {_newest_log('still')}`")
     if any(device.protocol in LOAD_CELLS for device in rig.devices):
         steps.append(
             "The load cell is calibrated: a known mass gives its weight in the live table of `seatrial log`, and a "
@@ -114,13 +124,13 @@ def _first_turns(rig: Rig, name: str, kind: str) -> list[str]:
             steps.append(
                 f"{thruster.name} turns forward when forward is commanded, and the force is then positive: "
                 f"`seatrial bench steps {name} --thruster {thruster.name} --n-max {n:g}{arm} --out "
-                f"logs/first-{thruster.name}.mcap`"
+                f"{_new_log(f'first-{thruster.name}')}`"
             )
     else:
         steps = ["The boat is in the water and free to move, nobody is in the water, and the area is clear."]
         steps.append(
             f"Each thruster turns alone and in the expected direction ({_sides(rig.thrusters)}): "
-            f"`seatrial check {name} --actuators --thrust {n:g}{arm} --out logs/actuators.mcap`"
+            f"`seatrial check {name} --actuators --thrust {n:g}{arm} --out {_new_log('actuators')}`"
         )
     if autopilot:
         steps.append(f"The link test is passed: `seatrial check {name} --actuators --link-test{arm}`")
@@ -149,9 +159,9 @@ def _bench_run(rig: Rig, name: str) -> list[str]:
     steps = []
     arm = " --arm" if any(t.output is not None for t in rig.thrusters) else ""
     for thruster in rig.thrusters:
-        log = f"logs/bench-{thruster.name}.mcap"
-        steps.append(f"`seatrial bench all {name} --thruster {thruster.name}{arm} --out {log}`")
-        steps.append(f"`seatrial ident thruster {log} --out {thruster.name}`")
+        log = f"bench-{thruster.name}"
+        steps.append(f"`seatrial bench all {name} --thruster {thruster.name}{arm} --out {_new_log(log)}`")
+        steps.append(f"`seatrial ident thruster {_newest_log(log)} --out {thruster.name}`")
     return steps
 
 
@@ -161,7 +171,7 @@ def _boat_run(rig: Rig, name: str) -> list[str]:
         return [
             f"Write a mission for the thrusters {', '.join(t.name for t in rig.thrusters)} (page mission.toml), and "
             f"check it: `seatrial check {name} --mission mission.toml`",
-            f"`seatrial mission run mission.toml {name} --out logs/run.mcap`",
+            f"`seatrial mission run mission.toml {name} --out {_new_log('run')}`",
         ]
     left, right = sorted(rig.thrusters, key=lambda t: t.position_m[1])
     behind = any(t.output is not None for t in rig.thrusters)
@@ -173,6 +183,7 @@ def _boat_run(rig: Rig, name: str) -> list[str]:
             f"--thrusters {left.name},{right.name} --out {title}.toml`"
         )
         steps.append(f"`seatrial check {name} --mission {title}.toml`")
-        steps.append(f"`seatrial mission run {title}.toml {name}{arm} --out logs/{title}.mcap`")
-    steps.append(f"`seatrial ident vehicle logs/estimation.mcap --validate logs/validation.mcap{model} --out vehicle`")
+        steps.append(f"`seatrial mission run {title}.toml {name}{arm} --out {_new_log(title)}`")
+    estimation, validation = _newest_log("estimation"), _newest_log("validation")
+    steps.append(f"`seatrial ident vehicle {estimation} --validate {validation}{model} --out vehicle`")
     return steps

@@ -140,8 +140,9 @@ def init(folder: Path, yes: bool, force: bool, **options: Any) -> None:
     from seatrial.daq.config import parse_rig
     from seatrial.daq.files import require_new, write_output
     from seatrial.daq.new_rig.checklist import checklist
-    from seatrial.daq.new_rig.draft import UNCHECKED, rig_text
+    from seatrial.daq.new_rig.draft import rig_text
     from seatrial.daq.new_rig.questions import Interview, draft_rig
+    from seatrial.daq.rig import UNCHECKED
 
     rig_path, list_path = folder / RIG, folder / CHECKLIST
     for path in (rig_path, list_path):
@@ -211,7 +212,7 @@ def _search() -> Sequence[DiscoveredDevice]:
 
 def _with_head(draft: RigDraft, kind: str) -> RigDraft:
     """Return the draft with the comment at the top of its file."""
-    from seatrial.daq.new_rig.draft import UNCHECKED
+    from seatrial.daq.rig import UNCHECKED
 
     head = (
         f'Rig file of a {kind}, written by `seatrial init`. Keys: page "rig.toml" of the documentation',

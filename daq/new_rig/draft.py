@@ -12,10 +12,9 @@ from dataclasses import dataclass, field
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from seatrial.daq.protocol import CAN, DEVICES
-from seatrial.daq.rig import DRIVES, LOAD_CELLS
+from seatrial.daq.rig import DRIVES, LOAD_CELLS, UNCHECKED
 from seatrial.daq.tools import DiscoveredAutopilot, DiscoveredDevice
 
-UNCHECKED = "default, check"  # mark of a value that the user has not given
 RECEIVERS = ("nmea", "ubx", "nmea2000")  # protocols of devices with a GNSS antenna
 POSITIONS = (*RECEIVERS, "mavlink")  # protocols that report a position
 CONTROLLERS = ("vesc", "dronecan")  # protocols of speed controllers, which report speed, current, temperature, voltage

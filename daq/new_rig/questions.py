@@ -167,6 +167,17 @@ def _shown(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
+# Protocols of devices whose name is given in place of a protocol.
+USUAL_PROTOCOLS = {
+    **dict.fromkeys(("gps", "gnss", "receiver"), "nmea and ubx"),
+    **dict.fromkeys(("imu", "ahrs", "ins"), "vectornav and mip"),
+    **dict.fromkeys(("esc", "motor", "thruster", "can"), "vesc and dronecan"),
+    **dict.fromkeys(("autopilot", "ardupilot", "pixhawk"), "mavlink"),
+    **dict.fromkeys(("cell", "force", "scale"), "loadcell, openscale and mantracourt"),
+    "compass": "nmea and nmea2000",
+}
+
+
 def parse_devices(text: str) -> list[WantedDevice]:
     """Parse a list of devices with commas: `PROTOCOL[@PORT[@BAUD[@HZ]]]` each. An empty text gives an empty list.
 
@@ -179,7 +190,9 @@ def parse_devices(text: str) -> list[WantedDevice]:
     for part in (part.strip() for part in text.split(",") if part.strip()):
         protocol, *rest = part.split("@")
         if protocol not in DEVICES:
-            raise ValueError(f"{protocol!r} is not a protocol; known: {', '.join(DEVICES)}")
+            usual = USUAL_PROTOCOLS.get(protocol.lower(), "")
+            hint = f"; the usual ones of a device of this name are {usual}" if usual else ""
+            raise ValueError(f"{protocol!r} is not a protocol; known: {', '.join(DEVICES)}{hint}")
         if len(rest) > 3:
             raise ValueError(f"{part!r} has more parts than PROTOCOL@PORT@BAUD@HZ")
         port, baud, rate = [*rest, "", "", ""][:3]

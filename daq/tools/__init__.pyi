@@ -5,6 +5,7 @@ from .discovery import SLCAN as SLCAN
 from .discovery import DiscoveredDevice as DiscoveredDevice
 from .discovery import discover_devices as discover_devices
 from .discovery import identify_protocol as identify_protocol
+from .discovery import recognise_protocol as recognise_protocol
 from .export import export_log as export_log
 from .export import export_resampled as export_resampled
 from .info import log_content as log_content

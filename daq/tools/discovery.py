@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import select
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -281,6 +281,26 @@ def identify_protocol(
     tried = ", ".join(map(str, answered_at))
     says = f"bytes of no known protocol at {tried} baud: check the output settings of the device, or give --baud"
     return DiscoveredDevice(path, description, says=says, hint=hint)
+
+
+def recognise_protocol(reads: Iterable[tuple[float, bytes]]) -> str:
+    """Return the name of the protocol that fits bytes of a port, received at one baud rate; "" if none fits.
+
+    Only protocols that `seatrial devices` recognises are tried, with default settings.
+
+    Parameters
+    ----------
+    reads
+        Time [s] and bytes of each read, in order.
+    """
+    candidates = [_ProtocolCandidate(name) for name, row in DEVICES.usable().items() if row.bauds]
+    for t, data in reads:
+        for candidate in candidates:
+            candidate.feed(data, t)
+    for candidate in candidates:
+        candidate.close()
+    best = max(candidates, key=_ProtocolCandidate.score, default=None)
+    return best.protocol if best is not None and best.score() > (0.0, 0) else ""
 
 
 def _feed_candidates(port: SerialPort, candidates: Sequence[_ProtocolCandidate], seconds: float, silent: float) -> int:

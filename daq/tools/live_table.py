@@ -340,17 +340,24 @@ def line(status: Status, rig: Rig, now: float) -> str:
     return f"{duration_text(status.duration)} {size_text(status.bytes)}{silence}: {', '.join(ports)}{warnings}"
 
 
-def log_summary(status: Status, path: Path) -> str:
+def log_summary(status: Status, path: Path, speed: float = 1.0) -> str:
     """Return the line for the user at the end of a recording: log file, duration, number of samples and size.
 
-    If there are any, it also has the number of lost samples and the devices without a sample. `status` is the last
-    status of the acquisition, and `path` is the log.
+    If there are any, it also has the number of lost samples, the devices without a sample, and the devices that were
+    silent at the end, with the time of silence and the fault of the port. `status` is the last status of the
+    acquisition, `path` is the log, and `speed` has run seconds per wall second.
     """
+    quiet = [
+        f"{port.name} for {port.age:.1f} s{f' ({port.message})' if port.message else ''}"
+        for port in status.ports.values()
+        if port.samples and _is_silent(port, speed)
+    ]
     lost = sum(port.dropped for port in status.ports.values())
     silent = [port.name for port in status.ports.values() if port.samples == 0]
     text = f"{path}: {duration_text(status.duration)}, {counted(status.messages, 'sample')}, {size_text(status.bytes)}"
     text += f", {lost} lost" if lost else ""
-    return text + (f"; nothing from {', '.join(silent)}" if silent else "")
+    text += f"; nothing from {', '.join(silent)}" if silent else ""
+    return text + (f"; SILENT AT THE END: {', '.join(quiet)}" if quiet else "")
 
 
 def duration_text(seconds: float) -> str:

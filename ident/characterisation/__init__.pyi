@@ -9,8 +9,10 @@ from .sensor_noise import band_spectrum as band_spectrum
 from .sensor_noise import estimate_noise as estimate_noise
 from .sensor_noise import noise_model as noise_model
 from .sensor_noise import welch as welch
+from .steady_bench import EXPO_BOUNDS as EXPO_BOUNDS
 from .steady_bench import SteadyRow as SteadyRow
 from .steady_bench import measured_response as measured_response
+from .steady_bench import newtons_per_watt as newtons_per_watt
 from .steady_bench import steady_rows as steady_rows
 from .steady_bench import thrust_expo as thrust_expo
 from .thrust_curve import REVERSED_LOAD_CELL as REVERSED_LOAD_CELL
@@ -33,6 +35,7 @@ from .thruster import THRUSTER_RATE as THRUSTER_RATE
 from .thruster import check_signs as check_signs
 from .thruster import directions as directions
 from .thruster import fit_with_delay_on_grid as fit_with_delay_on_grid
+from .thruster import largest_speeds as largest_speeds
 from .thruster import shaft_guess as shaft_guess
 from .thruster import steady_thrust as steady_thrust
 from .thruster import thruster_channels as thruster_channels

@@ -14,6 +14,8 @@ from seatrial.ident.numerics import Array, mean_error, steady_segments, welch_sp
 SETTLED_S, AVERAGED_S = 1.0, 0.6
 MIN_SAMPLES = 4  # of a signal in that time; with fewer it has no mean
 EXPO_BOUNDS = (-1.0, 1.0)  # range of MOT_THST_EXPO: -1 is a root, 0 a line, 1 a square
+LEAST_W = 1.0  # W, smallest electrical power with an efficiency
+TURNS = 0.01  # of full speed; a slower shaft is at rest, and has no efficiency
 COHERENT = 0.8  # smallest coherence of command and shaft speed at which the measured response is used
 SEGMENT_S = 20.0  # length of the segments of the measured response
 CYCLE_GAIN = 1e-3  # smallest part of the command's largest spectral density at which the response is used
@@ -90,6 +92,21 @@ def _inside(channel: Channel | None, end: float) -> Array:
         return np.empty(0)
     found: Array = channel.value[(channel.t >= end - AVERAGED_S) & (channel.t < end)]
     return found[np.isfinite(found)]
+
+
+def newtons_per_watt(n: Array, force: Array, power: Array) -> Array:
+    """Return the efficiency of each row of a steady-state table: absolute force over electrical power [N/W].
+
+    It is NaN for a shaft at rest (below 1 % of full speed), for a power below 1 W, and where a quantity is unknown.
+
+    Parameters
+    ----------
+    n, force, power : Array (n_rows,)
+        Normalised shaft speed, force [N] and electrical power [W].
+    """
+    turns = (np.abs(n) >= TURNS) & (power >= LEAST_W)
+    found: Array = np.where(turns, np.abs(force) / np.maximum(power, LEAST_W), np.nan)
+    return found
 
 
 def thrust_expo(command: Array, force: Array) -> float:

@@ -153,6 +153,26 @@ def directions(records: Sequence[Record]) -> tuple[float, ...]:
     return tuple(direction for direction in WAYS if np.count_nonzero(direction * n > LEAST_SPEED) >= MIN_SAMPLES)
 
 
+def largest_speeds(n: Array) -> dict[float, float]:
+    """Return the largest measured speed of a shaft in each direction, up to which its thrust was measured.
+
+    Parameters
+    ----------
+    n : Array (n_samples,)
+        Measured normalised shaft speeds.
+
+    Returns
+    -------
+    dict of float
+        Speed by direction: 1 (forward), -1 (reverse). It is that which 20 samples exceed or reach, so that single
+        outliers do not count; 0 for a direction in which the shaft did not turn.
+    """
+    known = n[np.isfinite(n)]
+    if known.size < MIN_SAMPLES:
+        return dict.fromkeys(WAYS, 0.0)
+    return {way: max(float(np.partition(way * known, -MIN_SAMPLES)[-MIN_SAMPLES]), 0.0) for way in WAYS}
+
+
 def steady_thrust(fitted: Fit, n: Array) -> tuple[Array, Array]:
     """Return the steady thrust ``c1 n|n| + c2 n^2`` and its standard errors.
 

@@ -80,6 +80,7 @@ LARGEST_ASYMMETRY = 0.5  # of c2 over c1: one direction then has a third of the 
 UNEQUAL_THRUST = 0.05  # difference of the thrust ahead from the given mean, relative to it, from which it is reported
 USUAL_ADDED = 1.3  # usual largest mass in surge of a slender hull, as a multiple of the weighed mass
 MOST_ADDED = 2.0  # largest plausible mass in surge, as a multiple of the weighed mass
+FULL_SPEED = 0.95  # of full speed; a thrust that was measured up to this speed is not called extrapolated
 SHORT_BENCH_S = 20.0  # as SHORT_DATA_S, of a thruster: some held commands of 4 s, forward and in reverse
 LIFT = "Y_uv"  # parameter of the hull lift: damping of sway per forward speed
 LEAST_PULL = 0.03  # difference of the inputs of both sides on a straight course, relative to their mean, to report
@@ -836,6 +837,7 @@ def thruster_answer(
     calibration: float | None = None,
     smallest: float = 0.0,
     contradicted: bool = False,
+    reach: Mapping[float, float] | None = None,
 ) -> str:
     """Return the answer of a thruster fit: thrust at full shaft speed, delay, time constant and dead zone.
 
@@ -860,6 +862,9 @@ def thruster_answer(
     contradicted : bool
         Whether the shaft turns at commands inside the fitted dead zone. The answer then states that the dead zone is
         not determined.
+    reach : mapping, optional
+        Largest measured shaft speed, as a part of full speed, by direction. The answer states it where it is below
+        0.95, and that the thrust at full speed is extrapolated. None: full speed.
     """
     a, tau, d = (fitted.estimate(n) for n in ("a", "tau", "d"))
     constant = "that is not determined" if is_undetermined(*a) else f"of {1e3 / a[0]:.0f} ms"
@@ -888,7 +893,27 @@ def thruster_answer(
             f"and in reverse. {shaft[0].upper()}{shaft[1:]}."
         )
     also = "".join(f"; {line}" for line in lost)
-    return f"The thruster gives {' and '.join(ends)} at full speed ({included}{also}); {shaft}."
+    return (
+        f"The thruster gives {' and '.join(ends)} at full speed ({included}{_extrapolation(reach or {})}{also}); "
+        f"{shaft}."
+    )
+
+
+def _extrapolation(reach: Mapping[float, float]) -> str:
+    """Return up to which part of full speed the thrust was measured, for the answer of a thruster; "" at full speed.
+
+    ``reach``: largest measured shaft speed by direction (1, -1). A direction with speed 0 was not measured.
+    """
+    words = {1.0: "forward", -1.0: "in reverse"}
+    short = {way: f"{100 * n:.0f} %" for way, n in reach.items() if 0.0 < n < FULL_SPEED}
+    if not short:
+        return ""
+    measured = [way for way, n in reach.items() if n > 0.0]
+    if len(set(short.values())) == 1 and len(short) == len(measured):
+        speeds = f"{next(iter(short.values()))} of full speed"
+    else:
+        speeds = " and ".join(f"{percent} of full speed {words[way]}" for way, percent in short.items())
+    return f"; extrapolated, as it was measured only up to {speeds}"
 
 
 def thruster_warnings(directions: Sequence[float]) -> list[ResultWarning]:

@@ -10,9 +10,10 @@ from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 import msgspec
+import numpy as np
 from msgspec import Meta
 
-from seatrial.ident.characterisation import TurningShaft, directions
+from seatrial.ident.characterisation import TurningShaft, directions, largest_speeds
 from seatrial.ident.diagnosis import ModelAssessment, ModelUncertainty
 from seatrial.ident.estimation import FittedModel, HomogeneityTest, Profile, ReportedEstimates
 from seatrial.ident.models import residuals_of
@@ -264,12 +265,14 @@ def thruster_result(
     bands, ways = calibration_tables(evaluation), directions(fitted.records)
     contradictions = dead_zone_warnings(bench.turning, fitted.fit.estimate("d")[0])
     smallest = smallest_command(fitted.records)
+    reach = largest_speeds(np.concatenate([record.y[:, 0] for record in fitted.records]))
+    reach = {way: speed for way, speed in reach.items() if way in ways}
     return ThrusterResult(
         **msgspec.structs.asdict(made),
         answer=faults_first(made)
         + (
             not_converged(fitted.fit)
-            or thruster_answer(fitted.fit, static is not None, ways, calibration, smallest, bool(contradictions))
+            or thruster_answer(fitted.fit, static is not None, ways, calibration, smallest, bool(contradictions), reach)
         ),
         warnings=(
             *check_warnings(made),

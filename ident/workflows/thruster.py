@@ -16,6 +16,7 @@ import numpy as np
 from seatrial.daq.errors import SeatrialError, counted
 from seatrial.daq.files import write_output
 from seatrial.ident.characterisation import (
+    EXPO_BOUNDS,
     REVERSED_LOAD_CELL,
     THRUSTER_RATE,
     Curve,
@@ -34,7 +35,9 @@ from seatrial.ident.characterisation import (
     fit_quadratic,
     fit_with_delay_on_grid,
     hold_advice,
+    largest_speeds,
     measured_response,
+    newtons_per_watt,
     save_curve,
     shaft_guess,
     speed_over_ground,
@@ -80,6 +83,7 @@ from seatrial.ident.workflows.output import write_all
 
 BODE_HZ = (0.02, 10.0)  # range of the frequency response of the shaft
 BODE_POINTS = 200
+SPEED_STEP = 0.005  # of full speed; a shaft speed so little beyond the measured ones is not called extrapolated
 LOOKUP_ROWS = 101  # of lookup.csv
 
 
@@ -267,7 +271,8 @@ def write_tables(out: Path, result: ThrusterResult) -> None:
     """Write the tables of a thruster for other programs: steady.csv, and with a force lookup.csv and ardupilot.param.
 
     steady.csv has a row for each steady command, with empty cells for what was not measured. lookup.csv has the command
-    and the shaft speed for evenly spaced forces, by the fitted curve; inside the dead zone the command is zero.
+    and the shaft speed for evenly spaced forces, by the fitted curve, and 1 as ``extrapolated`` where no such speed was
+    measured; inside the dead zone the command is zero.
     ardupilot.param has MOT_THST_EXPO of the steady forward commands; it is not written if this number is unknown.
     Existing files are replaced.
 
@@ -282,8 +287,7 @@ def write_tables(out: Path, result: ThrusterResult) -> None:
     if table is None:
         return
     full = np.nan if table.rpm_max is None else table.rpm_max
-    with np.errstate(divide="ignore", invalid="ignore"):
-        per_watt = np.where(table.power > 0.0, np.abs(table.force) / table.power, np.nan)
+    per_watt = newtons_per_watt(table.n, table.force, table.power)
     columns = {
         "command": table.command,
         "n": table.n,
@@ -302,19 +306,39 @@ def write_tables(out: Path, result: ThrusterResult) -> None:
         return
     write_output(out / "lookup.csv", _as_csv(_lookup(result, full)))
     if table.expo is not None:
-        lines = [
-            "# Thrust curve of the bench logs by seatrial: thrust = (1 - expo) throttle + expo throttle^2",
-            "# of the forward commands; both are parts of their largest values. Copter, Sub and Rover read it.",
-            f"MOT_THST_EXPO,{table.expo:.3f}",
-        ]
-        write_output(out / "ardupilot.param", "\n".join(lines) + "\n")
+        write_output(out / "ardupilot.param", _ardupilot_parameters(result, table, table.expo))
+
+
+def _ardupilot_parameters(result: ThrusterResult, table: SteadyBench, expo: float) -> str:
+    """Return the text of ardupilot.param: MOT_THST_EXPO = ``expo``, with what it holds for and when to set it.
+
+    ``table``: steady-state table of ``result``, to whose forward commands the exponent was fitted.
+    """
+    used = table.command[(table.command > 0.0) & np.isfinite(table.force)]
+    dead = next((p.value for p in result.fit.parameters if p.name == "d"), 0.0)
+    lines = [
+        "# Thrust curve of the bench logs by seatrial: thrust = (1 - expo) throttle + expo throttle^2",
+        "# of the forward commands; both are parts of their largest values. Copter, Sub and Rover read it.",
+        "# Set it for operation. SET IT TO 0 AGAIN BEFORE SEATRIAL DRIVES THE THRUSTERS: it refuses other values.",
+        f"# It was fitted to {used.size} steady commands, n = {used.min():.3g} to {used.max():.3g} of full command.",
+    ]
+    if round(abs(expo), 3) >= EXPO_BOUNDS[1]:
+        lines.append(
+            f"# It is at its limit ({expo:.3f}), so that the measured curve may be bent more than this formula can be."
+        )
+    if dead > 0.0:
+        lines.append(
+            f"# The dead zone, {100 * dead:.1f} % of full command, is not in it; MOT_THR_MIN is the parameter for it."
+        )
+    return "\n".join([*lines, f"MOT_THST_EXPO,{expo:.3f}"]) + "\n"
 
 
 def _lookup(result: ThrusterResult, full: float) -> dict[str, Array]:
     """Return command and shaft speed for zero force and evenly spaced forces [N] over the range of the fitted curve.
 
     ``full``: full shaft speed [rev/min], NaN if it is unknown. Where the fitted curve is not monotone, the running
-    maximum of the force counts. A command inside the dead zone has no thrust and is zero.
+    maximum of the force counts. A command inside the dead zone has no thrust and is zero. Column ``extrapolated`` is
+    1 for a shaft speed beyond those that were measured, and 0 elsewhere.
     """
     assert result.static is not None
     n, force = result.static.n_model, np.maximum.accumulate(result.static.force_model)
@@ -323,7 +347,10 @@ def _lookup(result: ThrusterResult, full: float) -> dict[str, Array]:
     command = np.interp(asked, force[keep], n[keep])
     dead = next((p.value for p in result.fit.parameters if p.name == "d"), 0.0)
     command = np.where((np.abs(command) < dead) | (asked == 0.0), 0.0, command)
-    return {"force_N": asked, "command": command, "rpm": command * full}
+    measured = [trace.measured for trace in result.traces if trace.channel == "n"]
+    reach = largest_speeds(np.concatenate([np.empty(0), *measured]))
+    beyond = (command > reach[1.0] + SPEED_STEP) | (command < -reach[-1.0] - SPEED_STEP)
+    return {"force_N": asked, "command": command, "rpm": command * full, "extrapolated": beyond.astype(float)}
 
 
 def _as_csv(columns: Mapping[str, Array]) -> str:

@@ -23,6 +23,7 @@ from .effect import Payload as Payload
 from .effect import Telemetry as Telemetry
 from .effect import Wave as Wave
 from .effect import effect_size as effect_size
+from .hull import ARM as ARM
 from .hull import GRAVITY as GRAVITY
 from .thruster import Shaft as Shaft
 from .thruster import ThrusterTruth as ThrusterTruth

@@ -214,6 +214,7 @@ def _no_trial(why: str) -> Trial:
 
 def _last_line(folder: Path) -> str:
     lines = (folder / "out.txt").read_text(encoding="utf-8").splitlines()
+    lines = [line for line in lines if not line.startswith("seatrial: the log ")]  # the line below the message
     return lines[-1] if lines else ""
 
 

@@ -73,8 +73,13 @@ class Run:
         assert self.process.poll() is None, self.process.communicate()
 
     def line(self) -> str:
-        """Return the text on stderr after checking that it is a single line without a traceback."""
-        assert self.err.count("\n") == 1, self.err
+        """Return the text on stderr after checking that it is a single line without a traceback.
+
+        If it says that the propellers may turn, the path of the log has to stand on a second line.
+        """
+        two = self.err.startswith(("seatrial: MAKE SURE ", "seatrial: THRUST CONTINUES "))
+        assert self.err.count("\n") == 1 + two, self.err
+        assert not two or self.err.splitlines()[1].startswith("seatrial: the log "), self.err
         assert "Traceback" not in self.err
         return self.err.strip()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -182,3 +183,31 @@ def test_a_run_ends_with_a_hint_at_the_fit_for_the_rig(tmp_path: Path) -> None:
         f"seatrial ident thruster {quoted}",
         f"seatrial ident vehicle {quoted} --model nomoto",
     ]
+
+
+def test_a_bench_run_says_its_largest_command_and_refuses_one_beyond_the_limit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text(RIG.format(speed=1.0).replace("n_max = 0.9", "n_max = 0.5"), encoding="utf-8")
+    plans: list[Any] = []
+    monkeypatch.setattr("seatrial.bench.cli._run_plan", lambda plan, *rest: plans.append(plan))
+
+    def status(*words: str) -> int | str | None:
+        with pytest.raises(SystemExit) as left:
+            command_line.main(["bench", *words])
+        return left.value.code
+
+    assert status("steps", str(path)) == 0
+    said = "bench steps: commands up to n = 0.5 (limits.n_max of rig.toml, which is below the default 0.9)"
+    assert said in capsys.readouterr().out
+    assert plans[0].n_max == 0.5
+    assert status("steps", str(path), "--n-max", "0.4") == 0
+    assert "bench steps: commands up to n = 0.4 (by --n-max)" in capsys.readouterr().out
+    assert status("steps", str(path), "--n-max", "0.6") == 1
+    assert "rig.toml: --n-max 0.6 of bench steps is too large, as limits.n_max is 0.5; give at most 0.5" in (
+        capsys.readouterr().err
+    )
+    assert len(plans) == 2
+    assert status("steps", "--help") == 0
+    assert "default: 0.9, or limits.n_max of RIG if that is smaller" in " ".join(capsys.readouterr().out.split())

@@ -242,3 +242,18 @@ def test_help_has_an_example(words: tuple[str, ...]) -> None:
     result = run(*words, "--help")
     assert result.returncode == 0
     assert re.search(r"Example: seatrial mock (boat|bench) \w+\.toml", result.stdout)
+
+
+def test_a_mock_boat_says_where_its_geometry_differs_from_that_of_the_rig(tmp_path: Path) -> None:
+    path = packaged("boat", tmp_path)
+    text = path.read_text(encoding="utf-8").replace("[-0.25, -0.15, 0.0]", "[-0.25, -0.3, 0.0]")
+    text = text.replace("lever_arm_m = [0.0, 0.0, 0.0]", "lever_arm_m = [0.4, 0.0, -0.5]")
+    path.write_text(text, encoding="utf-8")
+    command = seatrial("mock", "boat", path)
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        process.terminate()
+        _, said = process.communicate(timeout=PATIENCE)
+    assert "thrusters at y = -0.15 m (left) and +0.15 m (right), in the rig at -0.3 m and +0.15 m" in said
+    assert "antenna of gnss at x = 0, y = 0 m, in the rig at x = +0.4, y = +0 m" in said

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from seatrial.ident.characterisation import newtons_per_watt
 from seatrial.ident.numerics import Array
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Canvas, Cell, Grid, Heading, Lines, Plot, Prose, Section, Table
 from seatrial.ident.report.bode import DECIBEL, FREQUENCY, frequency_axis, gain_traces, phase_traces
 from seatrial.ident.results import ShaftResponse, SteadyBench, ThrusterResult, Trace
 
-LEAST_W = 1.0  # smallest electrical power at which the efficiency is shown [W]
 STEPS, BEFORE_S, AFTER_S = 6, 0.5, 2.5  # number of enlarged steps, and time shown before and after each [s]
 HELD_S = 1.5  # least time after an enlarged step in which the command is constant [s]
 LEAST_STEP = 0.1  # smallest step of the command that is enlarged, as a part of full
@@ -38,7 +38,7 @@ def steady_section(canvas: Canvas, result: ThrusterResult) -> Section:
     plots.append(_points(canvas, *command, shown[1], shown[0], "Shaft speed against command"))
     if np.isfinite(table.power).any():
         plots.append(_points(canvas, *shown, table.power, "electrical power [W]", "Electrical power"))
-        grams = formatting.GRAMS_PER_NEWTON * _newtons_per_watt(table)
+        grams = formatting.GRAMS_PER_NEWTON * newtons_per_watt(table.n, table.force, table.power)
         if np.isfinite(grams).any():
             plots.append(_points(canvas, *shown, grams, "thrust / power [g/W]", "Efficiency"))
     if np.isfinite(table.torque).any():
@@ -46,7 +46,8 @@ def steady_section(canvas: Canvas, result: ThrusterResult) -> Section:
     notes = [f"Electrical power: {table.power_formula}."] if table.power_formula else []
     if table.expo is not None:
         notes.append(
-            f"ArduPilot: MOT_THST_EXPO = {table.expo:.2f} (ardupilot.param), from the steady forward commands."
+            f"ArduPilot: MOT_THST_EXPO = {table.expo:.2f} (ardupilot.param), from the steady forward commands. "
+            "Set it to 0 again before seatrial drives the thrusters."
         )
     notes.append(
         "For other programs: steady.csv has this table"
@@ -55,12 +56,6 @@ def steady_section(canvas: Canvas, result: ThrusterResult) -> Section:
     lead = "Means over the last 0.6 s of each command that was held for 1.6 s or longer."
     blocks = [Grid(plots, 260), _steady_table(table), Lines(notes, "quiet")]
     return Section("steady", "Steady states", blocks, lead)
-
-
-def _newtons_per_watt(table: SteadyBench) -> Array:
-    """Return absolute force over electrical power of each row [N/W]; NaN below 1 W or if one of both is unknown."""
-    found: Array = np.where(table.power >= LEAST_W, np.abs(table.force) / np.maximum(table.power, LEAST_W), np.nan)
-    return found
 
 
 def _points(canvas: Canvas, x_title: str, x: Array, y: Array, y_title: str, title: str) -> Plot:
@@ -75,7 +70,7 @@ def _points(canvas: Canvas, x_title: str, x: Array, y: Array, y_title: str, titl
 
 def _steady_table(table: SteadyBench) -> Table:
     """Return the steady-state table. Columns of quantities that were not measured are left out."""
-    newtons = _newtons_per_watt(table)
+    newtons = newtons_per_watt(table.n, table.force, table.power)
     columns: list[tuple[str, Array, int]] = [("command", table.command, 3), ("shaft speed n", table.n, 3)]
     if table.rpm_max is not None:
         columns.append(("rev/min", table.rpm_max * table.n, 4))

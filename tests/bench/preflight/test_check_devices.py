@@ -134,6 +134,17 @@ def test_a_device_without_samples_is_distinguished_from_a_wrong_baud_rate(frames
     assert text in found.text
 
 
+@pytest.mark.parametrize(
+    ("message", "advice"),
+    [("no file of this name; check the cable", ""), ("the port was disconnected", "check power, cable and port")],
+)
+def test_a_message_with_advice_gets_no_second_one(message: str, advice: str) -> None:
+    port = PortStatus("autopilot", "mavlink", "", 25.0, NAN, math.inf, 0, 0, 0, 0, 0, 0, 0, NAN, NAN, message)
+    status = Status(1.0, {"autopilot": port}, {}, {}, 0, "", 1, 1, 1.0, "", ())
+    (found,) = [finding for finding in check_ports(mav_rig(), status) if finding.code == "device-silent"]
+    assert (found.text, found.advice) == (message, advice)
+
+
 GOOD = LinkStatus(
     received=True, vehicle="ArduPilot Rover", age=0.1, mode="MANUAL", ekf=0x33F, parameters_pending=False, receiver=True
 )

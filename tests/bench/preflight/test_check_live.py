@@ -6,11 +6,18 @@ import json
 import math
 import signal
 import subprocess
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
 
 from seatrial.bench.demo import write_demo_rig
 from seatrial.bench.mission_generators import make_mission
+from seatrial.bench.preflight.cli import _confirmed_plan
+from seatrial.daq.config import load_rig
 from seatrial.daq.config.mission_file import save_mission
+from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log.reader import open_log
 from seatrial.daq.samples import Command
 from tests.bench.execution.test_with_mocks import SEATRIAL, mock, trace, turning
@@ -123,3 +130,37 @@ def test_a_mission_is_checked_without_any_device(tmp_path: Path) -> None:
     assert {where for check, where in reported if check == "alive"} >= {"ahrs", "gnss", "esc"}
     assert reported["limits", "mixed, seed 1"]["level"] == "ok"
     assert "no c1" in reported["fence", "mixed, seed 1"]["text"]
+
+
+def test_exchanged_ports_are_recognised_by_the_bytes(tmp_path: Path) -> None:
+    with mock(tmp_path, "boat", speed=FAST):
+        text = (tmp_path / "boat-rig.toml").read_text(encoding="utf-8")
+        text = (
+            text.replace('"ports/ahrs"', '"X"').replace('"ports/gnss"', '"ports/ahrs"').replace('"X"', '"ports/gnss"')
+        )
+        (tmp_path / "exchanged.toml").write_text(text, encoding="utf-8")
+        done = check(tmp_path, "exchanged.toml", "--json")
+    assert done.returncode == 1, done.stderr
+    silent = {f["where"]: f for f in json.loads(done.stdout)["findings"] if f["code"] == "device-silent"}
+    assert "are nmea (GNSS receiver or compass, NMEA 0183), not vectornav" in silent["ahrs"]["text"]
+    assert "are the ports of ahrs and gnss exchanged?" in silent["ahrs"]["advice"]
+    assert "are vectornav (VectorNav AHRS, ASCII and binary), not nmea" in silent["gnss"]["text"]
+    assert "are the ports of gnss and ahrs exchanged?" in silent["gnss"]["advice"]
+
+
+def test_a_refused_actuator_test_moves_nothing_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_demo_rig("boat", tmp_path, FAST)
+    rig = load_rig(tmp_path / "boat-rig.toml")
+    rig = replace(rig, limits=replace(rig.limits, n_max=0.5))
+    asked: list[str] = []
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: True))
+    monkeypatch.setattr("click.confirm", lambda text, **options: bool(asked.append(text)))
+    with pytest.raises(SeatrialError, match="not started, nothing was moved") as refused:
+        _confirmed_plan(rig, 0.6, yes=False, of_link=False)
+    assert refused.value.exit_status == 1
+    assert "thrusters left and right will turn, at up to n = 0.5" in asked[0]
+    assert "--thrust 0.6 is beyond limits.n_max = 0.5 of boat-rig.toml: the test runs at up to n = 0.5" in (
+        capsys.readouterr().err
+    )

@@ -105,6 +105,21 @@ def test_an_error_in_a_rig_is_named_in_one_line(example: str, old: str, new: str
     assert "\n" not in str(caught.value)
 
 
+def test_all_mistakes_in_a_rig_are_named_at_once(example: str) -> None:
+    text = example.replace("speed = 20.0", "sped = 20.0").replace("rate_hz = 5.0", "rate = 5.0\nfoo = 1\nbar = 2", 1)
+    text = text.replace("radius_m", "radius", 1)
+    with pytest.raises(SeatrialError) as raised:
+        parse_rig(text, "rig.toml")
+    message = str(raised.value)
+    assert message.startswith("rig.toml: clock.sped: unknown key 'sped'; did you mean 'speed'?")
+    assert " | 2 more errors: device[2].rate_hz: missing; the table has 'rate': rename it to 'rate_hz' | " in message
+    assert "limits.radius: unknown key 'radius'; did you mean 'radius_m'?" in message
+    assert message.count("rig.toml") == 1
+    assert "\n" not in message
+    with pytest.raises(SeatrialError, match=r"known here: .*; also unknown: 'bar'"):
+        parse_rig(example.replace("rate_hz = 5.0", "rate_hz = 5.0\nfoo = 1\nbar = 2", 1), "rig.toml")
+
+
 def test_an_unreadable_rig_gives_a_one_line_error(tmp_path: Path) -> None:
     with pytest.raises(SeatrialError, match=r"none\.toml: cannot be read: No such file"):
         load_rig(tmp_path / "none.toml")

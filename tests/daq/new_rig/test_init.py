@@ -19,6 +19,7 @@ import pytest
 from click.testing import CliRunner
 
 from seatrial import command_line
+from seatrial.bench.preflight.rig_checks import check_defaults
 from seatrial.daq.config import load_rig, parse_rig
 from seatrial.daq.log import open_log
 from seatrial.daq.new_rig import RigDraft, Value, drafts_of, name_devices, rig_text
@@ -55,7 +56,7 @@ def test_a_new_rig_runs_with_simulated_devices(tmp_path: Path) -> None:
         assert len(log.sources(Esc)) >= 1
         assert list(log.events())[-1][1:] == ("end", "the duration of 2 s has ended")
     assert check.returncode == 0, check.stdout + check.stderr
-    assert "fault" not in check.stdout.split("0 faults")[0]
+    assert not [line for line in check.stdout.splitlines() if line.startswith("fault")]
 
 
 @pytest.mark.parametrize(
@@ -104,6 +105,20 @@ def test_assumed_values_are_marked_in_the_rig(tmp_path: Path) -> None:
     assert not marked & {"baud", "lever_arm_m", "node", "pole_pairs", "rpm_max", "timeout_s", "n_max", "voltage_min_v"}
 
 
+def test_values_that_nobody_checked_are_a_warning_until_their_mark_is_removed(tmp_path: Path) -> None:
+    init(tmp_path, "--devices", "nmea,vesc")
+    path = tmp_path / "rig.toml"
+    (found,) = check_defaults(load_rig(path))
+    assert (found.level, found.code) == ("warning", "rig-default")
+    lines = path.read_text(encoding="utf-8").splitlines()
+    for name in ("left.position_m", "right.position_m", "gnss.lever_arm_m", "limits."):
+        assert name in found.text
+    numbers = [int(number) for number in re.findall(r"\(line (\d+)\)", found.text)]
+    assert numbers == [i for i, line in enumerate(lines, start=1) if "default, check" in line and " = " in line]
+    path.write_text(path.read_text(encoding="utf-8").replace("default, check", "measured"), encoding="utf-8")
+    assert not list(check_defaults(load_rig(path)))
+
+
 def test_every_protocol_gives_a_rig_that_is_read(tmp_path: Path) -> None:
     for protocol in BUILT_IN:
         init(tmp_path / protocol, "--devices", protocol)
@@ -130,6 +145,8 @@ def test_each_command_of_the_checklist_exists(tmp_path: Path, kind: str, devices
     text = (tmp_path / "CHECKLIST.md").read_text()
     commands = re.findall(r"`(seatrial [^`]*)`", text)
     assert len(commands) >= 3
+    for line in commands:  # a repeated line writes another log
+        assert re.fullmatch(r'.* --out "logs/[\w-]+-\$\(date \+%m%d-%H%M%S\)\.mcap"|(?!.*--out logs).*', line), line
     for line in commands:
         options_of(command_line.cli, shlex.split(line)[1:])
     turning = [text.index(word) for word in ("--actuators", "seatrial bench") if word in text]
@@ -159,6 +176,7 @@ def test_existing_files_stay(tmp_path: Path) -> None:
     [
         ([], "give the devices with --devices, --from-found or both"),
         (["--devices", "gps"], "'gps' is not a protocol; known: vectornav"),
+        (["--devices", "GPS"], "; the usual ones of a device of this name are nmea and ubx"),
         (["--devices", "nmea@p@x"], "'x' is not a whole number"),
         (["--devices", "nmea@a,ubx@a"], "gnss and gnss2 have the same port"),
         (["--devices", "vesc@/dev/ttyUSB0"], "must be slcan:SERIAL or socketcan:NAME"),
@@ -310,3 +328,18 @@ def test_an_autopilot_drives_only_if_its_thrusters_are_known(parameters: dict[st
     (draft,) = drafts_of([rover])
     assert draft.drives is drives
     assert bool(parse_rig(rig_text(RigDraft(Value("boat"), [draft])), Path("rig.toml")).thrusters) is drives
+
+
+def test_a_line_of_the_checklist_reads_the_newest_log(tmp_path: Path) -> None:
+    init(tmp_path, "--kind", "bench", "--devices", "vesc,loadcell")
+    text = (tmp_path / "CHECKLIST.md").read_text()
+    (tmp_path / "logs").mkdir(exist_ok=True)
+    name = re.findall(r'--out ("logs/bench-\w+-[^"]*")', text)[0]
+    newest = re.findall(r'ident thruster ("[^"]*")', text)[0]
+    for age in (100, 0):
+        log = subprocess.run(["sh", "-c", f"printf %s {name}"], cwd=tmp_path, capture_output=True, text=True).stdout
+        log = log.replace(".mcap", f"{age}.mcap")
+        (tmp_path / log).write_bytes(b"")
+        os.utime(tmp_path / log, (time.time() - age, time.time() - age))
+    found = subprocess.run(["sh", "-c", f"printf %s {newest}"], cwd=tmp_path, capture_output=True, text=True).stdout
+    assert found == log

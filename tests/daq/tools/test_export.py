@@ -67,9 +67,14 @@ def test_a_time_window_is_exported(tmp_path: Path) -> None:
     assert (t.size, t[0], t[-1]) == (100, pytest.approx(2.0), pytest.approx(3.98))
     marks = (tmp_path / "out/events.csv").read_text().splitlines()
     assert [line.rpartition(",")[2] for line in marks[1:]] == ["100", "150"]
-    for window in (("--from", "11"), ("--from", "4", "--to", "2")):
+    for window, message in (
+        (("--from", "11"), "run.mcap: no data from 11 s on; it has 10 s: give other --from and --to"),
+        (("--from", "11", "--to", "12"), "run.mcap: no data from 11 to 12 s; it has 10 s"),
+        (("--from", "4", "--to", "2"), "--to 2 s is not after --from 4 s; give a later end"),
+    ):
         done = CliRunner().invoke(cli.export, [*words, "--force", *window])
         assert isinstance(done.exception, SeatrialError)
+        assert message in str(done.exception)
 
 
 def test_units_are_in_the_column_headers(log: Path, tmp_path: Path) -> None:

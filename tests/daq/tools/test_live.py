@@ -107,7 +107,9 @@ def test_plain_lines_and_the_last_line() -> None:
     assert "disconnected" in text
     assert "\n" not in text
     last = log_summary(status(), Path("run.mcap"))
-    assert last == "run.mcap: 1:01.2, 99 samples, 12.3 MB; nothing from cell"
+    silent = "SILENT AT THE END: esc for 7.3 s (disconnected)"
+    assert last == f"run.mcap: 1:01.2, 99 samples, 12.3 MB; nothing from cell; {silent}"
+    assert "SILENT" not in log_summary(status(), Path("run.mcap"), speed=30.0)
 
 
 def test_a_full_disk_is_not_shown_as_recording() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from seatrial.ident.characterisation.steady_bench import measured_response, steady_rows, thrust_expo
+from seatrial.ident.characterisation.steady_bench import measured_response, newtons_per_watt, steady_rows, thrust_expo
 from seatrial.ident.data.record import Channel
 
 RATE = 50.0
@@ -24,6 +24,12 @@ def test_rows_are_means_at_the_end_of_each_held_command() -> None:
     assert rows[1].force == pytest.approx(10.0)
     assert (rows[1].voltage, rows[1].power) == (pytest.approx(15.5), pytest.approx(50.0))
     assert np.isnan([rows[1].current, rows[1].torque]).all()
+
+
+def test_a_propeller_at_rest_has_no_efficiency() -> None:
+    n, force = np.array([0.0, 0.5, 0.5, 0.5]), np.array([-0.08, 10.0, -10.0, 10.0])
+    found = newtons_per_watt(n, force, np.array([4.0, 50.0, 40.0, 0.4]))
+    assert found == pytest.approx([np.nan, 0.2, 0.25, np.nan], nan_ok=True)
 
 
 @pytest.mark.parametrize("expo", [0.0, 0.65, 1.0])

@@ -14,7 +14,7 @@ import pytest
 from seatrial import command_line
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.characterisation.steady_bench import steady_rows
-from seatrial.ident.characterisation.thruster import steady_thrust
+from seatrial.ident.characterisation.thruster import largest_speeds, steady_thrust
 from seatrial.ident.data.record import Channel
 from seatrial.ident.estimation.prior_knowledge import fix_parameters
 from seatrial.ident.models.horizontal import horizontal_model
@@ -148,6 +148,43 @@ def test_errors_of_steady_points_include_autocorrelation() -> None:
     sd = row.force_se
     last = noise[t > t[-1] - 0.6]
     assert sd > 2 * last.std() / np.sqrt(last.size)
+
+
+def test_thrust_beyond_the_measured_speeds_is_called_extrapolated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    half = (0, 0.2, 0.35, 0.5, 0.3, 0, -0.2, -0.3, -0.4, -0.3, 0)
+    run("ident", "thruster", write_bench(tmp_path, half), "--out", str(tmp_path / "t"))
+    said = "extrapolated, as it was measured only up to 50 % of full speed forward and 40 % of full speed in reverse"
+    assert said in " ".join(capsys.readouterr().out.split())
+    assert "extrapolated, as it was measured only up to 50" in (tmp_path / "t/report.html").read_text(encoding="utf-8")
+    table = np.genfromtxt(tmp_path / "t/lookup.csv", delimiter=",", names=True)
+    inside = (table["command"] < 0.495) & (table["command"] > -0.395)
+    beyond = (table["command"] > 0.515) | (table["command"] < -0.415)
+    assert (table["extrapolated"][inside] == 0).all()
+    assert (table["extrapolated"][beyond] == 1).all()
+    assert inside.any()
+    assert beyond.any()
+    parameters = (tmp_path / "t/ardupilot.param").read_text()
+    assert "SET IT TO 0 AGAIN BEFORE SEATRIAL DRIVES THE THRUSTERS" in parameters
+    assert "fitted to 4 steady commands, n = 0.2 to 0.5 of full command" in parameters
+    limit = parameters.rstrip().endswith("MOT_THST_EXPO,1.000")
+    assert ("at its limit (1.000)" in parameters) == limit
+
+
+def test_full_speed_is_not_called_extrapolated() -> None:
+    answer = thruster_answer(estimates(-0.8), has_force=True, reach={1.0: 0.99, -1.0: 0.97})
+    assert "extrapolated" not in answer
+    answer = thruster_answer(estimates(-0.8), has_force=True, reach={1.0: 0.5, -1.0: 0.502})
+    assert (
+        "at full speed (errors: statistical only; extrapolated, as it was measured only up to 50 % of full speed)"
+        in (answer)
+    )
+
+
+def test_single_outliers_do_not_extend_the_measured_speeds() -> None:
+    n = np.repeat([0.0, 0.5, -0.4, 0.9], [50, 50, 50, 3])
+    assert largest_speeds(n) == {1.0: 0.5, -1.0: 0.4}
 
 
 def test_tables_for_other_programs_are_written(tmp_path: Path) -> None:
