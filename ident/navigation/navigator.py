@@ -19,7 +19,7 @@ were estimated from other records. GNSS samples may be withheld to measure the e
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -47,6 +47,7 @@ CURRENT = {"V_x": "drift_x", "V_y": "drift_y"}  # parameters of the current, and
 POSITION = ("x", "y")
 GNSS = {"x", "y", "vx", "vy", "speed"}  # outputs of a GNSS receiver
 LARGEST_INNOVATION = 3.0  # standard deviations; larger innovations count as if they had this distance
+MOST_MOVES = 4  # times that the derivatives are taken at other parameters
 NEAR = 0.5  # standard deviations of the fit; over this distance the states are linear in the parameters
 SCORE_BLOCK = 10.0  # s; blocks of the score's variance, longer than innovations are correlated
 CURRENT_SD = 0.5  # m/s, initial standard deviation of the current if its parameter has no prior
@@ -366,12 +367,15 @@ def _with_estimated_parameters(
     values = np.array([p.value for p in model.parameters])
     axes = principal_axes(model, known)
     n = len(axes.at)
+    if n == 0:
+        return values, run, Estimate(run.x_pred, run.P_pred), _best_states(run, smoothed)
     centre = np.zeros(n)
-    while True:
-        predicted, best = Estimate(run.x_pred, run.P_pred), _best_states(run, smoothed)
+    for later in range(MOST_MOVES, -1, -1):
+        best = _best_states(run, smoothed)
         sd = np.sqrt(run.S)
-        slopes = np.zeros((*run.eps.shape, n))
-        d_pred, d_best = np.zeros((2, *best.x.shape, n))
+        # Single precision is enough for derivatives, and a log of hours has many rows.
+        slopes = np.zeros((*run.eps.shape, n), dtype=np.float32)
+        d_pred, d_best = np.zeros((2, *best.x.shape, n), dtype=np.float32)
         for j, unit in enumerate(np.eye(n)):
             moved = likelihood.filter(record, axes.moved(values, centre + PARAMETER_STEP * unit))
             if not np.isfinite(moved.value):  # the filter diverges with these parameters
@@ -381,48 +385,43 @@ def _with_estimated_parameters(
             d_best[:, :, j] = _state_difference(model, moved_best, best.x) / PARAMETER_STEP
             slopes[:, :, j] = np.nan_to_num((moved.eps - run.eps) / sd) / PARAMETER_STEP
         e = np.nan_to_num(run.eps / sd)
-        found = _parameter_filter(slopes, e, -centre)
+        *_, (mean, _) = _parameter_estimates(slopes, e, -centre)
         # A model that lacks something has innovations that are correlated for seconds: they inform less.
-        root = np.sqrt(_excess_of_score_variance(record.t, slopes, e + slopes @ found.mean[-1]))
-        found = _parameter_filter(slopes / root, e / root, -centre)
-        ahead = centre + found.mean[-1]
-        if n == 0 or np.max(np.abs(ahead - centre)) < NEAR:
+        root = np.sqrt(_excess_of_score_variance(record.t, slopes, e + slopes @ mean))
+        *_, (mean, _) = _parameter_estimates(slopes / root, e / root, -centre)
+        if not later or np.max(np.abs(mean)) < NEAR:
             break
-        moved_run = likelihood.filter(record, axes.moved(values, ahead))
+        moved_run = likelihood.filter(record, axes.moved(values, centre + mean))
         if not moved_run.value > run.value:
             break
-        centre, run = ahead, moved_run
-    for_best = found.at(slice(-1, None)) if smoothed else found.at(slice(1, None))
-    return (
-        axes.moved(values, centre),
-        run,
-        found.at(slice(0, -1)).added_to(predicted, d_pred),
-        for_best.added_to(best, d_best),
-    )
+        centre, run = centre + mean, moved_run
+    predicted = Estimate(run.x_pred.copy(), run.P_pred.copy())
+    best = Estimate(best.x.copy(), best.P.copy())
+    for k, (mean, C) in enumerate(_parameter_estimates(slopes / root, e / root, -centre)):
+        if k < len(d_pred):
+            _add_parameters(predicted, k, d_pred[k], mean, C)
+        if k > 0 and not smoothed:
+            _add_parameters(best, k - 1, d_best[k - 1], mean, C)
+    if smoothed:
+        for k, D in enumerate(d_best):
+            _add_parameters(best, k, D, mean, C)
+    return axes.moved(values, centre), run, predicted, best
 
 
-@dataclass(frozen=True)
-class _RowParameters:
-    """Errors of the parameters before each row, and after the last one, in standard deviations of the fit.
+def _add_parameters(estimate: Estimate, row: int, D: Array, mean: Array, C: Array) -> None:
+    """Add the errors of the parameters to one row of an estimate, in place.
 
-    Attributes
+    Parameters
     ----------
-    mean : Array (n_rows, n_axes)
-        Means, from where the derivatives were taken; one row stands for all rows.
-    C : Array (n_rows, n_axes, n_axes)
-        Covariances.
+    estimate, row
+        Estimate, and index of the row.
+    D : Array (n_states, n_axes)
+        Derivatives of its states by the parameters, along their axes and in standard deviations of the fit.
+    mean, C : Array (n_axes,), (n_axes, n_axes)
+        Means and covariance of the errors.
     """
-
-    mean: Array
-    C: Array
-
-    def at(self, rows: slice) -> _RowParameters:
-        """Return the errors of some rows."""
-        return _RowParameters(self.mean[rows], self.C[rows])
-
-    def added_to(self, estimate: Estimate, D: Array) -> Estimate:
-        """Return an estimate with these errors, by its derivatives ``D`` (n_rows, n_states, n_directions)."""
-        return Estimate(estimate.x + (D @ self.mean[:, :, None])[:, :, 0], estimate.P + D @ self.C @ D.swapaxes(1, 2))
+    estimate.x[row] += D @ mean
+    estimate.P[row] += D @ C @ D.T
 
 
 def _excess_of_score_variance(t: Array, G: Array, e: Array) -> float:
@@ -452,8 +451,10 @@ def _excess_of_score_variance(t: Array, G: Array, e: Array) -> float:
     return max(float(np.trace(weight @ (sums.T @ sums)) / expected), 1.0) if expected > 0.0 else 1.0
 
 
-def _parameter_filter(G: Array, e: Array, mean: Array) -> _RowParameters:
-    """Estimate the parameters from the innovations before each row, and from all.
+def _parameter_estimates(G: Array, e: Array, mean: Array) -> Iterator[tuple[Array, Array]]:
+    """Yield mean and covariance of the errors of the parameters before the first row, and after each row.
+
+    They are in standard deviations of the fit, along the axes, and relative to where the derivatives were taken.
 
     Parameters
     ----------
@@ -462,25 +463,23 @@ def _parameter_filter(G: Array, e: Array, mean: Array) -> _RowParameters:
     e : Array (n_rows, n_outputs)
         Innovations in their standard deviations. A sample that is not measured has 0 here and in ``G``.
     mean : Array (n_axes,)
-        Estimates of the fit, from where the derivatives were taken. Their covariance is the unit matrix.
+        Estimates of the fit. Their covariance is the unit matrix.
     """
-    n_rows, n_outputs, n = G.shape
-    C = np.eye(n)
-    found = _RowParameters(np.empty((n_rows + 1, n)), np.empty((n_rows + 1, n, n)))
-    found.mean[0], found.C[0] = mean, C
-    for k in range(n_rows):
-        for i in range(n_outputs):  # the innovations of a row are independent of each other
-            g = G[k, i]
+    C = np.eye(mean.size)
+    yield mean, C
+    for slopes, innovations in zip(G, e, strict=True):
+        for g, own in zip(slopes, innovations, strict=True):  # the innovations of a row are independent of each other
+            if own == 0.0:  # not measured
+                continue
             Cg = C @ g
             variance = 1.0 + g @ Cg
-            innovation = e[k, i] + g @ mean
+            innovation = own + g @ mean
             # An outlier informs of the parameters no more than a sample at this distance (Huber).
             distance = abs(innovation) / np.sqrt(variance)
             gain = Cg / (variance * max(distance / LARGEST_INNOVATION, 1.0))
             mean = mean - gain * innovation
             C = C - np.outer(gain, Cg)
-        found.mean[k + 1], found.C[k + 1] = mean, C
-    return found
+        yield mean, C
 
 
 def _state_difference(model: Model, a: Array, b: Array) -> Array:
