@@ -189,7 +189,7 @@ def require_link_test(rig: Rig, device: str, link: LinkStatus, n_max: float) -> 
     raise SeatrialError(
         f"{device}: the mission commands up to n = {n_max:.2f}, and above limits.link_test_n = "
         f"{rig.limits.link_test_n:g} a valid test of the lost link is needed: {why}; run `seatrial check "
-        f"{rig.path.name} --actuators --link-test`"
+        f"{rig.path.name} --actuators --link-test --arm`"
     )
 
 

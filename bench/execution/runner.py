@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seatrial.bench.execution.autopilots import Autopilots
+from seatrial.bench.execution.autopilots import LEAVE_S, Autopilots
 from seatrial.bench.execution.device_startup import await_devices, await_limits
 from seatrial.bench.execution.link_test import (
     HOLD_S,
@@ -575,12 +575,14 @@ class _Runner:
         reason = " ".join(str(error).split()) or type(error).__name__
         decided = self._clock.now()
         self._succeeds(lambda: self._acquisition.zero(reason))
+        self._succeeds(lambda: self._say_end(reason))
         self._succeeds(self._vehicles.disarm)
         self._succeeds(lambda: self._acquisition.mark("stop", reason))
         if stop := self._guard.stop:
             self._succeeds(lambda: self._acquisition.mark("stop-code", stop.code.value))
         self._succeeds(lambda: self._acquisition.mark("decided", f"{decided:.6f} to stop"))
         rests = self._await_rest()
+        self._succeeds(lambda: self._acquisition.mark("rest", f"{self._thrust_text(rests)}{self._armed_text()}"))
         closed = self._succeeds(self._acquisition.stop)
         if not _all_at_zero(rests):
             # Measured again, because the acquisition process repeats zero before it closes the log.
@@ -595,6 +597,17 @@ class _Runner:
             else:  # what to do stands first, and the log on a line of its own
                 error.args = (f"{thrust}; end of the run: {reason}{self._armed_text()}",)
                 error.detail = log
+
+    def _say_end(self, reason: str) -> None:
+        """Tell the operator at once that the run ends, if it has armed an autopilot: to disarm it may take seconds.
+
+        Until then the display would show the state before the end.
+        """
+        if armed := self._vehicles.maybe_armed():
+            self._display.say(
+                f"THE RUN ENDS: {reason}. Zero was commanded; disarming {', '.join(armed)} takes up to {LEAVE_S:g} s. "
+                "KEEP CLEAR OF THE PROPELLERS."
+            )
 
     def _armed_text(self) -> str:
         """Return the end of the error message of a run: the names of autopilots that are still armed.

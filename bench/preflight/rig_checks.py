@@ -317,7 +317,7 @@ def check_defaults(rig: Rig) -> Iterator[Finding]:
         key, is_value, value = (part.strip() for part in written.partition("="))
         if is_value and key == "name" and key_of_table in ("device", "thruster"):
             place = value.strip("\"'")
-        if is_value and UNCHECKED in comment:
+        if is_value and UNCHECKED in comment and key != "name":  # a name spoils no fit
             names.append(f"{place + '.' if place else ''}{key} = {value} (line {number})")
     if names:
         text = f'{counted(len(names), "value")} of {rig.path.name} marked "{UNCHECKED}": {", ".join(names)}'

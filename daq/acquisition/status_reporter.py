@@ -117,7 +117,7 @@ class StatusReporter:
         if self._writer.alarm:
             warnings.insert(0, self._writer.alarm)
         if stopped:
-            warnings.append(f"thrust was stopped: {stopped}")
+            warnings.append(f"the commands ended: {stopped}")
         held = {name: setpoints.held for name, setpoints in self._setpoints.items()}
         return Status(
             t=now,

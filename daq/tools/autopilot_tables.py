@@ -14,7 +14,7 @@ from typing import Any
 
 from seatrial.daq.drivers import LEFT, PADDLES, RIGHT, check_parameters, parameter_names
 from seatrial.daq.protocol import INVALID, ROVER, Codec, MavlinkDecoder, SampleConverter, vehicle_name
-from seatrial.daq.rig import AutopilotOutput, Device, MavlinkSettings, Thruster
+from seatrial.daq.rig import UNCHECKED, AutopilotOutput, Device, MavlinkSettings, Thruster
 from seatrial.daq.tools.discovery import DiscoveredDevice
 from seatrial.daq.transport import Port, PortError, make_port
 
@@ -188,7 +188,7 @@ def _thruster_lines(thruster: Thruster) -> list[str]:
     return [
         *("", "[[thruster]]", f'name = "{thruster.name}"', f'device = "{thruster.device}"', f"node = {thruster.node}"),
         *(f"rc_channel = {out.rc_channel}", f"rc_us = {list(out.rc_us)}", f"pwm_us = {list(out.pwm_us)}"),
-        f"position_m = {list(thruster.position_m)}  # caveat: measure it: forward, starboard, down of the reference, m",
+        f"position_m = {list(thruster.position_m)}  # {UNCHECKED}: forward, starboard, down of the reference, m",
         f"timeout_s = {max(thruster.timeout_s, 0.1):.3g}",
     ]
 

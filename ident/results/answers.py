@@ -718,10 +718,11 @@ def not_converged(fit: Fit) -> str | None:
     """
     if fit.converged:
         return None
+    simpler = ", such as --model nomoto for a boat that does not slide sideways" if "m_v" in fit.model.values else ""
     return (
         f"The fit did not converge: it {fit.message}. Do not use its estimates or errors. First look for a stuck or "
         "missing signal (seatrial check LOG); then give --initial or --prior, or use a model with fewer free "
-        "parameters."
+        f"parameters{simpler}."
     )
 
 

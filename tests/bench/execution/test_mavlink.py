@@ -177,7 +177,7 @@ def test_thrust_ends_if_a_process_dies_or_hangs(tmp_path: Path, failure: str) ->
         # If no process is left to send zero, the time-out of the autopilot ends thrust.
         own = OVERRIDE_S if failure == "link cut" else 0.25
         assert stopped_at(tmp_path) - begun < own + AT_ONCE_S
-        _, err = run.communicate(timeout=60)
+        out, err = run.communicate(timeout=60)
         until(lambda: not is_alive(acquisition), 10.0)
     log = open_log(tmp_path / "run.mcap")
     assert len(log.table(Ahrs, "autopilot")) > 10
@@ -192,6 +192,12 @@ def test_thrust_ends_if_a_process_dies_or_hangs(tmp_path: Path, failure: str) ->
     if failure == "link cut":
         assert run.returncode == 3
         assert "autopilot WAS ARMED BY THIS RUN AND MAY STILL BE ARMED" in err
+        # Disarming is tried for 10 s (here 3 s), in which the display would show the state before the end.
+        assert "THE RUN ENDS: " in out
+        assert "disarming autopilot takes up to 3 s. KEEP CLEAR OF THE PROPELLERS." in out
+        (rest,) = [text for _, kind, text in log.events() if kind == "rest"]
+        assert rest.startswith(("MAKE SURE ", "THRUST CONTINUES "))
+        assert "autopilot WAS ARMED BY THIS RUN AND MAY STILL BE ARMED" in rest
 
 
 def test_on_a_signed_link_the_watchdogs_zero_is_obeyed_and_confirmed(tmp_path: Path) -> None:

@@ -48,8 +48,8 @@ def test_a_hint_is_in_every_status_and_once_in_the_log(tmp_path: Path) -> None:
     statuses = [reported(), reported(), reported("the disk is full")]
     assert [status.hints for status in statuses] == [(line,)] * 3
     assert statuses[0].warnings == ()  # not a fault: a run may begin in this state
-    assert statuses[2].warnings == ("thrust was stopped: the disk is full",)
-    assert events == [("hint", line), ("warning", "thrust was stopped: the disk is full")]
+    assert statuses[2].warnings == ("the commands ended: the disk is full",)
+    assert events == [("hint", line), ("warning", "the commands ended: the disk is full")]
     console = Console(width=200)
     with console.capture() as capture:
         console.print(table(statuses[0], here, 200, statuses[0].t))
