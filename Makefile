@@ -22,7 +22,7 @@ PYTHONS := $(or $(PYTHON),python3.13 python3.12 python3.11 python3)
 help:
 	@echo "make demo    the whole loop on mock devices, to a report"
 	@echo "make test    ruff, mypy, import contracts, pytest"
-	@echo "make pages   every page of the documentation, as its reader would run it"
+	@echo "make pages   every page of the documentation, and analyses of realistic boats"
 	@echo "make lint    the checks without pytest"
 	@echo "make bench   speed, accuracy and loss, side by side with peers"
 	@echo "make study   known truth in, same truth out: bias, coverage, detection rates"

@@ -88,6 +88,7 @@ def test_logs_are_compared_without_reading_them_again(tmp_path: Path, monkeypatc
     assert read == logs
 
 
+@pytest.mark.pages
 @pytest.mark.skipif(not realistic_boats().is_dir(), reason="SEATRIAL_DATA has no boats of a realistic plant")
 @pytest.mark.usefixtures("quick_compilation")
 def test_battery_of_a_realistic_boat_is_found_by_check_and_fit(tmp_path: Path) -> None:

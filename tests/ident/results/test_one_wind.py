@@ -58,6 +58,7 @@ def windy(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 THRUST = {"c1": 40.0, "c2": 1.1}
 
 
+@pytest.mark.pages
 def test_each_log_has_its_own_wind(windy: list[Path], tmp_path: Path) -> None:
     how: dict[str, Any] = {"fixed": THRUST, "effects": ["wind"], "score_tests": False, "reml": False, "mean_order": 1}
     with warnings.catch_warnings():

@@ -48,6 +48,7 @@ def vehicle(folder: Path, out: str, *words: str) -> dict[str, Any]:
     return read
 
 
+@pytest.mark.pages
 @pytest.mark.slow
 def test_timing_errors_are_estimated_and_the_masses_hold(boat: Boat, folder: Path) -> None:
     result = vehicle(folder, "tested")
