@@ -19,6 +19,7 @@ were estimated from other records. GNSS samples may be withheld to measure the e
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -385,10 +386,10 @@ def _with_estimated_parameters(
             d_best[:, :, j] = _state_difference(model, moved_best, best.x) / PARAMETER_STEP
             slopes[:, :, j] = np.nan_to_num((moved.eps - run.eps) / sd) / PARAMETER_STEP
         e = np.nan_to_num(run.eps / sd)
-        *_, (mean, _) = _parameter_estimates(slopes, e, -centre)
+        mean = _last_mean(_parameter_estimates(slopes, e, -centre))
         # A model that lacks something has innovations that are correlated for seconds: they inform less.
         root = np.sqrt(_excess_of_score_variance(record.t, slopes, e + slopes @ mean))
-        *_, (mean, _) = _parameter_estimates(slopes / root, e / root, -centre)
+        mean = _last_mean(_parameter_estimates(slopes / root, e / root, -centre))
         if not later or np.max(np.abs(mean)) < NEAR:
             break
         moved_run = likelihood.filter(record, axes.moved(values, centre + mean))
@@ -406,6 +407,12 @@ def _with_estimated_parameters(
         for k, D in enumerate(d_best):
             _add_parameters(best, k, D, mean, C)
     return axes.moved(values, centre), run, predicted, best
+
+
+def _last_mean(estimates: Iterator[tuple[Array, Array]]) -> Array:
+    """Return the mean of the last of the estimates, without keeping those before it."""
+    ((mean, _),) = deque(estimates, maxlen=1)
+    return mean
 
 
 def _add_parameters(estimate: Estimate, row: int, D: Array, mean: Array, C: Array) -> None:
