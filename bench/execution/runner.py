@@ -28,7 +28,7 @@ from seatrial.bench.execution.link_test import (
     save_link_tests,
 )
 from seatrial.bench.execution.operator_interface import HELP, WORDS, Display, Keys, MissionStatus, StopSignals
-from seatrial.bench.execution.safety_guard import Rest, Row, SafetyGuard, unreached_text
+from seatrial.bench.execution.safety_guard import Rest, Row, SafetyGuard
 from seatrial.bench.execution.sequencer import CommandFollower, CommandSource, MissionSequencer, Schedule
 from seatrial.bench.execution.tare import Tare, describe_tares, measure_tares
 from seatrial.bench.mission_limits import dry_run
@@ -674,8 +674,8 @@ class _Runner:
             return f"{text}; stop it yourself by transmitter or kill switch"
         if not self._moved:
             return NO_THRUST
-        unreached = [rest.thruster for rest in wrong if rest.text == unreached_text(rest.thruster)]
-        wrong = [rest for rest in wrong if rest.thruster not in unreached]
+        unreached = [rest.thruster for rest in wrong if not rest.is_reached]
+        wrong = [rest for rest in wrong if rest.is_reached]
         measured = ": thruster " + ", thruster ".join(rest.text for rest in wrong) if wrong else ""
         times = self._vehicles.tested_s.items()
         tested = [f"{name} ended thrust {seconds:.1f} s after its link was lost" for name, seconds in times]

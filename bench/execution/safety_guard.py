@@ -570,16 +570,14 @@ class Rest(NamedTuple):
         Whether it is at zero thrust; None if the measurements do not show this.
     text : str
         The measurement in words, such as "left turns at 2700 rpm".
+    is_reached : bool
+        Whether zero could be sent to it; not if its port was lost.
     """
 
     thruster: str
     is_zero: bool | None
     text: str
-
-
-def unreached_text(thruster: str) -> str:
-    """Return the text of `Rest` for a thruster to which zero could not be sent, because its port was lost."""
-    return f"{thruster} was not reached"
+    is_reached: bool = True
 
 
 class _Motion(enum.Enum):
@@ -1200,7 +1198,7 @@ class SafetyGuard:
         for thruster in self._thrusters:
             since = status.zeroed.get(thruster.device, math.nan)
             if math.isnan(since):
-                found.append(Rest(thruster.name, None, unreached_text(thruster.name)))
+                found.append(Rest(thruster.name, None, f"{thruster.name} was not reached", is_reached=False))
             elif thruster.output is None:
                 found.append(self._controllers[thruster.name].rest(status, since))
             else:

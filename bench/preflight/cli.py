@@ -308,10 +308,8 @@ def _findings_at_rest(rig: Rig, seconds: float, mission: Any, path: Path) -> lis
     guard = SafetyGuard(rig, rig.speed, tuple(thruster.name for thruster in rig.thrusters))
     status = listen(rig, seconds, path, guard)
     with open_log(path) as log:
-        others = other_protocols(rig, status, log)
-    found = list(check_ports(rig, status, others))
-    silent = {finding.where for finding in found if finding.check == "alive"}
-    with open_log(path) as log:
+        found = list(check_ports(rig, status, other_protocols(rig, status, log)))
+        silent = {finding.where for finding in found if finding.check == "alive"}
         found += [finding for finding in check_devices(log) if finding.where not in silent]
     found += [*check_computer(rig, status), *check_limits(rig, guard, status), *check_defaults(rig)]
     return found if mission is None else [*found, *check_mission(mission, rig)]

@@ -74,9 +74,9 @@ class ErrorCollector:
         self._errors: list[SeatrialError] = []
 
     def tried(self, read: Callable[[], Read], default: Read) -> Read:
-        """Return what a function without arguments reads; if it raises SeatrialError, keep this and return `default`.
+        """Call `read` and return its result. If it raises SeatrialError, store the error and return `default`.
 
-        What is returned may be used only after `raise_all`.
+        The caller must call `raise_all` before it uses the result.
         """
         try:
             return read()

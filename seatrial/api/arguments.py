@@ -126,7 +126,7 @@ def as_intervals(name: str, value: object) -> tuple[tuple[float, float], ...]:
 
 
 def _items(value: object) -> list[Any] | None:
-    """Return the items of a sequence or an array as a list; None for text, a dict, and what has no items."""
+    """Return the items of a sequence or an array as a list. The result is None for any other value, text and dict."""
     if isinstance(value, str | bytes | Mapping) or not isinstance(value, Iterable):
         return None
     try:
@@ -136,7 +136,7 @@ def _items(value: object) -> list[Any] | None:
 
 
 def _is_number(value: object) -> bool:
-    """Return whether a value is a real number. True and False are none."""
+    """Return whether a value is a real number. True and False do not count as numbers."""
     return isinstance(value, Real) and not isinstance(value, bool)
 
 

@@ -185,8 +185,7 @@ class Saved(MotionMethods, Shown):
         SeatrialError
             If no result of a fit was loaded.
         """
-        if not hasattr(self.result, "converged"):
-            raise SeatrialError(f"{self.path}: no {RESULT} of a fit was loaded; load the folder that contains it")
+        self._require_fit("converged")
         return bool(self.result.converged)
 
     def summary(self) -> str:
@@ -208,6 +207,11 @@ class Saved(MotionMethods, Shown):
         errors = self.standard_errors
         return "\n".join(f"{n} = {v:.6g} ± {errors.get(n, np.nan):.2g}" for n, v in self.params.items())
 
+    def _require_fit(self, field: str) -> None:
+        """Raise SeatrialError if the loaded result lacks a field, which every result of a fit has."""
+        if not hasattr(self.result, field):
+            raise SeatrialError(f"{self.path}: no {RESULT} of a fit was loaded; load the folder that contains it")
+
     def residual_tests(self) -> Any:
         """Return the tests of the residuals as a ``pandas.DataFrame``, as `FittedVehicle.residual_tests`.
 
@@ -216,8 +220,7 @@ class Saved(MotionMethods, Shown):
         SeatrialError
             If no result of a fit was loaded, or if pandas is not installed.
         """
-        if not hasattr(self.result, "residuals"):
-            raise SeatrialError(f"{self.path}: no {RESULT} of a fit was loaded; load the folder that contains it")
+        self._require_fit("residuals")
         return tables.residual_frame(self.result)
 
     def errors_to_pandas(self) -> Any:
@@ -228,8 +231,7 @@ class Saved(MotionMethods, Shown):
         SeatrialError
             If no result of a fit was loaded, or if pandas is not installed.
         """
-        if not hasattr(self.result, "horizon_seconds"):
-            raise SeatrialError(f"{self.path}: no {RESULT} of a fit was loaded; load the folder that contains it")
+        self._require_fit("horizon_seconds")
         return tables.error_frame(self.result)
 
     def plot(self, *channels: str) -> Figure:
@@ -249,8 +251,7 @@ class Saved(MotionMethods, Shown):
         """
         if self.result is not None and self.result.__struct_config__.tag == "comparison":
             return comparison_figure(self.result, channels, None)
-        if not hasattr(self.result, "traces"):
-            raise SeatrialError(f"{self.path}: no {RESULT} of a fit was loaded; load the folder that contains it")
+        self._require_fit("traces")
         return prediction_figure(self.result, channels)
 
     def to_pandas(self) -> Any:

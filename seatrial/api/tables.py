@@ -321,12 +321,12 @@ def _verdict(p: float | None, level: float, passed: str, failed: str) -> str:
 
 
 def _or_nan(value: float | None) -> float:
-    """Return a number, or NaN for None."""
+    """Return the number, or NaN if it is None."""
     return math.nan if value is None else value
 
 
 def _largest(values: NDArray[np.float64]) -> float:
-    """Return the largest size of values (n,); NaN if none is finite."""
+    """Return the largest absolute value of an array (n,). The result is NaN if no value is finite."""
     finite = np.abs(values[np.isfinite(values)])
     return float(finite.max()) if finite.size else math.nan
 
