@@ -337,6 +337,7 @@ class _Runner:
             try:
                 sequencer = self._run_setpoints(arm, retries, keys)
                 self._acquisition.zero("end of the mission")
+                self._display.clear()  # nobody updates it while autopilots are disarmed and zero is measured
                 self._vehicles.release()
                 tares = self._measure_tares(sequencer.timeline)
                 self._require_zero()
@@ -575,6 +576,7 @@ class _Runner:
         reason = " ".join(str(error).split()) or type(error).__name__
         decided = self._clock.now()
         self._succeeds(lambda: self._acquisition.zero(reason))
+        self._display.clear()  # its last state has "guard ok"
         self._succeeds(lambda: self._say_end(reason))
         self._succeeds(self._vehicles.disarm)
         self._succeeds(lambda: self._acquisition.mark("stop", reason))
@@ -599,10 +601,7 @@ class _Runner:
                 error.detail = log
 
     def _say_end(self, reason: str) -> None:
-        """Tell the operator at once that the run ends, if it has armed an autopilot: to disarm it may take seconds.
-
-        Until then the display would show the state before the end.
-        """
+        """Tell the operator at once that the run ends, if it has armed an autopilot: to disarm it may take seconds."""
         if armed := self._vehicles.maybe_armed():
             self._display.say(
                 f"THE RUN ENDS: {reason}. Zero was commanded; disarming {', '.join(armed)} takes up to {LEAVE_S:g} s. "
