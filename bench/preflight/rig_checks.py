@@ -173,14 +173,10 @@ def _autopilot_findings(rig: Rig, device: Device, status: Status, port: PortStat
     """
     link = status.links.get(device.name, LinkStatus())
     if not link.received:
-        yield Finding(
-            FAULT,
-            "no-heartbeat",
-            "link",
-            device.name,
-            "no heartbeat was received",
-            "check system_id, port and baud rate of this link",
-        )
+        text, advice = "no heartbeat was received", "check system_id, port and baud rate of this link"
+        if port.message:  # such as the ids of other systems; it has its own advice
+            text, advice = f"{text}: {port.message}", ""
+        yield Finding(FAULT, "no-heartbeat", "link", device.name, text, advice)
         return
     assert device.mavlink is not None
     here = [thruster for thruster in rig.thrusters if thruster.device == device.name]

@@ -202,6 +202,8 @@ def diagnose_model(request: DiagnosisRequest, command: str, reporter: Reporter) 
         *hold_lines(saved, [*loaded, *validation_logs]),
     ]
     loaded, validation_logs = check_first(loaded, validation_logs, model, request.despite_faults)
+    if model.kind is ModelKind.VEHICLE:
+        require_thrust_and_length(runs, model, request.despite_faults)
     for line in lines:
         reporter.warning(line)
     model, floors = with_noise_floors(model, loaded)

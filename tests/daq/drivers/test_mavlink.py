@@ -584,3 +584,18 @@ def test_a_link_without_the_role_to_drive_reads_parameters_once() -> None:
     ends.autopilot.vehicle.parameters["FS_THR_ENABLE"] = 0.0
     ends.run(10.0)
     assert ends.driver.link_at(ends.t).changed == ()
+
+
+def test_message_names_the_systems_that_were_heard_instead_of_the_one_in_the_rig() -> None:
+    ends = Ends(mav_rig())
+    vehicle = mav_rig(more="system_id = 7")
+    ends.autopilot = AutopilotEmulator(vehicle, vehicle.device("autopilot"), ends.controllers, 1_800_000_000.0)
+    ends.autopilot._rates["ATTITUDE"] = 25.0
+    ends.run(0.1)
+    assert ends.driver.message() == ""  # too early to tell
+    ends.run(3.0)
+    message = ends.driver.message()
+    assert message.startswith("no message of system 1 (system_id in the rig), but ")
+    assert message.endswith(" of system 7; write system_id = 7 for this device in the rig, if this is the autopilot")
+    ends.decoder.foreign = {255: 30}
+    assert "of system 255; these are ids of ground stations" in ends.driver.message()
