@@ -19,7 +19,7 @@ from seatrial.ident.model import with_outlier_model as with_outliers
 from seatrial.ident.models import effects_for
 from seatrial.ident.reporter import Reporter
 from seatrial.ident.results import DiagnosisResult, diagnosis_result, estimation_warnings, provenance
-from seatrial.ident.workflows.check import check_first, with_noise_floors
+from seatrial.ident.workflows.check import check_first, require_thrust_and_length, with_noise_floors
 from seatrial.ident.workflows.dynamics import dynamics_of
 from seatrial.ident.workflows.model_inputs import (
     check_horizon,
