@@ -13,7 +13,7 @@ from seatrial.bench.execution import TELEMETRY, SafetyGuard, silent_devices
 from seatrial.daq.acquisition import Acquisition, PortStatus, Status
 from seatrial.daq.checks import FAULT, OK, WARNING, Finding
 from seatrial.daq.clock import RunClock
-from seatrial.daq.drivers import LinkStatus, check_parameters
+from seatrial.daq.drivers import NOT_ANSWERED, LinkStatus, check_parameters, parameter_lines
 from seatrial.daq.errors import SeatrialError, counted
 from seatrial.daq.log import Log
 from seatrial.daq.protocol import CAN, DEVICES, EKF_POSITION, EKF_STANDS, ROVER
@@ -190,16 +190,13 @@ def _autopilot_findings(rig: Rig, device: Device, status: Status, port: PortStat
             "repeat the check with a longer --seconds",
         )
     else:
-        for found in check_parameters(link.parameters, here, device.mavlink.own_system_id):
-            level = FAULT if found.fatal else WARNING
-            yield Finding(
-                level,
-                "autopilot-parameter",
-                "parameters",
-                device.name,
-                str(found),
-                "set it with a ground station: seatrial does not change it",
-            )
+        for line, is_fatal in parameter_lines(
+            check_parameters(link.parameters, here, device.mavlink.own_system_id)
+        ):
+            # A line on unanswered parameters has its own advice.
+            advice = "" if NOT_ANSWERED in line else "set it with a ground station: seatrial does not change it"
+            level = FAULT if is_fatal else WARNING
+            yield Finding(level, "autopilot-parameter", "parameters", device.name, line, advice)
     for line in link.refused:
         yield Finding(
             WARNING,

@@ -197,7 +197,7 @@ def answered(**wrong: float) -> dict[str, float]:
         (replace(LINK, vehicle="PX4"), 0.0, "autopilot is PX4: only ArduPilot Rover is driven"),
         (replace(LINK, vehicle=""), 0.0, "autopilot is of an unknown kind"),
         (replace(LINK, other_station_frames=2), 0.0, "another ground station has the same system id as seatrial"),
-        (LINK, 0.0, "parameters forbid to drive, yours to set: RC_OVERRIDE_TIME was not answered"),
+        (LINK, 0.0, r"not driven, because \d+ parameters were not answered by the autopilot \(RC_OVERRIDE_TIME, \w+, "),
         (replace(LINK, parameters=answered(FS_ACTION=1.0)), 0.0, "1 parameter forbids to drive, yours to set: FS_ACT"),
         (replace(LINK, parameters=answered()), 0.9, "a valid test of the lost link is needed: it was never done; run"),
     ],
