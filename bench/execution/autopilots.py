@@ -364,6 +364,11 @@ class Autopilots:
             if link.armed or not link.age <= min(LINK_AGE_S, now - requested_at - STATUS_AGE_S)
         ]
 
+    def disarmed(self) -> list[str]:
+        """Return the names of autopilots that this run has armed, or tried to arm, and whose disarming is confirmed."""
+        armed = self.maybe_armed()
+        return [name for name in self._armed if name not in armed]
+
     def disarm(self) -> None:
         """Request the autopilots that this run has armed to disarm; no error is raised if they do not confirm it.
 

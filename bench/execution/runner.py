@@ -629,6 +629,8 @@ class _Runner:
             # Measured again, because the acquisition process repeats zero before it closes the log.
             rests = self._measure_rest()
         thrust = self._thrust_text(rests)
+        disarmed = self._vehicles.disarmed()
+        is_disarmed = f", {' and '.join(disarmed)} {'is' if len(disarmed) == 1 else 'are'} disarmed" if disarmed else ""
         log = f"the log is {self._path}" if closed else f"the log so far is {self._path} (it can be opened)"
         if closed and not self._moved and discard_log_without_samples(self._path):
             log = "no device sent a sample, so that no log is kept"
@@ -636,9 +638,9 @@ class _Runner:
             if self._moved and thrust != ZERO:
                 error.exit_status = SafetyStop.exit_status
             if thrust in (ZERO, NO_THRUST):
-                error.args = (f"{reason}; {thrust}, {log}{self._armed_text()}",)
+                error.args = (f"{reason}; {thrust}{is_disarmed}, {log}{self._armed_text()}",)
             else:  # what to do stands first, and the log on a line of its own
-                error.args = (f"{thrust}; end of the run: {reason}{self._armed_text()}",)
+                error.args = (f"{thrust}; end of the run: {reason}{is_disarmed}{self._armed_text()}",)
                 error.detail = log
 
     def _say_end(self, reason: str) -> None:
