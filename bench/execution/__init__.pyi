@@ -9,6 +9,7 @@ from .operator_interface import make_display as make_display
 from .runner import new_log_file as new_log_file
 from .runner import run_link_test as run_link_test
 from .runner import run_mission as run_mission
+from .safety_guard import OPEN_SKY as OPEN_SKY
 from .safety_guard import TELEMETRY as TELEMETRY
 from .safety_guard import SafetyGuard as SafetyGuard
 from .sequencer import follow_plan as follow_plan

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 
 from seatrial.bench.execution.link_test import require_link_test
-from seatrial.bench.execution.safety_guard import LINK_AGE_S, MANUAL, RIVAL
+from seatrial.bench.execution.safety_guard import LINK_AGE_S, MANUAL, OPEN_SKY, RIVAL
 from seatrial.daq.acquisition import Acquisition
 from seatrial.daq.clock import RunClock
 from seatrial.daq.drivers import DISARMED, NOT_ANSWERED, LinkStatus, check_parameters, parameter_lines
@@ -257,7 +257,7 @@ class Autopilots:
             flags = self._link_status(device).ekf
             raise SeatrialError(
                 f"{device.name}: its position estimator has no position after {ESTIMATOR_S:g} s (EKF flags {flags}), "
-                "so that its heading may jump; give its GNSS antenna open sky, and run again"
+                f"so that its heading may jump; {OPEN_SKY}, and run again"
             )
 
     def _set_manual_and_arm(self, device: Device) -> None:

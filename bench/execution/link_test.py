@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import msgspec
@@ -232,8 +232,8 @@ def _fault_of_stored(test: LinkTest | None) -> str:
 def _needed_text(rig: Rig, n_max: float) -> str:
     """Return the sentence that a mission with commands up to ``n_max`` needs a link test with this rig."""
     return (
-        f"the mission commands up to n = {n_max:.2f}, and above limits.link_test_n = {rig.limits.link_test_n:g} a valid "
-        "test of the lost link is needed"
+        f"the mission commands up to n = {n_max:.2f}, and above limits.link_test_n = {rig.limits.link_test_n:g} a "
+        "valid test of the lost link is needed"
     )
 
 

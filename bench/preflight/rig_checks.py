@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-from seatrial.bench.execution import TELEMETRY, SafetyGuard, silent_devices
+from seatrial.bench.execution import OPEN_SKY, TELEMETRY, SafetyGuard, silent_devices
 from seatrial.daq.acquisition import Acquisition, PortStatus, Status
 from seatrial.daq.checks import FAULT, OK, WARNING, Finding
 from seatrial.daq.clock import RunClock
@@ -190,9 +190,7 @@ def _autopilot_findings(rig: Rig, device: Device, status: Status, port: PortStat
             "repeat the check with a longer --seconds",
         )
     else:
-        for line, is_fatal in parameter_lines(
-            check_parameters(link.parameters, here, device.mavlink.own_system_id)
-        ):
+        for line, is_fatal in parameter_lines(check_parameters(link.parameters, here, device.mavlink.own_system_id)):
             # A line on unanswered parameters has its own advice.
             advice = "" if NOT_ANSWERED in line else "set it with a ground station: seatrial does not change it"
             level = FAULT if is_fatal else WARNING
@@ -245,7 +243,7 @@ def _autopilot_findings(rig: Rig, device: Device, status: Status, port: PortStat
     if link.ekf >= 0 and (not link.ekf & EKF_POSITION or link.ekf & EKF_STANDS):
         text, advice = (
             f"{text}: its position estimator has no position",
-            "give it open sky, and wait 40 s after power-on; a run cannot start before",
+            f"{OPEN_SKY}; a run cannot start before",
         )
         yield Finding(WARNING, "estimator-not-ready", "link", name, text, advice)
     else:

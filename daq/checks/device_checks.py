@@ -91,14 +91,16 @@ def check_devices(log: Log) -> Iterator[Finding]:
             "the times come from two clocks, or from one that was set: import the data of each clock separately",
         )
     last_samples: list[tuple[str, float]] = []
+    armed = armed_intervals(log)
     for source, tables in _tables_by_device(log).items():
         tables = [row for row in tables if len(row[2])]  # a part of a log may contain no sample of a kind
         last_samples += [(name, float(table["t"][-1])) for _, name, table in tables]
         device = next((d for d in rig.devices if d.name == source), None) if rig else None
         timing: list[Finding] = []
-        armed = armed_intervals(log, source)
         for _, name, table in tables:
-            timing += check_timestamps(name, table, log.end if rig else None, rig.speed if rig else 1.0, armed)
+            timing += check_timestamps(
+                name, table, log.end if rig else None, rig.speed if rig else 1.0, armed.get(source, ())
+            )
         yield from _check_rate(source, device, log, tables, any(f.code == "sections-missing" for f in timing))
         yield from timing
         for kind, name, table in tables:
@@ -109,7 +111,7 @@ def check_devices(log: Log) -> Iterator[Finding]:
     yield from _check_devices_present(log, rig)
     yield from check_thruster_coverage(log)
     yield from _check_shaft_speeds(log)
-    yield from _check_imported_signals(log)
+    yield from _check_imported_signals(log, next(iter(armed.values()), ()))
 
 
 def _tables_by_device(log: Log) -> dict[str, Tables]:
@@ -609,13 +611,13 @@ def _is_limit(value: float, held: Any, rpm: Any, commands: Any) -> bool:
     )
 
 
-def _check_imported_signals(log: Log) -> Iterator[Finding]:
+def _check_imported_signals(log: Log, armed: Sequence[tuple[float, float]]) -> Iterator[Finding]:
     """Check the imported signals of a log, and yield the findings.
 
     They are, for example, about rows that the import left out, unknown inputs, damaged or repeated time stamps, missing
     sections of outputs, and outputs with the same value in all of more than 20 samples. The same finding about several
     signals is one finding. A log that was not imported has no finding, except about the signals of transducers, which
-    are checked like outputs.
+    are checked like outputs. ``armed`` are the times [s] in which the autopilot of the log was armed.
     """
     by_map = log.attachments.get("import.toml", b"").replace(b"'", b'"')
     yield from check_rows_left_out(log.metadata)
@@ -624,14 +626,17 @@ def _check_imported_signals(log: Log) -> Iterator[Finding]:
         text = "the nanoseconds of time stamps had lost their leading zeros; the import map has restored them"
         advice = "repair the logger that wrote the time stamps"
         yield Finding(WARNING, "lost-zeros-restored", "time", log.path.name, text, advice)
-    yield from joined(f for source in log.sources(Scalar) for f in _check_signal(log, source))
+    yield from joined(f for source in log.sources(Scalar) for f in _check_signal(log, source, armed))
 
 
-def _check_signal(log: Log, source: str) -> Iterator[Finding]:
-    """Check the time stamps of a signal, and whether an output is constant, and yield the findings."""
+def _check_signal(log: Log, source: str, armed: Sequence[tuple[float, float]]) -> Iterator[Finding]:
+    """Check the time stamps of a signal, and whether an output is constant, and yield the findings.
+
+    ``armed`` are the times [s] in which the autopilot of the log was armed.
+    """
     table = log.table(Scalar, source)
     # An imported command holds until the next one, so that a pause between commands is not a missing section.
-    here = check_timestamps(source, table, None)
+    here = check_timestamps(source, table, None, armed=armed)
     yield from (f for f in here if f.check != "gap" or log.role(source) == "output")
     yield from check_lost_zeros(source, table["t"])
     if len(table) > 20 and log.role(source) == "output" and np.nanstd(table["value"]) == 0.0:
@@ -695,7 +700,9 @@ def check_timestamps(
             text,
             "set latency_timer of the USB adapter to 1 ms, and end other programs",
         )
-        yield from _check_gaps(name, t[:-1][pauses > 0.0], pauses[pauses > 0.0], speed, imported, armed)  # from bunch to bunch
+        yield from _check_gaps(
+            name, t[:-1][pauses > 0.0], pauses[pauses > 0.0], speed, imported, armed
+        )  # from bunch to bunch
     else:
         yield from _check_gaps(name, t, pauses, speed, imported, armed)
     if end is not None and end - t[-1] > SILENT_S * max(1.0, 0.2 * speed):

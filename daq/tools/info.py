@@ -18,7 +18,6 @@ from seatrial.daq.errors import SeatrialError, counted
 from seatrial.daq.log import Log, armed_intervals, first_segment_of, schema
 from seatrial.daq.samples import (
     Ahrs,
-    Autopilot,
     Command,
     Esc,
     Gnss,
@@ -41,7 +40,15 @@ _ABOUT = {  # texts of the metadata that are shown, with their names for the use
 MAX_CHARACTERS = 2000  # characters of a text that are shown; longer texts are not meant for readers
 FIRST_S = 60.0  # s at the start of a log in which its first sample is looked for, as by a fit
 # Kinds of samples that a fit can use, each with a column that is not NaN in such a sample.
-_FITTED: Mapping[type, str] = {Ahrs: "t", Gnss: "lat", LoadCell: "t", Esc: "t", Servo: "t", Command: "t", Scalar: "value"}
+_FITTED: Mapping[type, str] = {
+    Ahrs: "t",
+    Gnss: "lat",
+    LoadCell: "t",
+    Esc: "t",
+    Servo: "t",
+    Command: "t",
+    Scalar: "value",
+}
 FOLDED = ("skipped", "parameter")  # kinds of events that often repeat; repetitions become one line
 
 
@@ -212,7 +219,7 @@ def log_content(log: Log) -> LogContent:
 
 def _armed(log: Log) -> list[ArmedInterval]:
     """Return the intervals in which the autopilots of a log were armed, after the first sample that a fit can use."""
-    found = [(device, *interval) for device in log.sources(Autopilot) for interval in armed_intervals(log, device)]
+    found = [(device, *interval) for device, intervals in armed_intervals(log).items() for interval in intervals]
     first = _first_sample(log) if found else 0.0
     return [ArmedInterval(name, max(begin - first, 0.0), end - first) for name, begin, end in found if end > first]
 

@@ -16,6 +16,7 @@ import numpy as np
 from seatrial.daq.checks import CheckReport, Finding
 from seatrial.daq.errors import SeatrialError, counted
 from seatrial.ident.checks import (
+    ESTIMATED,
     IMPORTED,
     check_copies,
     check_signals,
@@ -148,9 +149,10 @@ def require_thrust_and_length(segments: Sequence[LogSegment], model: Model, desp
     """
     if despite_faults:
         return
-    where = segments[0].name if len(segments) == 1 else f"{segments[0].name} and {counted(len(segments) - 1, 'more log')}"
-    names = [i.name for i in model.inputs if not i.tap_of]
-    driving = [n for n in names if is_of_thruster(n, COMMAND, SHAFT_SPEED, THRUSTER_FORCE) or n in ("X", "N")]
+    more = f" and {counted(len(segments) - 1, 'more log')}" if len(segments) > 1 else ""
+    where = f"{segments[0].name}{more}"
+    own = [i.name for i in model.inputs if not i.tap_of]
+    driving = [n for n in own if is_of_thruster(n, COMMAND, SHAFT_SPEED, THRUSTER_FORCE) or n in ("X", "N")]
     despite = "to fit all the same, add --despite-faults"
     spans = [_span(s, model) for s in segments]
     lasts = sum(end - start for start, end in spans)
@@ -159,8 +161,10 @@ def require_thrust_and_length(segments: Sequence[LogSegment], model: Model, desp
             f"{where}: {lasts:.1f} s of data, and a fit needs {SHORTEST_PIECE_S:g} s or more, because a boat takes "
             f"seconds to answer its thrusters; give longer logs, or a longer part of them; {despite}"
         )
-    if driving and not any(_has_thrust(s.channels[n], n, *span) for s, span in zip(segments, spans, strict=True)
-                           for n in driving if n in s.channels):  # fmt: skip
+    inputs = [
+        (s.channels[n], n, *span) for s, span in zip(segments, spans, strict=True) for n in driving if n in s.channels
+    ]
+    if driving and not any(_has_thrust(*signal) for signal in inputs):
         raise SeatrialError(
             f"{where}: {', '.join(driving)}: no thrust in the whole time, so that a fit finds neither masses nor "
             "damping; give a run with steps of the command (seatrial mission generate), or check that these are the "
@@ -283,9 +287,9 @@ def sides_of_model(model: Model, log: LoadedLog) -> Mapping[str, float]:
 def with_estimator_errors(
     model: Model, logs: Sequence[LoadedLog], user_given: Collection[str] = ()
 ) -> tuple[Model, list[str]]:
-    """Add states for correlated navigation errors if the position of a log is the output of a navigation filter.
+    """Add states for correlated navigation errors if the position of a log is probably that of a navigation filter.
 
-    Such a position has less white noise (below 3 cm) than a GNSS receiver.
+    Such a position has less white noise (below 3 cm) than a GNSS receiver without fixed ambiguities.
 
     Parameters
     ----------
@@ -312,9 +316,10 @@ def with_estimator_errors(
         return model, []
     sensors = [s.name for s in model.sensors]
     line = (
-        f"The position is the output of a navigation filter (its noise is less than a receiver's): correlated errors "
-        f"of its {', '.join(e.of for e in navigation_errors(sensors))} are states of the model; "
-        f"--fix {position}=... gives white noise instead."
+        "The position is probably the output of a navigation filter, or of an RTK receiver: its noise from sample to "
+        f"sample is below {100 * ESTIMATED:g} cm, which is less than that of other receivers. Correlated errors of its "
+        f"{', '.join(e.of for e in navigation_errors(sensors))} are therefore states of the model; --fix {position}=... "
+        "gives white noise instead."
     )
     return model + estimator_error(sensors), [line]
 

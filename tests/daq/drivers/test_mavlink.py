@@ -227,7 +227,9 @@ def test_many_parameters_without_an_answer_share_one_line_for_each_severity() ->
     some = {**{name: value for name, value in good.items() if name not in lost}, "FS_ACTION": 1.0}
     first, fatal, other = parameter_lines(check_parameters(some, mav_rig().thrusters, 255))
     assert first[0].startswith("FS_ACTION is 1, wanted ")
-    assert fatal[0].startswith("4 parameters were not answered by the autopilot (RC1_MIN, RC3_TRIM, SERVO3_MAX, FS_TIMEOUT); ")
+    assert fatal[0].startswith(
+        "4 parameters were not answered by the autopilot (RC1_MIN, RC3_TRIM, SERVO3_MAX, FS_TIMEOUT); "
+    )
     assert other[0].startswith("2 parameters were not answered by the autopilot (BATT_FS_LOW_ACT, BATT_FS_CRT_ACT); ")
     assert [line[1] for line in (first, fatal, other)] == [True, True, False]
     lines = parameter_lines(check_parameters({}, mav_rig().thrusters, 255))

@@ -16,7 +16,6 @@ from pymavlink.dialects.v20.ardupilotmega import (
     MAVLink_attitude_message,
     MAVLink_heartbeat_message,
 )
-
 from rich.console import Console
 
 from seatrial.daq.checks.device_checks import check_devices
@@ -432,6 +431,20 @@ def test_gaps_of_a_disarmed_autopilot_are_no_warning(tmp_path: Path) -> None:
     assert level == "warning"
     assert text.startswith("data missing: 1 section, 5.1 s in all, the longest (5.1 s) from 44.9 s on")
     assert text.endswith("; beside them 1 section, 15.4 s in all, while disarmed")
+
+
+def test_a_map_keeps_the_arming_of_a_dataflash_log(tmp_path: Path) -> None:
+    armed_boat(tmp_path / "run.mcap", (24.8, 40.1))
+    (tmp_path / "map.toml").write_text(guess_map(tmp_path / "run.BIN").text)
+    (path,) = import_files(tmp_path / "map.toml", [tmp_path / "run.BIN"], out=tmp_path / "mapped.mcap")
+    with open_log(path) as log:
+        assert not log.sources(Autopilot)
+        assert [(round(row.begin, 1), round(row.end, 1)) for row in log_content(log).armed] == [
+            (10.0, 25.0),
+            (40.0, 59.9),
+        ]
+        found = [f for f in check_devices(log) if f.code == "sections-missing"]
+    assert [(f.level, f.text) for f in found] == [("ok", "data missing: 1 section, 15.4 s in all, while disarmed")]
 
 
 def test_gaps_outside_the_window_of_a_fit_are_not_reported(tmp_path: Path) -> None:

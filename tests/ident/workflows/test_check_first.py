@@ -57,10 +57,14 @@ def test_logs_without_thrust_or_of_a_few_seconds_are_refused(tmp_path: Path) -> 
     model = horizontal_model("command")
     commands = {n: c for n, c in run.channels.items() if n in ("n_cmd_left", "n_cmd_right")}
     assert len(commands) == 2
-    resting = replace(run, channels={**run.channels, **{n: replace(c, value=0.0 * c.value) for n, c in commands.items()}})
+    resting = replace(
+        run, channels={**run.channels, **{n: replace(c, value=0.0 * c.value) for n, c in commands.items()}}
+    )
     require_thrust_and_length([run], model, False)
     require_thrust_and_length([resting, run], model, False)  # drifting beside a run with thrust
-    with pytest.raises(SeatrialError, match=r"n_cmd_left, n_cmd_right: no thrust in the whole time, .*--despite-faults"):
+    with pytest.raises(
+        SeatrialError, match=r"n_cmd_left, n_cmd_right: no thrust in the whole time, .*--despite-faults"
+    ):
         require_thrust_and_length([resting], model, False)
     require_thrust_and_length([resting], model, True)
 
