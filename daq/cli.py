@@ -539,18 +539,16 @@ def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml
             click.echo(f"hint: {device.port}: {device.hint}", err=True)
     if any("latency_timer" in device.hint for device in found):
         click.echo(f"hint: to make it permanent, put this into a file in /etc/udev/rules.d: {UDEV_RULE}", err=True)
+    if not is_known and all(device.port.partition(":")[0] in NET_KINDS for device in found):
+        raise SeatrialError(
+            f"no device was recognised at {', '.join(device.port for device in found)}; check host and port of the "
+            "address, that the autopilot is powered, and that it sends there"
+        )
     if not is_known:
-        raise SeatrialError(_unrecognised(found))
-
-
-def _unrecognised(found: Sequence[DiscoveredDevice]) -> str:
-    """Return the error that no device was recognised at the ports of ``found``, with what to check."""
-    from seatrial.daq.rig import NET_KINDS
-
-    advice = "check that it is powered and that its output is switched on, or give its baud rate with --baud"
-    if all(device.port.partition(":")[0] in NET_KINDS for device in found):
-        advice = "check host and port of the address, that the autopilot is powered, and that it sends there"
-    return f"no device was recognised at {', '.join(device.port for device in found)}; {advice}"
+        raise SeatrialError(
+            f"no device was recognised at {', '.join(device.port for device in found)}; check that it is powered and "
+            "that its output is switched on, or give its baud rate with --baud"
+        )
 
 
 def _rig_of(found: Sequence[DiscoveredDevice]) -> str:

@@ -182,7 +182,11 @@ def require_link_test(rig: Rig, device: str, link: LinkStatus, n_max: float) -> 
         why = f"the test of {test.date} was done with {then} received, and {now} is received now"
     else:
         return test.seconds
-    raise SeatrialError(f"{device}: {_needed_text(rig, n_max)}: {why}; {_command_of_test(rig)}")
+    raise SeatrialError(
+        f"{device}: the mission commands up to n = {n_max:.2f}, and above limits.link_test_n = "
+        f"{rig.limits.link_test_n:g} a valid test of the lost link is needed: {why}; run `seatrial check "
+        f"{rig.path.name} --actuators --link-test --arm`"
+    )
 
 
 def missing_link_tests(rig: Rig, thrusters: Sequence[str], n_max: float) -> list[tuple[str, str, str]]:
@@ -215,7 +219,9 @@ def missing_link_tests(rig: Rig, thrusters: Sequence[str], n_max: float) -> list
     driven = [thruster for name in thrusters if (thruster := rig.thruster(name)).output is not None]
     tests = load_link_tests(rig)
     faults = {name: _fault_of_stored(tests.get(name)) for name in dict.fromkeys(t.device for t in driven)}
-    return [(name, f"{_needed_text(rig, n_max)}: {why}", _command_of_test(rig)) for name, why in faults.items() if why]
+    needed = f"commands up to n = {n_max:.2f} need a valid test of the lost link, above {rig.limits.link_test_n:g}"
+    advice = f"run `seatrial check {rig.path.name} --actuators --link-test --arm`"
+    return [(name, f"{needed} (limits.link_test_n): {why}", advice) for name, why in faults.items() if why]
 
 
 def _fault_of_stored(test: LinkTest | None) -> str:
@@ -227,19 +233,6 @@ def _fault_of_stored(test: LinkTest | None) -> str:
     if test.n < N_TEST:
         return f"the test of {test.date} commanded n = {test.n:g}, which is below {N_TEST:g}"
     return ""
-
-
-def _needed_text(rig: Rig, n_max: float) -> str:
-    """Return the sentence that a mission with commands up to ``n_max`` needs a link test with this rig."""
-    return (
-        f"the mission commands up to n = {n_max:.2f}, and above limits.link_test_n = {rig.limits.link_test_n:g} a "
-        "valid test of the lost link is needed"
-    )
-
-
-def _command_of_test(rig: Rig) -> str:
-    """Return the advice to run the command of the link test."""
-    return f"run `seatrial check {rig.path.name} --actuators --link-test --arm`"
 
 
 def link_test_plan(rig: Rig) -> Mission:

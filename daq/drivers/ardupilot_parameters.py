@@ -36,7 +36,6 @@ FAILSAFE_PARAMETERS = ("BATT_FS_LOW_ACT", "BATT_FS_CRT_ACT", "FENCE_ENABLE", "FE
 STOPPING_ACTIONS = (0.0, 2.0, 5.0)  # allowed actions of these failsafes: none, hold, terminate
 
 NOT_ANSWERED = "not answered by the autopilot"
-LINK_ADVICE = "the link may lose messages: repeat closer to the boat, or with lower rates in the rig"
 
 
 class ParameterMismatch(NamedTuple):
@@ -68,7 +67,10 @@ class ParameterMismatch(NamedTuple):
         The line about an unanswered one (`value` None) has only the name and advice on the link.
         """
         if self.value is None:
-            return f"{self.name} was {NOT_ANSWERED}; {LINK_ADVICE}"
+            return (
+                f"{self.name} was not answered by the autopilot; the link may lose messages: repeat closer to the "
+                "boat, or with lower rates in the rig"
+            )
         return f"{self.name} is {self.value:g}, wanted {self.wanted}: {self.why}"
 
 
@@ -92,8 +94,9 @@ def parameter_lines(mismatches: Sequence[ParameterMismatch]) -> list[tuple[str, 
         if len(unanswered) == 1:
             lines.append((str(unanswered[0]), fatal))
         elif unanswered:
+            advice = str(unanswered[0]).partition("; ")[2]
             text = f"{len(unanswered)} parameters were {NOT_ANSWERED} ({first_names([m.name for m in unanswered])})"
-            lines.append((f"{text}; {LINK_ADVICE}", fatal))
+            lines.append((f"{text}; {advice}", fatal))
     return lines
 
 

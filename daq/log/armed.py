@@ -41,7 +41,7 @@ def armed_intervals(log: Log) -> dict[str, list[tuple[float, float]]]:
 
 
 def _intervals(t: Sequence[float], armed: Sequence[bool], end: float) -> list[tuple[float, float]]:
-    """Return begin and end [s] of each interval of armed states at times ``t`` [s]; the last one lasts until ``end``."""
+    """Return begin and end [s] of each interval of armed states at times ``t`` [s]; the last ends at ``end``."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(armed, dtype=np.int8), [0]])))
     times = [*t, end]
     return [(times[a], times[b]) for a, b in zip(edges[::2], edges[1::2], strict=True)]

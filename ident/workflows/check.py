@@ -315,11 +315,12 @@ def with_estimator_errors(
     if not any(estimated(log.run.channels) for log in logs):
         return model, []
     sensors = [s.name for s in model.sensors]
+    errors = ", ".join(e.of for e in navigation_errors(sensors))
     line = (
         "The position is probably the output of a navigation filter, or of an RTK receiver: its noise from sample to "
         f"sample is below {100 * ESTIMATED:g} cm, which is less than that of other receivers. Correlated errors of its "
-        f"{', '.join(e.of for e in navigation_errors(sensors))} are therefore states of the model; --fix {position}=... "
-        "gives white noise instead."
+        f"{errors} are therefore states of the model; --fix {position}=... gives "
+        "white noise instead."
     )
     return model + estimator_error(sensors), [line]
 

@@ -127,8 +127,8 @@ def test_a_mission_that_needs_a_link_test_is_warned_of_before_the_run(tmp_path: 
         return [(f.text, f.advice) for f in check_mission(mission, rig) if f.code == "link-not-tested"]
 
     ((text, advice),) = found(fast)
-    assert text.startswith("the run will be refused: the mission commands up to n = 0.60, and above limits.link_test_n")
-    assert text.endswith("a valid test of the lost link is needed: it was never done")
+    assert text.startswith("the run will be refused: commands up to n = 0.60 need a valid test of the lost link")
+    assert text.endswith(" (limits.link_test_n): it was never done")
     assert advice == "run `seatrial check rig.toml --actuators --link-test --arm`"
     low = Segment("steps", segments[0].t, rig.limits.link_test_n * segments[0].n / 0.6)
     assert found(replace(fast, segments=(low,))) == []
