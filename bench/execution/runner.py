@@ -632,7 +632,9 @@ class _Runner:
         disarmed = self._vehicles.disarmed()
         is_disarmed = f", {' and '.join(disarmed)} {'is' if len(disarmed) == 1 else 'are'} disarmed" if disarmed else ""
         log = f"the log is {self._path}" if closed else f"the log so far is {self._path} (it can be opened)"
-        if closed and not self._moved and discard_log_without_samples(self._path):
+        # An interrupted run was not refused: its log says how far it came.
+        is_refused = closed and not self._moved and not isinstance(error, RunInterrupted)
+        if is_refused and discard_log_without_samples(self._path):
             log = "no device sent a sample, so that no log is kept"
         if isinstance(error, SeatrialError):
             if self._moved and thrust != ZERO:
