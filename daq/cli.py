@@ -523,7 +523,8 @@ def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml
     found = [identify(port) for port in ports] if ports else discover_devices(seconds, bauds, print_progress)
     if not found:
         raise SeatrialError("this computer has no serial port and no CAN bus; plug the device in, or name its port")
-    if toml:
+    is_known = any(device.protocol or device.port.startswith("socketcan:") for device in found)
+    if toml and is_known:  # a rig file without devices would be used
         click.echo(_rig_of(found), nl=False)
     if as_json:
         print_json({"format": "seatrial-devices 1", "devices": [dataclasses.asdict(device) for device in found]})
@@ -538,7 +539,12 @@ def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml
             click.echo(f"hint: {device.port}: {device.hint}", err=True)
     if any("latency_timer" in device.hint for device in found):
         click.echo(f"hint: to make it permanent, put this into a file in /etc/udev/rules.d: {UDEV_RULE}", err=True)
-    if not any(device.protocol or device.port.startswith("socketcan:") for device in found):
+    if not is_known and all(device.port.partition(":")[0] in NET_KINDS for device in found):
+        raise SeatrialError(
+            f"no device was recognised at {', '.join(device.port for device in found)}; check host and port of the "
+            "address, that the autopilot is powered, and that it sends there"
+        )
+    if not is_known:
         raise SeatrialError(
             f"no device was recognised at {', '.join(device.port for device in found)}; check that it is powered and "
             "that its output is switched on, or give its baud rate with --baud"

@@ -4,10 +4,12 @@ from .actuator_test import turning_warning as turning_warning
 from .device_startup import silent_devices as silent_devices
 from .link_test import ALLOWED_S as ALLOWED_S
 from .link_test import link_test_plan as link_test_plan
+from .link_test import missing_link_tests as missing_link_tests
 from .operator_interface import make_display as make_display
 from .runner import new_log_file as new_log_file
 from .runner import run_link_test as run_link_test
 from .runner import run_mission as run_mission
+from .safety_guard import OPEN_SKY as OPEN_SKY
 from .safety_guard import TELEMETRY as TELEMETRY
 from .safety_guard import SafetyGuard as SafetyGuard
 from .sequencer import follow_plan as follow_plan

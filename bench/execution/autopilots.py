@@ -10,10 +10,10 @@ import time
 from collections.abc import Callable
 
 from seatrial.bench.execution.link_test import require_link_test
-from seatrial.bench.execution.safety_guard import LINK_AGE_S, MANUAL, RIVAL
+from seatrial.bench.execution.safety_guard import LINK_AGE_S, MANUAL, OPEN_SKY, RIVAL
 from seatrial.daq.acquisition import Acquisition
 from seatrial.daq.clock import RunClock
-from seatrial.daq.drivers import DISARMED, LinkStatus, check_parameters
+from seatrial.daq.drivers import DISARMED, NOT_ANSWERED, LinkStatus, check_parameters, parameter_lines
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import read_note
 from seatrial.daq.protocol import EKF_POSITION, EKF_STANDS, ROVER
@@ -196,16 +196,20 @@ class Autopilots:
         self.changes[device.name] = len(link.changed)
         here = [thruster for thruster in self._rig.thrusters if thruster.device == device.name]
         found = check_parameters(link.parameters, here, device.mavlink.own_system_id)
-        for finding in found:
-            self._acquisition.mark("parameter", f"{device.name}: {finding}")
-            if not finding.fatal:
-                self._say(f"{device.name}: {finding}; set it with a ground station, if this matters")
+        lines = parameter_lines(found)
+        for line, is_fatal in lines:
+            self._acquisition.mark("parameter", f"{device.name}: {line}")
+            if not is_fatal:
+                advice = "" if NOT_ANSWERED in line else "; set it with a ground station, if this matters"
+                self._say(f"{device.name}: {line}{advice}")
         for line in link.refused:
             self._say(f"{device.name} refuses {line}; raise SCHED_LOOP_RATE, or lower the rate in the rig")
         if link.armed:
             self.found_armed.append(device.name)
             self._say(f"{device.name} IS ARMED ALREADY: this run will not disarm it; disarm it yourself after the run")
-        fatal = [str(finding) for finding in found if finding.fatal]
+        fatal = [line for line, is_fatal in lines if is_fatal]
+        if fatal and all(finding.value is None for finding in found if finding.fatal):
+            raise SeatrialError(f"{device.name}: not driven, because {fatal[0]}")
         if fatal:
             forbid = "parameter forbids" if len(fatal) == 1 else "parameters forbid"
             # The recorded trials (docs/data/autopilot-faults.jsonl) are classified by these words.
@@ -253,7 +257,7 @@ class Autopilots:
             flags = self._link_status(device).ekf
             raise SeatrialError(
                 f"{device.name}: its position estimator has no position after {ESTIMATOR_S:g} s (EKF flags {flags}), "
-                "so that its heading may jump; give its GNSS antenna open sky, and run again"
+                f"so that its heading may jump; {OPEN_SKY}, and run again"
             )
 
     def _set_manual_and_arm(self, device: Device) -> None:
@@ -359,6 +363,11 @@ class Autopilots:
             # a heartbeat from before the request does not confirm it
             if link.armed or not link.age <= min(LINK_AGE_S, now - requested_at - STATUS_AGE_S)
         ]
+
+    def disarmed(self) -> list[str]:
+        """Return the names of autopilots that this run has armed, or tried to arm, and whose disarming is confirmed."""
+        armed = self.maybe_armed()
+        return [name for name in self._armed if name not in armed]
 
     def disarm(self) -> None:
         """Request the autopilots that this run has armed to disarm; no error is raised if they do not confirm it.

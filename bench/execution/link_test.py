@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import msgspec
@@ -170,12 +170,8 @@ def require_link_test(rig: Rig, device: str, link: LinkStatus, n_max: float) -> 
         stored tests cannot be read.
     """
     test = load_link_tests(rig).get(device)
-    if test is None:
-        why = "it was never done"
-    elif not test.passed:
-        why = f"on {test.date} thrust went on for {test.seconds:.2f} s"
-    elif test.n < N_TEST:
-        why = f"the test of {test.date} commanded n = {test.n:g}, which is below {N_TEST:g}"
+    if test is None or _fault_of_stored(test):
+        why = _fault_of_stored(test)
     elif test.parameters != link_loss_hash(link.parameters):
         why = f"the failsafe parameters have changed since {test.date}"
     elif link.receiver is None or test.receiver is None:
@@ -191,6 +187,52 @@ def require_link_test(rig: Rig, device: str, link: LinkStatus, n_max: float) -> 
         f"{rig.limits.link_test_n:g} a valid test of the lost link is needed: {why}; run `seatrial check "
         f"{rig.path.name} --actuators --link-test --arm`"
     )
+
+
+def missing_link_tests(rig: Rig, thrusters: Sequence[str], n_max: float) -> list[tuple[str, str, str]]:
+    """Return the autopilots without the stored link test that a mission needs. No autopilot is asked.
+
+    Whether the failsafe parameters are still those of a stored test is known only with the autopilot
+    (`require_link_test`).
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig, beside whose file the results of link tests are stored.
+    thrusters : sequence of str
+        Names of the thrusters of the mission.
+    n_max : float
+        Largest command of the mission. At most `limits.link_test_n` needs no test.
+
+    Returns
+    -------
+    list of (str, str, str)
+        Name of the autopilot, why the run would be refused, and what to do.
+
+    Raises
+    ------
+    SeatrialError
+        If the file of stored tests cannot be read.
+    """
+    if not n_max > rig.limits.link_test_n:
+        return []
+    driven = [thruster for name in thrusters if (thruster := rig.thruster(name)).output is not None]
+    tests = load_link_tests(rig)
+    faults = {name: _fault_of_stored(tests.get(name)) for name in dict.fromkeys(t.device for t in driven)}
+    needed = f"commands up to n = {n_max:.2f} need a valid test of the lost link, above {rig.limits.link_test_n:g}"
+    advice = f"run `seatrial check {rig.path.name} --actuators --link-test --arm`"
+    return [(name, f"{needed} (limits.link_test_n): {why}", advice) for name, why in faults.items() if why]
+
+
+def _fault_of_stored(test: LinkTest | None) -> str:
+    """Return why a stored link test is not valid, whatever the autopilot reports now; empty if it may be valid."""
+    if test is None:
+        return "it was never done"
+    if not test.passed:
+        return f"on {test.date} thrust went on for {test.seconds:.2f} s"
+    if test.n < N_TEST:
+        return f"the test of {test.date} commanded n = {test.n:g}, which is below {N_TEST:g}"
+    return ""
 
 
 def link_test_plan(rig: Rig) -> Mission:

@@ -109,6 +109,10 @@ class Display(Protocol):
         """Print the text ``line`` as a line that stays on the screen; later states do not overwrite it."""
         ...
 
+    def clear(self) -> None:
+        """Remove the last state of the run from the screen, because it is no longer updated."""
+        ...
+
 
 class LiveDisplay:
     """Display on a terminal: two lines that are redrawn, with the progress and the newest values.
@@ -146,6 +150,11 @@ class LiveDisplay:
         """Print the text ``line`` above the two lines of the display, where it stays."""
         with contextlib.suppress(OSError):
             self._live.console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+    def clear(self) -> None:
+        """Remove the two lines of the display at once. The next state draws them again."""
+        with contextlib.suppress(OSError):
+            self._live.update(Group(), refresh=True)
 
 
 def _live_lines(view: MissionStatus) -> Group:
@@ -194,6 +203,9 @@ class PlainDisplay:
     def say(self, line: str) -> None:
         """Print the text ``line`` to the stream at once, without a buffer."""
         print(line, file=self._stream, flush=True)
+
+    def clear(self) -> None:
+        """Leave the printed lines as they are: each has its mission time, so that none claims to be the present one."""
 
 
 def make_display(stderr: bool = False) -> Display:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import signal
 import time
@@ -39,7 +40,7 @@ from seatrial.daq.errors import SafetyStop, SeatrialError
 from seatrial.daq.log import open_log
 from seatrial.daq.realtime_priority import realtime_priority
 from seatrial.daq.rig import LOAD_CELLS, Rig
-from seatrial.daq.samples import Esc, Gnss, LoadCell, Servo
+from seatrial.daq.samples import MEASURED, Esc, Gnss, LoadCell, Servo
 
 # Wall seconds.
 POLL_S = 0.02  # time between two checks of the status
@@ -187,20 +188,56 @@ def _prepared_runner(
     SeatrialError if the mission is beyond the limits, the log exists, or the acquisition cannot start.
     """
     dry_run(mission, rig)
-    new_log_file(path)
+    made = new_log_file(path)
     clock = RunClock(rig.speed)
     attachments = {"mission.toml": dump_mission(mission).encode()}
-    with (
-        StopSignals() as signals,
-        keys,
-        Acquisition(rig, path, clock=clock, attachments=attachments, metadata=metadata, drive=True) as acquisition,
-        realtime_priority(),  # this thread checks the limits
-    ):
-        yield _Runner(mission, rig, path, clock, acquisition, signals, display, commands)
+    has_started = False
+    try:
+        with (
+            StopSignals() as signals,
+            keys,
+            Acquisition(rig, path, clock=clock, attachments=attachments, metadata=metadata, drive=True) as acquisition,
+            realtime_priority(),  # this thread checks the limits
+        ):
+            has_started = True
+            yield _Runner(mission, rig, path, clock, acquisition, signals, display, commands)
+    except BaseException:
+        if not has_started:
+            discard_log_without_samples(path)
+        if not path.exists():  # the run ended before any sample
+            for folder in made:
+                with contextlib.suppress(OSError):  # another program has written a file into it
+                    folder.rmdir()
+        raise
 
 
-def new_log_file(path: Path) -> None:
+def discard_log_without_samples(path: Path) -> bool:
+    """Delete a closed log if no device has sent a sample to it, and return whether it was deleted.
+
+    A log that cannot be read is kept.
+
+    Parameters
+    ----------
+    path : Path
+        First file of the log of a run that this program has recorded.
+    """
+    try:
+        with open_log(path) as log:
+            if len(log.paths) > 1 or any(log.sources(kind) for kind in MEASURED):
+                return False
+        path.unlink()
+    except (SeatrialError, OSError):
+        return False
+    return True
+
+
+def new_log_file(path: Path) -> list[Path]:
     """Check that the file ``path`` of a new log does not exist, and make its folder. The file itself is not made.
+
+    Returns
+    -------
+    list of Path
+        The folders that were made, the innermost first.
 
     Raises
     ------
@@ -209,6 +246,7 @@ def new_log_file(path: Path) -> None:
     """
     if path.exists():
         raise SeatrialError(f"{path} exists, and a log is never overwritten; give another name with -o")
+    made = [folder for folder in path.parents if not folder.exists()]
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -216,6 +254,7 @@ def new_log_file(path: Path) -> None:
             f"{path.parent}: the folder of the log cannot be made: {error.strerror}; give another place for the log "
             "with -o"
         ) from error
+    return made
 
 
 class NewestValues(NamedTuple):
@@ -337,6 +376,7 @@ class _Runner:
             try:
                 sequencer = self._run_setpoints(arm, retries, keys)
                 self._acquisition.zero("end of the mission")
+                self._display.clear()  # nobody updates it while autopilots are disarmed and zero is measured
                 self._vehicles.release()
                 tares = self._measure_tares(sequencer.timeline)
                 self._require_zero()
@@ -575,6 +615,7 @@ class _Runner:
         reason = " ".join(str(error).split()) or type(error).__name__
         decided = self._clock.now()
         self._succeeds(lambda: self._acquisition.zero(reason))
+        self._display.clear()  # its last state has "guard ok"
         self._succeeds(lambda: self._say_end(reason))
         self._succeeds(self._vehicles.disarm)
         self._succeeds(lambda: self._acquisition.mark("stop", reason))
@@ -588,21 +629,24 @@ class _Runner:
             # Measured again, because the acquisition process repeats zero before it closes the log.
             rests = self._measure_rest()
         thrust = self._thrust_text(rests)
+        disarmed = self._vehicles.disarmed()
+        is_disarmed = f", {' and '.join(disarmed)} {'is' if len(disarmed) == 1 else 'are'} disarmed" if disarmed else ""
         log = f"the log is {self._path}" if closed else f"the log so far is {self._path} (it can be opened)"
+        # An interrupted run was not refused: its log says how far it came.
+        is_refused = closed and not self._moved and not isinstance(error, RunInterrupted)
+        if is_refused and discard_log_without_samples(self._path):
+            log = "no device sent a sample, so that no log is kept"
         if isinstance(error, SeatrialError):
             if self._moved and thrust != ZERO:
                 error.exit_status = SafetyStop.exit_status
             if thrust in (ZERO, NO_THRUST):
-                error.args = (f"{reason}; {thrust}, {log}{self._armed_text()}",)
+                error.args = (f"{reason}; {thrust}{is_disarmed}, {log}{self._armed_text()}",)
             else:  # what to do stands first, and the log on a line of its own
-                error.args = (f"{thrust}; end of the run: {reason}{self._armed_text()}",)
+                error.args = (f"{thrust}; end of the run: {reason}{is_disarmed}{self._armed_text()}",)
                 error.detail = log
 
     def _say_end(self, reason: str) -> None:
-        """Tell the operator at once that the run ends, if it has armed an autopilot: to disarm it may take seconds.
-
-        Until then the display would show the state before the end.
-        """
+        """Tell the operator at once that the run ends, if it has armed an autopilot: to disarm it may take seconds."""
         if armed := self._vehicles.maybe_armed():
             self._display.say(
                 f"THE RUN ENDS: {reason}. Zero was commanded; disarming {', '.join(armed)} takes up to {LEAVE_S:g} s. "

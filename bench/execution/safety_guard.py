@@ -222,6 +222,8 @@ def _temperature(esc: Esc) -> float:
     return esc.temperature if esc.temperature > COLDEST_C else NAN
 
 
+# One advice wherever a run waits for a position: limits, estimator of an autopilot, check of a rig.
+OPEN_SKY = "give the GNSS antenna open sky, and wait for a fix (up to a minute after power-on)"
 _STATUS = "set the speed controller to send its status messages"
 _QUANTITIES = {  # by key of [limits]
     "force_n": _LimitedQuantity(
@@ -247,9 +249,7 @@ _QUANTITIES = {  # by key of [limits]
     ),
     "roll_deg": _LimitedQuantity("roll", {Ahrs: lambda ahrs: ahrs.roll}, "add an AHRS to the rig"),
     "pitch_deg": _LimitedQuantity("pitch", {Ahrs: lambda ahrs: ahrs.pitch}, "add an AHRS to the rig"),
-    "radius_m": _LimitedQuantity(
-        "position", {Gnss: _position}, "wait for a fix of the GNSS receiver", slow=True, moves=True
-    ),
+    "radius_m": _LimitedQuantity("position", {Gnss: _position}, OPEN_SKY, slow=True, moves=True),
 }
 
 

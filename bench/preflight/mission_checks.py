@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 import numpy.typing as npt
 
+from seatrial.bench.execution import missing_link_tests
 from seatrial.bench.mission_limits import dry_run
 from seatrial.daq.checks import FAULT, OK, WARNING, Finding
 from seatrial.daq.config import Mission
@@ -26,7 +27,8 @@ def check_mission(mission: Mission, rig: Rig) -> Iterator[Finding]:
 
     The first finding is whether its commands are within `limits.n_max` of the rig. If they are not, or if the rig lacks
     a thruster of the mission, there is this fault only. The second finding is whether its predicted track stays inside
-    the geofence. It is left out if the rig has no `limits.radius_m`.
+    the geofence. It is left out if the rig has no `limits.radius_m`. A warning follows for each autopilot that needs a
+    link test before this mission, and has none.
     """
     try:
         dry_run(mission, rig)
@@ -43,6 +45,8 @@ def check_mission(mission: Mission, rig: Rig) -> Iterator[Finding]:
     )
     if rig.limits.radius_m is not None:
         yield _fence_finding(mission, rig, rig.limits.radius_m)
+    for name, why, advice in missing_link_tests(rig, mission.thrusters, largest):
+        yield Finding(WARNING, "link-not-tested", "link", name, f"the run will be refused: {why}", advice)
 
 
 def _fence_finding(mission: Mission, rig: Rig, radius: float) -> Finding:

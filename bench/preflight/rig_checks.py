@@ -9,11 +9,11 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-from seatrial.bench.execution import TELEMETRY, SafetyGuard, silent_devices
+from seatrial.bench.execution import OPEN_SKY, TELEMETRY, SafetyGuard, silent_devices
 from seatrial.daq.acquisition import Acquisition, PortStatus, Status
 from seatrial.daq.checks import FAULT, OK, WARNING, Finding
 from seatrial.daq.clock import RunClock
-from seatrial.daq.drivers import LinkStatus, check_parameters
+from seatrial.daq.drivers import NOT_ANSWERED, LinkStatus, check_parameters, parameter_lines
 from seatrial.daq.errors import SeatrialError, counted
 from seatrial.daq.log import Log
 from seatrial.daq.protocol import CAN, DEVICES, EKF_POSITION, EKF_STANDS, ROVER
@@ -173,14 +173,10 @@ def _autopilot_findings(rig: Rig, device: Device, status: Status, port: PortStat
     """
     link = status.links.get(device.name, LinkStatus())
     if not link.received:
-        yield Finding(
-            FAULT,
-            "no-heartbeat",
-            "link",
-            device.name,
-            "no heartbeat was received",
-            "check system_id, port and baud rate of this link",
-        )
+        text, advice = "no heartbeat was received", "check system_id, port and baud rate of this link"
+        if port.message:  # such as the ids of other systems; it has its own advice
+            text, advice = f"{text}: {port.message}", ""
+        yield Finding(FAULT, "no-heartbeat", "link", device.name, text, advice)
         return
     assert device.mavlink is not None
     here = [thruster for thruster in rig.thrusters if thruster.device == device.name]
@@ -194,16 +190,11 @@ def _autopilot_findings(rig: Rig, device: Device, status: Status, port: PortStat
             "repeat the check with a longer --seconds",
         )
     else:
-        for found in check_parameters(link.parameters, here, device.mavlink.own_system_id):
-            level = FAULT if found.fatal else WARNING
-            yield Finding(
-                level,
-                "autopilot-parameter",
-                "parameters",
-                device.name,
-                str(found),
-                "set it with a ground station: seatrial does not change it",
-            )
+        for line, is_fatal in parameter_lines(check_parameters(link.parameters, here, device.mavlink.own_system_id)):
+            # A line on unanswered parameters has its own advice.
+            advice = "" if NOT_ANSWERED in line else "set it with a ground station: seatrial does not change it"
+            level = FAULT if is_fatal else WARNING
+            yield Finding(level, "autopilot-parameter", "parameters", device.name, line, advice)
     for line in link.refused:
         yield Finding(
             WARNING,
@@ -252,7 +243,7 @@ def _autopilot_findings(rig: Rig, device: Device, status: Status, port: PortStat
     if link.ekf >= 0 and (not link.ekf & EKF_POSITION or link.ekf & EKF_STANDS):
         text, advice = (
             f"{text}: its position estimator has no position",
-            "give it open sky, and wait 40 s after power-on; a run cannot start before",
+            f"{OPEN_SKY}; a run cannot start before",
         )
         yield Finding(WARNING, "estimator-not-ready", "link", name, text, advice)
     else:

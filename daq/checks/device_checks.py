@@ -7,7 +7,7 @@ seatrial.ident.checks.shafts).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from seatrial.daq.checks.run_end import check_run_end
 from seatrial.daq.checks.thruster_coverage import check_thruster_coverage
 from seatrial.daq.clock import ClockMap
 from seatrial.daq.errors import counted
-from seatrial.daq.log import Log
+from seatrial.daq.log import Log, armed_intervals
 from seatrial.daq.rig import Device, Rig
 from seatrial.daq.samples import Ahrs, Autopilot, Battery, Command, Esc, Gnss, LoadCell, PortHealth, Scalar
 from seatrial.daq.sensor_limits import FLAGGED_SHARE, STUCK_IN_LOG, can_be_stuck
@@ -91,13 +91,16 @@ def check_devices(log: Log) -> Iterator[Finding]:
             "the times come from two clocks, or from one that was set: import the data of each clock separately",
         )
     last_samples: list[tuple[str, float]] = []
+    armed = armed_intervals(log)
     for source, tables in _tables_by_device(log).items():
         tables = [row for row in tables if len(row[2])]  # a part of a log may contain no sample of a kind
         last_samples += [(name, float(table["t"][-1])) for _, name, table in tables]
         device = next((d for d in rig.devices if d.name == source), None) if rig else None
         timing: list[Finding] = []
         for _, name, table in tables:
-            timing += check_timestamps(name, table, log.end if rig else None, rig.speed if rig else 1.0)
+            timing += check_timestamps(
+                name, table, log.end if rig else None, rig.speed if rig else 1.0, armed.get(source, ())
+            )
         yield from _check_rate(source, device, log, tables, any(f.code == "sections-missing" for f in timing))
         yield from timing
         for kind, name, table in tables:
@@ -108,7 +111,7 @@ def check_devices(log: Log) -> Iterator[Finding]:
     yield from _check_devices_present(log, rig)
     yield from check_thruster_coverage(log)
     yield from _check_shaft_speeds(log)
-    yield from _check_imported_signals(log)
+    yield from _check_imported_signals(log, next(iter(armed.values()), ()))
 
 
 def _tables_by_device(log: Log) -> dict[str, Tables]:
@@ -608,13 +611,13 @@ def _is_limit(value: float, held: Any, rpm: Any, commands: Any) -> bool:
     )
 
 
-def _check_imported_signals(log: Log) -> Iterator[Finding]:
+def _check_imported_signals(log: Log, armed: Sequence[tuple[float, float]]) -> Iterator[Finding]:
     """Check the imported signals of a log, and yield the findings.
 
     They are, for example, about rows that the import left out, unknown inputs, damaged or repeated time stamps, missing
     sections of outputs, and outputs with the same value in all of more than 20 samples. The same finding about several
     signals is one finding. A log that was not imported has no finding, except about the signals of transducers, which
-    are checked like outputs.
+    are checked like outputs. ``armed`` are the times [s] in which the autopilot of the log was armed.
     """
     by_map = log.attachments.get("import.toml", b"").replace(b"'", b'"')
     yield from check_rows_left_out(log.metadata)
@@ -623,14 +626,17 @@ def _check_imported_signals(log: Log) -> Iterator[Finding]:
         text = "the nanoseconds of time stamps had lost their leading zeros; the import map has restored them"
         advice = "repair the logger that wrote the time stamps"
         yield Finding(WARNING, "lost-zeros-restored", "time", log.path.name, text, advice)
-    yield from joined(f for source in log.sources(Scalar) for f in _check_signal(log, source))
+    yield from joined(f for source in log.sources(Scalar) for f in _check_signal(log, source, armed))
 
 
-def _check_signal(log: Log, source: str) -> Iterator[Finding]:
-    """Check the time stamps of a signal, and whether an output is constant, and yield the findings."""
+def _check_signal(log: Log, source: str, armed: Sequence[tuple[float, float]]) -> Iterator[Finding]:
+    """Check the time stamps of a signal, and whether an output is constant, and yield the findings.
+
+    ``armed`` are the times [s] in which the autopilot of the log was armed.
+    """
     table = log.table(Scalar, source)
     # An imported command holds until the next one, so that a pause between commands is not a missing section.
-    here = check_timestamps(source, table, None)
+    here = check_timestamps(source, table, None, armed=armed)
     yield from (f for f in here if f.check != "gap" or log.role(source) == "output")
     yield from check_lost_zeros(source, table["t"])
     if len(table) > 20 and log.role(source) == "output" and np.nanstd(table["value"]) == 0.0:
@@ -645,7 +651,9 @@ def _check_signal(log: Log, source: str) -> Iterator[Finding]:
         )
 
 
-def check_timestamps(name: str, table: Any, end: float | None, speed: float = 1.0) -> Iterator[Finding]:
+def check_timestamps(
+    name: str, table: Any, end: float | None, speed: float = 1.0, armed: Sequence[tuple[float, float]] = ()
+) -> Iterator[Finding]:
     """Check the times of the samples of one device or signal, and yield the findings.
 
     Of an imported signal, times that do not increase for more than 2 % of the samples are a fault; its gaps are then
@@ -664,6 +672,8 @@ def check_timestamps(name: str, table: Any, end: float | None, speed: float = 1.
         change.
     speed : float
         Run seconds per wall second.
+    armed : sequence of tuple
+        Begin and end [s] of the times in which the device, an autopilot, was armed. Empty: not known, or never.
     """
     t, imported = table["t"], end is None
     if len(t) < 3:
@@ -690,19 +700,30 @@ def check_timestamps(name: str, table: Any, end: float | None, speed: float = 1.
             text,
             "set latency_timer of the USB adapter to 1 ms, and end other programs",
         )
-        yield from _check_gaps(name, t[:-1][pauses > 0.0], pauses[pauses > 0.0], speed, imported)  # from bunch to bunch
+        yield from _check_gaps(
+            name, t[:-1][pauses > 0.0], pauses[pauses > 0.0], speed, imported, armed
+        )  # from bunch to bunch
     else:
-        yield from _check_gaps(name, t, pauses, speed, imported)
+        yield from _check_gaps(name, t, pauses, speed, imported, armed)
     if end is not None and end - t[-1] > SILENT_S * max(1.0, 0.2 * speed):
         text = f"nothing for the last {end - t[-1]:.0f} s of the log"
         yield Finding(FAULT, "device-fell-silent", "silent", name, text, "check power, cable and bus")
     yield from _check_clock(name, table, speed)
 
 
-def _check_gaps(name: str, t: FloatArray, pauses: FloatArray, speed: float, imported: bool) -> Iterator[Finding]:
+def _check_gaps(
+    name: str,
+    t: FloatArray,
+    pauses: FloatArray,
+    speed: float,
+    imported: bool,
+    armed: Sequence[tuple[float, float]],
+) -> Iterator[Finding]:
     """Yield a warning if pauses between samples are so long that sections of the data are missing.
 
-    A pause is too long if it exceeds the longest of 1 s, 10 median sample periods and 0.2 s of wall time.
+    A pause is too long if it exceeds the longest of 1 s, 10 median sample periods and 0.2 s of wall time. Of an
+    autopilot that was armed for a part of the log, this time counts in the armed part of a pause: others are reported
+    as in order, because it may stop its log while it is disarmed.
 
     Parameters
     ----------
@@ -717,22 +738,28 @@ def _check_gaps(name: str, t: FloatArray, pauses: FloatArray, speed: float, impo
     imported : bool
         Whether the signal is imported. An imported signal of n samples with 0.02 n + 1 long pauses or more is written
         only when it changes, and gives no warning.
+    armed : sequence of tuple
+        Begin and end [s] of the times in which the device was armed. Empty: all pauses count.
     """
     least = max(GAP_S, GAP_PERIODS * float(np.median(pauses)), 4.0 * WALL_JITTER_S * speed)
     long = np.flatnonzero(pauses > least)
     # An imported signal that is written only when it changes has many long pauses without a missing section.
-    if long.size and (not imported or long.size < 0.02 * t.size + 1.0):
-        k = int(long[np.argmax(pauses[long])])
-        missing = f"data missing: {counted(long.size, 'section')}, {pauses[long].sum():.1f} s in all"
-        text = f"{missing}, the longest ({pauses[k]:.1f} s) from {t[k] - t[0]:.1f} s on (pauses above {least:.3g} s)"
-        yield Finding(
-            WARNING,
-            "sections-missing",
-            "gap",
-            name,
-            text,
-            "check the cable, the range of the link, and the load of the computer",
-        )
+    if not long.size or (imported and not long.size < 0.02 * t.size + 1.0):
+        return
+    begin, end = t[long], t[long] + pauses[long]
+    in_arms = sum((np.maximum(np.minimum(end, b) - np.maximum(begin, a), 0.0) for a, b in armed), np.zeros(long.size))
+    counts = in_arms > least if armed else np.ones(long.size, dtype=bool)
+    disarmed = f"{counted(int(np.sum(~counts)), 'section')}, {pauses[long[~counts]].sum():.1f} s in all, while disarmed"
+    if not counts.any():
+        yield Finding(OK, "sections-missing", "gap", name, f"data missing: {disarmed}")
+        return
+    long = long[counts]
+    k = int(long[np.argmax(pauses[long])])
+    missing = f"data missing: {counted(long.size, 'section')}, {pauses[long].sum():.1f} s in all"
+    text = f"{missing}, the longest ({pauses[k]:.1f} s) from {t[k] - t[0]:.1f} s on (pauses above {least:.3g} s)"
+    text += f"; beside them {disarmed}" if not counts.all() else ""
+    advice = "check the cable, the range of the link, and the load of the computer"
+    yield Finding(WARNING, "sections-missing", "gap", name, text, advice)
 
 
 def _check_clock(name: str, table: Any, speed: float) -> Iterator[Finding]:

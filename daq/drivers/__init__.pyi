@@ -1,9 +1,11 @@
 from .ardupilot_parameters import LEFT as LEFT
+from .ardupilot_parameters import NOT_ANSWERED as NOT_ANSWERED
 from .ardupilot_parameters import PADDLES as PADDLES
 from .ardupilot_parameters import RIGHT as RIGHT
 from .ardupilot_parameters import ParameterMismatch as ParameterMismatch
 from .ardupilot_parameters import check_parameters as check_parameters
 from .ardupilot_parameters import link_loss_hash as link_loss_hash
+from .ardupilot_parameters import parameter_lines as parameter_lines
 from .ardupilot_parameters import parameter_names as parameter_names
 from .base import DISARMED as DISARMED
 from .base import DeviceDriver as DeviceDriver

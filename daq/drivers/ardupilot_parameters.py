@@ -11,6 +11,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+from seatrial.daq.errors import first_names
 from seatrial.daq.rig import Thruster
 
 TWO_PADDLES = 1  # PILOT_STEER_TYPE
@@ -33,6 +34,8 @@ LINK_LOSS_PARAMETERS = (
 # Other parameters that can make the boat drive by itself. A Rover without battery monitor or fence may lack them.
 FAILSAFE_PARAMETERS = ("BATT_FS_LOW_ACT", "BATT_FS_CRT_ACT", "FENCE_ENABLE", "FENCE_ACTION")
 STOPPING_ACTIONS = (0.0, 2.0, 5.0)  # allowed actions of these failsafes: none, hold, terminate
+
+NOT_ANSWERED = "not answered by the autopilot"
 
 
 class ParameterMismatch(NamedTuple):
@@ -69,6 +72,32 @@ class ParameterMismatch(NamedTuple):
                 "boat, or with lower rates in the rig"
             )
         return f"{self.name} is {self.value:g}, wanted {self.wanted}: {self.why}"
+
+
+def parameter_lines(mismatches: Sequence[ParameterMismatch]) -> list[tuple[str, bool]]:
+    """Return lines for the user about parameters, each with whether it forbids thrust. Unanswered ones share a line.
+
+    Parameters
+    ----------
+    mismatches
+        The wrong and the unanswered parameters of an autopilot.
+
+    Returns
+    -------
+    list of (str, bool)
+        The wrong ones one by one, then one line on the unanswered ones that forbid thrust, and one on the others. Each
+        names the first parameters and the number of all.
+    """
+    lines = [(str(mismatch), mismatch.fatal) for mismatch in mismatches if mismatch.value is not None]
+    for fatal in (True, False):
+        unanswered = [m for m in mismatches if m.value is None and m.fatal is fatal]
+        if len(unanswered) == 1:
+            lines.append((str(unanswered[0]), fatal))
+        elif unanswered:
+            advice = str(unanswered[0]).partition("; ")[2]
+            text = f"{len(unanswered)} parameters were {NOT_ANSWERED} ({first_names([m.name for m in unanswered])})"
+            lines.append((f"{text}; {advice}", fatal))
+    return lines
 
 
 def parameter_names(thrusters: Sequence[Thruster]) -> tuple[str, ...]:

@@ -55,6 +55,8 @@ RATE_PART, RATE_BEATS = 0.5, 3
 LATER_S = 30.0  # after a request of the rates, in which they are not checked again
 TIMESYNC_S, TRIPS = 1.0, 10  # between two TIMESYNC; number of round trips of which the shortest is reported
 LOST_S = 10.0  # between two events about lost frames
+FOREIGN_FRAMES = 20  # frames of other systems, and none of the autopilot, that are reported as a fault
+LOWEST_STATION_ID = 250  # ground stations count down from 255, and vehicles up from 1
 UNSIGNED_FRAMES = 20  # frames without a correct signature that are reported as a fault
 NEUTRAL_S = 0.05  # between two neutral overrides while no thrust is commanded
 SET_INTERVAL, SET_MODE, ARM = 511, 176, 400  # MAV_CMD
@@ -583,12 +585,15 @@ class MavlinkDriver(DeviceDriver):
         return DISARMED if self._disarmed else ", and not answered: it may still be armed"
 
     def message(self) -> str:
-        """Return the fault in the signing of the autopilot's frames, in one line for the user; empty if there is none.
+        """Return the fault in the ids or signing of the received frames, in one line for the user; empty without one.
 
-        Either the autopilot signs its frames and the rig has no key, or its frames are not signed with the key of the
-        rig. The first fault is not reported in the role LISTEN, in which nothing is sent.
+        The faults: all frames are of systems other than `system_id` of the rig; the autopilot signs its frames and the
+        rig has no key; its frames are not signed with the key of the rig. The second fault is not reported in the role
+        LISTEN, in which nothing is sent.
         """
         decoder = self._decoder
+        if sum(decoder.foreign.values()) >= FOREIGN_FRAMES and not (decoder.accepted or decoder.unsigned):
+            return self._wrong_system_id()
         if self._role is not LinkRole.LISTEN and decoder.signed and not self._codec.signs:
             return "the autopilot signs its frames and will ignore ours: the rig has no key_file for it; add this key"
         if self._codec.signs and not decoder.accepted and decoder.unsigned >= UNSIGNED_FRAMES:
@@ -597,6 +602,19 @@ class MavlinkDriver(DeviceDriver):
                 how = "are signed with another key than key_file in the rig; give the key of the autopilot"
             return f"{decoder.unsigned} frames of the autopilot were ignored: they {how}"
         return ""
+
+    def _wrong_system_id(self) -> str:
+        """Return the fault that all frames are of other systems: the ids of these, and the `system_id` to set.
+
+        Ids of ground stations are listed and not proposed.
+        """
+        own, heard = self._settings.system_id, self._decoder.foreign
+        vehicles = [str(system) for system in sorted(heard) if system < LOWEST_STATION_ID]
+        advice = f"write system_id = {' or '.join(vehicles)} for this device in the rig, if this is the autopilot"
+        if not vehicles:
+            advice = "these are ids of ground stations: check that the autopilot sends on this link"
+        ids = ", ".join(map(str, sorted(heard)))
+        return f"no message of system {own} (system_id in the rig), but {sum(heard.values())} of system {ids}; {advice}"
 
     def events(self) -> list[Event]:
         """Return the events of the link since the last call, and forget them.

@@ -1,5 +1,6 @@
 from . import schema as schema
 from .argument import LOG as LOG
+from .armed import armed_intervals as armed_intervals
 from .cdr import NANO as NANO
 from .cdr import cdr_layout as cdr_layout
 from .cdr import full_definition as full_definition

@@ -8,14 +8,24 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import groupby
 
+import numpy as np
 from rich import markup
 from rich.console import Console
 from rich.table import Table
 
 from seatrial.daq.console import print_table
 from seatrial.daq.errors import SeatrialError, counted
-from seatrial.daq.log import Log, first_segment_of, schema
-from seatrial.daq.samples import PortHealth, Scalar
+from seatrial.daq.log import Log, armed_intervals, first_segment_of, schema
+from seatrial.daq.samples import (
+    Ahrs,
+    Command,
+    Esc,
+    Gnss,
+    LoadCell,
+    PortHealth,
+    Scalar,
+    Servo,
+)
 
 FIRST_EVENTS, LAST_EVENTS = 25, 15  # of many events only these are shown: the last events are about the end of the run
 _ABOUT = {  # texts of the metadata that are shown, with their names for the user
@@ -28,6 +38,17 @@ _ABOUT = {  # texts of the metadata that are shown, with their names for the use
     "import.map": "import.map",
 }
 MAX_CHARACTERS = 2000  # characters of a text that are shown; longer texts are not meant for readers
+FIRST_S = 60.0  # s at the start of a log in which its first sample is looked for, as by a fit
+# Kinds of samples that a fit can use, each with a column that is not NaN in such a sample.
+_FITTED: Mapping[type, str] = {
+    Ahrs: "t",
+    Gnss: "lat",
+    LoadCell: "t",
+    Esc: "t",
+    Servo: "t",
+    Command: "t",
+    Scalar: "value",
+}
 FOLDED = ("skipped", "parameter")  # kinds of events that often repeat; repetitions become one line
 
 
@@ -82,6 +103,23 @@ class Event:
 
 
 @dataclass(frozen=True)
+class ArmedInterval:
+    """Interval of time in which an autopilot was armed.
+
+    Attributes
+    ----------
+    device
+        Name of the autopilot.
+    begin, end
+        Times since the first sample of the log [s], from which ``--from`` and ``--to`` of `seatrial ident` count.
+    """
+
+    device: str
+    begin: float
+    end: float
+
+
+@dataclass(frozen=True)
 class LogContent:
     """Content of a log, as `seatrial info` shows it; `--json` prints these fields.
 
@@ -113,6 +151,8 @@ class LogContent:
         Topics, in the order of the log.
     ports
         Last counters of the port of each device, by device.
+    armed
+        Intervals of time in which autopilots were armed.
     events
         All events, in the order of the file.
     warnings
@@ -133,6 +173,7 @@ class LogContent:
     attachments: Mapping[str, int]
     topics: Sequence[TopicContent]
     ports: Mapping[str, PortHealth]
+    armed: Sequence[ArmedInterval]
     events: Sequence[Event]
     warnings: Sequence[str]
 
@@ -147,9 +188,10 @@ def log_content(log: Log) -> LogContent:
         "two clocks; import the data of each clock separately"
         for topic, (n, longest) in log.clock_steps.items()
     ]
-    events, unreadable = [], []
+    events, armed, unreadable = [], [], []
     try:
         events = [Event(t - log.start, kind, text) for t, kind, text in log.events()]
+        armed = _armed(log)
     except SeatrialError as error:
         unreadable = [str(error)]
     first = first_segment_of(log.path) if log.metadata.get("segment", "0") != "0" else None
@@ -169,9 +211,31 @@ def log_content(log: Log) -> LogContent:
         {name: len(data) for name, data in log.attachments.items()},
         _topics(log) if log.counts else (),
         {device: log.health(device)[-1][1] for device in log.sources(PortHealth)},
+        armed,
         events,
         [*unreadable, *steps, *log.warnings],
     )
+
+
+def _armed(log: Log) -> list[ArmedInterval]:
+    """Return the intervals in which the autopilots of a log were armed, after the first sample that a fit can use."""
+    found = [(device, *interval) for device, intervals in armed_intervals(log).items() for interval in intervals]
+    first = _first_sample(log) if found else 0.0
+    return [ArmedInterval(name, max(begin - first, 0.0), end - first) for name, begin, end in found if end > first]
+
+
+def _first_sample(log: Log) -> float:
+    """Return the time of the first sample that a fit can use [s since 1970]; without one the start of the log.
+
+    Only the first minute is read. A fix counts from the first position on.
+    """
+    firsts = []
+    for kind, column in _FITTED.items():
+        for source in log.sources(kind):
+            for node in log.nodes(kind, source) if kind in schema.NODE_TOPICS else (None,):
+                table = log.table(kind, source, node, log.start, log.start + FIRST_S)
+                firsts += table["t"][np.isfinite(table[column])][:1].tolist()
+    return min(firsts, default=log.start)
 
 
 def _topics(log: Log) -> list[TopicContent]:
@@ -216,6 +280,11 @@ def show_log(content: LogContent, console: Console) -> None:
         print_table(console, _topic_table(content.topics))
     if content.ports:
         print_table(console, _port_table(content.ports))
+    for row in content.armed:
+        console.print(
+            f"  armed: {escape(row.device)}, {row.end - row.begin:.1f} s: --from {row.begin:.1f} --to {row.end:.1f} "
+            "(seatrial ident)"
+        )
     _print_events(content.events, console)
     for warning in content.warnings:
         console.print(f"[bold]warning:[/] {escape(warning)}")

@@ -12,5 +12,6 @@ from .shaft_gain import compare_shaft_gains as compare_shaft_gains
 from .shaft_gain import held_of_thrusters as held_of_thrusters
 from .shaft_sign import speed_over_command as speed_over_command
 from .shafts import check_shafts as check_shafts
+from .signals import ESTIMATED as ESTIMATED
 from .signals import estimated as estimated
 from .signals import smoothed as smoothed

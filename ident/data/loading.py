@@ -964,8 +964,8 @@ def load_run(path: Path, role: str, window: TimeWindow = WHOLE, device_faults: D
         Interval of time of the log to load. The rest of the log is not read (except its first minute, and one minute on
         both sides), so that ``about["sha256"]`` is empty. The signals contain the minute on both sides.
     device_faults
-        Function that returns the findings on the devices of an open log. It uses the tables that are read here, and of
-        a window only those of the part that is read. None: the devices are not checked.
+        Function that returns the findings on the devices of an open log, or of its window. None: the devices are not
+        checked.
 
     Returns
     -------
@@ -990,7 +990,9 @@ def load_run(path: Path, role: str, window: TimeWindow = WHOLE, device_faults: D
             found = channels(log)
             origin = _origin_of_positions(log, found, path.stem)
             unknown = _unknown_inputs(log)
-            faults = tuple(device_faults(log)) if device_faults is not None and found else None
+            # Of a window only its own findings count: a gap in the minute on either side is no reason to warn.
+            checked = log if start is None else whole.part(start + window.t_from, start + window.t_to)
+            faults = tuple(device_faults(checked)) if device_faults is not None and found else None
         if not found and (bag := bag_of_ros(path)) is not None:
             raise SeatrialError(
                 f"{path} is a bag of ROS 2; import it first with `seatrial import --guess {shlex.quote(str(bag))}`"

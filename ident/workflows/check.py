@@ -16,6 +16,7 @@ import numpy as np
 from seatrial.daq.checks import CheckReport, Finding
 from seatrial.daq.errors import SeatrialError, counted
 from seatrial.ident.checks import (
+    ESTIMATED,
     IMPORTED,
     check_copies,
     check_signals,
@@ -26,8 +27,17 @@ from seatrial.ident.checks import (
     log_evidence,
     smoothed,
 )
-from seatrial.ident.data import Channel, LoadedLog
-from seatrial.ident.model import INF, SHAFT_SPEED, Model, ParameterOrigin, SignalId
+from seatrial.ident.data import SHORTEST_PIECE_S, Channel, LoadedLog, LogSegment
+from seatrial.ident.model import (
+    COMMAND,
+    INF,
+    SHAFT_SPEED,
+    THRUSTER_FORCE,
+    Model,
+    ParameterOrigin,
+    SignalId,
+    is_of_thruster,
+)
 from seatrial.ident.models import (
     ESTIMATOR_ERROR,
     NOISE,
@@ -39,6 +49,7 @@ from seatrial.ident.numerics import rounding_step
 from seatrial.ident.report import write_check_page
 
 LEAST_WHITE = 0.02  # least white noise of a navigation filter's output, relative to that of a usual sensor
+TURNING = 0.05  # of full speed; a shaft turns at larger speeds
 INITIAL_FACTOR = 1.5  # initial value of a noise with a floor, relative to the floor
 
 
@@ -113,6 +124,75 @@ def check_first(
             )
         )
     return checked[: len(loaded)], checked[len(loaded) :]
+
+
+def require_thrust_and_length(segments: Sequence[LogSegment], model: Model, despite_faults: bool) -> None:
+    """Check that the estimation logs of a vehicle model are long enough for a fit, and that some of them have thrust.
+
+    A model without inputs of thrusters passes, except for the length. One log with thrust is enough, because drifting
+    without thrust beside it shows wind and current.
+
+    Parameters
+    ----------
+    segments : sequence of LogSegment
+        Estimation logs with the inputs of the model.
+    model : Model
+        Model of the boat.
+    despite_faults : bool
+        Whether logs are accepted that fail this check, for example those of a boat that coasts.
+
+    Raises
+    ------
+    SeatrialError
+        If the logs together are shorter than 10 s (`SHORTEST_PIECE_S`), or if no command or shaft speed exceeds 0.05
+        of full speed and no thrust differs from zero, and ``despite_faults`` is false.
+    """
+    if despite_faults:
+        return
+    more = f" and {counted(len(segments) - 1, 'more log')}" if len(segments) > 1 else ""
+    where = f"{segments[0].name}{more}"
+    own = [i.name for i in model.inputs if not i.tap_of]
+    driving = [n for n in own if is_of_thruster(n, COMMAND, SHAFT_SPEED, THRUSTER_FORCE) or n in ("X", "N")]
+    despite = "to fit all the same, add --despite-faults"
+    spans = [_span(s, model) for s in segments]
+    lasts = sum(end - start for start, end in spans)
+    if lasts < SHORTEST_PIECE_S:
+        raise SeatrialError(
+            f"{where}: {lasts:.1f} s of data, and a fit needs {SHORTEST_PIECE_S:g} s or more, because a boat takes "
+            f"seconds to answer its thrusters; give longer logs, or a longer part of them; {despite}"
+        )
+    inputs = [
+        (s.channels[n], n, *span) for s, span in zip(segments, spans, strict=True) for n in driving if n in s.channels
+    ]
+    if driving and not any(_has_thrust(*signal) for signal in inputs):
+        raise SeatrialError(
+            f"{where}: {', '.join(driving)}: no thrust in the whole time, so that a fit finds neither masses nor "
+            "damping; give a run with steps of the command (seatrial mission generate), or check that these are the "
+            f"signals that drive the boat; {despite}"
+        )
+
+
+def _span(segment: LogSegment, model: Model) -> tuple[float, float]:
+    """Return start and end [s] of the time in which a segment has known inputs and any sensor of a model.
+
+    Without such a time the end is the start.
+    """
+    inputs, sensors = (
+        [c for s in signals if (c := segment.channels.get(s.name)) is not None and c.t.size]
+        for signals in (model.inputs, model.outputs)
+    )
+    start = max([min((float(c.t[0]) for c in sensors), default=0.0), *(float(c.t[0]) for c in inputs)])
+    end = max((float(c.t[-1]) for c in sensors), default=start)
+    start = start if segment.t_from is None else max(start, segment.t_from)
+    end = end if segment.t_to is None else min(end, segment.t_to)
+    return start, max(start, end)
+
+
+def _has_thrust(channel: Channel, name: str, start: float, end: float) -> bool:
+    """Return whether an input differs from zero between two times [s]: a shaft by more than 0.05 of full speed."""
+    first = max(int(np.searchsorted(channel.t, start, side="right")) - 1, 0)  # the value that is held at the start
+    sizes = np.abs(channel.value[first : int(np.searchsorted(channel.t, end, side="right"))])
+    return bool(np.nanmax(sizes, initial=0.0) > (TURNING if is_of_thruster(name, COMMAND, SHAFT_SPEED) else 0.0))
 
 
 def signals_of_given_noise(model: Model) -> set[str]:
@@ -207,9 +287,9 @@ def sides_of_model(model: Model, log: LoadedLog) -> Mapping[str, float]:
 def with_estimator_errors(
     model: Model, logs: Sequence[LoadedLog], user_given: Collection[str] = ()
 ) -> tuple[Model, list[str]]:
-    """Add states for correlated navigation errors if the position of a log is the output of a navigation filter.
+    """Add states for correlated navigation errors if the position of a log is probably that of a navigation filter.
 
-    Such a position has less white noise (below 3 cm) than a GNSS receiver.
+    Such a position has less white noise (below 3 cm) than a GNSS receiver without fixed ambiguities.
 
     Parameters
     ----------
@@ -235,10 +315,12 @@ def with_estimator_errors(
     if not any(estimated(log.run.channels) for log in logs):
         return model, []
     sensors = [s.name for s in model.sensors]
+    errors = ", ".join(e.of for e in navigation_errors(sensors))
     line = (
-        f"The position is the output of a navigation filter (its noise is less than a receiver's): correlated errors "
-        f"of its {', '.join(e.of for e in navigation_errors(sensors))} are states of the model; "
-        f"--fix {position}=... gives white noise instead."
+        "The position is probably the output of a navigation filter, or of an RTK receiver: its noise from sample to "
+        f"sample is below {100 * ESTIMATED:g} cm, which is less than that of other receivers. Correlated errors of its "
+        f"{errors} are therefore states of the model; --fix {position}=... gives "
+        "white noise instead."
     )
     return model + estimator_error(sensors), [line]
 

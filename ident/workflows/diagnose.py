@@ -19,7 +19,7 @@ from seatrial.ident.model import with_outlier_model as with_outliers
 from seatrial.ident.models import effects_for
 from seatrial.ident.reporter import Reporter
 from seatrial.ident.results import DiagnosisResult, diagnosis_result, estimation_warnings, provenance
-from seatrial.ident.workflows.check import check_first, with_noise_floors
+from seatrial.ident.workflows.check import check_first, require_thrust_and_length, with_noise_floors
 from seatrial.ident.workflows.dynamics import dynamics_of
 from seatrial.ident.workflows.model_inputs import (
     check_horizon,
@@ -202,6 +202,8 @@ def diagnose_model(request: DiagnosisRequest, command: str, reporter: Reporter) 
         *hold_lines(saved, [*loaded, *validation_logs]),
     ]
     loaded, validation_logs = check_first(loaded, validation_logs, model, request.despite_faults)
+    if model.kind is ModelKind.VEHICLE:
+        require_thrust_and_length(runs, model, request.despite_faults)
     for line in lines:
         reporter.warning(line)
     model, floors = with_noise_floors(model, loaded)

@@ -33,7 +33,7 @@ from seatrial.ident.models import is_own_model
 from seatrial.ident.reporter import Reporter
 from seatrial.ident.results import FitContext, ResultWarning, VehicleResult, provenance, vehicle_result
 from seatrial.ident.validation import evaluate
-from seatrial.ident.workflows.check import check_first
+from seatrial.ident.workflows.check import check_first, require_thrust_and_length
 from seatrial.ident.workflows.dynamics import dynamics_of
 from seatrial.ident.workflows.model_inputs import unused_lines
 from seatrial.ident.workflows.output import sensor_rates, validity, write_all
@@ -123,6 +123,7 @@ def fit_vehicle(request: VehicleRequest, command: str, reporter: Reporter, with_
     loaded, validation_logs = load_all(request.logs, request.validation, request.window, device_faults)
     problem = vehicle_problem(request, loaded, validation_logs)
     loaded, validation_logs = check_first(loaded, validation_logs, problem.model, request.despite_faults)
+    require_thrust_and_length(problem.segments, problem.model, request.despite_faults)
     if problem.thrust:
         reporter.progress(problem.thrust)
     for line in [*problem.notes, *unused_lines(problem.unused)]:

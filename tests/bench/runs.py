@@ -49,11 +49,13 @@ MISSION_RUN = ("mission", "run", "mission.toml", "bench-rig.toml")
 class Run:
     """`seatrial mission run`, or another command that drives thrusters, as a process."""
 
-    def __init__(self, folder: Path, words: Sequence[str] = MISSION_RUN, impatient: bool = False) -> None:
-        self.log = folder / "run.mcap"
+    def __init__(
+        self, folder: Path, words: Sequence[str] = MISSION_RUN, impatient: bool = False, out: str = "run.mcap"
+    ) -> None:
+        self.log = folder / out
         program = ["-c", IMPATIENT] if impatient else ["-m", "seatrial"]
         self.process = subprocess.Popen(
-            [sys.executable, *program, *words, "-o", "run.mcap"],
+            [sys.executable, *program, *words, "-o", out],
             cwd=folder,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -85,8 +87,10 @@ class Run:
 
 
 @contextmanager
-def running(folder: Path, words: Sequence[str] = MISSION_RUN, impatient: bool = False) -> Iterator[Run]:
-    run = Run(folder, words, impatient)
+def running(
+    folder: Path, words: Sequence[str] = MISSION_RUN, impatient: bool = False, out: str = "run.mcap"
+) -> Iterator[Run]:
+    run = Run(folder, words, impatient, out)
     try:
         yield run
     finally:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,7 +14,16 @@ import pytest
 
 from seatrial.bench.execution import autopilots
 from seatrial.bench.execution.autopilots import Autopilots
-from seatrial.bench.execution.safety_guard import LASTS_S, TOLERANCE, OutputCheck, SafetyGuard, Stop, StopCode
+from seatrial.bench.execution.safety_guard import (
+    LASTS_S,
+    OPEN_SKY,
+    TOLERANCE,
+    OutputCheck,
+    SafetyGuard,
+    Stop,
+    StopCode,
+)
+from seatrial.bench.preflight.rig_checks import check_ports
 from seatrial.daq.acquisition.session import Acquisition
 from seatrial.daq.acquisition.status import Latest, PortStatus, Status
 from seatrial.daq.clock import RunClock
@@ -197,7 +207,7 @@ def answered(**wrong: float) -> dict[str, float]:
         (replace(LINK, vehicle="PX4"), 0.0, "autopilot is PX4: only ArduPilot Rover is driven"),
         (replace(LINK, vehicle=""), 0.0, "autopilot is of an unknown kind"),
         (replace(LINK, other_station_frames=2), 0.0, "another ground station has the same system id as seatrial"),
-        (LINK, 0.0, "parameters forbid to drive, yours to set: RC_OVERRIDE_TIME was not answered"),
+        (LINK, 0.0, r"not driven, because \d+ parameters were not answered by the autopilot \(RC_OVERRIDE_TIME, \w+, "),
         (replace(LINK, parameters=answered(FS_ACTION=1.0)), 0.0, "1 parameter forbids to drive, yours to set: FS_ACT"),
         (replace(LINK, parameters=answered()), 0.9, "a valid test of the lost link is needed: it was never done; run"),
     ],
@@ -208,6 +218,21 @@ def test_an_autopilot_that_is_not_fit_to_drive_is_refused(
     monkeypatch.setattr(autopilots, "AWAIT_S", 0.2)
     with pytest.raises(SeatrialError, match=reason):
         fit(link, n_max, message="its port is shut").await_ready()
+
+
+def test_every_wait_for_a_position_gives_the_same_advice(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(autopilots, "ESTIMATOR_S", 0.1)
+    with pytest.raises(SeatrialError, match=re.escape(OPEN_SKY)):
+        fit(replace(LINK, parameters=answered(), ekf=0xA7), 0.0).await_ready()
+    rig = mav_rig()
+    rig = replace(rig, limits=replace(rig.limits, radius_m=50.0))
+    status = Status(1.0, {}, {}, {}, 0, "", 1, 1, 1.0, "", ())
+    (fence,) = [s for s in SafetyGuard(rig, 1.0, ("left", "right")).unwatched(status) if s.key == "radius_m"]
+    assert OPEN_SKY in fence.refusal(1.0)
+    port = PortStatus("autopilot", "mavlink", "", 25.0, 25.0, 0.01, 999, 999, 0, 0, 0, 0, 9999, 0.0, 0.0, "")
+    status = replace(status, ports={"autopilot": port}, links={"autopilot": replace(LINK, ekf=0xA7)})
+    (found,) = [f for f in check_ports(rig, status) if f.code == "estimator-not-ready"]
+    assert OPEN_SKY in found.advice
 
 
 def test_a_problem_that_allows_driving_is_printed_and_logged() -> None:

@@ -58,6 +58,19 @@ def test_the_live_display_draws_the_view_and_keeps_printed_lines() -> None:
     assert "tare: [zero]" in text
 
 
+def test_a_cleared_display_no_longer_claims_that_the_guard_is_ok() -> None:
+    out = io.StringIO()
+    with LiveDisplay(Console(file=out, force_terminal=True, width=100, color_system=None)) as display:
+        display.show(VIEW)
+        display.clear()
+        before = len(out.getvalue())
+        display.say("THE RUN ENDS: stopped by Ctrl-C")
+    assert "guard ok" in out.getvalue()[:before]
+    after = out.getvalue()[before:]
+    assert "THE RUN ENDS" in after
+    assert "guard ok" not in after
+
+
 def test_a_terminal_of_80_columns_shows_all_text() -> None:
     out = io.StringIO()
     console = Console(file=out, force_terminal=True, width=80, color_system=None)

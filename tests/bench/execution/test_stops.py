@@ -35,7 +35,7 @@ from tests.bench.runs import (
     running,
     short_mission,
 )
-from tests.bench.standin import SLOW_ESC_S, TIMEOUT_S, StandIn, until
+from tests.bench.standin import RIG, SLOW_ESC_S, TIMEOUT_S, StandIn, until
 
 PARENT = "the program that started the acquisition"  # in messages of the acquisition process
 
@@ -378,3 +378,14 @@ def test_a_limit_may_be_explicitly_left_unwatched(standin: StandIn, tmp_path: Pa
     with running(tmp_path) as run:
         assert run.end() == 0
     assert_plan_was_run(run.log, mission)
+
+
+def test_a_run_that_is_refused_before_any_sample_leaves_no_file_and_no_folder(tmp_path: Path) -> None:
+    (tmp_path / "bench-rig.toml").write_text(RIG.format(speed=1.0))  # without any of its ports
+    short_mission(tmp_path)
+    before = set(tmp_path.iterdir())
+    with running(tmp_path, impatient=True, out="logs/first/run.mcap") as run:
+        assert run.end() == 1
+    assert set(tmp_path.iterdir()) - before == set(), run.err
+    assert "nothing from esc" in run.err
+    assert run.err.endswith("no thrust was commanded, no device sent a sample, so that no log is kept\n")

@@ -181,6 +181,14 @@ def test_the_reported_state_of_an_autopilot_is_judged(link: LinkStatus, level: s
     assert not [finding for finding in check_ports(mav_rig(), status) if finding.code == "frames-lost"]
 
 
+def test_a_link_without_a_heartbeat_has_the_reason_of_its_port() -> None:
+    heard = "no message of system 1 (system_id in the rig), but 80 of system 7; write system_id = 7 for this device"
+    port = PortStatus("autopilot", "mavlink", "", 25.0, 25.0, 0.01, 999, 999, 0, 0, 0, 0, 9999, 0.0, 0.0, heard)
+    status = Status(1.0, {"autopilot": port}, {}, {}, 0, "", 1, 1, 1.0, "", (), links={"autopilot": LinkStatus()})
+    found = next(finding for finding in check_ports(mav_rig(), status) if finding.code == "no-heartbeat")
+    assert (found.text, found.advice) == (f"no heartbeat was received: {heard}", "")
+
+
 @pytest.mark.parametrize("remark", ["", "frames of node 7, which no thruster of the rig has"])
 def test_a_remark_on_a_stream_is_not_a_fault(remark: str) -> None:
     expected = remark or "[Errno 5] it hung up"

@@ -5,16 +5,19 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
 from seatrial.bench.execution.actuator_test import actuator_plan
+from seatrial.bench.execution.link_test import LinkTest, save_link_tests
 from seatrial.bench.preflight.mission_checks import check_mission, track
 from seatrial.daq.config.mission_file import Mission, Prediction, Segment
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.rig import Rig
 from seatrial.mocks.offline_simulation import simulate
 from seatrial.mocks.plant.boat import draw_boat
+from tests.daq.mavlink_ends import mav_rig
 from tests.missions import rig_of
 
 BOAT = rig_of("boat")
@@ -113,3 +116,25 @@ def test_the_actuator_test_is_low_short_and_ends_at_zero() -> None:
     assert np.abs(actuator_plan(replace(BOAT, limits=replace(BOAT.limits, n_max=0.1))).setpoints()[1]).max() <= 0.1
     with pytest.raises(SeatrialError, match="has none"):
         actuator_plan(replace(BOAT, thrusters=(), path=Path("dry.toml")))
+
+
+def test_a_mission_that_needs_a_link_test_is_warned_of_before_the_run(tmp_path: Path) -> None:
+    rig = mav_rig(tmp_path)
+    segments = (Segment("steps", np.array([0.0, 5.0]), np.array([[0.6, 0.6], [0.0, 0.0]])),)
+    fast = Mission("fast", "steps", ("left", "right"), segments, 6.0)
+
+    def found(mission: Mission) -> list[tuple[str, str]]:
+        return [(f.text, f.advice) for f in check_mission(mission, rig) if f.code == "link-not-tested"]
+
+    ((text, advice),) = found(fast)
+    assert text.startswith("the run will be refused: commands up to n = 0.60 need a valid test of the lost link")
+    assert text.endswith(" (limits.link_test_n): it was never done")
+    assert advice == "run `seatrial check rig.toml --actuators --link-test --arm`"
+    low = Segment("steps", segments[0].t, rig.limits.link_test_n * segments[0].n / 0.6)
+    assert found(replace(fast, segments=(low,))) == []
+    passed = LinkTest(0.5, 0.1, "2026-01-01T00:00:00Z", "hash", receiver=False)
+    save_link_tests(rig, {"autopilot": passed})
+    assert found(fast) == []
+    save_link_tests(rig, {"autopilot": msgspec.structs.replace(passed, seconds=9.0)})
+    ((text, _),) = found(fast)
+    assert text.endswith("on 2026-01-01T00:00:00Z thrust went on for 9.00 s")

@@ -13,6 +13,7 @@ from seatrial.daq.drivers.ardupilot_parameters import (
     FAILSAFE_PARAMETERS,
     NEWER_PARAMETERS,
     check_parameters,
+    parameter_lines,
     parameter_names,
 )
 from seatrial.daq.drivers.base import DISARMED, LinkRole
@@ -218,6 +219,22 @@ def test_a_parameter_that_was_not_answered_does_not_pass_as_good(name: str) -> N
     (found,) = check_parameters(parameters, mav_rig().thrusters, 255)
     assert (found.name, found.value, found.fatal) == (name, None, name not in FAILSAFE_PARAMETERS)
     assert str(found).startswith(f"{name} was not answered by the autopilot; the link may lose messages: repeat")
+
+
+def test_many_parameters_without_an_answer_share_one_line_for_each_severity() -> None:
+    good = Ends(mav_rig()).autopilot.vehicle.parameters
+    lost = {"FS_TIMEOUT", "RC1_MIN", "SERVO3_MAX", "RC3_TRIM", *FAILSAFE_PARAMETERS[:2]}
+    some = {**{name: value for name, value in good.items() if name not in lost}, "FS_ACTION": 1.0}
+    first, fatal, other = parameter_lines(check_parameters(some, mav_rig().thrusters, 255))
+    assert first[0].startswith("FS_ACTION is 1, wanted ")
+    assert fatal[0].startswith(
+        "4 parameters were not answered by the autopilot (RC1_MIN, RC3_TRIM, SERVO3_MAX, FS_TIMEOUT); "
+    )
+    assert other[0].startswith("2 parameters were not answered by the autopilot (BATT_FS_LOW_ACT, BATT_FS_CRT_ACT); ")
+    assert [line[1] for line in (first, fatal, other)] == [True, True, False]
+    lines = parameter_lines(check_parameters({}, mav_rig().thrusters, 255))
+    assert len(lines) == 2
+    assert " more)" in lines[0][0]
 
 
 def test_a_parameter_without_an_answer_is_an_event_and_a_fatal_finding() -> None:
@@ -584,3 +601,18 @@ def test_a_link_without_the_role_to_drive_reads_parameters_once() -> None:
     ends.autopilot.vehicle.parameters["FS_THR_ENABLE"] = 0.0
     ends.run(10.0)
     assert ends.driver.link_at(ends.t).changed == ()
+
+
+def test_message_names_the_systems_that_were_heard_instead_of_the_one_in_the_rig() -> None:
+    ends = Ends(mav_rig())
+    vehicle = mav_rig(more="system_id = 7")
+    ends.autopilot = AutopilotEmulator(vehicle, vehicle.device("autopilot"), ends.controllers, 1_800_000_000.0)
+    ends.autopilot._rates["ATTITUDE"] = 25.0
+    ends.run(0.1)
+    assert ends.driver.message() == ""  # too early to tell
+    ends.run(3.0)
+    message = ends.driver.message()
+    assert message.startswith("no message of system 1 (system_id in the rig), but ")
+    assert message.endswith(" of system 7; write system_id = 7 for this device in the rig, if this is the autopilot")
+    ends.decoder.foreign = {255: 30}
+    assert "of system 255; these are ids of ground stations" in ends.driver.message()

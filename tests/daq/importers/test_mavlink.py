@@ -16,7 +16,9 @@ from pymavlink.dialects.v20.ardupilotmega import (
     MAVLink_attitude_message,
     MAVLink_heartbeat_message,
 )
+from rich.console import Console
 
+from seatrial.daq.checks.device_checks import check_devices
 from seatrial.daq.config.rig_file import load_rig
 from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from seatrial.daq.importers.dataflash import _MessageConverter
@@ -24,9 +26,11 @@ from seatrial.daq.importers.guess import guess_map
 from seatrial.daq.importers.import_files import import_files
 from seatrial.daq.importers.mavlink import STAMP, _tlog_frames, import_mavlink
 from seatrial.daq.importers.write_log import Timed
-from seatrial.daq.log.reader import open_log
+from seatrial.daq.log.reader import Log, open_log
 from seatrial.daq.samples import Ahrs, Autopilot, Battery, Esc, Frame, Gnss, Servo
-from seatrial.ident.data.loading import PropulsionInput, channels, load_run
+from seatrial.daq.tools.info import log_content, show_log
+from seatrial.ident.checks import device_faults
+from seatrial.ident.data.loading import PropulsionInput, TimeWindow, channels, load_run
 from tests.daq.mavlink_ends import LEVEL, Ends, mav_rig, rig_text
 from tests.dataflash import FMT, FORMATS, dataflash_head, dataflash_message
 
@@ -396,3 +400,68 @@ def test_a_flipped_bit_in_a_time_removes_one_message(tmp_path: Path) -> None:
         attitude = log.table(Ahrs, "autopilot")
     assert len(attitude) == 19
     np.testing.assert_allclose(np.ptp(attitude["t"]), 1.9, atol=0.01)
+
+
+def armed_boat(path: Path, off: tuple[float, float], more: tuple[float, float] | None = None) -> Path:
+    """Import a BIN of 60 s without data in `off` and `more` [s], armed from 10.0 to 25.0 s and from 40.0 s on."""
+    out, add = dataflash_head(), dataflash_message
+    place = (423580000, -710856831, 150)
+    for k in range(600):
+        us, t = 30_000_000 + 100_000 * k, 0.1 * k
+        if k in (100, 250, 400):
+            out += add("ARM", us, int(k != 250))
+        if any(a <= t < b for a, b in (off, more or off)):
+            continue
+        out += add("GPS", us, 0, 4, 3_600_000 + 100 * k, 2400, 12, 80, *place, 1.5, 90.0, 0.1, 0.0, 0.0, 1)
+        out += add("ATT", us, 0, 100, 0, -200, 0, 9000 + 10 * k, 0.0, 0.0)
+        out += add("RCOU", us, 1700, 0, 1300)
+    path.with_suffix(".BIN").write_bytes(out)
+    return import_mavlink(path.with_suffix(".BIN"), out=path)[0]
+
+
+def gaps(log: Log) -> list[tuple[str, str]]:
+    return [(f.level, f.text) for f in check_devices(log) if f.code == "sections-missing" and f.where == "autopilot"]
+
+
+def test_gaps_of_a_disarmed_autopilot_are_no_warning(tmp_path: Path) -> None:
+    with open_log(armed_boat(tmp_path / "off.mcap", (24.8, 40.1))) as log:  # it logs only while armed
+        assert gaps(log) == [("ok", "data missing: 1 section, 15.4 s in all, while disarmed")]
+    with open_log(armed_boat(tmp_path / "both.mcap", (24.8, 40.1), (45.0, 50.0))) as log:
+        ((level, text),) = gaps(log)
+    assert level == "warning"
+    assert text.startswith("data missing: 1 section, 5.1 s in all, the longest (5.1 s) from 44.9 s on")
+    assert text.endswith("; beside them 1 section, 15.4 s in all, while disarmed")
+
+
+def test_a_map_keeps_the_arming_of_a_dataflash_log(tmp_path: Path) -> None:
+    armed_boat(tmp_path / "run.mcap", (24.8, 40.1))
+    (tmp_path / "map.toml").write_text(guess_map(tmp_path / "run.BIN").text)
+    (path,) = import_files(tmp_path / "map.toml", [tmp_path / "run.BIN"], out=tmp_path / "mapped.mcap")
+    with open_log(path) as log:
+        assert not log.sources(Autopilot)
+        assert [(round(row.begin, 1), round(row.end, 1)) for row in log_content(log).armed] == [
+            (10.0, 25.0),
+            (40.0, 59.9),
+        ]
+        found = [f for f in check_devices(log) if f.code == "sections-missing"]
+    assert [(f.level, f.text) for f in found] == [("ok", "data missing: 1 section, 15.4 s in all, while disarmed")]
+
+
+def test_gaps_outside_the_window_of_a_fit_are_not_reported(tmp_path: Path) -> None:
+    path = armed_boat(tmp_path / "run.mcap", (45.0, 50.0))
+    for window, n in ((TimeWindow(5.0, 40.0), 0), (TimeWindow(30.0, 55.0), 1)):
+        found = load_run(path, "estimation", window, device_faults).device_faults
+        assert found is not None
+        assert sum(f.code == "sections-missing" and f.where == "autopilot" for f in found) == n
+
+
+def test_info_lists_the_armed_intervals_in_the_times_of_a_fit(tmp_path: Path) -> None:
+    with open_log(armed_boat(tmp_path / "run.mcap", (0.0, 2.0))) as log:
+        content = log_content(log)
+    assert [(row.device, round(row.begin, 1), round(row.end, 1)) for row in content.armed] == [
+        ("autopilot", 8.0, 23.0),
+        ("autopilot", 38.0, 57.9),
+    ]
+    console = Console(record=True, width=200)
+    show_log(content, console)
+    assert "armed: autopilot, 15.0 s: --from 8.0 --to 23.0 (seatrial ident)" in console.export_text()

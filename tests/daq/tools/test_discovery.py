@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import random
+import socket
 import termios
 import threading
 import tty
@@ -18,9 +19,11 @@ from pymavlink.dialects.v20.ardupilotmega import MAVLink
 
 from seatrial.daq import cli
 from seatrial.daq.config.rig_file import parse_rig
+from seatrial.daq.errors import SeatrialError
 from seatrial.daq.protocol import DEVICES, loadcell, nmea, openscale, slcan, ubx, vectornav, vesc
 from seatrial.daq.protocol.framing import sentence
 from seatrial.daq.samples import Ahrs, Esc, Gnss
+from seatrial.daq.tools import autopilot_tables
 from seatrial.daq.tools.discovery import _ProtocolCandidate, baud_rates, identify_protocol
 from tests.daq.streams import COLD
 
@@ -191,3 +194,17 @@ def test_a_device_that_sends_once_has_no_rate() -> None:
         output = CliRunner().invoke(cli.devices, words, catch_exceptions=False).output
     assert f"{path}: nmea at 38400 baud: " in output
     assert "nan" not in output
+
+
+def test_a_dead_address_gives_an_error_and_no_rig_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(autopilot_tables, "LISTEN_S", 0.3)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"udp:127.0.0.1:{free.getsockname()[1]}"
+    result = CliRunner().invoke(cli.devices, [address, "--toml"])
+    assert result.stdout == ""
+    assert isinstance(result.exception, SeatrialError)
+    assert str(result.exception) == (
+        f"no device was recognised at {address}; check host and port of the address, that the autopilot is powered, "
+        "and that it sends there"
+    )

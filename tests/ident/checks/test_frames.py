@@ -109,6 +109,8 @@ def test_position_of_an_estimator_gets_correlated_errors(run: dict[str, Channel]
     log = LoadedLog(LogSegment("run", smooth), {}, {}, None)
     model, notes = with_estimator_errors(horizontal_model(), [log])
     assert len(notes) == 1
+    assert notes[0].startswith("The position is probably the output of a navigation filter, or of an RTK receiver: its")
+    assert "noise from sample to sample is below 3 cm" in notes[0]
     assert {f"{p}_{of}" for p in ("A", "tau") for of in ("r", "psi", "axy", "vxy", "xy")} <= set(model.free)
     assert "A_psi" in with_estimator_errors(nomoto_model(), [log])[0].free
     again, floor_notes = with_noise_floors(model, [log])  # The white noise may become nearly zero, but not zero.

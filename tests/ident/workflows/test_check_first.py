@@ -12,7 +12,7 @@ from seatrial.daq.samples import Esc
 from seatrial.ident.checks import device_faults
 from seatrial.ident.data.loading import load_run
 from seatrial.ident.models.horizontal import horizontal_model
-from seatrial.ident.workflows.check import check_first
+from seatrial.ident.workflows.check import check_first, require_thrust_and_length
 from tests.missions import boat_with, sail, write_log
 
 
@@ -49,3 +49,31 @@ def test_slower_shafts_are_named_only_for_models_of_commands(tmp_path: Path) -> 
         checked, _ = check_first(logs, [], horizontal_model(source), False)
         codes = [f["code"] for log in checked for f in log.about["findings"]]
         assert ("shaft-speed-differs" in codes) == named
+
+
+def test_logs_without_thrust_or_of_a_few_seconds_are_refused(tmp_path: Path) -> None:
+    recording, _ = sail(boat_with(None, 3), 60.0, 103)
+    run = load_run(write_log(tmp_path / "run.mcap", "boat", recording.readings), "estimation").run
+    model = horizontal_model("command")
+    commands = {n: c for n, c in run.channels.items() if n in ("n_cmd_left", "n_cmd_right")}
+    assert len(commands) == 2
+    resting = replace(
+        run, channels={**run.channels, **{n: replace(c, value=0.0 * c.value) for n, c in commands.items()}}
+    )
+    require_thrust_and_length([run], model, False)
+    require_thrust_and_length([resting, run], model, False)  # drifting beside a run with thrust
+    with pytest.raises(
+        SeatrialError, match=r"n_cmd_left, n_cmd_right: no thrust in the whole time, .*--despite-faults"
+    ):
+        require_thrust_and_length([resting], model, False)
+    require_thrust_and_length([resting], model, True)
+
+    start = max(float(c.t[0]) for c in run.channels.values())
+    short = replace(run, t_from=start + 20.0, t_to=start + 22.0)
+    with pytest.raises(SeatrialError, match=r": 2\.0 s of data, and a fit needs 10 s or more"):
+        require_thrust_and_length([short], model, False)
+    require_thrust_and_length([short, run], model, False)
+    # The command that was given before the start of the part is still held in it.
+    held = {n: replace(c, t=c.t[[0, -1]], value=0.0 * c.value[[0, -1]] + [0.5, 0.0]) for n, c in commands.items()}
+    part = replace(run, channels={**run.channels, **held}, t_from=start + 20.0, t_to=start + 40.0)
+    require_thrust_and_length([part], model, False)
