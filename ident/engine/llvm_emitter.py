@@ -106,6 +106,8 @@ class LlvmEmitter:
         the module, otherwise once in a stage; loads and addresses once in a basic block.
     entry_of_value : dict[str, tuple[str, int, int]]
         Array, index and basic block of each number that was loaded from memory, by name of the number.
+    loaded_values : dict[tuple[str, int, int, str], Value]
+        The number by its array, index, basic block and type.
     block, block_label, block_start : int, str, int
         Number of the current basic block, its label, and the number of lines before it in ``loop_lines``.
     is_storing : bool
@@ -139,6 +141,7 @@ class LlvmEmitter:
         self.declarations: set[str] = set()
         self.values_by_instruction: dict[Any, Value] = {}
         self.entry_of_value: dict[str, tuple[str, int, int]] = {}
+        self.loaded_values: dict[tuple[str, int, int, str], Value] = {}
         self.block, self.block_label, self.block_start, self.is_storing = 0, "loop", 0, False
         self.instruction_forms: dict[tuple[str, bool, int, str, str], str] = {}
         self.n_values = 0
@@ -541,11 +544,13 @@ class LlvmEmitter:
         for a in args:  # loops, not any() and all(): this method is called a hundred thousand times for a kernel
             vector = vector or a.vector
             constant = constant and a.constant
-        if not constant and not self.is_storing:
-            args = tuple(self._in_block(a) for a in args)
-        operands = [a.text if a.vector or not vector else self._vector_text(a) for a in args]
-        form = self._instruction_form(template, vector) if args else self._with_types(template, vector)
-        code = form.format(*operands)
+        if not args:
+            code = self._with_types(template, vector) if "{" in template else template
+        else:
+            if not constant and not self.is_storing:
+                args = tuple([self._in_block(a) if a.text in self.entry_of_value else a for a in args])
+            operands = [a.text if a.vector or not vector else self._vector_text(a) for a in args]
+            code = self._instruction_form(template, vector).format(*operands)
         key = code if constant else (code, self.block) if local else (code, self.stage_index, "stage")
         known = self.values_by_instruction.get(key)
         if again or known is None:
@@ -560,9 +565,9 @@ class LlvmEmitter:
         self.block, self.block_label, self.block_start = self.block + 1, label, len(self.loop_lines)
 
     def _in_block(self, value: Value) -> Value:
-        """Return a value for use in the current basic block. A number from memory is loaded once in each block."""
-        entry = self.entry_of_value.get(value.text)
-        return value if entry is None or entry[2] == self.block else self._load_entry(entry[0], entry[1])
+        """Return a number that was loaded from memory, for use in the current basic block. It is loaded once in each."""
+        name, j, block = self.entry_of_value[value.text]
+        return value if block == self.block else self._load_entry(name, j)
 
     def _instruction_form(self, template: str, vector: bool) -> str:
         """Return a template of an instruction with its types and flags, in which only the operands are missing."""
@@ -669,6 +674,9 @@ class LlvmEmitter:
         """
         if name in self.register_values:
             return self.register_values[name][j]
+        key = name, j, self.block, self.number
+        if not again and key in self.loaded_values:
+            return self.loaded_values[key]
         varies = name in self.plan.rows or name in self.plan.carried or again
         constant = not varies and not self.in_lane_function
         stored = self._write_instruction(
@@ -680,8 +688,10 @@ class LlvmEmitter:
             local=True,
         )
         value = self._converted(stored, self._number_of(name), self.number, local=True)
-        if not constant and not again:
-            self.entry_of_value[value.text] = name, j, self.block
+        if not again:
+            self.loaded_values[key] = value
+            if not constant:
+                self.entry_of_value[value.text] = name, j, self.block
         return value
 
     def _store_entry(self, name: str, j: int, value: Value) -> None:
