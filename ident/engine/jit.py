@@ -30,10 +30,11 @@ KERNEL = ("combine", 1)
 QUICK = ("none", 0)
 LOOPS = ("level 1", 2)  # for IR with loops and variables in memory, which the passes move to registers
 QUICK_ROWS = 10_000  # rows in the records of a model; with more rows, quick compilation costs more than it saves
-# Scheduler of the instructions in a block. The default scheduler favours instructions that can run in parallel. The
-# stages have thousands of instructions and fill all registers, so the default adds a tenth more instructions that only
-# spill and reload values. LLVM ends the process if an option is unknown; versions above 22 were not tested.
-ORDER = "--pre-RA-sched=fast" if AVAILABLE and llvm.llvm_version_info[0] <= 22 else ""
+# Options of LLVM's code generation. Instructions keep the order in which the IR has them: stages have thousands of
+# instructions and fill all registers, so a scheduler that favours instructions in parallel adds a tenth more that only
+# move values to and from the stack. A second scheduler takes a fifth of the compilation and makes the code no faster.
+# LLVM ends the process if an option is unknown; versions above 22 were not tested.
+OPTIONS = ("--pre-RA-sched=source", "--enable-misched=0") if AVAILABLE and llvm.llvm_version_info[0] <= 22 else ()
 DIGEST_BYTES = 32
 LARGEST_CACHE = 400_000_000  # bytes; above this size the least recently used files are deleted
 KEPT_SHARE = 0.7  # share of LARGEST_CACHE that remains after the deletion
@@ -49,8 +50,8 @@ def _host_processor() -> tuple[str, str, int]:
     """
     if not AVAILABLE:
         return "", "", 8
-    if ORDER:
-        llvm.set_option("", ORDER)
+    for option in OPTIONS:
+        llvm.set_option("", option)
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     host = llvm.get_host_cpu_features()
@@ -136,9 +137,9 @@ def target() -> tuple[Any, ...]:
     """Return what machine code depends on besides the IR, for the keys of the cache.
 
     It is a tuple: version of LLVM (None without llvmlite), name and features of the processor, default optimisation,
-    scheduler option.
+    options of the code generation.
     """
-    return (llvm.llvm_version_info if AVAILABLE else None, CPU, FEATURES, KERNEL, ORDER)
+    return (llvm.llvm_version_info if AVAILABLE else None, CPU, FEATURES, KERNEL, OPTIONS)
 
 
 def machine_code_key(ir: str, has_loops: bool = False) -> str:

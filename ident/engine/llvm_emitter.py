@@ -62,6 +62,11 @@ def _hexadecimal_literal(x: float) -> Value:
 
 
 ZERO, ONE = _hexadecimal_literal(0.0), _hexadecimal_literal(1.0)
+# Lines of a basic block of a stage. Stages have thousands of instructions. Quick code generation selects the
+# instructions of a block together: all uses of a number then share one load instruction, and the number is moved
+# between registers and the stack in the meantime. In a new block it is loaded again from its array. A shorter block
+# moves more intermediate results to the stack.
+BLOCK_LINES = 500
 
 
 def _load(name: str, kind: str, wanted: str) -> list[str]:
@@ -98,7 +103,15 @@ class LlvmEmitter:
         Declarations of the functions of the C library that are called.
     values_by_instruction : dict[Any, Value]
         Result of each instruction that was written. Equal instructions are written once: if they are constant, once in
-        the module, otherwise once in a stage.
+        the module, otherwise once in a stage; loads and addresses once in a basic block.
+    entry_of_value : dict[str, tuple[str, int, int]]
+        Array, index and basic block of each number that was loaded from memory, by name of the number.
+    loaded_values : dict[tuple[str, int, int, str], Value]
+        The number by its array, index, basic block and type.
+    block, block_label, block_start : int, str, int
+        Number of the current basic block, its label, and the number of lines before it in ``loop_lines``.
+    is_storing : bool
+        Whether the results of a stage are being stored, so that arguments in memory may have changed.
     instruction_forms : dict[tuple[str, bool, int, str], str]
         Template with types and flags inserted, by template, whether the result is a vector, width and flags.
     n_values : int
@@ -127,6 +140,9 @@ class LlvmEmitter:
         self.function_lines: list[str] = []
         self.declarations: set[str] = set()
         self.values_by_instruction: dict[Any, Value] = {}
+        self.entry_of_value: dict[str, tuple[str, int, int]] = {}
+        self.loaded_values: dict[tuple[str, int, int, str], Value] = {}
+        self.block, self.block_label, self.block_start, self.is_storing = 0, "loop", 0, False
         self.instruction_forms: dict[tuple[str, bool, int, str, str], str] = {}
         self.n_values = 0
         self.flags = FAST
@@ -234,6 +250,7 @@ class LlvmEmitter:
                 f"br i1 %on{q}, label %do{q}, label %end{q}",
             )
         self._append_lines(f"do{q}:")
+        self._enter_block(f"do{q}")
         if isinstance(stage, GramStage):
             self._write_gram(stage)
         elif isinstance(stage, ProductStage):
@@ -257,7 +274,8 @@ class LlvmEmitter:
         for (name, j), value in self.new_values.items():
             old = self.register_values[name][j]
             if is_conditional:
-                self._append_lines(f"%held.{name}.{j}.{q} = phi double [{value.text}, %do{q}], [{old.text}, {before}]")
+                here = f"%{self.block_label}"
+                self._append_lines(f"%held.{name}.{j}.{q} = phi double [{value.text}, {here}], [{old.text}, {before}]")
                 value = Value(f"%held.{name}.{j}.{q}", False, False)
             self.register_values[name][j] = value
         self.new_values = {}
@@ -281,8 +299,10 @@ class LlvmEmitter:
         evaluate_instructions(
             f, lambda i, j: self._load_entry(arguments[i], j), self._constant_literal, self._write_operation, done
         )
+        self.is_storing = True
         for result in deferred:
             self._store_entry(*result)
+        self.is_storing = False
 
     def _write_lane_function(self, stage: ExpressionStage) -> None:
         """Write a stage with arrays in lanes as a separate function, and its call for each group of lanes (vector)."""
@@ -290,6 +310,7 @@ class LlvmEmitter:
         used = list(dict.fromkeys([*f.name_in(), *f.name_out()]))
         steps = [name for name in used if name in self.plan.summed]
         outer, self.loop_lines, self.in_lane_function = self.loop_lines, [], True
+        self._enter_block("")
         self.number = "double" if self.plan.single.isdisjoint(used) else "float"
         self._write_instructions(stage)
         self.number = "double"
@@ -462,6 +483,10 @@ class LlvmEmitter:
         not, and, or (`rewritten`), and the selection of a value or zero. NotImplementedError is raised for an operation
         without any of these forms.
         """
+        if len(self.loop_lines) - self.block_start > BLOCK_LINES:
+            label = f"part{self.block}"
+            self._append_lines(f"br label %{label}", f"{label}:")
+            self._enter_block(label)
         if code in TEMPLATES:
             return self._write_instruction(TEMPLATES[code], *a)
         if code in (ca.OP_DIV, ca.OP_INV):  # the reciprocal is shared, and moves before the loop if it is constant
@@ -486,7 +511,13 @@ class LlvmEmitter:
         )
 
     def _write_instruction(
-        self, template: str, *args: Value, vector: bool = False, constant: bool = True, again: bool = False
+        self,
+        template: str,
+        *args: Value,
+        vector: bool = False,
+        constant: bool = True,
+        again: bool = False,
+        local: bool = False,
     ) -> Value:
         """Write an LLVM instruction, unless the same instruction was written before. Return its result.
 
@@ -506,15 +537,21 @@ class LlvmEmitter:
             False: the result varies from row to row although its operands do not.
         again : bool
             Whether to write the instruction even if it was written before.
+        local : bool
+            Whether to write the instruction again in each basic block, because it is as cheap as to keep its result.
         """
         constant = constant and not self.in_lane_function
         for a in args:  # loops, not any() and all(): this method is called a hundred thousand times for a kernel
             vector = vector or a.vector
             constant = constant and a.constant
-        operands = [a.text if a.vector or not vector else self._vector_text(a) for a in args]
-        form = self._instruction_form(template, vector) if args else self._with_types(template, vector)
-        code = form.format(*operands)
-        key = code if constant else (code, self.stage_index)
+        if not args:
+            code = self._with_types(template, vector) if "{" in template else template
+        else:
+            if not constant and not self.is_storing:
+                args = tuple([self._in_block(a) if a.text in self.entry_of_value else a for a in args])
+            operands = [a.text if a.vector or not vector else self._vector_text(a) for a in args]
+            code = self._instruction_form(template, vector).format(*operands)
+        key = code if constant else (code, self.block) if local else (code, self.stage_index, "stage")
         known = self.values_by_instruction.get(key)
         if again or known is None:
             self.n_values += 1
@@ -522,6 +559,15 @@ class LlvmEmitter:
             self.values_by_instruction[key] = known = Value(name, vector, constant)
             (self.entry_lines if constant else self.loop_lines).append(f"{name} = {code}")
         return known
+
+    def _enter_block(self, label: str) -> None:
+        """Begin a basic block, which has the label ``label``; its lines follow."""
+        self.block, self.block_label, self.block_start = self.block + 1, label, len(self.loop_lines)
+
+    def _in_block(self, value: Value) -> Value:
+        """Return a number that was loaded from memory, for use in the current basic block. It is loaded once in each."""
+        name, j, block = self.entry_of_value[value.text]
+        return value if block == self.block else self._load_entry(name, j)
 
     def _instruction_form(self, template: str, vector: bool) -> str:
         """Return a template of an instruction with its types and flags, in which only the operands are missing."""
@@ -583,36 +629,42 @@ class LlvmEmitter:
         if a.text[0] != "%":
             return f"splat ({self.number} {a.text})"
         first = self._write_instruction(
-            f"insertelement {{T}} poison, {self.number} {a.text}, i32 0", vector=True, constant=a.constant
+            f"insertelement {{T}} poison, {self.number} {a.text}, i32 0",
+            vector=True,
+            constant=a.constant,
+            local=True,
         )
         zeros = f"<{self.width} x i32> zeroinitializer"
-        return self._write_instruction(f"shufflevector {{T}} {{0}}, {{T}} poison, {zeros}", first).text
+        return self._write_instruction(f"shufflevector {{T}} {{0}}, {{T}} poison, {zeros}", first, local=True).text
 
     # Memory
 
-    def _write_address(self, name: str, j: int) -> str:
+    def _write_address(self, name: str, j: int, constant: bool = False) -> str:
         """Write the computation of the address of entry j of the array ``name``. Return the name of the pointer.
 
         The address is that of the current row if the array has entries for each row or is a summed result, and that of
-        the current group of lanes (vector) if the array is in lanes.
+        the current group of lanes (vector) if the array is in lanes. ``constant``: whether it is used before the loop.
         """
         kind, size, pointer = self._array_type(name), self.plan.sizes[name], f"%{name}"
         offsets: list[str] = []
         if name in self.plan.rows or name in self.plan.summed:
             row = "%k"
             if name in self.plan.summed:  # the step is 0 for a sum over rows and 1 for separate results in each row
-                row = self._write_instruction(f"mul i64 %k, %step.{name}", constant=False).text
+                row = self._write_instruction(f"mul i64 %k, %step.{name}", constant=False, local=True).text
             if name in self.plan.lanes:
-                row = self._write_instruction(f"mul i64 {row}, %groups", constant=False).text
+                row = self._write_instruction(f"mul i64 {row}, %groups", constant=False, local=True).text
             offsets.append(row)
         if name in self.plan.lanes:
             offsets.append("%g")
         for offset in offsets:
-            entries = self._write_instruction(f"mul i64 {offset}, {size}", constant=False).text
+            entries = self._write_instruction(f"mul i64 {offset}, {size}", constant=False, local=True).text
             pointer = self._write_instruction(
-                f"getelementptr {kind}, ptr {pointer}, i64 {entries}", constant=False
+                f"getelementptr {kind}, ptr {pointer}, i64 {entries}", constant=False, local=True
             ).text
-        return self._write_instruction(f"getelementptr {kind}, ptr {pointer}, i64 {j}", constant=not offsets).text
+        # in the block of its use, a constant offset is a part of the load or store instruction
+        return self._write_instruction(
+            f"getelementptr {kind}, ptr {pointer}, i64 {j}", constant=constant, local=True
+        ).text
 
     def _load_entry(self, name: str, j: int, again: bool = False) -> Value:
         """Return entry j of the array ``name`` in the current row and group of lanes, as a value of the program.
@@ -622,14 +674,25 @@ class LlvmEmitter:
         """
         if name in self.register_values:
             return self.register_values[name][j]
+        key = name, j, self.block, self.number
+        if not again and key in self.loaded_values:
+            return self.loaded_values[key]
         varies = name in self.plan.rows or name in self.plan.carried or again
+        constant = not varies and not self.in_lane_function
         stored = self._write_instruction(
-            f"load {self._array_type(name)}, ptr {self._write_address(name, j)}, align {self._alignment(name)}",
+            f"load {self._array_type(name)}, ptr {self._write_address(name, j, constant)}, "
+            f"align {self._alignment(name)}",
             vector=name in self.plan.lanes,
-            constant=not varies,
+            constant=constant,
             again=again,
+            local=True,
         )
-        return self._converted(stored, self._number_of(name), self.number)
+        value = self._converted(stored, self._number_of(name), self.number, local=True)
+        if not again:
+            self.loaded_values[key] = value
+            if not constant:
+                self.entry_of_value[value.text] = name, j, self.block
+        return value
 
     def _store_entry(self, name: str, j: int, value: Value) -> None:
         """Write the assignment of a value to entry j of the array ``name``, or its addition if the array is summed.
@@ -649,10 +712,11 @@ class LlvmEmitter:
         )
         self.number = number
 
-    def _converted(self, value: Value, number: str, wanted: str) -> Value:
+    def _converted(self, value: Value, number: str, wanted: str, local: bool = False) -> Value:
         """Return a value of the type ``number`` (double or float) as a value of the type ``wanted``.
 
-        The instruction that converts it is written, unless the types are the same.
+        The instruction that converts it is written, unless the types are the same. ``local``: as for
+        `_write_instruction`.
         """
         if number == wanted:
             return value
@@ -662,6 +726,7 @@ class LlvmEmitter:
             f"{operation} {vector.format(number)} {value.text} to {vector.format(wanted)}",
             vector=value.vector,
             constant=value.constant,
+            local=local,
         )
 
     def _number_of(self, name: str) -> str:

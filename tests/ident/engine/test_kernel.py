@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from seatrial.ident.engine import jit
+from seatrial.ident.engine import jit, llvm_emitter
 from seatrial.ident.engine.filter_kernels import FilterKernels, filter_kernels_for
 from seatrial.ident.engine.kernel import Arena, Kernel
 from seatrial.ident.engine.llvm_operations import FLUSH_TO_ZERO, FlushToZero, rewritten
@@ -102,10 +102,12 @@ def data_of(kernel: Kernel, seed: int = 0) -> tuple[int, np.ndarray, dict[str, n
 
 
 @needs_llvm
+@pytest.mark.parametrize("block_lines", [3, llvm_emitter.BLOCK_LINES])
 @pytest.mark.parametrize("name", ["value", "forward", "tangent", "tangent_double", "filter", "simulate"])
-def test_interpreted_and_compiled_kernels_agree(name: str) -> None:
+def test_interpreted_and_compiled_kernels_agree(name: str, block_lines: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(llvm_emitter, "BLOCK_LINES", block_lines)
     programs: FilterKernels = filter_kernels_for(turning(), covariance=name != "simulate")
-    fast: Kernel = getattr(programs, name)
+    fast = Kernel(getattr(programs, name).plan)
     slow = Kernel(fast.plan, compiled=False)
     chosen = [0, 1, 2, 4, 5, 6, 7, 8, 3]
     results = []
@@ -125,6 +127,22 @@ def test_interpreted_and_compiled_kernels_agree(name: str) -> None:
         )
         atol = rounding * (1e-2 if rounding == 1e-9 else np.abs(found).max())
         np.testing.assert_allclose(found, results[1][key], rtol=rounding, atol=atol, err_msg=key)
+
+
+@needs_llvm
+@pytest.mark.parametrize("lanes", [frozenset[str](), frozenset({"s", "total"})])
+def test_results_are_stored_after_all_arguments_are_read(
+    lanes: frozenset[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(llvm_emitter, "BLOCK_LINES", 1)  # each operation is in a block of its own
+    s, x = ca.SX.sym("s", 3), ca.SX.sym("x")
+    turned = ca.vertcat(s[1] + 0 * ca.sin(x), s[2], s[0])
+    plan = Plan((stage({"s": s, "x": x}, {"s": turned, "total": s[0]}),), frozenset({"x"}), lanes, 2)
+    start = np.array([1.0, 2.0, 3.0])
+    given = np.repeat(start[None, :, None], 2, axis=2) if lanes else start
+    found = Kernel(plan)(4, None, {"s": given.copy(), "x": np.arange(4.0)})
+    np.testing.assert_array_equal(found["s"].reshape(3, -1)[:, 0], [2.0, 3.0, 1.0])
+    assert found["total"].flat[0] == 1.0 + 2.0 + 3.0 + 1.0  # the first entry before each row
 
 
 @needs_llvm
