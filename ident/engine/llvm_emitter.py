@@ -565,7 +565,7 @@ class LlvmEmitter:
         self.block, self.block_label, self.block_start = self.block + 1, label, len(self.loop_lines)
 
     def _in_block(self, value: Value) -> Value:
-        """Return a number that was loaded from memory, for use in the current basic block. It is loaded once in each."""
+        """Return a number that was loaded from memory, for use in the current basic block: it is loaded in each."""
         name, j, block = self.entry_of_value[value.text]
         return value if block == self.block else self._load_entry(name, j)
 

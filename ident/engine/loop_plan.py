@@ -231,7 +231,12 @@ def stage(inputs: Mapping[str, Any], results: Mapping[str, Any], bit: int | None
     bit : int, optional
         The stage runs only in rows whose mask has this bit (0 to 31) set. None: in every row.
     """
-    expressions = [ca.densify(e) for e in ca.cse(list(results.values()))]
+    return _stage_as_written(inputs, dict(zip(results, ca.cse(list(results.values())), strict=True)), bit)
+
+
+def _stage_as_written(inputs: Mapping[str, Any], results: Mapping[str, Any], bit: int | None) -> ExpressionStage:
+    """Return what `stage` returns, for results whose equal subexpressions are joined already."""
+    expressions = [ca.densify(e) for e in results.values()]
     function = ca.Function(
         "stage", list(inputs.values()), expressions, list(inputs), list(results), {"allow_duplicate_io_names": True}
     )
@@ -272,8 +277,8 @@ def split_by_lanes(
     both = ca.cse([*results.values(), *tangents.values()])
     values, rest = both[: len(results)], both[len(results) :]
     rest, symbols, needed = ca.extract_parametric(rest, ca.vertcat(*inputs.values()), {"extract_trivial": True})
-    first = stage(inputs, dict(zip(results, values, strict=True)) | {name: ca.vertcat(*needed)}, bit)
-    second = stage({**seeds, name: ca.vertcat(*symbols)}, dict(zip(tangents, rest, strict=True)), bit)
+    first = _stage_as_written(inputs, dict(zip(results, values, strict=True)) | {name: ca.vertcat(*needed)}, bit)
+    second = _stage_as_written({**seeds, name: ca.vertcat(*symbols)}, dict(zip(tangents, rest, strict=True)), bit)
     return first, second
 
 
