@@ -26,7 +26,7 @@ AVAILABLE = llvm is not None
 # passes of level 1 and the code generation of level 2 take a third more time for a compilation and save 1 to 4 % of the
 # running time.
 KERNEL = ("combine", 1)
-# The same for `quick_compilation`: compilation takes a fifth of the time, and the code takes up to twice as long to run
+# The same for `quick_compilation`: compilation takes a quarter of the time, and the code takes 1.4 times as long to run
 QUICK = ("none", 0)
 LOOPS = ("level 1", 2)  # for IR with loops and variables in memory, which the passes move to registers
 QUICK_ROWS = 10_000  # rows in the records of a model; with more rows, quick compilation costs more than it saves
