@@ -61,6 +61,7 @@ def _hexadecimal_literal(x: float) -> Value:
     return Value(f"0x{struct.unpack('<Q', struct.pack('<d', float(x)))[0]:016X}", False, True)
 
 
+QUOTIENT = "fdiv {F} {T} {0}, {1}"
 ZERO, ONE = _hexadecimal_literal(0.0), _hexadecimal_literal(1.0)
 # Lines of a basic block of a stage. Stages have thousands of instructions. Quick code generation selects the
 # instructions of a block together: all uses of a number then share one load instruction, and the number is moved
@@ -108,6 +109,8 @@ class LlvmEmitter:
         Array, index and basic block of each number that was loaded from memory, by name of the number.
     loaded_values : dict[tuple[str, int, int, str], Value]
         The number by its array, index, basic block and type.
+    quotients : dict[str, tuple[Value, ...]]
+        Numerator and denominator of each quotient that was written as a product with the reciprocal, by its name.
     block, block_label, block_start : int, str, int
         Number of the current basic block, its label, and the number of lines before it in ``loop_lines``.
     is_storing : bool
@@ -142,6 +145,7 @@ class LlvmEmitter:
         self.values_by_instruction: dict[Any, Value] = {}
         self.entry_of_value: dict[str, tuple[str, int, int]] = {}
         self.loaded_values: dict[tuple[str, int, int, str], Value] = {}
+        self.quotients: dict[str, tuple[Value, ...]] = {}
         self.block, self.block_label, self.block_start, self.is_storing = 0, "loop", 0, False
         self.instruction_forms: dict[tuple[str, bool, int, str, str], str] = {}
         self.n_values = 0
@@ -487,11 +491,20 @@ class LlvmEmitter:
             label = f"part{self.block}"
             self._append_lines(f"br label %{label}", f"{label}:")
             self._enter_block(label)
+        if code in (ca.OP_FLOOR, ca.OP_CEIL) and (pair := self.quotients.get(a[0].text)):
+            # A product with the reciprocal of y is below 1 for some x = y, and x mod y would be y.
+            before, self.flags = self.flags, "contract"
+            a = (self._write_instruction(QUOTIENT, *pair),)
+            self.flags = before
         if code in TEMPLATES:
             return self._write_instruction(TEMPLATES[code], *a)
         if code in (ca.OP_DIV, ca.OP_INV):  # the reciprocal is shared, and moves before the loop if it is constant
-            r = self._write_instruction("fdiv {F} {T} {0}, {1}", ONE, a[-1])
-            return self._write_operation(ca.OP_MUL, a[0], r) if code == ca.OP_DIV else r
+            r = self._write_instruction(QUOTIENT, ONE, a[-1])
+            if code == ca.OP_INV:
+                return r
+            result = self._write_operation(ca.OP_MUL, a[0], r)
+            self.quotients[result.text] = a
+            return result
         if code in rewritten():
             self.flags = STRICT  # the range reduction of sin and cos relies on the order of its operations
             result = evaluate_instructions(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 import casadi as ca
@@ -73,8 +75,9 @@ def points() -> tuple[np.ndarray, np.ndarray]:
 
 
 @needs_llvm
+@pytest.mark.parametrize("compilation", [nullcontext, jit.quick_kernel])
 @pytest.mark.parametrize("where", ["scalars", "lanes", "a constant in lanes"])
-def test_every_operation_equals_casadi(where: str) -> None:
+def test_every_operation_equals_casadi(where: str, compilation: Callable[[], AbstractContextManager[None]]) -> None:
     table = operations()
     x, y = table.pop("x"), table.pop("y")
     v = ca.vertcat(*table.values())
@@ -86,11 +89,13 @@ def test_every_operation_equals_casadi(where: str) -> None:
         rows, lanes = frozenset({"x", "v"}), frozenset({"x", "v"})
     wanted = np.array(ca.Function("f", [x, y], [v])(X.ravel()[None], Y.ravel()[None])).T
     plan = Plan((stage(inputs, results),), rows, lanes if where != "scalars" else frozenset(), WIDTH)
+    with compilation():
+        kernel = Kernel(plan)
     if where == "scalars":
-        got = Kernel(plan)(X.size, None, {"x": X.ravel().copy(), "y": Y.ravel().copy()})["v"]
+        got = kernel(X.size, None, {"x": X.ravel().copy(), "y": Y.ravel().copy()})["v"]
     else:
         arrays = {"x": X, "y": Y if "y" in rows else Y[0, :1].copy()}
-        got = Kernel(plan)(len(X), None, arrays)["v"][:, 0].swapaxes(1, 2).reshape(X.size, -1)
+        got = kernel(len(X), None, arrays)["v"][:, 0].swapaxes(1, 2).reshape(X.size, -1)
     for j, name in enumerate(table):
         close = np.isclose(got[:, j], wanted[:, j], rtol=3e-13, atol=3e-16, equal_nan=True)
         assert close.all(), (name, X.ravel()[~close], got[~close, j], wanted[~close, j])
