@@ -22,10 +22,9 @@ except ImportError:  # llvmlite has no wheel for this machine; kernels are inter
     llvm = None
 
 AVAILABLE = llvm is not None
-# Passes over the IR, and level of the code generation. CasADi has already simplified the expressions of a kernel: all
-# passes of level 1 and the code generation of level 2 take a third more time for a compilation and save 1 to 4 % of the
-# running time.
-KERNEL = ("combine", 1)
+# Passes over the IR, and level of the code generation. CasADi has already simplified the expressions of a kernel:
+# passes over its IR and the code generation of level 2 only make its compilation longer.
+KERNEL = ("none", 1)
 # The same for `quick_compilation`: compilation takes a quarter of the time, and the code takes 1.4 times as long to run
 QUICK = ("none", 0)
 LOOPS = ("level 1", 2)  # for IR with loops and variables in memory, which the passes move to registers
@@ -232,12 +231,8 @@ def _compile(ir: str, has_loops: bool) -> bytes:
     machine = _target_machine(level)
     module = llvm.parse_assembly(ir)
     module.verify()
-    builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=1))
-    if chosen == "combine":
-        passes = llvm.create_new_module_pass_manager()
-        passes.add_instruction_combine_pass()
-        passes.run(module, builder)
-    elif chosen == "level 1":
+    if chosen == "level 1":
+        builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=1))
         builder.getModulePassManager().run(module, builder)
     return bytes(machine.emit_object(module))
 
