@@ -99,7 +99,7 @@ def check_devices(log: Log) -> Iterator[Finding]:
         timing: list[Finding] = []
         for _, name, table in tables:
             timing += check_timestamps(
-                name, table, log.end if rig else None, rig.speed if rig else 1.0, armed.get(source, ())
+                name, table, log.end if rig else None, rig.speed if rig else 1.0, armed.get(source, ()), log.skipped
             )
         yield from _check_rate(source, device, log, tables, any(f.code == "sections-missing" for f in timing))
         yield from timing
@@ -636,7 +636,7 @@ def _check_signal(log: Log, source: str, armed: Sequence[tuple[float, float]]) -
     """
     table = log.table(Scalar, source)
     # An imported command holds until the next one, so that a pause between commands is not a missing section.
-    here = check_timestamps(source, table, None, armed=armed)
+    here = check_timestamps(source, table, None, armed=armed, skipped=log.skipped)
     yield from (f for f in here if f.check != "gap" or log.role(source) == "output")
     yield from check_lost_zeros(source, table["t"])
     if len(table) > 20 and log.role(source) == "output" and np.nanstd(table["value"]) == 0.0:
@@ -652,7 +652,12 @@ def _check_signal(log: Log, source: str, armed: Sequence[tuple[float, float]]) -
 
 
 def check_timestamps(
-    name: str, table: Any, end: float | None, speed: float = 1.0, armed: Sequence[tuple[float, float]] = ()
+    name: str,
+    table: Any,
+    end: float | None,
+    speed: float = 1.0,
+    armed: Sequence[tuple[float, float]] = (),
+    skipped: float = 0.0,
 ) -> Iterator[Finding]:
     """Check the times of the samples of one device or signal, and yield the findings.
 
@@ -674,6 +679,8 @@ def check_timestamps(
         Run seconds per wall second.
     armed : sequence of tuple
         Begin and end [s] of the times in which the device, an autopilot, was armed. Empty: not known, or never.
+    skipped : float
+        Time [s] of the log before the first of these samples, if only a window of the log is checked.
     """
     t, imported = table["t"], end is None
     if len(t) < 3:
@@ -701,10 +708,10 @@ def check_timestamps(
             "set latency_timer of the USB adapter to 1 ms, and end other programs",
         )
         yield from _check_gaps(
-            name, t[:-1][pauses > 0.0], pauses[pauses > 0.0], speed, imported, armed
+            name, t[:-1][pauses > 0.0], pauses[pauses > 0.0], speed, imported, armed, skipped
         )  # from bunch to bunch
     else:
-        yield from _check_gaps(name, t, pauses, speed, imported, armed)
+        yield from _check_gaps(name, t, pauses, speed, imported, armed, skipped)
     if end is not None and end - t[-1] > SILENT_S * max(1.0, 0.2 * speed):
         text = f"nothing for the last {end - t[-1]:.0f} s of the log"
         yield Finding(FAULT, "device-fell-silent", "silent", name, text, "check power, cable and bus")
@@ -718,6 +725,7 @@ def _check_gaps(
     speed: float,
     imported: bool,
     armed: Sequence[tuple[float, float]],
+    skipped: float,
 ) -> Iterator[Finding]:
     """Yield a warning if pauses between samples are so long that sections of the data are missing.
 
@@ -740,6 +748,8 @@ def _check_gaps(
         only when it changes, and gives no warning.
     armed : sequence of tuple
         Begin and end [s] of the times in which the device was armed. Empty: all pauses count.
+    skipped : float
+        Time [s] of the log before the first sample, added to the time in the finding.
     """
     least = max(GAP_S, GAP_PERIODS * float(np.median(pauses)), 4.0 * WALL_JITTER_S * speed)
     long = np.flatnonzero(pauses > least)
@@ -756,7 +766,9 @@ def _check_gaps(
     long = long[counts]
     k = int(long[np.argmax(pauses[long])])
     missing = f"data missing: {counted(long.size, 'section')}, {pauses[long].sum():.1f} s in all"
-    text = f"{missing}, the longest ({pauses[k]:.1f} s) from {t[k] - t[0]:.1f} s on (pauses above {least:.3g} s)"
+    text = (
+        f"{missing}, the longest ({pauses[k]:.1f} s) from {t[k] - t[0] + skipped:.1f} s on (pauses above {least:.3g} s)"
+    )
     text += f"; beside them {disarmed}" if not counts.all() else ""
     advice = "check the cable, the range of the link, and the load of the computer"
     yield Finding(WARNING, "sections-missing", "gap", name, text, advice)

@@ -41,7 +41,8 @@ class Statistics(NamedTuple):
     unit : str
         Unit of value, standard error and interval.
     origin : str
-        Origin of the value, for example ``estimated`` or ``built-in``.
+        Origin of the value, for example ``estimated`` or ``built-in``; ``estimated, at bound`` if the search ended at a
+        bound.
     free : bool
         Whether the parameter was estimated; otherwise it was fixed.
     flag : str
@@ -153,7 +154,7 @@ def statistics(row: ParameterRow) -> Statistics:
     reach = NORMAL_95 * se
     return Statistics(
         full_name(row), row.value, se, row.value - reach, row.value + reach, row.value / se if se > 0 else math.nan,
-        row.unit, row.origin, row.free, in_python(row.flag or ""), row.meaning,
+        row.unit, row.origin_in_table, row.free, in_python(row.flag or ""), row.meaning,
     )  # fmt: skip
 
 

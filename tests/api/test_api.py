@@ -1479,7 +1479,6 @@ def test_a_malformed_gnss_outage_gives_a_one_line_error(
         (lambda logs, fit: st.load(logs[0]), r"run1.mcap: is a log, not a model or a result; open it with st.open_log"),
         (lambda logs, fit: st.load(logs[0].parent), "contains neither model.toml nor result.json"),
         (lambda logs, fit: st.thruster(logs[0], stroke=2), "there is no option 'stroke'"),
-        (lambda logs, fit: st.thruster(st.open_log(logs[0], start=5.0)), "a thruster is fitted to whole logs"),
         (lambda logs, fit: st.design("boat", "x.toml"), "boat"),
         (lambda logs, fit: st.open_log(logs[0], 500.0), "no data are left from 500 s on"),
         (lambda logs, fit: st.fit(logs[0], effects="umbilical"), "did you mean towed-line (a line or umbilical that"),
