@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from seatrial.daq.log.reader import Log
 
 USED: tuple[Any, ...] = (Ahrs, Gnss, Esc, LoadCell, Servo, Scalar, Command)  # kinds of samples that a fit can use
-MARGIN_S = 60.0  # read at the start of a log to find its first sample
+FIRST_S = 60.0  # s at the start of a log in which its first sample is looked for, as by a fit
 
 
 class TimeWindow(NamedTuple):
@@ -77,14 +77,15 @@ def first_sample(log: Log) -> float:
     """
     import numpy as np  # imported here, because --help needs none
 
-    head, firsts = log.part(0.0, log.start + MARGIN_S), list[float]()
+    from seatrial.daq.log.schema import NODE_TOPICS
+
+    firsts = list[float]()
     for kind in USED:
         column = {Gnss: "lat", Scalar: "value"}.get(kind, "t")
         for source in log.sources(kind):
-            for node in log.nodes(kind, source) if kind in (Esc, Servo, Command) else [None]:
-                table = head.table(kind, source, node)
-                finite = np.flatnonzero(np.isfinite(table[column]))
-                firsts += [float(table["t"][finite[0]])] if finite.size else []
+            for node in log.nodes(kind, source) if kind in NODE_TOPICS else (None,):
+                table = log.table(kind, source, node, log.start, log.start + FIRST_S)
+                firsts += table["t"][np.isfinite(table[column])][:1].tolist()
     return min(firsts, default=log.start)
 
 

@@ -8,24 +8,14 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import groupby
 
-import numpy as np
 from rich import markup
 from rich.console import Console
 from rich.table import Table
 
 from seatrial.daq.console import print_table
 from seatrial.daq.errors import SeatrialError, counted
-from seatrial.daq.log import Log, armed_intervals, first_segment_of, schema
-from seatrial.daq.samples import (
-    Ahrs,
-    Command,
-    Esc,
-    Gnss,
-    LoadCell,
-    PortHealth,
-    Scalar,
-    Servo,
-)
+from seatrial.daq.log import Log, armed_intervals, first_sample, first_segment_of, schema
+from seatrial.daq.samples import PortHealth, Scalar
 
 FIRST_EVENTS, LAST_EVENTS = 25, 15  # of many events only these are shown: the last events are about the end of the run
 _ABOUT = {  # texts of the metadata that are shown, with their names for the user
@@ -38,17 +28,6 @@ _ABOUT = {  # texts of the metadata that are shown, with their names for the use
     "import.map": "import.map",
 }
 MAX_CHARACTERS = 2000  # characters of a text that are shown; longer texts are not meant for readers
-FIRST_S = 60.0  # s at the start of a log in which its first sample is looked for, as by a fit
-# Kinds of samples that a fit can use, each with a column that is not NaN in such a sample.
-_FITTED: Mapping[type, str] = {
-    Ahrs: "t",
-    Gnss: "lat",
-    LoadCell: "t",
-    Esc: "t",
-    Servo: "t",
-    Command: "t",
-    Scalar: "value",
-}
 FOLDED = ("skipped", "parameter")  # kinds of events that often repeat; repetitions become one line
 
 
@@ -220,22 +199,8 @@ def log_content(log: Log) -> LogContent:
 def _armed(log: Log) -> list[ArmedInterval]:
     """Return the intervals in which the autopilots of a log were armed, after the first sample that a fit can use."""
     found = [(device, *interval) for device, intervals in armed_intervals(log).items() for interval in intervals]
-    first = _first_sample(log) if found else 0.0
+    first = first_sample(log) if found else 0.0
     return [ArmedInterval(name, max(begin - first, 0.0), end - first) for name, begin, end in found if end > first]
-
-
-def _first_sample(log: Log) -> float:
-    """Return the time of the first sample that a fit can use [s since 1970]; without one the start of the log.
-
-    Only the first minute is read. A fix counts from the first position on.
-    """
-    firsts = []
-    for kind, column in _FITTED.items():
-        for source in log.sources(kind):
-            for node in log.nodes(kind, source) if kind in schema.NODE_TOPICS else (None,):
-                table = log.table(kind, source, node, log.start, log.start + FIRST_S)
-                firsts += table["t"][np.isfinite(table[column])][:1].tolist()
-    return min(firsts, default=log.start)
 
 
 def _topics(log: Log) -> list[TopicContent]:

@@ -1270,6 +1270,9 @@ def test_texts_of_results_and_checks_have_no_options_of_the_command_line(
     assert "give it (fixed={'e_psi': VALUE}) or priors={'m_u': (30, 2)}." in text
     assert "--fix" not in text
     assert "--fix" not in " ".join(told.to_pandas()["flag"])
+    assert "estimated, at bound" in text
+    assert set(told.to_pandas()["origin"]) == {f"{p.origin}, at bound" for p in rows}
+    assert "at bound" not in fit.summary()
     assert "--fix" not in text_of(result)
     assert with_texts_in_python(result).residuals is result.residuals  # what has no option is not copied
     advice = "the heading is 0.02 rad off: --fix e_psi=0.02"
