@@ -371,6 +371,8 @@ def test_the_residual_tests_are_a_table(fit: st.FittedVehicle, tmp_path: Path) -
     k = int(np.flatnonzero(row.frequency == of.loc["periodogram", "frequency"])[0])
     assert of.loc["periodogram", "statistic"] == abs(row.cumulative[k] - (k + 1) / row.cumulative.size)
     assert of.loc["normality", "statistic"] == row.largest
+    assert of.loc["normality", "statistic_is"] == "largest residual [standard deviations]"
+    assert of["statistic_is"].nunique() == len(of)
     crossed = table.query("test == 'cross-correlation'").reset_index()
     assert list(crossed["p"]) == [c.p for c in result.cross]
     assert list(crossed["input"]) == [c.input for c in result.cross]

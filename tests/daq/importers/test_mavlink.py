@@ -78,6 +78,8 @@ def test_a_tlog_becomes_a_log_with_the_times_of_the_autopilot(tmp_path: Path) ->
             assert len(log.table(kind, "autopilot")) > 5
         assert log.nodes(Servo, "autopilot") == log.nodes(Esc, "autopilot") == [1, 3]
         assert log.metadata["source.1.name"] == "run.tlog"
+        assert "imported_by" in log.metadata
+        assert "operator" not in log.metadata
     with pytest.raises(SeatrialError, match="is the source of this import and is never replaced"):
         import_mavlink(tmp_path / "run.tlog", out=tmp_path / "run.tlog", force=True)
 
