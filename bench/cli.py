@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import click
 
 from seatrial.bench import mission_generators
-from seatrial.bench.mission_text import describe_mission, mission_content
+from seatrial.bench.mission_text import describe_mission, largest_command_line, mission_content
 from seatrial.daq.config import Mission, load_mission, load_rig, save_mission
 from seatrial.daq.errors import SeatrialError, counted
 from seatrial.daq.options import (
@@ -167,7 +167,8 @@ def _run_plan(
 ) -> None:
     """Run a plan on the devices of a rig, record it, and print a summary. THRUSTERS TURN.
 
-    The summary names the duration, the path of the log, the next command for the user, and the autopilots that are
+    One line before the run names the thrusters, the largest command and the duration. The summary names the duration,
+    the path of the log, the next command for the user, and the autopilots that are
     still armed.
 
     Parameters
@@ -199,6 +200,7 @@ def _run_plan(
 
     stem = re.sub(r"[^A-Za-z0-9]+", "-", plan.name).strip("-").lower() or "mission"
     path = rig.log_directory / f"{time.strftime('%Y%m%dT%H%M%S')}-{stem}.mcap" if out is None else out
+    click.echo(largest_command_line(plan, external=commands is not None), err=as_json)
     start = time.monotonic()
     metadata = {"command": " ".join(["seatrial", *sys.argv[1:]])}
     with contextlib.ExitStack() as stack:
