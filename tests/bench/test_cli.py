@@ -90,7 +90,7 @@ def test_make_and_show_a_mission(capsys: pytest.CaptureFixture[str], tmp_path: P
     assert mission.made_by.startswith("seatrial mission generate --kind zigzag --seconds 60 --seed 4")
     status, out, _ = run(capsys, "mission", "show", str(path))
     assert status == 0
-    assert "n_cmd starboard" in out
+    assert "n_cmd_starboard" in out
     before = path.read_bytes()
     status, _, err = run(capsys, "mission", "generate", *words)
     assert status == 1
