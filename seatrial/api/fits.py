@@ -455,6 +455,9 @@ class FittedResult(FitReport):
     def simulate(self, on: Role | None = None) -> ByRecord[Prediction]:
         """Simulate each record: the state is filtered for 15 s, and then predicted by the inputs alone to the end.
 
+        Between their samples, the inputs have the hold of the log and of the model: commands are constant, and measured
+        shaft speeds are linear.
+
         Parameters
         ----------
         on : ``estimation`` or ``validation``, optional

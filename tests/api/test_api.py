@@ -8,6 +8,7 @@ import inspect
 import io
 import json
 import re
+import runpy
 import shutil
 import subprocess
 import sys
@@ -16,7 +17,7 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -564,6 +565,26 @@ def test_a_simulation_has_a_value_at_each_given_time(fit: st.FittedVehicle, step
     between = np.interp(fine, t, n)  # this model takes the shaft speed as linear between its samples
     finer = st.simulate(fit, fine, {"n_left": between, "n_right": 0.9 * between})
     assert motion["u"].value == pytest.approx(finer["u"].value[np.isin(fine, t)], abs=2e-4)
+
+
+@pytest.mark.parametrize("hold", ["zero", "linear", None])
+def test_a_simulation_has_the_hold_of_the_exported_python(
+    fit: st.FittedVehicle, tmp_path: Path, hold: Literal["zero", "linear"] | None
+) -> None:
+    t = np.arange(40) * 0.25
+    u = 0.5 + 0.2 * np.random.default_rng(2).standard_normal((t.size, 2)).clip(-1.0, 1.0)
+    motion = st.simulate(fit, t, {"n_left": u[:, 0], "n_right": u[:, 1]}, hold=hold)
+    space = runpy.run_path(str(st.export(fit, tmp_path / "out", "python")))
+    start = [motion[name].value[0] for name in space["STATES"]]
+    exported = space["Simulation"](0.25, x=start, inputs=list(u[0]), hold=hold)
+    steps = u[:-1] if hold == "zero" else u[1:]  # a measured shaft speed is linear in the model
+    states = np.array([start, *(exported.step(list(row)) for row in steps)])
+    for j, name in enumerate(space["STATES"]):
+        assert motion[name].value == pytest.approx(states[:, j], abs=1e-6), name
+    other = st.simulate(fit, t, {"n_left": u[:, 0], "n_right": u[:, 1]}, hold="linear" if hold == "zero" else "zero")
+    assert np.abs(other["u"].value - motion["u"].value).max() > 1e-3
+    with pytest.raises(SeatrialError, match="hold 'cubic': give 'zero' or 'linear'"):
+        st.simulate(fit, t, {"n_left": u[:, 0], "n_right": u[:, 1]}, hold="cubic")  # type: ignore[arg-type]
 
 
 def test_delayed_copies_are_neither_rows_nor_inputs_of_a_simulation() -> None:
