@@ -19,7 +19,7 @@ from seatrial.daq.checks.run_end import check_run_end
 from seatrial.daq.checks.thruster_coverage import check_thruster_coverage
 from seatrial.daq.clock import ClockMap
 from seatrial.daq.errors import counted
-from seatrial.daq.log import Log, armed_intervals
+from seatrial.daq.log import Log, armed_intervals, schema
 from seatrial.daq.rig import Device, Rig
 from seatrial.daq.samples import Ahrs, Autopilot, Battery, Command, Esc, Gnss, LoadCell, PortHealth, Scalar
 from seatrial.daq.sensor_limits import FLAGGED_SHARE, STUCK_IN_LOG, can_be_stuck
@@ -159,9 +159,9 @@ def _check_rate(source: str, device: Device | None, log: Log, tables: Tables, ga
     A fault is a difference of more than 20 %, fewer than three samples, or samples of one time only. Of an autopilot or
     NMEA 2000 bus not all samples count (`_rated_times`). Of an autopilot only the attitudes count. Its attitudes in the
     first third of their time, at most in the first 10 s, are left out, because the autopilot then still sends at its
-    own rates. The rate of an autopilot in a log imported from a tlog is reported and not compared. The samples of all
-    controllers of a bus count together. A device without tables has no finding, except an autopilot whose rate is
-    compared.
+    own rates. The rates of an autopilot in an imported log are reported for each kind of sample, and not compared. The
+    samples of all controllers of a bus count together. A device without tables has no finding, except an autopilot
+    whose rate is compared.
 
     Parameters
     ----------
@@ -207,11 +207,29 @@ def _check_rate(source: str, device: Device | None, log: Log, tables: Tables, ga
     if device is not None and gaps_known and abs(rate_without_gaps / device.rate_hz - 1.0) < RATE_TOLERANCE:
         rate = rate_without_gaps  # samples lost in gaps are reported as missing sections
     if device is None or not ours:
-        yield Finding(OK, "rate-measured", "rate", source, f"{rate:.4g} Hz")
+        yield Finding(OK, "rate-measured", "rate", source, _rates_text(tables))
     elif abs(rate - device.rate_hz) > RATE_TOLERANCE * device.rate_hz:
         yield Finding(FAULT, "rate-off", "rate", source, f"{rate:.4g} Hz, expected {device.rate_hz:g}", WRONG_RATE)
     else:
         yield Finding(OK, "rate-as-expected", "rate", source, f"{rate:.4g} Hz, expected {device.rate_hz:g}")
+
+
+def _rates_text(tables: Tables) -> str:
+    """Return the mean rates of the samples of one device as text, such as ``imu 10 Hz, gnss 5 Hz, state 25 Hz each``.
+
+    A rate is that of one topic as `seatrial info` defines it: number of samples minus one, over the time from the first
+    to the last one. The topics of several controllers have the mean of their rates, with the word "each". The name of
+    the topic is left out if there is only one.
+    """
+    rates: dict[str, list[float]] = {}
+    for kind, _, table in tables:
+        span = float(np.ptp(table["t"])) if len(table) else 0.0
+        if span > 0.0:
+            rates.setdefault(schema.topic(kind, source="", node=0).rpartition("/")[2], []).append(
+                (len(table) - 1) / span
+            )
+    texts = [(name, f"{np.mean(found):.4g} Hz{' each' if len(found) > 1 else ''}") for name, found in rates.items()]
+    return texts[0][1] if len(texts) == 1 else ", ".join(f"{name} {text}" for name, text in texts)
 
 
 def _rated_times(device: Device | None, tables: Tables) -> FloatArray:

@@ -190,6 +190,18 @@ def test_modes_of_a_dataflash_log_have_the_names_of_its_vehicle(tmp_path: Path, 
         assert next(text for _, kind, text in log.events() if kind == "autopilot") == mode
 
 
+def test_rates_of_an_imported_autopilot_are_those_of_its_topics(tmp_path: Path) -> None:
+    """Formerly, the check counted attitudes, fixes and battery together, and printed three times the rate of each."""
+    dataflash(tmp_path / "00000001.BIN")
+    out, _ = import_mavlink(tmp_path / "00000001.BIN", out=tmp_path / "bin.mcap")
+    with open_log(out) as log:
+        (rate,) = (f.text for f in check_devices(log) if f.check == "rate")
+        shown = {topic.topic: topic.rate for topic in log_content(log).topics}
+    kinds = {word.split()[0]: float(word.split()[1]) for word in rate.split(", ")}
+    assert set(kinds) == {"imu", "gnss", "battery"}
+    assert all(shown[f"/autopilot/{kind}"] == pytest.approx(value, rel=1e-3) for kind, value in kinds.items())
+
+
 @pytest.mark.parametrize("source", ["BIN", "tlog"])
 def test_a_mapped_log_keeps_the_autopilots_parameters_and_compares_the_rig(tmp_path: Path, source: str) -> None:
     path = tmp_path / f"run.{source}"
