@@ -200,7 +200,6 @@ def _run_plan(
 
     stem = re.sub(r"[^A-Za-z0-9]+", "-", plan.name).strip("-").lower() or "mission"
     path = rig.log_directory / f"{time.strftime('%Y%m%dT%H%M%S')}-{stem}.mcap" if out is None else out
-    click.echo(largest_command_line(plan, external=commands is not None), err=as_json)
     start = time.monotonic()
     metadata = {"command": " ".join(["seatrial", *sys.argv[1:]])}
     with contextlib.ExitStack() as stack:
@@ -209,6 +208,7 @@ def _run_plan(
 
             new_log_file(path)  # otherwise the page would show the log of an earlier run, before the error
             click.echo(f"page at {stack.enter_context(live_page(path))}", err=as_json)
+        click.echo(largest_command_line(plan, external=commands is not None), err=as_json)
         result = run_mission(plan, rig, path, make_display(stderr=as_json), metadata, arm, retry, commands)
     took = time.monotonic() - start
     if as_json:
