@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import click
 
 from seatrial.bench import mission_generators
-from seatrial.bench.mission_text import describe_mission, mission_content
+from seatrial.bench.mission_text import describe_mission, largest_command_line, mission_content
 from seatrial.daq.config import Mission, load_mission, load_rig, save_mission
 from seatrial.daq.errors import SeatrialError, counted
 from seatrial.daq.options import (
@@ -167,7 +167,8 @@ def _run_plan(
 ) -> None:
     """Run a plan on the devices of a rig, record it, and print a summary. THRUSTERS TURN.
 
-    The summary names the duration, the path of the log, the next command for the user, and the autopilots that are
+    One line before the run names the thrusters, the largest command and the duration. The summary names the duration,
+    the path of the log, the next command for the user, and the autopilots that are
     still armed.
 
     Parameters
@@ -207,6 +208,7 @@ def _run_plan(
 
             new_log_file(path)  # otherwise the page would show the log of an earlier run, before the error
             click.echo(f"page at {stack.enter_context(live_page(path))}", err=as_json)
+        click.echo(largest_command_line(plan, external=commands is not None), err=as_json)
         result = run_mission(plan, rig, path, make_display(stderr=as_json), metadata, arm, retry, commands)
     took = time.monotonic() - start
     if as_json:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +17,7 @@ def describe_mission(mission: Mission) -> str:
     experiment design it also contains the predicted standard errors of parameters and the predicted track. A slew limit
     is named only if the mission has one, and an origin that is not given is "unknown".
     """
-    slew = f", slew at most {mission.slew_per_s:g} 1/s" if np.isfinite(mission.slew_per_s) else ""
+    slew = f", slew_per_s {mission.slew_per_s:g}" if np.isfinite(mission.slew_per_s) else ""
     lines = [
         f"{mission.name} ({mission.kind}), {mission.end:g} s, n_max {mission.n_max:g}{slew}",
         f"made by: {mission.made_by or 'unknown'}",
@@ -68,6 +68,26 @@ def mission_content(mission: Mission) -> dict[str, Any]:
     }
 
 
+def largest_command_line(mission: Mission, external: bool = False) -> str:
+    """Return the line that a run prints before its first command: thrusters, largest command and duration.
+
+    The largest command is that of the set-points, with the slew limit applied. With ``external`` set-points, which come
+    during the run, it is `n_max`, the limit of the mission.
+    """
+    names = counted_names(mission.thrusters)
+    largest = mission.n_max if external else float(np.abs(mission.setpoints()[1]).max())
+    if largest == 0.0:
+        return f"{mission.name}: {names} at rest, without a command, for {mission.end:g} s"
+    return f"{mission.name}: {names} up to n = {largest:.3g} of full command, for {mission.end:g} s"
+
+
+def counted_names(thrusters: Sequence[str]) -> str:
+    """Return the names of thrusters for a sentence, such as ``thrusters left and right``."""
+    if len(thrusters) == 1:
+        return f"thruster {thrusters[0]}"
+    return f"thrusters {', '.join(thrusters[:-1])} and {thrusters[-1]}"
+
+
 def describe_segments(mission: Mission) -> list[str]:
     """Return the table of a mission's segments as lines of text, one for each segment after an empty line and a head.
 
@@ -76,7 +96,7 @@ def describe_segments(mission: Mission) -> list[str]:
     """
     t, n = mission.setpoints()
     names = max(len("segment"), *(len(name) for _, _, name in mission.segment_times()))
-    head = "".join(f"  {'n_cmd ' + thruster:>14}" for thruster in mission.thrusters)
+    head = "".join(f"  {'n_cmd_' + thruster:>14}" for thruster in mission.thrusters)
     lines = ["", f"  {'time [s]':<17}  {'segment':<{names}}{head}"]
     for begin, end, name in mission.segment_times():
         ranges = (_format_range(*command_range(t, column, begin, end)) for column in n.T)

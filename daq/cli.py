@@ -601,6 +601,11 @@ def replay(log: Path, folder: Path, names: tuple[str, ...], speed: float) -> Non
 @click.option("--from", "t_from", type=FiniteRange(0.0), default=0.0, help="Start [s of the log].")
 @click.option("--to", "t_to", type=FiniteRange(0.0), help="End [s of the log].")
 @click.option(
+    "--relative",
+    is_flag=True,
+    help="Times in s from the first sample of the log, as --from and --to have them; without it in s since 1970.",
+)
+@click.option(
     "--noise",
     type=_EXISTING,
     help="With ros: noise.toml of `seatrial ident noise`, for the covariances of imported signals.",
@@ -613,6 +618,7 @@ def export(
     rate: float | None,
     t_from: float,
     t_to: float | None,
+    relative: bool,
     noise: Path | None,
 ) -> None:
     """Write LOG as files of FORM.
@@ -620,7 +626,7 @@ def export(
     csv and parquet: a table for each device and kind of sample, and the events; with --rate one table of all signals.
     mat and netcdf: always one table. ros: a bag of ROS 2 with the logged messages and with messages in the axes and
     frames of REP-103 and REP-105, the package seatrial_msgs for colcon, and layouts for Foxglove and PlotJuggler. With
-    --from and --to only a part of the log is read.
+    --from and --to only a part of the log is read. Times are in s since 1970, and with --relative in s of the log.
 
     \b
     Examples:
@@ -629,22 +635,24 @@ def export(
       seatrial export ros logs/run.mcap --out run-ros
       seatrial export ros imported.mcap --noise noise/noise.toml --out imported-ros
     """
-    from seatrial.daq.log import open_log
+    from seatrial.daq.log import first_sample, open_log
     from seatrial.daq.tools import declared_noise, export_log, export_resampled, export_ros
 
     if form == "ros" and rate is not None:
         raise click.UsageError(
             "--rate does not apply to ros, which exports the messages as they were logged; leave it out"
         )
-
+    if form == "ros" and relative:
+        raise click.UsageError("--relative does not apply to ros, whose messages have the time of ROS; leave it out")
     if form != "ros" and noise is not None:
         raise click.UsageError("--noise applies only to ros, whose messages have covariances; leave it out")
     deviations = {} if noise is None else declared_noise(noise)
     t_to = math.inf if t_to is None else t_to
     with open_log(log) as opened:
-        part = opened
+        first = first_sample(opened)
+        part, zero = opened, first if relative else 0.0
         if t_from > 0.0 or t_to < math.inf:
-            part = opened.part(opened.start + t_from, opened.start + t_to)
+            part = opened.part(first + t_from, first + t_to)
         if not t_from < t_to:
             raise SeatrialError(f"--to {t_to:g} s is not after --from {t_from:g} s; give a later end")
         if part.start > opened.end:
@@ -655,9 +663,9 @@ def export(
         for warning in part.warnings:
             click.echo(f"warning: {log}: {warning}", err=True)
         if rate is not None:
-            written = [export_resampled(part, form, out, rate, force)]
+            written = [export_resampled(part, form, out, rate, force, zero)]
         else:
             ros = form == "ros"
-            written = export_ros(part, out, force, deviations) if ros else export_log(part, form, out, force)
+            written = export_ros(part, out, force, deviations) if ros else export_log(part, form, out, force, zero)
         for path in written:
             click.echo(printable(str(path)))

@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from seatrial.bench.preflight.report import MotionChecks
     from seatrial.daq.checks.check_report import CheckReport
     from seatrial.daq.checks.findings import Finding
+    from seatrial.daq.log import TimeWindow
     from seatrial.ident.checks.log_checks import LogChecks
 
 WAITING = "ROS 2"  # name of a thread in seatrial.daq.tools.ros_live that may wait for a connection without an end
@@ -249,9 +250,9 @@ class MotionChecksOfIdent:
             from seatrial.ident.checks.log_checks import LogChecks
         return LogChecks()
 
-    def check_log(self, path: Path) -> list[Finding]:
-        """Return findings about sensors and thrusters from the motion in a log. `path` is the file of the log."""
-        return self._checks.check(path)
+    def check_log(self, path: Path, window: TimeWindow) -> list[Finding]:
+        """Return findings about sensors and thrusters from the motion in an interval of time of the log `path`."""
+        return self._checks.check(path, window)
 
     def differences(self) -> list[tuple[Path, Finding]]:
         """Return findings about differences between the checked logs, each with the path of its log."""

@@ -7,6 +7,7 @@ This module has the plan of the test and the warning for the operator. The test 
 from __future__ import annotations
 
 from seatrial.bench.mission_generators import SegmentBuilder
+from seatrial.bench.mission_text import counted_names
 from seatrial.daq.config import STATIC, Mission
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.rig import Rig
@@ -66,6 +67,4 @@ def turning_warning(plan: Mission) -> str:
 
     The text names the thrusters of ``plan``, its largest command, and its duration in run seconds.
     """
-    names = plan.thrusters
-    which = f"thrusters {', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else f"thruster {names[0]}"
-    return f"{which} will turn, at up to n = {plan.n_max:g}, for up to {plan.end:.0f} s"
+    return f"{counted_names(plan.thrusters)} will turn, at up to n = {plan.n_max:g}, for up to {plan.end:.0f} s"

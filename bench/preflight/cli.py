@@ -28,7 +28,7 @@ from seatrial.daq.checks import (
 )
 from seatrial.daq.config import load_rig
 from seatrial.daq.errors import SeatrialError
-from seatrial.daq.log import LOG
+from seatrial.daq.log import LOG, WHOLE, TimeWindow, window_option
 from seatrial.daq.options import ExistingPath, FiniteRange, json_option, output_option, print_json
 from seatrial.daq.rig import Rig
 
@@ -71,6 +71,7 @@ STYLES: dict[str, dict[str, Any]] = {
 @click.option("--yes", is_flag=True, help="Do not ask before thrusters turn.")
 @click.option("--arm", is_flag=True, help="Put an autopilot into MANUAL, arm it, and disarm it at the end.")
 @output_option(FILE, "Log of the actuator test [default: by date in the rig's log directory].")
+@window_option
 @json_option("Print the findings as JSON, and everything else on stderr.")
 @click.option("--report", type=click.Path(dir_okay=False, path_type=Path), help="Write a page (HTML) with plots there.")
 @click.pass_obj
@@ -88,15 +89,19 @@ def check(
     out: Path | None,
     as_json: bool,
     report: Path | None,
+    window: TimeWindow,
 ) -> None:
     """Find faults that would spoil a run, and print a remedy for each.
 
     RIG (a .toml file): checks whether devices answer, their rates, clocks and noise, battery, link and disk, and with
     --mission the dry run of a mission. No thruster turns unless --actuators is given; the boat must be free to move
     then. LOG: the same checks of recorded data, and whether sensors and thrusters agree: sides, signs, units, delays,
-    dead zones. Exit status 1: there is a fault. Exit status 3: a limit ended the actuator test.
+    dead zones; with --from and --to in this interval only. Exit status 1: there is a fault. Exit status 3: a limit
+    ended the actuator test.
     """
     _check_options(paths, mission_path, actuators, bool(arm or out or thrust or link_test), link_test, thrust)
+    if window != WHOLE and _is_rig(paths[0]):
+        raise click.UsageError("--from and --to apply to logs; leave them out, or give logs in place of the rig file")
     with tempfile.TemporaryDirectory(prefix="seatrial-check-") as folder:
         if _is_rig(paths[0]):
             from seatrial.bench.preflight.report import dry_run_of
@@ -113,8 +118,9 @@ def check(
         else:
             from seatrial.bench.preflight.log_findings import log_findings
 
-            found = log_findings(motion.check_log, paths, motion.differences)
-            done = CheckReport(", ".join(path.name for path in paths), tuple(worst_first(found)), paths)
+            found = log_findings(motion.check_log, paths, motion.differences, [window] * len(paths))
+            names = ", ".join(path.name + window.label for path in paths)
+            done = CheckReport(names, tuple(worst_first(found)), paths, window=window)
         faults = _print_findings(found, as_json)
         if report is not None:
             report.parent.mkdir(parents=True, exist_ok=True)

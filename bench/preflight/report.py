@@ -9,6 +9,7 @@ from typing import Protocol
 
 from seatrial.daq.checks import CheckReport, DryRun, Finding, PredictedTrack
 from seatrial.daq.config import Mission
+from seatrial.daq.log import TimeWindow
 from seatrial.daq.rig import Rig
 
 FORMAT = "seatrial-check 1"
@@ -21,8 +22,10 @@ class MotionChecks(Protocol):
     not import ident, which may not be installed. All methods raise SeatrialError if ident is not installed.
     """
 
-    def check_log(self, path: Path) -> list[Finding]:
+    def check_log(self, path: Path, window: TimeWindow) -> list[Finding]:
         """Return the findings on the motion in the log ``path``: whether its sensors and thrusters agree.
+
+        Only the interval of time ``window`` of the log is examined.
 
         Raises SeatrialError if the package ident is not installed.
         """

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.daq.checks.findings import Finding
+from seatrial.daq.log import WHOLE, TimeWindow
 
 FloatArray = NDArray[np.float64]
 
@@ -81,6 +82,8 @@ class CheckReport:
         Name of the rig; None if logs were checked.
     mission : DryRun, optional
         Dry run of the mission; None if no mission was checked.
+    window : TimeWindow
+        Interval of time of the logs that was checked. Default: the whole logs.
     """
 
     subject: str
@@ -88,3 +91,4 @@ class CheckReport:
     logs: tuple[Path, ...] = ()
     rig: str | None = None
     mission: DryRun | None = None
+    window: TimeWindow = WHOLE

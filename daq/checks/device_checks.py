@@ -19,7 +19,7 @@ from seatrial.daq.checks.run_end import check_run_end
 from seatrial.daq.checks.thruster_coverage import check_thruster_coverage
 from seatrial.daq.clock import ClockMap
 from seatrial.daq.errors import counted
-from seatrial.daq.log import Log, armed_intervals
+from seatrial.daq.log import Log, armed_intervals, schema
 from seatrial.daq.rig import Device, Rig
 from seatrial.daq.samples import Ahrs, Autopilot, Battery, Command, Esc, Gnss, LoadCell, PortHealth, Scalar
 from seatrial.daq.sensor_limits import FLAGGED_SHARE, STUCK_IN_LOG, can_be_stuck
@@ -99,7 +99,7 @@ def check_devices(log: Log) -> Iterator[Finding]:
         timing: list[Finding] = []
         for _, name, table in tables:
             timing += check_timestamps(
-                name, table, log.end if rig else None, rig.speed if rig else 1.0, armed.get(source, ())
+                name, table, log.end if rig else None, rig.speed if rig else 1.0, armed.get(source, ()), log.skipped
             )
         yield from _check_rate(source, device, log, tables, any(f.code == "sections-missing" for f in timing))
         yield from timing
@@ -159,9 +159,9 @@ def _check_rate(source: str, device: Device | None, log: Log, tables: Tables, ga
     A fault is a difference of more than 20 %, fewer than three samples, or samples of one time only. Of an autopilot or
     NMEA 2000 bus not all samples count (`_rated_times`). Of an autopilot only the attitudes count. Its attitudes in the
     first third of their time, at most in the first 10 s, are left out, because the autopilot then still sends at its
-    own rates. The rate of an autopilot in a log imported from a tlog is reported and not compared. The samples of all
-    controllers of a bus count together. A device without tables has no finding, except an autopilot whose rate is
-    compared.
+    own rates. The rates of an autopilot in an imported log are reported for each kind of sample, and not compared. The
+    samples of all controllers of a bus count together. A device without tables has no finding, except an autopilot
+    whose rate is compared.
 
     Parameters
     ----------
@@ -207,11 +207,29 @@ def _check_rate(source: str, device: Device | None, log: Log, tables: Tables, ga
     if device is not None and gaps_known and abs(rate_without_gaps / device.rate_hz - 1.0) < RATE_TOLERANCE:
         rate = rate_without_gaps  # samples lost in gaps are reported as missing sections
     if device is None or not ours:
-        yield Finding(OK, "rate-measured", "rate", source, f"{rate:.4g} Hz")
+        yield Finding(OK, "rate-measured", "rate", source, _rates_text(tables))
     elif abs(rate - device.rate_hz) > RATE_TOLERANCE * device.rate_hz:
         yield Finding(FAULT, "rate-off", "rate", source, f"{rate:.4g} Hz, expected {device.rate_hz:g}", WRONG_RATE)
     else:
         yield Finding(OK, "rate-as-expected", "rate", source, f"{rate:.4g} Hz, expected {device.rate_hz:g}")
+
+
+def _rates_text(tables: Tables) -> str:
+    """Return the mean rates of the samples of one device as text, such as ``imu 10 Hz, gnss 5 Hz, state 25 Hz each``.
+
+    A rate is that of one topic as `seatrial info` defines it: number of samples minus one, over the time from the first
+    to the last one. The topics of several controllers have the mean of their rates, with the word "each". The name of
+    the topic is left out if there is only one.
+    """
+    rates: dict[str, list[float]] = {}
+    for kind, _, table in tables:
+        span = float(np.ptp(table["t"])) if len(table) else 0.0
+        if span > 0.0:
+            rates.setdefault(schema.topic(kind, source="", node=0).rpartition("/")[2], []).append(
+                (len(table) - 1) / span
+            )
+    texts = [(name, f"{np.mean(found):.4g} Hz{' each' if len(found) > 1 else ''}") for name, found in rates.items()]
+    return texts[0][1] if len(texts) == 1 else ", ".join(f"{name} {text}" for name, text in texts)
 
 
 def _rated_times(device: Device | None, tables: Tables) -> FloatArray:
@@ -636,7 +654,7 @@ def _check_signal(log: Log, source: str, armed: Sequence[tuple[float, float]]) -
     """
     table = log.table(Scalar, source)
     # An imported command holds until the next one, so that a pause between commands is not a missing section.
-    here = check_timestamps(source, table, None, armed=armed)
+    here = check_timestamps(source, table, None, armed=armed, skipped=log.skipped)
     yield from (f for f in here if f.check != "gap" or log.role(source) == "output")
     yield from check_lost_zeros(source, table["t"])
     if len(table) > 20 and log.role(source) == "output" and np.nanstd(table["value"]) == 0.0:
@@ -652,7 +670,12 @@ def _check_signal(log: Log, source: str, armed: Sequence[tuple[float, float]]) -
 
 
 def check_timestamps(
-    name: str, table: Any, end: float | None, speed: float = 1.0, armed: Sequence[tuple[float, float]] = ()
+    name: str,
+    table: Any,
+    end: float | None,
+    speed: float = 1.0,
+    armed: Sequence[tuple[float, float]] = (),
+    skipped: float = 0.0,
 ) -> Iterator[Finding]:
     """Check the times of the samples of one device or signal, and yield the findings.
 
@@ -674,6 +697,8 @@ def check_timestamps(
         Run seconds per wall second.
     armed : sequence of tuple
         Begin and end [s] of the times in which the device, an autopilot, was armed. Empty: not known, or never.
+    skipped : float
+        Time [s] of the log before the first of these samples, if only a window of the log is checked.
     """
     t, imported = table["t"], end is None
     if len(t) < 3:
@@ -701,10 +726,10 @@ def check_timestamps(
             "set latency_timer of the USB adapter to 1 ms, and end other programs",
         )
         yield from _check_gaps(
-            name, t[:-1][pauses > 0.0], pauses[pauses > 0.0], speed, imported, armed
+            name, t[:-1][pauses > 0.0], pauses[pauses > 0.0], speed, imported, armed, skipped
         )  # from bunch to bunch
     else:
-        yield from _check_gaps(name, t, pauses, speed, imported, armed)
+        yield from _check_gaps(name, t, pauses, speed, imported, armed, skipped)
     if end is not None and end - t[-1] > SILENT_S * max(1.0, 0.2 * speed):
         text = f"nothing for the last {end - t[-1]:.0f} s of the log"
         yield Finding(FAULT, "device-fell-silent", "silent", name, text, "check power, cable and bus")
@@ -718,6 +743,7 @@ def _check_gaps(
     speed: float,
     imported: bool,
     armed: Sequence[tuple[float, float]],
+    skipped: float,
 ) -> Iterator[Finding]:
     """Yield a warning if pauses between samples are so long that sections of the data are missing.
 
@@ -740,6 +766,8 @@ def _check_gaps(
         only when it changes, and gives no warning.
     armed : sequence of tuple
         Begin and end [s] of the times in which the device was armed. Empty: all pauses count.
+    skipped : float
+        Time [s] of the log before the first sample, added to the time in the finding.
     """
     least = max(GAP_S, GAP_PERIODS * float(np.median(pauses)), 4.0 * WALL_JITTER_S * speed)
     long = np.flatnonzero(pauses > least)
@@ -756,7 +784,9 @@ def _check_gaps(
     long = long[counts]
     k = int(long[np.argmax(pauses[long])])
     missing = f"data missing: {counted(long.size, 'section')}, {pauses[long].sum():.1f} s in all"
-    text = f"{missing}, the longest ({pauses[k]:.1f} s) from {t[k] - t[0]:.1f} s on (pauses above {least:.3g} s)"
+    text = (
+        f"{missing}, the longest ({pauses[k]:.1f} s) from {t[k] - t[0] + skipped:.1f} s on (pauses above {least:.3g} s)"
+    )
     text += f"; beside them {disarmed}" if not counts.all() else ""
     advice = "check the cable, the range of the link, and the load of the computer"
     yield Finding(WARNING, "sections-missing", "gap", name, text, advice)

@@ -59,7 +59,7 @@ def check_missing_inputs(log: Log) -> Iterator[Finding]:
         gaps = unknown_times(table["t"], table["value"])
         if not gaps:
             continue
-        first, longest = gaps[0][0] - log.start, max(end - begin for begin, end in gaps)
+        first, longest = gaps[0][0] - log.start + log.skipped, max(end - begin for begin, end in gaps)
         text = f"unknown for {sum(end - begin for begin, end in gaps):.1f} s, in {counted(len(gaps), 'gap')}, from "
         text += f"{first:.1f} s on, the longest of {longest:.1f} s: a fit leaves these times out"
         advice = 'give the signal nan = "zero" in the import map, if the thruster stands still then'

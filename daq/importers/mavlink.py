@@ -370,7 +370,7 @@ def _write_log_file(
     if early := warn_of_early_dates(out, rows[0].frame.t_rx, rows[-1].frame.t_rx, [source]):
         steps.append(early)
     first = round(rows[0].frame.t_rx * NANO)
-    metadata = {**collect_provenance(), "format": LOG_FORMAT, "speed": "1.0", **about}
+    metadata = {**collect_provenance(imported=True), "format": LOG_FORMAT, "speed": "1.0", **about}
     attachments = {} if rig is None else {"rig.toml": rig.text.encode()}
     writer = LogWriter(part, metadata=metadata, attachments=attachments, time_ns=first)
     try:

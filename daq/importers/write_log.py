@@ -106,7 +106,7 @@ def write_signals(
     first = min(int(t[0]) for t in t_ns if len(t))
     if early := warn_of_early_dates(out, min(t[0] for t in times), max(t[-1] for t in times), reads):
         events = [*events, (first / NANO, Event("clock", early))]
-    about = {**collect_provenance(), "format": LOG_FORMAT, "speed": "1.0", **metadata}
+    about = {**collect_provenance(imported=True), "format": LOG_FORMAT, "speed": "1.0", **metadata}
     with replacing(out, force, reads) as part:
         writer = LogWriter(part, metadata=about, attachments=attachments, time_ns=first)
         try:
@@ -204,7 +204,7 @@ def write_frames(
     if early := warn_of_early_dates(out, ordered[0].t, ordered[-1].t, reads):
         steps.append(early)
     first = round(ordered[0].t * NANO)
-    about = {**collect_provenance(), "format": LOG_FORMAT, "speed": "1.0", **metadata}
+    about = {**collect_provenance(imported=True), "format": LOG_FORMAT, "speed": "1.0", **metadata}
     with replacing(out, force, reads) as part:
         writer = LogWriter(part, metadata=about, attachments={}, time_ns=first)
         try:

@@ -24,6 +24,11 @@ from .tables import Resampled as Resampled
 from .tables import log_tables as log_tables
 from .tables import resample as resample
 from .tables import unused_name as unused_name
+from .time_window import WHOLE as WHOLE
+from .time_window import TimeWindow as TimeWindow
+from .time_window import first_sample as first_sample
+from .time_window import part_in as part_in
+from .time_window import window_option as window_option
 from .watchdog_note import discard_note as discard_note
 from .watchdog_note import read_note as read_note
 from .watchdog_note import write_note as write_note

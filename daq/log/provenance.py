@@ -52,13 +52,19 @@ def _operator() -> str:
         return "unknown"
 
 
-def collect_provenance() -> dict[str, str]:
+# Names of the metadata of an imported log whose values are those of the import, not of the recording.
+OF_IMPORT = {"operator": "imported_by", "host": "imported_on", "started": "imported_at"}
+
+
+def collect_provenance(imported: bool = False) -> dict[str, str]:
     """Return the provenance (origin) of a log for its metadata, as texts by name.
 
     It consists of git commit ("git"), host, operating system ("platform"), Python version, operator, present time in
     UTC ("started"), command line of this process, and package versions ("version.numpy" and others; "none" if missing).
+    If the log is imported, nobody knows who recorded it: operator, host and time have the names "imported_by",
+    "imported_on" and "imported_at".
     """
-    return {
+    found = {
         "git": git_hash(),
         "host": platform.node(),
         "platform": platform.platform(),
@@ -68,3 +74,4 @@ def collect_provenance() -> dict[str, str]:
         "command_line": " ".join(sys.argv),
         **{f"version.{package}": _version(package) for package in _PACKAGES},
     }
+    return {OF_IMPORT.get(name, name): text for name, text in found.items()} if imported else found

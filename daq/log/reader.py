@@ -109,7 +109,11 @@ class Log:
         Contents of the attached files, by name.
     start, end
         Times of receipt of the first and the last message [s since 1970]; 0 if the log has no messages.
+    skipped
+        Time [s] of the whole log before `start` of this view (`part`); 0 for the whole log.
     """
+
+    skipped = 0.0
 
     def __init__(self, path: Path, growing: bool = False) -> None:
         """Open the log that begins with the MCAP file `path`, and read its index and metadata.
@@ -193,6 +197,7 @@ class Log:
         view.__dict__.pop("_spacing", None)
         view._span_ns = _span_ns(begin, end, self._span_ns)
         view.start, view.end = max(self.start, begin), max(min(self.end, end), begin)
+        view.skipped = self.skipped + view.start - self.start
         return view
 
     def __enter__(self) -> Log:

@@ -104,7 +104,7 @@ class Recorder:
         """
         origin = json.dumps(clock.origin)
         about = {"format": LOG_FORMAT, "rig": rig.name, "speed": repr(clock.speed), "origin": origin}
-        self._metadata = {**collect_provenance(), **about, **(metadata or {})}
+        self._metadata = {**collect_provenance("import" in (metadata or {})), **about, **(metadata or {})}
         self._attachments = {"rig.toml": rig.text.encode(), **(attachments or {})}
         self._log_ns = self._to_ns(clock.now(), 0)
         self._segments, self._patient = rig.segments, patient

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -18,12 +19,12 @@ CSV_BATCH_ROWS = 65536  # rows of CSV that are written at a time
 DEFAULT_RATE_HZ = 10.0  # Hz, default for file formats with one table only
 
 
-def export_log(log: Log, form: str, folder: Path, force: bool = False) -> list[Path]:
+def export_log(log: Log, form: str, folder: Path, force: bool = False, zero: float = 0.0) -> list[Path]:
     """Write the samples of each device and kind in a log to a file of their own, and the events to events.csv.
 
     Numbers are written with all their digits. Unknown values are empty cells in CSV and NaN in Parquet. Times are
-    seconds since 1970, except t_device, the time by the clock of the device. The events are a CSV file in both formats;
-    without events there is no such file. If a file cannot be written, those written before stay.
+    seconds since 1970 or since `zero`, except t_device, the time by the clock of the device. The events are a CSV file
+    in both formats; without events there is no such file. If a file cannot be written, those written before stay.
 
     Parameters
     ----------
@@ -35,6 +36,8 @@ def export_log(log: Log, form: str, folder: Path, force: bool = False) -> list[P
         Folder of the files.
     force
         Whether existing files may be replaced.
+    zero
+        Time from which the times in the files count [s since 1970].
 
     Returns
     -------
@@ -48,7 +51,7 @@ def export_log(log: Log, form: str, folder: Path, force: bool = False) -> list[P
         installed. For other formats than CSV and Parquet also if the log has only events.
     """
     if form not in ("csv", "parquet"):
-        return [export_resampled(log, form, folder, DEFAULT_RATE_HZ, force)]
+        return [export_resampled(log, form, folder, DEFAULT_RATE_HZ, force, zero)]
     write = _write_csv_table if form == "csv" else _parquet_writer()
     written: list[Path] = []
     try:
@@ -56,12 +59,13 @@ def export_log(log: Log, form: str, folder: Path, force: bool = False) -> list[P
         for part in log_tables(log):
             path = _new_path(folder, part.name, form, written, force)
             with new_file(path, force) as scratch:
-                write(scratch, part)
+                write(scratch, _counted_from(zero, part))
             written.append(path)
         if events := log.events():
             path = _new_path(folder, "events", "csv", written, force)
             with new_file(path, force) as scratch:
-                _write_csv_rows(scratch, ["t [s]", "kind", "text"], ([repr(t), kind, text] for t, kind, text in events))
+                rows = ([repr(t - zero if zero else t), kind, text] for t, kind, text in events)
+                _write_csv_rows(scratch, ["t [s]", "kind", "text"], rows)
             written.append(path)
     except OSError as error:
         raise SeatrialError(
@@ -72,15 +76,15 @@ def export_log(log: Log, form: str, folder: Path, force: bool = False) -> list[P
     return written
 
 
-def export_resampled(log: Log, form: str, folder: Path, rate: float, force: bool = False) -> Path:
+def export_resampled(log: Log, form: str, folder: Path, rate: float, force: bool = False, zero: float = 0.0) -> Path:
     """Write the whole log as one resampled table, and return the file.
 
     Commands, states and other held values keep the last sample. Other quantities are averaged over the samples nearest
     to each time, and the averages are interpolated linearly to the times. They are NaN in long gaps (`resample`).
 
-    Times are seconds since 1970: ``t`` in CSV, Parquet and MATLAB, the coordinate ``time`` in NetCDF. The units are in
-    the column heads of CSV, the metadata of the columns of Parquet, the struct ``units`` of MATLAB, and the attributes
-    of NetCDF.
+    Times are seconds since 1970 or since `zero`: ``t`` in CSV, Parquet and MATLAB, the coordinate ``time`` in NetCDF.
+    The units are in the column heads of CSV, the metadata of the columns of Parquet, the struct ``units`` of MATLAB,
+    and the attributes of NetCDF.
 
     Parameters
     ----------
@@ -94,6 +98,8 @@ def export_resampled(log: Log, form: str, folder: Path, rate: float, force: bool
         Rate of the table [Hz].
     force
         Whether an existing file may be replaced.
+    zero
+        Time from which the times in the file count [s since 1970].
 
     Raises
     ------
@@ -101,6 +107,7 @@ def export_resampled(log: Log, form: str, folder: Path, rate: float, force: bool
         If the log has no samples, the file exists already or cannot be written, or a package is not installed.
     """
     table = resample(log, rate)
+    table = table._replace(t=table.t - zero) if zero else table
     try:
         folder.mkdir(parents=True, exist_ok=True)
         path = _new_path(folder, log.path.stem, {"netcdf": "nc"}.get(form, form), [], force)
@@ -110,12 +117,22 @@ def export_resampled(log: Log, form: str, folder: Path, rate: float, force: bool
             elif form == "mat":
                 _write_mat(scratch, table)
             else:
-                _write_netcdf(scratch, table, log.metadata)
+                _write_netcdf(scratch, table, log.metadata, zero)
     except OSError as error:
         raise SeatrialError(
             f"{error.filename or folder}: cannot be written: {error.strerror}; give another folder with -o"
         ) from error
     return path
+
+
+def _counted_from(zero: float, part: LogTable) -> LogTable:
+    """Return a table of a log with its times t and t_rx from `zero` [s since 1970]; 0: the table itself."""
+    if not zero:
+        return part
+    rows = part.rows.copy()
+    for name in ("t", "t_rx"):
+        rows[name] -= zero
+    return part._replace(rows=rows)
 
 
 def _as_log_table(table: Resampled, name: str) -> LogTable:
@@ -149,9 +166,10 @@ def _write_mat(path: Path, table: Resampled) -> None:
     savemat(path, {"t": table.t, **columns, "units": units}, long_field_names=True, oned_as="column", appendmat=False)
 
 
-def _write_netcdf(path: Path, table: Resampled, metadata: Mapping[str, str]) -> None:
-    """Write a resampled log as a NetCDF file with the dimension time [s since 1970] and a variable for each column.
+def _write_netcdf(path: Path, table: Resampled, metadata: Mapping[str, str], zero: float) -> None:
+    """Write a resampled log as a NetCDF file with the dimension time [s] and a variable for each column.
 
+    The attribute `units` of the time states `zero` [s since 1970], from which it counts.
     The attribute `units` of a variable is its unit, "1" for a number without a unit. The attribute `source` of the file
     is "seatrial" with the version in the `metadata` of the log, if they have one. Names that NetCDF does not allow are
     changed (`_variable_names`). Raise SeatrialError if scipy is not installed.
@@ -166,7 +184,8 @@ def _write_netcdf(path: Path, table: Resampled, metadata: Mapping[str, str]) -> 
         file.source = f"seatrial {metadata.get('seatrial', '')}".strip()
         file.createDimension("time", len(table.t))
         time = file.createVariable("time", "d", ("time",))
-        time[:], time.units = table.t, "seconds since 1970-01-01 00:00:00"
+        origin = datetime.fromtimestamp(zero, UTC).isoformat(sep=" ").removesuffix("+00:00")
+        time[:], time.units = table.t, f"seconds since {origin}"
         for name, values in table.columns.items():
             variable = file.createVariable(names[name], "d", ("time",))
             variable[:], variable.units = values, table.units[name] or "1"

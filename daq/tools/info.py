@@ -8,47 +8,30 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import groupby
 
-import numpy as np
-from rich import markup
+from rich import box, markup
 from rich.console import Console
 from rich.table import Table
 
 from seatrial.daq.console import print_table
 from seatrial.daq.errors import SeatrialError, counted
-from seatrial.daq.log import Log, armed_intervals, first_segment_of, schema
-from seatrial.daq.samples import (
-    Ahrs,
-    Command,
-    Esc,
-    Gnss,
-    LoadCell,
-    PortHealth,
-    Scalar,
-    Servo,
-)
+from seatrial.daq.log import Log, armed_intervals, first_sample, first_segment_of, schema
+from seatrial.daq.samples import PortHealth, Scalar
 
 FIRST_EVENTS, LAST_EVENTS = 25, 15  # of many events only these are shown: the last events are about the end of the run
 _ABOUT = {  # texts of the metadata that are shown, with their names for the user
     "rig": "rig",
     "operator": "operator",
     "host": "host",
+    "imported_by": "imported by",
+    "imported_on": "imported on",
     "git": "git",
     "command_line": "command",
     "speed": "run seconds per wall second",
     "import.map": "import.map",
 }
 MAX_CHARACTERS = 2000  # characters of a text that are shown; longer texts are not meant for readers
-FIRST_S = 60.0  # s at the start of a log in which its first sample is looked for, as by a fit
-# Kinds of samples that a fit can use, each with a column that is not NaN in such a sample.
-_FITTED: Mapping[type, str] = {
-    Ahrs: "t",
-    Gnss: "lat",
-    LoadCell: "t",
-    Esc: "t",
-    Servo: "t",
-    Command: "t",
-    Scalar: "value",
-}
+WIDE = 120  # columns of a console in which the heads of the tables need no second line
+OWN_TYPES = "seatrial_msgs/msg/"  # package of the types of messages of seatrial
 FOLDED = ("skipped", "parameter")  # kinds of events that often repeat; repetitions become one line
 
 
@@ -220,22 +203,8 @@ def log_content(log: Log) -> LogContent:
 def _armed(log: Log) -> list[ArmedInterval]:
     """Return the intervals in which the autopilots of a log were armed, after the first sample that a fit can use."""
     found = [(device, *interval) for device, intervals in armed_intervals(log).items() for interval in intervals]
-    first = _first_sample(log) if found else 0.0
+    first = first_sample(log) if found else 0.0
     return [ArmedInterval(name, max(begin - first, 0.0), end - first) for name, begin, end in found if end > first]
-
-
-def _first_sample(log: Log) -> float:
-    """Return the time of the first sample that a fit can use [s since 1970]; without one the start of the log.
-
-    Only the first minute is read. A fix counts from the first position on.
-    """
-    firsts = []
-    for kind, column in _FITTED.items():
-        for source in log.sources(kind):
-            for node in log.nodes(kind, source) if kind in schema.NODE_TOPICS else (None,):
-                table = log.table(kind, source, node, log.start, log.start + FIRST_S)
-                firsts += table["t"][np.isfinite(table[column])][:1].tolist()
-    return min(firsts, default=log.start)
 
 
 def _topics(log: Log) -> list[TopicContent]:
@@ -277,9 +246,11 @@ def show_log(content: LogContent, console: Console) -> None:
     for name, size in content.attachments.items():
         console.print(f"  attached: {escape(name)} ({counted(size, 'byte')})")
     if content.topics:
-        print_table(console, _topic_table(content.topics))
+        print_table(console, _topic_table(content.topics, console.width))
     if content.ports:
-        print_table(console, _port_table(content.ports))
+        for device, port in content.ports.items():
+            console.print(f"  port of {escape(device)}: {escape(port.port)}", soft_wrap=True)
+        print_table(console, _port_table(content.ports, console.width))
     for row in content.armed:
         console.print(
             f"  armed: {escape(row.device)}, {row.end - row.begin:.1f} s: --from {row.begin:.1f} --to {row.end:.1f} "
@@ -290,33 +261,47 @@ def show_log(content: LogContent, console: Console) -> None:
         console.print(f"[bold]warning:[/] {escape(warning)}")
 
 
-def _topic_table(topics: Sequence[TopicContent]) -> Table:
-    """Return a table of the topics of a log: types, numbers of messages, mean rates [Hz] and longest gaps [s].
+def _narrow_table(first: Sequence[str], numbers: Sequence[str], width: int) -> Table:
+    """Return an empty table with heads of texts, and of numbers, which are broken at "|" in a narrow console.
 
-    An unknown rate or gap is "-". If the log has imported signals, there is a column with their role (input or output),
-    unit and hold (interpolation between samples).
+    `width` is the number of columns of the console. Below 120, columns are set close to each other.
     """
-    with_signals = any(row.signal for row in topics)
-    heads = ("topic", "type", "messages", "rate [Hz]", "longest gap [s]", *[""] * with_signals)
-    table = Table(*(escape(head) for head in heads))  # without `escape` the console takes [s] as markup
-    for column in table.columns[2:5]:
-        column.justify = "right"
-    for row in topics:
-        note = f"{row.role} [{row.unit or ''}], hold {row.hold}" if row.signal else ""
-        numbers = (str(row.messages), _number_text(row.rate, 2), _number_text(row.longest_gap, 4))
-        table.add_row(escape(row.topic), escape(row.type), *numbers, *[escape(note)] * with_signals)
+    narrow = width < WIDE
+    table = Table(*first, box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 0 if narrow else 1, 0, 0))
+    for head in numbers:
+        lines = head.split("|") if narrow else [head.replace("-|", "").replace("|", " ")]
+        # Without `escape` the console takes [s] as markup.
+        table.add_column(escape("\n".join(lines)), justify="right", min_width=max(map(len, lines)))
     return table
 
 
-def _port_table(ports: Mapping[str, PortHealth]) -> Table:
+def _topic_table(topics: Sequence[TopicContent], width: int) -> Table:
+    """Return a table of the topics of a log: types, numbers of messages, mean rates [Hz] and longest gaps [s].
+
+    The package of seatrial's own types is left out. An unknown rate or gap is "-". If the log has imported signals,
+    there is a column with their role (input or output), unit and hold (interpolation between samples). `width` is that
+    of the console.
+    """
+    with_signals = any(row.signal for row in topics)
+    table = _narrow_table(("topic", "type"), ("messages", "rate|[Hz]", "longest|gap [s]"), width)
+    if with_signals:
+        table.add_column("")
+    for row in topics:
+        note = f"{row.role} [{row.unit or ''}], hold {row.hold}" if row.signal else ""
+        numbers = (str(row.messages), _number_text(row.rate, 2), _number_text(row.longest_gap, 4))
+        kind = row.type.removeprefix(OWN_TYPES)
+        table.add_row(escape(row.topic), escape(kind), *numbers, *[escape(note)] * with_signals)
+    return table
+
+
+def _port_table(ports: Mapping[str, PortHealth], width: int) -> Table:
     """Return a table of the last counters of the port of each device: bytes, frames, errors and delay [ms].
 
-    The delay of the samples is mean ± standard deviation; it is "-" for a device without a clock.
+    The delay of the samples is mean ± standard deviation; it is "-" for a device without a clock. The addresses of the
+    ports are not in it, so that it fits into 80 columns. `width` is that of the console.
     """
-    heads = ("port", "bytes in", "frames", "checksum errors", "unparsed bytes", "dropped", "reconnects", "delay [ms]")
-    table = Table("device", *(escape(head) for head in heads))
-    for column in table.columns[2:]:
-        column.justify = "right"
+    heads = ("bytes|in", "frames", "checksum|errors", "unparsed|bytes", "dropped", "recon-|nects", "delay|[ms]")
+    table = _narrow_table(("device",), heads, width)
     for device, last in ports.items():
         counters = (
             last.bytes_in,
@@ -329,7 +314,7 @@ def _port_table(ports: Mapping[str, PortHealth]) -> Table:
         delay = "-"
         if math.isfinite(last.clock_bias):
             delay = f"{last.clock_bias * 1e3:.2f} ± {_number_text(last.clock_spread * 1e3, 2)}"
-        table.add_row(escape(device), escape(last.port), *(str(counter) for counter in counters), delay)
+        table.add_row(escape(device), *(str(counter) for counter in counters), delay)
     return table
 
 

@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from seatrial.daq.checks import OK, UNKNOWN, Finding
 from seatrial.ident.checks.sensors import (
     DELAY_FAULT,
+    DELAY_OF_PAIR,
     DELAY_WARNING,
     SENSOR_GRID_S,
     Channels,
@@ -145,7 +146,7 @@ def _attitude_velocity_delay(
         advice += "; a longer log with changes of speed and turns narrows the interval"
         yield Finding(level, "delay-unknown", "late", where, text, advice)
         return
-    yield Finding(level, "sensor-late", "late", where, text, advice)
+    yield Finding(level, "sensor-late", "late", where, text, f"{advice}; {DELAY_OF_PAIR}")
 
 
 def _motion_thrust_delay(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from seatrial.daq.checks import FAULT, WARNING, Finding, check_devices, unknown_names, worst_first
 from seatrial.daq.errors import SeatrialError
-from seatrial.daq.log import Log, open_log
+from seatrial.daq.log import WHOLE, Log, TimeWindow, open_log, part_in
 from seatrial.daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar
 from seatrial.ident.checks.frames import check_accelerometer, check_frames
 from seatrial.ident.checks.held import check_held, check_held_inputs
@@ -61,7 +61,7 @@ from seatrial.ident.checks.signals import (
     check_ranges,
     check_smoothing,
 )
-from seatrial.ident.data import SHORTEST_PIECE_S, Channel, channels, parts_between, seconds, silent_times
+from seatrial.ident.data import SHORTEST_PIECE_S, Channel, channels, parts_between, seconds, silent_times, within_window
 from seatrial.ident.model import (
     SignalId,
     command_of,
@@ -71,6 +71,7 @@ from seatrial.ident.model import (
 )
 from seatrial.ident.numerics import Array
 
+MARGIN_S = 60.0  # read before and after an interval of time: the last value of each input
 POSITION_WINDOW_S = 5.0  # over which positions are differenced, as in `sensors.position_match`
 # Signals shown on the page of a check, in this order. Other imported signals follow.
 SHOWN = ("psi", "r", "ax", "ay", "x", "y", "vx", "vy", "force")
@@ -223,7 +224,7 @@ class CheckEvidence:
     signals: tuple[SignalCurve, ...] = ()
 
 
-def log_evidence(path: Path, name: str = "") -> list[CheckEvidence]:
+def log_evidence(path: Path, name: str = "", window: TimeWindow = WHOLE) -> list[CheckEvidence]:
     """Return the curves of one log, for each segment between its gaps.
 
     Parameters
@@ -232,6 +233,8 @@ def log_evidence(path: Path, name: str = "") -> list[CheckEvidence]:
         File or folder of the log.
     name
         Name to show. If it is empty, the name of the file without its suffix is shown.
+    window
+        Interval of time of the log to show.
 
     Returns
     -------
@@ -241,23 +244,37 @@ def log_evidence(path: Path, name: str = "") -> list[CheckEvidence]:
     Raises
     ------
     SeatrialError
-        If the file is not a log.
+        If the file is not a log, or if it ends before the interval.
     """
     with open_log(path) as log:
-        signals = channels(log)
+        signals, span = _signals_in(log, window)
         rig = log.rig
         duration, intervals, sides, start = log.duration, _sample_intervals(log), sides_of(log), log.start
     gaps, found = silent_times(signals), []
     for signals_of_part in parts_between(signals, gaps):
         c = {n: Channel(s.t - start, s.value, s.unit, s.source) for n, s in signals_of_part.items()}
-        begin, end = _time_span(c) if gaps and c else (0.0, duration)
-        own = [row.between(begin, end) for row in intervals] if gaps else intervals
+        begin, end = (0.0, duration) if span is None else (span[0] - start, span[1] - start)
+        begin, end = _time_span(c) if gaps and c else (begin, end)
+        own = [row.between(begin, end) for row in intervals] if gaps or span else intervals
         found.append(CheckEvidence(
-            f"{name or path.stem}[{seconds(begin)}:{seconds(end)}]" if gaps else name or path.stem, end - begin,
+            f"{name or path.stem}[{seconds(begin)}:{seconds(end)}]" if gaps or span else name or path.stem, end - begin,
             rig.name if rig else None, tuple(row for row in own if row.t.size), tuple(_shaft_responses(c)),
             tuple(thrust_response_curves(c, sides)), tuple(sensor_pairs(c)), tuple(_signal_curves(c)),
         ))  # fmt: skip
     return found
+
+
+def _signals_in(log: Log, window: TimeWindow) -> tuple[dict[str, Channel], tuple[float, float] | None]:
+    """Return the signals of a log in an interval of time, and the interval [s since 1970]; None for the whole log.
+
+    The commands from a minute before the interval are read too, because a command holds until the next one.
+    SeatrialError is raised if the log ends before the interval.
+    """
+    if window == WHOLE:
+        return channels(log), None
+    part = part_in(log, window)
+    signals = channels(log.part(part.start - MARGIN_S, part.end + MARGIN_S))
+    return within_window(signals, part.start, part.end), (part.start, part.end)
 
 
 def _sample_intervals(log: Log) -> list[SampleIntervals]:
@@ -469,9 +486,9 @@ class LogChecks:
 
     def __init__(self) -> None:
         """Begin without a log."""
-        self._held: list[tuple[Path, Mapping[str, Held]]] = []
+        self._held: list[tuple[Path, str, Mapping[str, Held]]] = []
 
-    def check(self, path: Path | str) -> list[Finding]:
+    def check(self, path: Path | str, window: TimeWindow = WHOLE) -> list[Finding]:
         """Return the findings of one log on its signals, and on speed controllers that sent no telemetry.
 
         The checks of the devices are not included (`device_faults`). A log that cannot be read gives the warning
@@ -481,15 +498,17 @@ class LogChecks:
         ----------
         path
             File or folder of the log.
+        window
+            Interval of time of the log to check. Times in the findings count from the start of the log.
         """
         try:
             with open_log(path) as log:
-                found = channels(log)
+                found, _ = _signals_in(log, window)
                 names = _check_names(log.sources(Scalar))
                 findings = [*_silent_controllers(log), *names, *_check_segments(found, sides_of(log), log.start)]
         except SeatrialError as error:
             return [Finding("warning", "log-not-readable", "motion", Path(path).name, str(error))]
-        self._held.append((Path(path), held_of_thrusters(found)))
+        self._held.append((Path(path), window.label, held_of_thrusters(found)))
         return findings
 
     def differences(self) -> list[tuple[Path, Finding]]:
@@ -497,11 +516,11 @@ class LogChecks:
 
         Each finding comes with the path of its log.
         """
-        names = [path.stem for path, _ in self._held]
+        names = [path.stem + window for path, window, _ in self._held]
         if len(set(names)) < len(names):
-            names = [str(path) for path, _ in self._held]
-        paths = {name: path for name, (path, _) in zip(names, self._held, strict=True)}
-        gains = compare_shaft_gains([(name, held) for name, (_, held) in zip(names, self._held, strict=True)])
+            names = [str(path) + window for path, window, _ in self._held]
+        paths = {name: path for name, (path, _, _) in zip(names, self._held, strict=True)}
+        gains = compare_shaft_gains([(name, held) for name, (_, _, held) in zip(names, self._held, strict=True)])
         return [(paths[name], finding) for name, finding in gains]
 
 

@@ -20,6 +20,11 @@ Channels = Mapping[str, Channel]
 SENSOR_GRID_S = 0.05  # s, of the common grid
 WINDOW = 1.0  # s, over which signals are differenced
 LAGS = np.arange(-2.0, 2.0 + SENSOR_GRID_S / 2, SENSOR_GRID_S)  # s, values of the search
+# End of the advice about a delay: a fit that estimates the latency of a sensor may find another value.
+DELAY_OF_PAIR = (
+    "this is the delay between these two signals; a diagnosis estimates the latency of a sensor (such as gnss-latency) "
+    "itself, and its value can differ"
+)
 DELAY_WARNING, DELAY_FAULT = 0.3, 0.6  # s; delays from these values on give a warning, a fault
 KNOWN_LATE = 0.2  # s; a delay whose whole 95 % interval is above this value biases masses and damping: a fault
 MIN_ERROR_REDUCTION = 0.3  # of the squared error; a lag that removes less may be chance
@@ -491,7 +496,7 @@ def sensor_delay(
     if found.gain > MIN_ERROR_REDUCTION and abs(found.lag) >= DELAY_WARNING - SENSOR_GRID_S / 2:
         level = delay_level(abs(found.lag), np.inf if confounded else found.half)
         text = f"{late} comes {abs(found.lag):.2f} s after {early} ({interval})"
-        advice = f"check filters, output rate and time stamps of the {late}"
+        advice = f"check filters, output rate and time stamps of the {late}; {DELAY_OF_PAIR}"
         yield Finding(level, "sensor-late", "late", late_source, text, advice)
     elif found.half > UNKNOWN_DELAY or abs(found.lag) >= DELAY_WARNING - SENSOR_GRID_S / 2:
         text = f"the delay between {first} and {second} is not known ({interval})"

@@ -13,7 +13,7 @@ import click
 
 from seatrial.daq.console import make_console
 from seatrial.daq.errors import SeatrialError
-from seatrial.daq.log import LOG
+from seatrial.daq.log import LOG, window_option
 from seatrial.daq.options import Choice, FiniteRange, json_option, output_option
 from seatrial.ident.cli.options import (
     FILE,
@@ -48,7 +48,6 @@ from seatrial.ident.cli.options import (
     run_workflow,
     trust_option,
     validate_option,
-    window_option,
     with_estimation_options,
     workers_options,
 )
@@ -75,6 +74,7 @@ def ident() -> None:
 @robust_option
 @reml_option()
 @despite_option
+@window_option
 @out_option("thruster")
 @json_option()
 def thruster(logs: tuple[Path, ...], out: Path, as_json: bool, **how: Any) -> None:

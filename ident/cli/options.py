@@ -279,30 +279,6 @@ def validate_option(f: Callable[..., Any]) -> Callable[..., Any]:
     )(f)
 
 
-def window_option(f: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorate a command with ``--from`` and ``--to`` [s of the log]: the interval of time of the logs to use.
-
-    The command receives both as one ``window`` (`TimeWindow`); by default this is the whole log. If the end is not
-    after the start, click.UsageError is raised, and the command is not called.
-    """
-
-    @wraps(f)
-    def command(*args: Any, t_from: float, t_to: float | None, **rest: Any) -> Any:
-        """Call the decorated command with ``window`` in place of ``t_from`` and ``t_to`` [s]; None: to the end."""
-        from seatrial.ident.data import TimeWindow
-
-        window = TimeWindow(t_from, math.inf if t_to is None else t_to)
-        try:
-            window.check()
-        except ValueError as error:
-            raise click.UsageError(str(error), click.get_current_context()) from None
-        return f(*args, window=window, **rest)
-
-    seconds, of = FiniteRange(0.0), "[s of the log] of the interval of LOGS that is used."
-    command = click.option("--to", "t_to", type=seconds, help=f"End {of}")(command)
-    return click.option("--from", "t_from", type=seconds, default=0.0, help=f"Start {of}")(command)
-
-
 def force_option(f: Callable[..., Any]) -> Callable[..., Any]:
     """Decorate a command with the flag ``--force``, which allows it to replace existing results.
 

@@ -6,6 +6,7 @@ from .loading import COMMANDS as COMMANDS
 from .loading import ORIGIN as ORIGIN
 from .loading import SHAFTS as SHAFTS
 from .loading import SHARED_WITHIN as SHARED_WITHIN
+from .loading import TIMES as TIMES
 from .loading import WHOLE as WHOLE
 from .loading import FrameOrigin as FrameOrigin
 from .loading import LoadedLog as LoadedLog
@@ -21,6 +22,7 @@ from .loading import load_runs as load_runs
 from .loading import parts_with_sensors as parts_with_sensors
 from .loading import share_frame as share_frame
 from .loading import window_of_each as window_of_each
+from .loading import within_window as within_window
 from .outliers import position_jumps as position_jumps
 from .outliers import without_outliers as without_outliers
 from .record import SAME_TIME as SAME_TIME

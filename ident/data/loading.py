@@ -29,9 +29,9 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from enum import StrEnum
 from itertools import chain, count
-from math import inf
+from math import inf, nan
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -42,13 +42,16 @@ from seatrial.daq.checks import Finding, unknown_times
 from seatrial.daq.config import parse_toml
 from seatrial.daq.errors import SeatrialError, counted, warn
 from seatrial.daq.geometry import local_ned
+from seatrial.daq.log import WHOLE as WHOLE
 from seatrial.daq.log import Log, bag_of_ros, open_log
+from seatrial.daq.log import TimeWindow as TimeWindow
 from seatrial.daq.rig import Rig, Thruster
 from seatrial.daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar, Servo
 from seatrial.ident.data.gaps import (
     SHORTEST_PIECE_S,
     clock_of,
     gap_line,
+    is_held,
     parts_between,
     seconds,
     silent_times,
@@ -84,30 +87,6 @@ class PropulsionInput(StrEnum):
     COMMAND = "command"  # commands only: shaft speeds are missing or too rare
 
 
-class TimeWindow(NamedTuple):
-    """Interval of time of a log to use, ``t_from <= t <= t_to``: a fit uses a sensor sample exactly at ``t_to`` too.
-
-    Only the signals of `seatrial.api.logs.open_log` end before ``t_to``. The means of a sensor that is averaged end
-    within half a block before or after it.
-
-    Attributes
-    ----------
-    t_from : float
-        Start [s], from the first sample of the log. 0: records start where all signals are known.
-    t_to : float
-        End [s], from the first sample of the log; infinite: to the end of the log.
-    """
-
-    t_from: float = 0.0
-    t_to: float = inf
-
-    def check(self) -> None:
-        """Raise ValueError if the end is not after the start, or if one of them is NaN."""
-        if not self.t_from < self.t_to:
-            raise ValueError(f"--to {self.t_to:g} s is not after --from {self.t_from:g} s; give a later end")
-
-
-WHOLE = TimeWindow()
 TimeWindows = TimeWindow | Sequence[TimeWindow]  # one interval for all logs, or one for each of them, in their order
 
 
@@ -546,6 +525,8 @@ class LoadedLog:
         Distance north and east [m] from the origin to the log's own first fix.
     unknown : tuple
         Start and end [s] of each interval of time in which an input has no value.
+    zero : float
+        Time of the first sample of the log [s since 1970], from which all other times count. NaN if it is unknown.
     """
 
     run: LogSegment
@@ -559,6 +540,7 @@ class LoadedLog:
     origin: FrameOrigin | None = None
     shift: tuple[float, float] = (0.0, 0.0)
     unknown: tuple[tuple[float, float], ...] = ()
+    zero: float = nan
 
     @property
     def own_channels(self) -> Mapping[str, Channel]:
@@ -951,6 +933,23 @@ def _unique_labels(labels: Sequence[str], files: Sequence[Path]) -> list[str]:
     return found
 
 
+def within_window(channels: Mapping[str, Channel], begin: float, end: float) -> dict[str, Channel]:
+    """Cut signals to the interval of time from ``begin`` to ``end`` [s], both included.
+
+    The last value of a held input before the interval is its first sample, at ``begin``. A signal with fewer than two
+    samples is left out.
+    """
+    found: dict[str, Channel] = {}
+    for name, c in channels.items():
+        a, b = int(np.searchsorted(c.t, begin)), int(np.searchsorted(c.t, end, side="right"))
+        cut = slice_channel(c, a, b)
+        if a and is_held(name, c) and not (cut.t.size and cut.t[0] == begin):
+            cut = replace(cut, t=np.append(begin, cut.t), value=np.append(c.value[a - 1], cut.value))
+        if cut.t.size > 1:
+            found[name] = cut
+    return found
+
+
 def load_run(path: Path, role: str, window: TimeWindow = WHOLE, device_faults: DeviceChecks | None = None) -> LoadedLog:
     """Load a log, or an interval of its time, into memory.
 
@@ -1026,7 +1025,9 @@ def load_run(path: Path, role: str, window: TimeWindow = WHOLE, device_faults: D
         t_to = min(window.t_to, last) if window.t_to < inf else None
         run = LogSegment(path.stem, moved, window.t_from or None, t_to)
         gaps = tuple((float(a - start), float(b - start)) for a, b in unknown)
-        loaded = LoadedLog(run, about, holds, log.rig, propulsion, segments, log.vehicle, faults, unknown=gaps)
+        loaded = LoadedLog(
+            run, about, holds, log.rig, propulsion, segments, log.vehicle, faults, unknown=gaps, zero=float(start)
+        )
         return loaded if origin is None else _with_origin(loaded, origin)
 
 

@@ -12,7 +12,7 @@ import msgspec
 from msgspec import Meta
 
 from seatrial.ident.data import FrameOrigin
-from seatrial.ident.estimation import FailedRun
+from seatrial.ident.estimation import AT_BOUND, FailedRun
 from seatrial.ident.numerics import Array
 
 FORMAT = "seatrial-result 3"
@@ -283,6 +283,11 @@ class ParameterRow(Part, frozen=True, kw_only=True):
     start: Annotated[float | None, Meta(description="initial value of the search")] = None
     flag: Annotated[str | None, Meta(description="what is wrong with the estimate")] = None
     record: Annotated[str | None, Meta(description="name of the record; null: shared by all")] = None
+
+    @property
+    def origin_in_table(self) -> str:
+        """Origin for the column of a table; of an estimate at a bound with the words ``at bound``."""
+        return f"{self.origin}, at bound" if self.flag and self.flag.startswith(AT_BOUND) else self.origin
 
 
 class Correlation(Part, frozen=True, kw_only=True):

@@ -74,7 +74,8 @@ def write_check(report: CheckReport, command: str, out: Path) -> None:
         If ``out`` cannot be written.
     """
     name = report.subject if report.rig is not None and len(report.logs) == 1 else ""
-    write_check_page(report, [part for path in report.logs for part in log_evidence(path, name)], command, out)
+    parts = [part for path in report.logs for part in log_evidence(path, name, report.window)]
+    write_check_page(report, parts, command, out)
 
 
 def check_first(

@@ -47,7 +47,7 @@ def electrical_channels(path: Path, loaded: LoadedLog, name: str) -> tuple[dict[
     good = np.isfinite(volts) & np.isfinite(amperes)
     if not good.any():
         return {}, ""
-    t = t[good] + voltage.t[0] - t[np.isfinite(volts)][0]  # times of the loaded log begin at its first sample
+    t = t[good] - loaded.zero
     found = {
         "voltage": Channel(t, volts[good], "V", thruster.device),
         "current": Channel(t, amperes[good], "A", thruster.device),

@@ -50,7 +50,17 @@ from seatrial.ident.characterisation import (
     zero_drift,
 )
 from seatrial.ident.checks import device_faults
-from seatrial.ident.data import Channel, LoadedLog, Record, build_record, load_runs
+from seatrial.ident.data import (
+    TIMES,
+    WHOLE,
+    Channel,
+    LoadedLog,
+    Record,
+    TimeWindows,
+    build_record,
+    load_runs,
+    within_window,
+)
 from seatrial.ident.estimation import EstimationOptions, Fit, FittedModel, RecordEvaluation, profile
 from seatrial.ident.model import Model, command_of, commanded_thrusters, shaft_speed_of
 from seatrial.ident.models import thruster_model
@@ -108,6 +118,8 @@ class ThrusterRequest:
         Names of the parameters for the profile likelihood.
     despite_faults
         Whether to fit even if the checks find faults that make a fit meaningless.
+    window
+        Interval of time of the logs to fit: one for all, or one for each.
     """
 
     logs: Sequence[Path]
@@ -117,6 +129,7 @@ class ThrusterRequest:
     settle: float = 1.5
     profiles: Sequence[str] = ()
     despite_faults: bool = False
+    window: TimeWindows = WHOLE
 
 
 @dataclass(frozen=True)
@@ -212,7 +225,8 @@ def fit_thruster(request: ThrusterRequest, command: str, reporter: Reporter) -> 
         option does not apply to them.
     """
     name, profiles = request.name, request.profiles
-    loaded = load_runs(request.logs, "estimation", device_faults=device_faults)
+    loaded = load_runs(request.logs, "estimation", request.window, device_faults=device_faults)
+    loaded = [_within_its_window(log) for log in loaded]
     loaded = [with_findings(log, {}, request.despite_faults) for log in loaded]  # no sides: a bench does not turn
     options, horizon = request.estimation, request.estimation.horizon
     if is_static(loaded, name):
@@ -265,6 +279,15 @@ def fit_thruster(request: ThrusterRequest, command: str, reporter: Reporter) -> 
         calibration,
     )
     return ThrusterFit(fitted, result, calibration)
+
+
+def _within_its_window(log: LoadedLog) -> LoadedLog:
+    """Return a bench log without the signals before and after its interval of time, which `load_runs` reads too."""
+    run = log.run
+    begin, end = -np.inf if run.t_from is None else run.t_from, np.inf if run.t_to is None else run.t_to
+    if not np.isfinite([begin, end]).any():
+        return log
+    return replace(log, run=replace(run, channels=within_window(run.channels, begin, end)))
 
 
 def write_tables(out: Path, result: ThrusterResult) -> None:
@@ -373,7 +396,7 @@ def _steady_table(
     has_force = "bias" in fitted.model.values
     rows, names, formula = list[SteadyRow](), list[str](), ""
     for i, (x, record) in enumerate(zip(loaded, records, strict=True)):
-        files = [path for path in logs if path.name == x.about["path"]]  # two logs may have the same name
+        files = [path for path in logs if path.name == TIMES.sub("", x.about["path"])]  # two may have the same name
         electrical, words = electrical_channels(files[0], x, name) if len(files) == 1 else ({}, "")
         formula = formula or words
         bias = fitted.estimate("bias", i)[0] if has_force else 0.0

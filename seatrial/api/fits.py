@@ -256,6 +256,7 @@ class FitReport(Shown):
         - record, channel, test, and input of a cross-correlation;
         - statistic, the largest deviation that the test found: an autocorrelation, a distance of the cumulative
           periodogram from that of white noise, a residual in standard deviations, or a correlation coefficient;
+        - statistic_is, the name of that statistic;
         - p, the p value;
         - lag [s] of the largest correlation, and frequency [Hz] of the largest distance of the periodogram;
         - limit, the level below which p is a failure: 0.5 % for a test of whiteness, 1 % for normality, and 1 % divided
@@ -453,6 +454,9 @@ class FittedResult(FitReport):
 
     def simulate(self, on: Role | None = None) -> ByRecord[Prediction]:
         """Simulate each record: the state is filtered for 15 s, and then predicted by the inputs alone to the end.
+
+        Between their samples, the inputs have the hold of the log and of the model: commands are constant, and measured
+        shaft speeds are linear.
 
         Parameters
         ----------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, get_args
 
@@ -444,6 +444,7 @@ def simulate(
     t: ArrayLike,
     inputs: Mapping[str, ArrayLike],
     start: Mapping[str, float] | None = None,
+    hold: Literal["zero", "linear"] | None = None,
 ) -> Simulation:
     """Simulate a fitted model for given inputs, without process noise and without measurement noise.
 
@@ -455,12 +456,17 @@ def simulate(
     model : path, `Saved`, `FittedVehicle`, `FittedDiagnosis` or `FittedThruster`
         The model.
     t : Array (n,)
-        Times [s] of the input samples, increasing. Between samples, an input is constant or linear, as in the model.
+        Times [s] of the input samples, increasing.
     inputs : dict of str to Array (n,)
         Value of each input at these times, for example ``n_left`` and ``n_right`` (-1 to 1).
     start : dict of str to float, optional
         Initial values of states by name, for example ``{"u": 1.0}``. The other states begin at the initial values of
         the model.
+    hold : ``zero`` or ``linear``, optional
+        Inputs between their samples: constant until the next sample, or on a straight line to it. None: as in the
+        model, where commands are constant, and a measured shaft speed is linear. The ``Simulation`` of `export` has the
+        same option. Its ``step`` gets the value at the end of the step if the input is linear, and the value at its
+        start if it is constant.
 
     Returns
     -------
@@ -472,8 +478,8 @@ def simulate(
     ------
     SeatrialError
         If an input of the model is missing, if a state or input is unknown, if an input has another length than ``t``
-        or a value that is not finite or far outside the fitted data, if an initial value is not a finite number, or if
-        the times do not increase.
+        or a value that is not finite or far outside the fitted data, if an initial value is not a finite number, if
+        the times do not increase, or if ``hold`` is unknown.
 
     Examples
     --------
@@ -489,6 +495,10 @@ def simulate(
 
     structure, ranges = _structure(model)
     warn_of_run_means(structure)
+    if hold is not None:
+        if hold not in ("zero", "linear"):
+            raise SeatrialError(f"hold {hold!r}: give 'zero' or 'linear', or None for the hold of the model")
+        structure = replace(structure, inputs=tuple(i if i.tap_of else replace(i, hold=hold) for i in structure.inputs))
     times = _checked_times(t)
     named = _checked_inputs(structure, times, inputs, ranges)
     channels = {name: Channel(times, values) for name, values in named.items()}

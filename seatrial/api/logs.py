@@ -416,18 +416,19 @@ class Findings(Shown, tuple[Finding, ...]):
 
 
 @named_arguments
-def check(logs: PathLike | Sequence[PathLike]) -> Findings:
+def check(logs: PathLike | Log | Sequence[PathLike | Log]) -> Findings:
     """Check logs, as ``seatrial check``: devices, sensors, thrusters and the motion between them.
 
     Parameters
     ----------
-    logs : path or sequence of paths
-        Files or folders of the logs, which are checked whole.
+    logs : path, `Log` or sequence of them
+        Files or folders of the logs. Of a `Log`, its own window is checked.
 
     Returns
     -------
     Findings
         The findings, the worst first. With several logs, ``where`` begins with the name of the log.
+        Times in the findings count from the start of the whole log.
 
     Raises
     ------
@@ -440,11 +441,13 @@ def check(logs: PathLike | Sequence[PathLike]) -> Findings:
     []
     """
     from seatrial.bench.preflight.log_findings import log_findings
+    from seatrial.daq.log import WHOLE, TimeWindow
     from seatrial.ident.checks import LogChecks
 
     checks, paths = LogChecks(), as_paths(logs)
+    windows = [TimeWindow(x.start, x.end) if isinstance(x, Log) else WHOLE for x in as_list(logs)]
     with errors_of_users():
-        found = worst_first(log_findings(checks.check, paths, checks.differences))
+        found = worst_first(log_findings(checks.check, paths, checks.differences, windows))
     return Findings(f._replace(text=in_python(f.text), advice=in_python(f.advice)) for f in found)
 
 

@@ -27,7 +27,6 @@ from seatrial.api.fits import (
 from seatrial.api.logs import PathLike, as_paths
 from seatrial.api.messages import OF_THRUSTER, Messages, errors_of_users, warn_of_result, with_texts_in_python
 from seatrial.api.shown import Content, Shown, number
-from seatrial.daq.errors import SeatrialError
 from seatrial.daq.files import write_output
 from seatrial.daq.log import import_library
 
@@ -312,7 +311,7 @@ def thruster(logs: Logs, **options: Unpack[ThrusterOptions]) -> FittedThruster |
     Parameters
     ----------
     logs : path, `Log` or sequence of them
-        Bench logs, which are used whole: a `Log` must not have a window.
+        Bench logs. Of a `Log`, its own window is used.
     **options
         `ThrusterOptions`, which ``help(st.ThrusterOptions)`` describes: name, settle, profiles, outlier_model, reml,
         horizon, despite_faults, progress.
@@ -325,8 +324,7 @@ def thruster(logs: Logs, **options: Unpack[ThrusterOptions]) -> FittedThruster |
     Raises
     ------
     SeatrialError
-        If the logs lack signals or have faults that make a fit meaningless, if a `Log` has a window, or if an option is
-        unknown.
+        If the logs lack signals or have faults that make a fit meaningless, or if an option is unknown.
 
     Examples
     --------
@@ -334,7 +332,6 @@ def thruster(logs: Logs, **options: Unpack[ThrusterOptions]) -> FittedThruster |
     >>> bench.params["c1"]
     >>> st.fit("run1.mcap", thruster=bench.save("thruster") / "model.toml")
     """
-    from seatrial.ident.data import WHOLE
     from seatrial.ident.estimation import EstimationOptions
     from seatrial.ident.workflows.thruster import ThrusterFit, ThrusterRequest, fit_thruster
 
@@ -345,13 +342,11 @@ def thruster(logs: Logs, **options: Unpack[ThrusterOptions]) -> FittedThruster |
     estimation = {n: given.pop(n) for n in ("outlier_model", "reml", "horizon") if n in given}
     how = replace(EstimationOptions(reml=True), **estimation)
     paths = as_paths(logs)
-    if window_of(logs) != WHOLE:
-        raise SeatrialError("a thruster is fitted to whole logs: open them without start and end")
 
     def work(out: Path) -> Any:
         """Fit the thruster, write the files of the command to the folder `out`, and return the fit."""
         found = fit_thruster(
-            ThrusterRequest(paths, out, estimation=how, **given),
+            ThrusterRequest(paths, out, estimation=how, window=window_of(logs), **given),
             python_call(thruster, {"logs": logs, **options}),
             reporter,
         )

@@ -22,6 +22,12 @@ if TYPE_CHECKING:
 NORMAL_95 = 1.959964  # standard deviations of a normal distribution on each side of its 95 % interval
 WIDTH = 100  # columns of a summary
 LEVEL = 0.01  # significance level of the residual tests
+STATISTICS = {  # name of the statistic of each test of the residuals
+    "ljung-box": "largest autocorrelation",
+    "periodogram": "largest distance of the cumulative periodogram",
+    "normality": "largest residual [standard deviations]",
+    "cross-correlation": "largest correlation coefficient",
+}
 COLUMNS = ("", "estimate", "s.e.", "2.5 %", "97.5 %", "t", "unit", "origin")
 
 
@@ -41,7 +47,8 @@ class Statistics(NamedTuple):
     unit : str
         Unit of value, standard error and interval.
     origin : str
-        Origin of the value, for example ``estimated`` or ``built-in``.
+        Origin of the value, for example ``estimated`` or ``built-in``; ``estimated, at bound`` if the search ended at a
+        bound.
     free : bool
         Whether the parameter was estimated; otherwise it was fixed.
     flag : str
@@ -78,6 +85,8 @@ class ResidualTest(NamedTuple):
         Largest deviation that the test found, without unit. Of ``ljung-box`` it is an autocorrelation, of
         ``cross-correlation`` a correlation coefficient. Of ``periodogram`` it is a distance of the cumulative
         periodogram, 0 to 1, from that of white noise. Of ``normality`` it is a residual in standard deviations.
+    statistic_is : str
+        Name of the statistic of this test, such as ``largest autocorrelation``.
     p : float
         p value of the test; NaN if it could not be computed.
     lag : float
@@ -96,6 +105,7 @@ class ResidualTest(NamedTuple):
     test: str
     input: str
     statistic: float
+    statistic_is: str
     p: float
     lag: float
     frequency: float
@@ -153,7 +163,7 @@ def statistics(row: ParameterRow) -> Statistics:
     reach = NORMAL_95 * se
     return Statistics(
         full_name(row), row.value, se, row.value - reach, row.value + reach, row.value / se if se > 0 else math.nan,
-        row.unit, row.origin, row.free, in_python(row.flag or ""), row.meaning,
+        row.unit, row.origin_in_table, row.free, in_python(row.flag or ""), row.meaning,
     )  # fmt: skip
 
 
@@ -255,8 +265,8 @@ def residual_tests(result: FitResult) -> list[ResidualTest]:
     number = sum(test.p is not None for _, test in pairs)
     return rows + [
         ResidualTest(
-            row.record, row.channel, "cross-correlation", row.input, _or_nan(test.largest), _or_nan(test.p),
-            _at_largest(row.lags, test.z), math.nan, LEVEL / number,
+            row.record, row.channel, "cross-correlation", row.input, _or_nan(test.largest),
+            STATISTICS["cross-correlation"], _or_nan(test.p), _at_largest(row.lags, test.z), math.nan, LEVEL / number,
             _verdict(test.p, LEVEL / number, "uncorrelated", "correlated"),
         )
         for row, test in pairs if number
@@ -305,7 +315,7 @@ def _tests_of_channel(
         """Return the row of one test."""
         words = ("normal", "not normal") if test == "normality" else ("white", "not white")
         verdict = _verdict(p, limit, *words) + (outliers if test == "normality" else "")
-        return ResidualTest(record, channel, test, "", statistic, _or_nan(p), lag, at, limit, verdict)
+        return ResidualTest(record, channel, test, "", statistic, STATISTICS[test], _or_nan(p), lag, at, limit, verdict)
 
     return [
         row("ljung-box", _largest(tests.acf), tests.ljung_box_p, _at_largest(lags, tests.acf), math.nan, LEVEL / 2),

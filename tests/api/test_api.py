@@ -8,6 +8,7 @@ import inspect
 import io
 import json
 import re
+import runpy
 import shutil
 import subprocess
 import sys
@@ -16,7 +17,7 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -371,6 +372,8 @@ def test_the_residual_tests_are_a_table(fit: st.FittedVehicle, tmp_path: Path) -
     k = int(np.flatnonzero(row.frequency == of.loc["periodogram", "frequency"])[0])
     assert of.loc["periodogram", "statistic"] == abs(row.cumulative[k] - (k + 1) / row.cumulative.size)
     assert of.loc["normality", "statistic"] == row.largest
+    assert of.loc["normality", "statistic_is"] == "largest residual [standard deviations]"
+    assert of["statistic_is"].nunique() == len(of)
     crossed = table.query("test == 'cross-correlation'").reset_index()
     assert list(crossed["p"]) == [c.p for c in result.cross]
     assert list(crossed["input"]) == [c.input for c in result.cross]
@@ -562,6 +565,26 @@ def test_a_simulation_has_a_value_at_each_given_time(fit: st.FittedVehicle, step
     between = np.interp(fine, t, n)  # this model takes the shaft speed as linear between its samples
     finer = st.simulate(fit, fine, {"n_left": between, "n_right": 0.9 * between})
     assert motion["u"].value == pytest.approx(finer["u"].value[np.isin(fine, t)], abs=2e-4)
+
+
+@pytest.mark.parametrize("hold", ["zero", "linear", None])
+def test_a_simulation_has_the_hold_of_the_exported_python(
+    fit: st.FittedVehicle, tmp_path: Path, hold: Literal["zero", "linear"] | None
+) -> None:
+    t = np.arange(40) * 0.25
+    u = 0.5 + 0.2 * np.random.default_rng(2).standard_normal((t.size, 2)).clip(-1.0, 1.0)
+    motion = st.simulate(fit, t, {"n_left": u[:, 0], "n_right": u[:, 1]}, hold=hold)
+    space = runpy.run_path(str(st.export(fit, tmp_path / "out", "python")))
+    start = [motion[name].value[0] for name in space["STATES"]]
+    exported = space["Simulation"](0.25, x=start, inputs=list(u[0]), hold=hold)
+    steps = u[:-1] if hold == "zero" else u[1:]  # a measured shaft speed is linear in the model
+    states = np.array([start, *(exported.step(list(row)) for row in steps)])
+    for j, name in enumerate(space["STATES"]):
+        assert motion[name].value == pytest.approx(states[:, j], abs=1e-6), name
+    other = st.simulate(fit, t, {"n_left": u[:, 0], "n_right": u[:, 1]}, hold="linear" if hold == "zero" else "zero")
+    assert np.abs(other["u"].value - motion["u"].value).max() > 1e-3
+    with pytest.raises(SeatrialError, match="hold 'cubic': give 'zero' or 'linear'"):
+        st.simulate(fit, t, {"n_left": u[:, 0], "n_right": u[:, 1]}, hold="cubic")  # type: ignore[arg-type]
 
 
 def test_delayed_copies_are_neither_rows_nor_inputs_of_a_simulation() -> None:
@@ -1270,6 +1293,9 @@ def test_texts_of_results_and_checks_have_no_options_of_the_command_line(
     assert "give it (fixed={'e_psi': VALUE}) or priors={'m_u': (30, 2)}." in text
     assert "--fix" not in text
     assert "--fix" not in " ".join(told.to_pandas()["flag"])
+    assert "estimated, at bound" in text
+    assert set(told.to_pandas()["origin"]) == {f"{p.origin}, at bound" for p in rows}
+    assert "at bound" not in fit.summary()
     assert "--fix" not in text_of(result)
     assert with_texts_in_python(result).residuals is result.residuals  # what has no option is not copied
     advice = "the heading is 0.02 rad off: --fix e_psi=0.02"
@@ -1479,7 +1505,6 @@ def test_a_malformed_gnss_outage_gives_a_one_line_error(
         (lambda logs, fit: st.load(logs[0]), r"run1.mcap: is a log, not a model or a result; open it with st.open_log"),
         (lambda logs, fit: st.load(logs[0].parent), "contains neither model.toml nor result.json"),
         (lambda logs, fit: st.thruster(logs[0], stroke=2), "there is no option 'stroke'"),
-        (lambda logs, fit: st.thruster(st.open_log(logs[0], start=5.0)), "a thruster is fitted to whole logs"),
         (lambda logs, fit: st.design("boat", "x.toml"), "boat"),
         (lambda logs, fit: st.open_log(logs[0], 500.0), "no data are left from 500 s on"),
         (lambda logs, fit: st.fit(logs[0], effects="umbilical"), "did you mean towed-line (a line or umbilical that"),

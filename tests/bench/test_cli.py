@@ -12,7 +12,8 @@ import pytest
 from seatrial import command_line
 from seatrial.bench.cli import next_command
 from seatrial.bench.mission_generators import HOLD_S, bench_plan, make_mission
-from seatrial.daq.config.mission_file import Mission, load_mission
+from seatrial.daq.config.mission_file import Mission, Segment, load_mission, save_mission
+from seatrial.daq.errors import SeatrialError
 from tests.bench.standin import RIG
 from tests.daq.mavlink_ends import mav_rig
 from tests.missions import rig_of
@@ -56,6 +57,27 @@ def test_steps_are_held_for_the_requested_time(
     assert run(capsys, "bench", "chirp", rig, "--hold", "5")[0] == 2
 
 
+def test_a_run_names_thrusters_command_and_duration_before_it_starts(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    before: list[str] = []
+
+    def refused(*_: object) -> None:
+        before.append(capsys.readouterr().out)
+        raise SeatrialError("no device")
+
+    monkeypatch.setattr("seatrial.bench.execution.run_mission", refused)
+    bench, boat = (str(Path(__file__).resolve().parents[2] / f"mocks/rigs/{name}.toml") for name in ("bench", "boat"))
+    plan = Mission("two steps", "steps", ("left", "right"), (
+        Segment("steps", np.array([0.0, 5.0]), np.array([[0.5, 0.0], [0.1, -0.625]])),
+    ), 12.0, n_max=0.9)  # fmt: skip
+    save_mission(plan, tmp_path / "m.toml")
+    for words in (["mission", "run", str(tmp_path / "m.toml"), boat], ["bench", "static", bench]):
+        assert run(capsys, *words, "-o", str(tmp_path / "run.mcap"))[0] == 1
+    assert "two steps: thrusters left and right up to n = 0.625 of full command, for 12 s\n" in before[0]
+    assert "at rest, without a command, for " in before[1]
+
+
 def test_make_and_show_a_mission(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "m.toml"
     words = ["--kind", "zigzag", "--seconds", "60", "--seed", "4", "--thrusters", "port,starboard", "-o", str(path)]
@@ -68,7 +90,7 @@ def test_make_and_show_a_mission(capsys: pytest.CaptureFixture[str], tmp_path: P
     assert mission.made_by.startswith("seatrial mission generate --kind zigzag --seconds 60 --seed 4")
     status, out, _ = run(capsys, "mission", "show", str(path))
     assert status == 0
-    assert "n_cmd starboard" in out
+    assert "n_cmd_starboard" in out
     before = path.read_bytes()
     status, _, err = run(capsys, "mission", "generate", *words)
     assert status == 1

@@ -101,5 +101,5 @@ def test_the_range_of_a_command_covers_the_held_values() -> None:
 
 def test_a_description_names_segments_and_thrusters() -> None:
     text = describe_mission(mission_generators.make_mission("mixed", 120.0, 1))
-    for word in ("surge steps", "zigzag", "random steps", "n_cmd left", "n_cmd right", "--seed 1", "120 s"):
+    for word in ("surge steps", "zigzag", "random steps", "n_cmd_left", "n_cmd_right", "--seed 1", "120 s"):
         assert word in text

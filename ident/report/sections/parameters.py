@@ -181,7 +181,7 @@ def _parameter_cells(row: ParameterRow, titles: Sequence[str], extra: Sequence[s
         Cell(unit, "nowrap"),
     ]
     cells += [Cell(_sname(row), "nowrap")] if "SNAME" in titles else []
-    cells.append(Cell(row.origin, "nowrap quiet" if row.free else "nowrap"))
+    cells.append(Cell(row.origin_in_table, "nowrap quiet" if row.free else "nowrap"))
     cells.append(Cell(f"{row.meaning} ⚠ {row.flag}", "wide bad") if row.flag else Cell(row.meaning, "wide"))
     more: dict[str, Cell | str] = {
         "prior_share": Cell(formatting.percent(row.prior_share), "num"),

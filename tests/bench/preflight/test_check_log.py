@@ -83,6 +83,8 @@ def test_the_command_on_logs(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     [
         (["a.toml", "b.mcap"], "give one rig file"),
         (["b.mcap", "--actuators"], "need a rig file"),
+        (["a.toml", "--from", "5"], "--from and --to apply to logs"),
+        (["b.mcap", "--from", "5", "--to", "4"], "--to 4 s is not after --from 5 s"),
         (["a.toml", "--arm"], "apply only with --actuators"),
         (["a.toml", "--actuators", "--link-test", "--thrust", "0.2"], "always commands 0.1"),
     ],

@@ -44,6 +44,8 @@ def test_a_csv_file_becomes_a_log(folder: Path) -> None:
     assert values(out, "n_left")[1] == [0.5, 0.6, 0.7]
     assert log.attachments == {"import.toml": csv_map.read_bytes()}
     assert log.metadata["source.1.name"] == "run.csv"
+    assert {"imported_by", "imported_on", "imported_at"} <= set(log.metadata)
+    assert not {"operator", "host", "started"} & set(log.metadata)
     assert log.metadata["source.1.sha256"] == hashlib.sha256(files[0].read_bytes()).hexdigest()
     assert log.events() == [(0.0, "import", "run.csv by map.toml")]
 

@@ -78,6 +78,8 @@ def test_a_tlog_becomes_a_log_with_the_times_of_the_autopilot(tmp_path: Path) ->
             assert len(log.table(kind, "autopilot")) > 5
         assert log.nodes(Servo, "autopilot") == log.nodes(Esc, "autopilot") == [1, 3]
         assert log.metadata["source.1.name"] == "run.tlog"
+        assert "imported_by" in log.metadata
+        assert "operator" not in log.metadata
     with pytest.raises(SeatrialError, match="is the source of this import and is never replaced"):
         import_mavlink(tmp_path / "run.tlog", out=tmp_path / "run.tlog", force=True)
 
@@ -186,6 +188,18 @@ def test_modes_of_a_dataflash_log_have_the_names_of_its_vehicle(tmp_path: Path, 
     out, _ = import_mavlink(tmp_path / "00000001.BIN", out=tmp_path / "bin.mcap")
     with open_log(out) as log:
         assert next(text for _, kind, text in log.events() if kind == "autopilot") == mode
+
+
+def test_rates_of_an_imported_autopilot_are_those_of_its_topics(tmp_path: Path) -> None:
+    """Formerly, the check counted attitudes, fixes and battery together, and printed three times the rate of each."""
+    dataflash(tmp_path / "00000001.BIN")
+    out, _ = import_mavlink(tmp_path / "00000001.BIN", out=tmp_path / "bin.mcap")
+    with open_log(out) as log:
+        (rate,) = (f.text for f in check_devices(log) if f.check == "rate")
+        shown = {topic.topic: topic.rate for topic in log_content(log).topics}
+    kinds = {word.split()[0]: float(word.split()[1]) for word in rate.split(", ")}
+    assert set(kinds) == {"imu", "gnss", "battery"}
+    assert all(shown[f"/autopilot/{kind}"] == pytest.approx(value, rel=1e-3) for kind, value in kinds.items())
 
 
 @pytest.mark.parametrize("source", ["BIN", "tlog"])

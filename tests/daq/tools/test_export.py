@@ -181,6 +181,22 @@ def test_the_resampled_table_is_written_as_mat_netcdf_parquet_and_csv(run: Path,
     xr.close()
 
 
+def test_times_relative_to_the_first_sample(run: Path, tmp_path: Path) -> None:
+    words = [str(run), "--relative", "--from", "2", "--out", str(tmp_path / "out")]
+    for form, *more in (("csv",), ("csv", "--rate", "10"), ("netcdf",)):
+        done = CliRunner().invoke(cli.export, [form, *words, *more])
+        assert done.exit_code == 0, done.output
+    for name in ("r", "run"):
+        with (tmp_path / f"out/{name}.csv").open(newline="") as file:
+            times = [float(row["t [s]"]) for row in csv.DictReader(file)]
+        assert times[0] == pytest.approx(2.0, abs=0.11)
+        assert times[-1] == pytest.approx(10.0, abs=0.11)
+    xr = xarray.open_dataset(tmp_path / "out/run.nc", engine="scipy")
+    begin = (xr["time"].values[0] - np.datetime64(0, "s")) / np.timedelta64(1, "s")
+    assert begin == pytest.approx(T0 + 2.0, abs=0.11)  # the same instant, by the unit "seconds since ..."
+    assert CliRunner().invoke(cli.export, ["ros", *words]).exit_code == 2
+
+
 def test_the_resampled_table_becomes_pandas_and_xarray(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with open_log(run) as opened:
         table, frame, data = resample(opened, 20.0), opened.to_pandas(20.0), opened.to_xarray(20.0)

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import pytest
 from click.testing import CliRunner
 from rich.console import Console
 
 from seatrial.command_line import cli
 from seatrial.daq.importers.write_log import SignalRow, write_frames
 from seatrial.daq.log import open_log
-from seatrial.daq.samples import Ahrs, Esc, Frame, Gnss, Sample, Scalar
+from seatrial.daq.samples import Ahrs, Esc, Frame, Gnss, PortHealth, Sample, Scalar
 from seatrial.daq.tools import log_content, show_log
 
 
@@ -46,3 +48,20 @@ def test_json_has_null_for_what_is_unknown(tmp_path: Path) -> None:
     assert '""' not in done.stdout
     shown = CliRunner().invoke(cli, ["info", str(tmp_path / "run.mcap")], catch_exceptions=False)
     assert "None" not in shown.stdout
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_tables_and_addresses_fit_into_80_columns(tmp_path: Path, terminal: bool) -> None:
+    signals = [SignalRow(1.0 + k, "n_starboard", Frame(Scalar(2.0), 1.0 + k, 1.0)) for k in range(3)]
+    write_frames(tmp_path / "run.mcap", signals, metadata={}, note="test")
+    address = "/dev/serial/by-id/usb-FTDI_FT232R_USB_UART_A50285BI-if00-port0"
+    port = PortHealth(address, 12_345_678, 123_456, 123, 4567, 89, 12, 0.02134, 0.0104)
+    console = Console(width=80, highlight=False, force_terminal=terminal, color_system=None)
+    with open_log(tmp_path / "run.mcap") as log, console.capture() as capture:
+        show_log(replace(log_content(log), path="run.mcap", ports={"autopilot": port}), console)
+    lines = [line.rstrip() for line in capture.get().splitlines()]
+    assert f"  port of autopilot: {address}" in lines
+    assert "autopilot 12345678 123456 123 4567 89 12 21.34 ± 10.40" in [" ".join(line.split()) for line in lines]
+    assert any(line.split()[:5] == ["/signal/n_starboard", "Scalar", "3", "1.00", "1.0000"] for line in lines)
+    assert "imported by" in capture.get()
+    assert "operator" not in capture.get()

@@ -83,6 +83,7 @@ def test_late_group_of_sensors_is_found(
 ) -> None:
     (found,) = alarms(log(ATTITUDE, VELOCITY, thrust, late=late, by=by))
     assert (found.code, found.level) == ("sensor-late", level)
+    assert "this is the delay between these two signals; a diagnosis estimates" in found.advice
     assert found.text.startswith(words)
     assert float(found.text.split(" s after")[0].split()[-1]) == pytest.approx(by, abs=0.2)
 

@@ -11,7 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import seatrial as st
+from seatrial import command_line
 from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.daq.log import open_log, part_in
 from seatrial.daq.samples import Ahrs
 from seatrial.ident.checks.log_checks import LogChecks, log_evidence
 from seatrial.ident.data.gaps import clock_of, parts_between, silent_times
@@ -68,6 +71,35 @@ def test_finding_names_the_part_of_the_log(tmp_path: Path) -> None:
     found = LogChecks().check(record(tmp_path / "run.mcap", rig_of("boat"), [*first, *late]))
     (sign,) = [f for f in found if f.level == "fault"]
     assert sign.text.startswith("from 86460 to 86490 s: ")
+
+
+def test_a_check_of_a_window_finds_only_what_is_in_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    boat = boat_with(None, 4)
+    first, second = (sail(boat, SECONDS, seed, run)[0].readings for run, seed in ((1, 3), (2, 5)))
+    late = [r._replace(t=r.t + SECONDS + 8.0) for r in second]
+    late = [r._replace(sample=replace(r.sample, r=-r.sample.r)) if isinstance(r.sample, Ahrs) else r for r in late]
+    path = record(tmp_path / "run.mcap", rig_of("boat"), [*first, *late])
+    healthy, faulty = st.open_log(path, end=30.0), st.open_log(path, start=38.5)
+    assert "heading-sense" not in {f.code for f in st.check(healthy)}
+    assert "heading-sense" in {f.code for f in st.check(faulty)}
+    both = {f.where.partition(": ")[0] for f in st.check([healthy, faulty]) if f.code == "heading-sense"}
+    assert both == {"run[38.5:inf]"}
+    # The time of a gap counts from the start of the log, not from that of the window.
+    gaps = [f.text for f in st.check(st.open_log(path, start=20.0)) if f.code == "sections-missing"]
+    assert gaps
+    assert all(abs(float(text.partition(" from ")[2].split()[0]) - SECONDS) < 0.5 for text in gaps), gaps
+    page = tmp_path / "check.html"
+    with pytest.raises(SystemExit) as left:
+        command_line.main(["check", str(path), "--to", "30", "--report", str(page)])
+    out = capsys.readouterr().out
+    assert not left.value.code, out
+    assert "heading-sense" not in out
+    assert "run.mcap[0:30]" in page.read_text(encoding="utf-8")
+    (evidence,) = log_evidence(path, window=TimeWindow(5.0, 25.0))
+    assert evidence.name == "run[5:25]"
+    assert all(s.t[0] > 4.9 and s.t[-1] < 25.1 for s in (*evidence.signals, *evidence.intervals, *evidence.shafts))
+    with pytest.raises(SeatrialError, match="no data are left from 100 s on"):
+        part_in(open_log(path), TimeWindow(100.0))
 
 
 def test_short_gap_does_not_cut_and_short_part_is_left_out(tmp_path: Path) -> None:

@@ -190,7 +190,7 @@ def test_table_has_interval_t_sname_and_origin() -> None:
         "quadratic surge damping",
     ]
     assert names[9:17] == ["y_left", "−0.15", "–", "–", "–", "m", "", "given"]
-    assert names[24:] == ["m − X_u̇ / T", "estimated", "quadratic surge damping ⚠ at its bound"]
+    assert names[24:] == ["m − X_u̇ / T", "estimated, at bound", "quadratic surge damping ⚠ at its bound"]
 
 
 def trace(**more: Any) -> Trace:

@@ -8,7 +8,7 @@ import numpy as np
 
 from seatrial.daq.log import open_log
 from seatrial.daq.samples import Esc
-from seatrial.ident.data.loading import load_run
+from seatrial.ident.data.loading import TimeWindow, load_run
 from seatrial.ident.workflows.electrical import electrical_channels
 from seatrial.mocks.plant.bench import draw_bench
 from tests.missions import bench_log
@@ -28,5 +28,8 @@ def test_power_of_a_vesc_is_that_of_its_supply(tmp_path: Path) -> None:
     assert found["power"].value.max() > 10.0
     shaft = loaded.run.channels[f"n_{name}"]  # The times are those of the loaded log.
     assert abs(found["power"].t[-1] - shaft.t[-1]) < 0.2
+    part = load_run(path, "estimation", TimeWindow(72.0, 79.0))
+    same, _ = electrical_channels(path, part, name)
+    np.testing.assert_allclose(same["power"].t, found["power"].t)
     imported = type(loaded)(loaded.run, loaded.about, loaded.holds, None)
     assert electrical_channels(path, imported, name) == ({}, "")

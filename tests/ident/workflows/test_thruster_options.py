@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import seatrial as st
 from seatrial.daq.config.rig_file import parse_rig
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.samples import LoadCell
@@ -113,3 +114,27 @@ def test_noise_is_restricted_by_default(log: Path) -> None:
     assert 1.0001 < fits["reml"]["e_f"] / fits["plain"]["e_f"] < 1.01
     for name in ("tau", "a", "c1", "c2"):
         assert fits["reml"][name] == pytest.approx(fits["plain"][name], rel=1e-3)
+
+
+def test_a_window_of_a_bench_log_is_fitted_alone(tmp_path: Path) -> None:
+    """Outside the window the load cell is wrong; the fit to the window does not see it."""
+    recording, mission = push(draw_bench(4), kind="steps")
+    end = recording.readings[-1].t
+    begin, until = 0.05 * end, 0.9 * end
+    wrong = [
+        r._replace(sample=replace(r.sample, counts=-3.0 * r.sample.counts))
+        if isinstance(r.sample, LoadCell) and r.t > until + 1.0
+        else r
+        for r in recording.readings
+    ]
+    good = write_log(tmp_path / "good.mcap", "bench", recording.readings, mission)
+    spoilt_log = write_log(tmp_path / "spoilt.mcap", "bench", wrong, mission)
+    window = st.thruster(st.open_log(spoilt_log, begin, until))
+    same = st.thruster(st.open_log(good, begin, until))
+    assert window.params["c1"] == pytest.approx(same.params["c1"], rel=1e-9)
+    assert window.result.logs[0].path == f"spoilt.mcap[{begin:g}:{until:g}]"
+    assert window.result.steady is not None
+    assert np.isfinite(window.result.steady.power).any()
+    words = ["thruster", str(good), "--from", f"{begin}", "--to", f"{until}", "--out", str(tmp_path / "out")]
+    CliRunner().invoke(ident, words, catch_exceptions=False)
+    assert load_model(tmp_path / "out/model.toml").model.values["c1"] == pytest.approx(same.params["c1"], rel=1e-4)
