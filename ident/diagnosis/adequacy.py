@@ -133,6 +133,7 @@ def assess_alternatives(
         reasons += [
             *_undetermined_size_reasons(search_round.chosen.effect, chosen, fitted, policy),
             *_undetermined_position_reasons(search_round.chosen.effect, fitted, policy),
+            *_unusual_position_reasons(search_round.chosen.effect, fitted, policy),
         ]
         reasons += [
             *_untested_alternative_reasons(search_round.chosen.effect, evidence.untested),
@@ -294,6 +295,28 @@ def _undetermined_position_reasons(effect: Effect, fitted: FittedModel, policy: 
         return []
     values = ", ".join(f"{fit.names[i]} = {fit.values[i]:.3g} ± {fit.errors[i]:.2g} m" for i in at)
     return [f"the data do not determine its position, {away:.0f} m from the boat: {values}"]
+
+
+def _unusual_position_reasons(effect: Effect, fitted: FittedModel, policy: SearchPolicy) -> list[str]:
+    """Return the reason for ambiguity that a position on the boat is far from where such positions are.
+
+    A position on the boat is a parameter in m that describes the form of the effect, for example the position of the
+    propellers. The limit is ``policy.max_position_distance`` standard deviations of the difference of the estimate and
+    the mean of the parameter's prior, which is that of a boat of this size. Such an estimate shows that something else
+    acts in a similar way. Return [] if no position is beyond the limit.
+    """
+    fit = fitted.fit
+    for p in effect.parameters:
+        if p.unit != "m" or p.value == 0.0 or p.prior is None or p.transform == "log" or p.name not in fit.names:
+            continue
+        value, error = fit.estimate(p.name)
+        mean, sd = p.prior
+        if abs(value - mean) > policy.max_position_distance * math.hypot(sd, error):
+            return [
+                f"its parameter {p.name} ({p.meaning}) is {value:.2f} ± {error:.2f} m, which is unusual for a boat of "
+                f"this size ({mean:.2f} ± {sd:.2f} m): something else may act in a similar way"
+            ]
+    return []
 
 
 def _distance_from_zero(fit: Fit, sizes: Sequence[int]) -> float:

@@ -132,6 +132,9 @@ class SearchPolicy:
     position_reach
         The position of an effect (such as the fixed end of a line) is undetermined if its distance from the boat is not
         larger than this number of standard errors.
+    max_position_distance
+        A position on the boat that differs by more than this number of standard deviations from the usual one is a
+        reason for ambiguity. The standard deviation is that of the difference.
     min_tolerance
         Smallest share of the information of a score that the estimated parameters do not explain (its tolerance). Below
         it, they explain the effect. If the thrust is estimated, its asymmetry explains a loss in reverse except 0.005
@@ -187,6 +190,7 @@ class SearchPolicy:
     max_distance_share: float = 0.05
     min_significance: float = 4.0
     position_reach: float = 3.0
+    max_position_distance: float = 2.0
     min_tolerance: float = 1e-3
     form_share: float = 0.1
 

@@ -93,6 +93,7 @@ from seatrial.ident.estimation import (
     fit_with_rescaling,
     missing_inputs,
     nominal_model,
+    times_of_change,
     unexcited_motion,
     validated_in_blocks,
     validation_records,
@@ -100,7 +101,7 @@ from seatrial.ident.estimation import (
     without_absent_sensors,
     without_unknown_noise,
 )
-from seatrial.ident.model import Effect, EffectKind, ForceCurve, Model, Parameter, curve_name
+from seatrial.ident.model import Effect, EffectKind, ForceCurve, Model, Parameter, curve_name, segment_name
 from seatrial.ident.models import residuals_of, scale_priors, sensor_errors_of, size_of, variables_of
 from seatrial.ident.reporter import QUIET, Reporter
 from seatrial.ident.validation import (
@@ -1446,11 +1447,19 @@ class _Search:
         df = sum(_degrees_of_freedom(effect, p, len(self.records)) for p in effect.parameters if p.free)
         penalty = df * float(np.log(self.n))
         settings = replace(self.rough, tolerance=max(self.rough.tolerance, ROUGH_SHARE * score.lm / 2))
-        for start in _with_initial_values(effect, score):
+        for attempt, start in enumerate(_with_initial_values(effect, score)):
             try:
                 model = self._with_held_noise(current.fit.model + start, effect)
-                begin = self._shifted_estimates(current, [(effect, start, score)])
-                fitted = fit_and_evaluate(model, self.records, self.validation_data, settings=settings, start=begin)
+                of_records = _record_steps(effect, score, len(self.records)) if attempt == 0 else {}
+                begin = self._shifted_estimates(current, [(effect, start, score)], of_records)
+                fitted = fit_and_evaluate(
+                    model,
+                    self.records,
+                    self.validation_data,
+                    settings=settings,
+                    start=begin,
+                    other_starts=times_of_change([effect], self.records),
+                )
                 gain = 2 * (fitted.fit.log_posterior - current.fit.log_posterior)
                 # Blocks in time take longer than the fit, and cannot help an effect that the estimation data reject.
                 compared = (
@@ -1487,7 +1496,10 @@ class _Search:
         return model.with_free(p.name for p in model.parameters if p.free and p.name not in held)
 
     def _shifted_estimates(
-        self, current: FittedModel, added: Sequence[tuple[Effect, Effect, Score]]
+        self,
+        current: FittedModel,
+        added: Sequence[tuple[Effect, Effect, Score]],
+        of_records: Mapping[str, float] | None = None,
     ) -> dict[str, float]:
         """Return initial values, by full name, for a refit of the current model with one or more effects.
 
@@ -1501,20 +1513,23 @@ class _Search:
             Fitted model, which was scored last.
         added
             For each effect: the effect with its own values, the effect with its initial values, and its score.
+        of_records
+            Initial values, by full name, of the per-record parameters of the effect; None: those of the model.
         """
+        of_records = of_records or {}
         if self.equations is None:
-            return {}
+            return dict(of_records)
         values = current.fit.start_values(current.fit.model)
         # The likelihood is not quadratic in a parameter that has a logarithm as its coordinate.
         linear = {p.full_name: p for p in current.fit.parameters if p.transform != "log"}
         for effect, start, score in added:
             own = {p.name: p.value for p in effect.parameters}
             step = {p.name: p.value - own[p.name] for p in start.parameters if p.name in score.step}
-            for name, change in self.equations.shifts(effect.name, score.scan, step).items():
+            for name, change in self.equations.shifts(effect.name, score.scan, {**step, **of_records}).items():
                 if name in values and name in linear:
                     low, high = linear[name].bounds
                     values[name] = min(max(values[name] + change, low), high)
-        return values
+        return {**values, **of_records}
 
     def _joint_steps(self, scores: Sequence[Score]) -> list[Score]:
         """Return copies of scores of parametric candidates, with one-step estimates for all of them together.
@@ -1604,6 +1619,21 @@ def _with_initial_values(effect: Effect, score: Score) -> Iterator[Effect]:
         (scans[0], 0.0),
     ]:
         yield replace(effect, parameters=tuple(_with_initial_value(p, score, scan, share) for p in effect.parameters))
+
+
+def _record_steps(effect: Effect, score: Score, n_records: int) -> dict[str, float]:
+    """Return the one-step estimates of the per-record parameters of an effect, by full name, within their priors.
+
+    An estimate is limited to one standard deviation of its prior. The result is empty for an effect whose parameters
+    are shared by the records, or are tested as if they were.
+    """
+    found = {}
+    for p in effect.parameters:
+        sd = p.prior[1] if p.prior else np.inf
+        for name in [segment_name(p.name, i) for i in range(n_records)] if p.per_record else []:
+            if name in score.step:
+                found[name] = float(np.clip(score.step[name], -sd, sd))
+    return found
 
 
 def _with_initial_value(parameter: Parameter, score: Score, scan: Mapping[str, float], share: float) -> Parameter:

@@ -19,6 +19,7 @@ from .fitted_model import fit_nominal_model as fit_nominal_model
 from .fitted_model import fit_with_rescaling as fit_with_rescaling
 from .fitted_model import missing_inputs as missing_inputs
 from .fitted_model import nominal_model as nominal_model
+from .fitted_model import times_of_change as times_of_change
 from .fitted_model import validated_in_blocks as validated_in_blocks
 from .fitted_model import validation_records as validation_records
 from .fitted_model import with_all_candidates as with_all_candidates

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 from typing import Annotated
 
 import msgspec
@@ -18,7 +19,7 @@ from seatrial.ident.estimation.likelihood import FilterResult, Likelihood
 from seatrial.ident.estimation.maximum_likelihood import EstimationOptions, Fit, SearchSettings, fit
 from seatrial.ident.estimation.multistart import best_of_starts
 from seatrial.ident.estimation.smoother import SmoothedStates, smoothed_states
-from seatrial.ident.model import Effect, EffectKind, Model, Parameter, ParameterOrigin, outlier_notes
+from seatrial.ident.model import Effect, EffectKind, Model, Parameter, ParameterOrigin, outlier_notes, segment_name
 from seatrial.ident.model import with_outlier_model as with_outliers
 from seatrial.ident.models import forces_of, rescale, rescale_effects, residuals_of, size_of, with_disturbances
 from seatrial.ident.numerics import NORMAL_MAD, Array, noise_from_differences
@@ -33,6 +34,7 @@ RESCALING_RATIO = 2.0  # priors are scaled again if estimated and assumed force 
 AS_LIKELY = 2.0  # a refit may lose this much ln L by its new priors; if it loses more, its search failed
 FIT_ERRORS = (ValueError, ArithmeticError, np.linalg.LinAlgError)  # raised if a model cannot be evaluated on a record
 
+TIME_STEP_S = 10.0  # between the times at which an effect is tried that begins in a run
 ValidationData = Sequence[Record] | TimeBlocks  # validation records, or blocks of the estimation records
 
 
@@ -432,7 +434,8 @@ def evaluate_records(
     """Evaluate a fitted model on records that it was not fitted to.
 
     Only the per-record parameters (the current) are estimated, from all records at once; all other parameters keep
-    their values. If that fails, the records are evaluated one by one.
+    their values. If that fails, or if an effect has a scanned per-record parameter (the time of a change), the records
+    are evaluated one by one.
 
     Parameters
     ----------
@@ -453,26 +456,80 @@ def evaluate_records(
     """
     settings = settings or SearchSettings(robust_errors=False)
     own = [p.name for p in model.parameters if p.free and p.per_record]
+    scanned = {name: tuple(scan) for e in model.effects for name, scan in e.scan.items() if name in own}
     if not records:
         return [], []
-    try:
-        if own:
-            adapted = fit(model.with_free(own), [r.for_model(model) for r in records], settings=settings)
-            return [_evaluation_of(adapted.model, r, adapted.record_values[i]) for i, r in enumerate(records)], []
-        fixed = np.array(list(model.values.values())) if values is None else values
-        views = [_evaluation_of(model, r, fixed) for r in records]
-        for v in views:
-            if not np.isfinite(v.ll).all():
-                raise ValueError(
-                    f"record {v.record.name}: the likelihood of model {model.name} is not finite for the estimated "
-                    "parameters; check this log with `seatrial check`, or leave it out"
-                )
-        return views, []
-    except FIT_ERRORS as problem:
-        if len(records) == 1:
-            return [], [FailedRun(records[0].name, str(problem))]
+    if len(records) == 1 or not scanned:
+        try:
+            if own:
+                start = _start_by_scan(model, records[0], own, scanned, settings) if scanned else {}
+                times = times_of_change(model.effects, records) if scanned else []
+                of_model = [r.for_model(model) for r in records]
+                adapted = fit(model.with_free(own), of_model, settings=settings, start=start, other_starts=times)
+                return [_evaluation_of(adapted.model, r, adapted.record_values[i]) for i, r in enumerate(records)], []
+            fixed = np.array(list(model.values.values())) if values is None else values
+            views = [_evaluation_of(model, r, fixed) for r in records]
+            for v in views:
+                if not np.isfinite(v.ll).all():
+                    raise ValueError(
+                        f"record {v.record.name}: the likelihood of model {model.name} is not finite for the estimated "
+                        "parameters; check this log with `seatrial check`, or leave it out"
+                    )
+            return views, []
+        except FIT_ERRORS as problem:
+            if len(records) == 1:
+                return [], [FailedRun(records[0].name, str(problem))]
     parts = [evaluate_records(model, [r], values, settings) for r in records]
     return [v for views, _ in parts for v in views], [f for _, failed in parts for f in failed]
+
+
+def times_of_change(effects: Iterable[Effect], records: Sequence[Record]) -> list[dict[str, float]]:
+    """Return sets of initial values, by full name, for effects that begin at a time in a run.
+
+    Such a time is a scanned parameter in s of an effect. The likelihood has a maximum at each strong manoeuvre, and a
+    search reaches only the nearest one. The sets have the times from 10 s to the end of the longest record, every 10 s,
+    and the same time in all records. The list is empty without such an effect.
+    """
+    longest = max(r.duration for r in records)
+    return [
+        dict.fromkeys([segment_name(p.name, i) for i in range(len(records))] if p.per_record else [p.name], at)
+        for effect in effects
+        for p in effect.parameters
+        if p.name in effect.scan and p.unit == "s" and p.transform != "log"
+        for at in np.arange(TIME_STEP_S, longest, TIME_STEP_S).tolist()
+    ]
+
+
+def _start_by_scan(
+    model: Model, record: Record, own: Sequence[str], scanned: Mapping[str, Sequence[float]], settings: SearchSettings
+) -> dict[str, float]:
+    """Return initial values of the per-record parameters of one record, by a scan of some of them.
+
+    The likelihood has several maxima in such a parameter, for example the time of a change. The other per-record
+    parameters are estimated for each combination of scanned values, and the best fit is returned.
+
+    Parameters
+    ----------
+    model
+        Fitted model.
+    record
+        The record.
+    own
+        Names of the free per-record parameters.
+    scanned
+        Values of the scanned ones by name.
+    settings
+        Settings of the search.
+    """
+    others = [name for name in own if name not in scanned]
+    best, start = -np.inf, dict[str, float]()
+    for values in product(*scanned.values()):
+        at = dict(zip(scanned, values, strict=True))
+        found = fit(model.with_values(at).with_free(others), [record.for_model(model)], settings=settings)
+        if found.log_posterior > best:
+            best = found.log_posterior
+            start = {segment_name(n, 0): v for n, v in [*at.items(), *((n, found.estimate(n)[0]) for n in others)]}
+    return start
 
 
 def validated_in_blocks(fitted: FittedModel) -> FittedModel:

@@ -36,6 +36,11 @@ from seatrial.ident.numerics import Array, chi2_sf, student_ppf
 
 LEVEL = 0.01  # significance level of the homogeneity test
 BETWEEN, PAYLOAD, THRUST = "between-runs:", "payload", "thrust"  # name of an effect: BETWEEN + target
+CAUSES = {  # what to look for on the boat if a quantity differs between runs
+    PAYLOAD: "another load, water in the hull, a swapped battery",
+    THRUST: "the load of the boat (a heavier one resembles less thrust), the battery voltage, a fouled propeller",
+    "c1": "the load of the boat (a heavier one resembles less thrust), the battery voltage, a fouled propeller",
+}
 RELATIVE_SD = 0.3  # prior standard deviation of a parameter's relative difference between runs
 MIN_DIFFERENCE, MAX_DIFFERENCE = -0.9, 9.0  # bounds of that relative difference
 PAYLOAD_SHARE = 0.2  # prior standard deviation of a payload, as a share of the surge mass
@@ -331,6 +336,7 @@ def _build_between_runs_effect(
         (own,),
         place="hull",
         formula=formula,
+        causes=CAUSES.get(target, "another load, trim, battery, propeller or weather"),
         source="DerSimonian and Laird 1986; Viechtbauer 2005",
         experiment="the same mission with the same load, battery and trim in all runs",
         kind=EffectKind.BETWEEN_RUNS,

@@ -436,10 +436,14 @@ def mass_notes(fit: Fit, weighed: float | None) -> list[str]:
     if weighed is None or not _has_mass_to_weigh(fit) or mass_warnings(fit, weighed):
         return []
     mass, error = fit.estimate("m_u")
-    found = (
-        f"The mass in surge, m_u, is {mass / weighed:.2f} times the weighed mass of {weighed:g} kg; the rest is the "
-        "added mass of the water, for a slender hull 5 to 30 % of the mass."
-    )
+    ratio = f"The mass in surge, m_u, is {mass / weighed:.2f} times the weighed mass of {weighed:g} kg"
+    if mass < weighed:
+        return [
+            f"{ratio}. With the added mass of the water, for a slender hull 5 to 30 % of the mass, it must be larger: "
+            f"its standard error is {error:.2g} kg, or the given thrust is too small. Check the thrust, the scale of "
+            "the shaft speeds (full speed) and the load."
+        ]
+    found = f"{ratio}; the rest is the added mass of the water, for a slender hull 5 to 30 % of the mass."
     if mass - 2.0 * np.nan_to_num(error) > USUAL_ADDED * weighed:
         found += (
             " It is more here. If the hull is slender, check the given thrust, the scale of the shaft speeds (full "
@@ -1072,10 +1076,9 @@ def straight_sentence(dynamics: Dynamics | None) -> str:
     pull = _pull(point.inputs)
     if pull is None or not pull.matters:
         return ""
-    heading = f" on heading {math.degrees(dynamics.conditions['psi']):.0f} deg" if "psi" in dynamics.conditions else ""
     return (
-        f"With equal {drive_word(point.inputs)}s the boat turns to {pull.side}: to go straight at {point.speed:.3g} m/s"
-        f"{heading}, it needs {pull.text}."
+        f"With equal {drive_word(point.inputs)}s the boat turns to {pull.side}: to go straight at {point.speed:.3g} "
+        f"m/s, it needs {pull.text}."
     )
 
 

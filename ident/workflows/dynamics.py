@@ -86,7 +86,10 @@ def dynamics_of(fitted: FittedModel) -> Dynamics | None:
                 for x in found
                 if x.speed == middle.speed
             ]
-            course = _worst_course(model, by_heading, known, conditions, ranges.get("u")) or course
+            if _differ_by_heading(headings):
+                course = _worst_course(model, by_heading, known, conditions, ranges.get("u")) or course
+            else:  # for example a compass error depends on the heading, and no force does
+                headings = []
         if course is not None:
             lowest = _negative_sway_damping_from(model, linear, ranges.get("u"), conditions)
             course = msgspec.structs.replace(course, sway_from=lowest)
@@ -95,6 +98,12 @@ def dynamics_of(fitted: FittedModel) -> Dynamics | None:
         delays=dict(linear[0].delays) if linear else {}, conditions=conditions, speeds=ranges.get("u"), ranges=ranges,
         course=course, headings=tuple(headings),
     )  # fmt: skip
+
+
+def _differ_by_heading(headings: Sequence[HeadingPoint]) -> bool:
+    """Return whether a straight course needs other inputs on another heading, by more than 1 % of the largest."""
+    inputs = np.array([list(point.inputs.values()) for point in headings])
+    return inputs.size > 0 and bool(np.any(np.ptp(inputs, axis=0) > 0.01 * np.abs(inputs).max()))
 
 
 def _course_stability(linear: Sequence[LinearModel], speeds: tuple[float, float] | None) -> CourseStability | None:

@@ -64,6 +64,29 @@ def _reverse_thrust(rng: np.random.Generator, scale: float) -> HiddenEffect:
     return HiddenEffect("reverse-thrust", sentence, {"loss": loss}, thrust=thrust)
 
 
+def _reverse_mismatch(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return the hidden effect "reverse-mismatch": one propeller is weak in reverse.
+
+    For a shaft speed ``n < 0`` the thrust of the left thruster (``right`` 0) or of the right one (``right`` 1) is
+    multiplied by ``1 - loss (1 - exp(6 n))``. ``loss`` is drawn within 15 % of ``0.5 scale``.
+    """
+    loss, is_right = scale * effect_size(rng, 0.5), rng.random() < 0.5
+
+    def factor(n: float) -> float:
+        """Return the factor on the thrust of the weak thruster at the shaft speed ``n``; 1 if ``n`` is not negative."""
+        return 1.0 if n >= 0.0 else 1.0 - loss * (1.0 - math.exp(6.0 * n))
+
+    def thrust(
+        n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
+    ) -> tuple[float, float]:
+        """Return the thrust [N], left and right: ``f_l`` and ``f_r`` [N], that of the weak side reduced in reverse."""
+        return (f_l, f_r * factor(n_r)) if is_right else (f_l * factor(n_l), f_r)
+
+    side = "right" if is_right else "left"
+    sentence = f"in reverse the {side} propeller loses up to {100.0 * loss:.0f} % of its thrust"
+    return HiddenEffect("reverse-mismatch", sentence, {"loss": loss, "right": float(is_right)}, thrust=thrust)
+
+
 def _mismatch(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "mismatch": thrusters of different strength.
 
@@ -187,6 +210,7 @@ def _lag(rng: np.random.Generator, scale: float) -> HiddenEffect:
 MAKERS: dict[str, Maker] = {
     "advance-ratio": _advance_ratio,
     "reverse-thrust": _reverse_thrust,
+    "reverse-mismatch": _reverse_mismatch,
     "mismatch": _mismatch,
     "battery-sag": _battery_sag,
     "thruster-interaction": _thruster_interaction,

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from seatrial.mocks.plant import Growth, HiddenEffect, Line, Maker, Payload, ThrusterTruth, effect_size
+from seatrial.mocks.plant import Fouling, Growth, HiddenEffect, Line, Maker, Payload, ThrusterTruth, effect_size
 from seatrial.mocks.plant import thrust as thrust_at_rest
 
 STERN_M = -0.55  # position of the propellers forward of the origin
@@ -170,6 +170,22 @@ def _growing_drag(rng: np.random.Generator, scale: float) -> HiddenEffect:
     return HiddenEffect("growing-drag", sentence, {"rate": rate}, growth=Growth(drag=rate))
 
 
+def _fouling(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return the hidden effect "fouling": one propeller catches weed in every run.
+
+    At ``at`` seconds after the start, the left thruster (``right`` 0) or the right one (``right`` 1) loses the share
+    ``loss`` of its thrust. ``loss`` is drawn within 15 % of ``0.3 scale``, and ``at`` within 15 % of 110 s.
+    """
+    loss, at, is_right = scale * effect_size(rng, 0.3), effect_size(rng, 110.0), rng.random() < 0.5
+    side = "right" if is_right else "left"
+    return HiddenEffect(
+        "fouling",
+        f"after {at:.0f} s the {side} propeller catches weed",
+        {"loss": loss, "at": at, "right": float(is_right)},
+        fouling=Fouling(at, 0.0 if is_right else loss, loss if is_right else 0.0),
+    )
+
+
 MAKERS: dict[str, Maker] = {
     "thrust-angle": _thrust_angle,
     "propeller-walk": _propeller_walk,
@@ -180,4 +196,5 @@ MAKERS: dict[str, Maker] = {
     "towed-line": _towed_line,
     "leak": _leak,
     "growing-drag": _growing_drag,
+    "fouling": _fouling,
 }

@@ -12,6 +12,7 @@ from .boat import RigidBodyState as RigidBodyState
 from .boat import draw_boat as draw_boat
 from .effect import ENERGY_UNIT as ENERGY_UNIT
 from .effect import Answer as Answer
+from .effect import Fouling as Fouling
 from .effect import Growth as Growth
 from .effect import Gust as Gust
 from .effect import HeadingFilter as HeadingFilter

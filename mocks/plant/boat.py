@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import NamedTuple
 
-from seatrial.mocks.plant.effect import ENERGY_UNIT, HiddenEffect, Line, Payload
+from seatrial.mocks.plant.effect import ENERGY_UNIT, Fouling, HiddenEffect, Line, Payload
 from seatrial.mocks.plant.hull import ARM, AT_REST, Hull, State, draw_current, draw_hull, make_rhs, rk4
 from seatrial.mocks.plant.thruster import Inflow, Shaft, ThrusterTruth, thrust
 from seatrial.mocks.plant.weather import Weather
@@ -183,7 +183,8 @@ class BoatPlant:
         self._streams = [e.stream for e in boat.effects if e.stream is not None]
         self._payloads = sorted((e.payload for e in boat.effects if e.payload is not None), key=lambda load: load.at)
         self._lines = [TowedLine(e.line, DISTURBANCE_EVERY * step) for e in boat.effects if e.line is not None]
-        self._slid: tuple[HiddenEffect, ...] = ()  # payloads that have slid
+        self._weeds = sorted((e.fouling for e in boat.effects if e.fouling is not None), key=lambda weed: weed.at)
+        self._occurred: tuple[HiddenEffect, ...] = ()  # payloads that have slid, and weed in the propellers
         self._growths = [e.growth for e in boat.effects if e.growth is not None]
         self._grown_at = 0.0  # time of the last growth of the hull [s]
         self._weather = Weather(boat.effects, boat.seed, run, DISTURBANCE_EVERY * step)
@@ -259,8 +260,8 @@ class BoatPlant:
         """Draw the random forces on the boat (disturbance, waves, gusts), and set the current, for the next few steps.
 
         They are constant for DISTURBANCE_EVERY steps. The pull of a towed line is added to them. Hidden effects may
-        change the current with time and place. A payload whose time has come slides, at most one in each call. Mass and
-        drag grow in steps of `GROWTH_EVERY_S`.
+        change the current with time and place. A payload whose time has come slides, at most one in each call, and so
+        is weed caught. Mass and drag grow in steps of `GROWTH_EVERY_S`.
         """
         x, y, n = (d.step() for d in self._disturbances) if self._disturbances else (0.0, 0.0, 0.0)
         if self._weather:
@@ -272,6 +273,8 @@ class BoatPlant:
         self._forces = (x, y, n)
         if self._payloads and self.t >= self._payloads[0].at:
             self._slide(self._payloads.pop(0))
+        if self._weeds and self.t >= self._weeds[0].at:
+            self._foul(self._weeds.pop(0))
         if self._growths and self.t >= self._grown_at + GROWTH_EVERY_S:
             self._grown_at = self.t
             self._replace_motion()
@@ -286,17 +289,29 @@ class BoatPlant:
         It is called once for each payload. The equations of motion are replaced; position and velocity of the boat's
         origin do not jump.
         """
-        self._slid = (*self._slid, HiddenEffect("payload in its new place", "", x_g=load.x_g))
+        self._occurred = (*self._occurred, HiddenEffect("payload in its new place", "", x_g=load.x_g))
+        self._replace_motion()
+
+    def _foul(self, weed: Fouling) -> None:
+        """Reduce the thrust of both thrusters by their shares of ``weed``, for good, when they catch it."""
+
+        def thrust(
+            n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
+        ) -> tuple[float, float]:
+            """Return the thrust [N], left and right: ``f_l`` and ``f_r`` [N] less the lost shares."""
+            return f_l * (1.0 - weed.left), f_r * (1.0 - weed.right)
+
+        self._occurred = (*self._occurred, HiddenEffect("weed in the propellers", "", thrust=thrust))
         self._replace_motion()
 
     def _replace_motion(self) -> None:
-        """Replace the equations of motion by those of the present hull, with its growth and the payloads that slid."""
+        """Replace the equations of motion by those of the present hull, with its growth and what has occurred."""
         mass, drag = (1.0 + self._grown_at * sum(getattr(g, of) for g in self._growths) for of in ("mass", "drag"))
         hull = self.boat.hull
         grown = replace(
             hull, mass=mass * hull.mass, inertia=mass * hull.inertia, d_u=drag * hull.d_u, d_uu=drag * hull.d_uu
         )
-        effects = (*self.boat.effects, *self._slid)
+        effects = (*self.boat.effects, *self._occurred)
         self._rhs = make_rhs(grown, self.boat.thruster, self._water, effects)
 
     def motion(self) -> RigidBodyState:

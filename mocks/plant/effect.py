@@ -181,6 +181,23 @@ class Payload:
 
 
 @dataclass(frozen=True)
+class Fouling:
+    """Weed that the propellers catch at one time.
+
+    Attributes
+    ----------
+    at : float
+        Time of the change after the start [s].
+    left, right : float
+        Share of its thrust that each thruster loses then.
+    """
+
+    at: float
+    left: float
+    right: float
+
+
+@dataclass(frozen=True)
 class Growth:
     """Steady growth of mass or drag from the start of the boat on, by a leak or by weed.
 
@@ -255,6 +272,8 @@ class HiddenEffect:
         Line that the boat tows.
     payload : Payload, optional
         Payload that slides at one time.
+    fouling : Fouling, optional
+        Weed that the propellers catch at one time.
     growth : Growth, optional
         Growth of mass or drag with time.
     wave : Wave, optional
@@ -306,6 +325,7 @@ class HiddenEffect:
     stream: Stream | None = None
     shore: Shore | None = None
     payload: Payload | None = None
+    fouling: Fouling | None = None
     growth: Growth | None = None
     line: Line | None = None
     wave: Wave | None = None

@@ -26,19 +26,26 @@ def compare_sides(estimates: Mapping[str, tuple[float, float]]) -> str:
     Returns
     -------
     str
-        The thrust of the weaker thruster in per cent of that of the stronger one, with its standard error. The number
-        of decimals (none to three) follows from the error. The error is left out if it is zero or not finite. At an
+        The thrust of the weaker thruster in per cent of that of the stronger one, with its standard error. At an
         estimate of zero, the right thruster is named as the weaker one.
     """
     eps, se = estimates["eps_LR"]
     weaker, stronger = ("left", "right") if eps < 0 else ("right", "left")
-    share = 100 * (1 - abs(eps)) / (1 + abs(eps))
-    error = 200 * se / (1 + abs(eps)) ** 2  # first-order error of the share
-    shown = f"{share:.0f}"
-    if math.isfinite(error) and error > 0:
-        digits = min(max(-math.floor(math.log10(error)), 0), 3)  # the error has one significant digit
-        shown = f"{share:.{digits}f} ± {error:.{digits}f}"
-    return f"the {weaker} thruster gives {shown} % of the thrust of the {stronger} one"
+    share = (1 - abs(eps)) / (1 + abs(eps))
+    error = 2 * se / (1 + abs(eps)) ** 2  # first-order error of the share
+    return f"the {weaker} thruster gives {share_in_words(share, error)} % of the thrust of the {stronger} one"
+
+
+def share_in_words(share: float, error: float) -> str:
+    """Return a share of a thrust in per cent with its standard error, such as "90 ± 2", for reports.
+
+    The number of decimals (none to three) follows from the error. The error is left out if it is zero or not finite.
+    """
+    percent, of_percent = 100 * share, 100 * error
+    if not (math.isfinite(of_percent) and of_percent > 0):
+        return f"{percent:.0f}"
+    digits = min(max(-math.floor(math.log10(of_percent)), 0), 3)  # the error has one significant digit
+    return f"{percent:.{digits}f} ± {of_percent:.{digits}f}"
 
 
 EFFECT = Effect(
@@ -54,7 +61,7 @@ EFFECT = Effect(
     causes="a fouled or damaged propeller, a propeller of another pitch, end points of one speed controller",
     experiment="equal commands in forward and reverse, at several levels: the yaw rate follows the thrust",
     requires=("f", "hull"),
-    alternatives=("yaw-bias", "sway-yaw"),
+    alternatives=("yaw-bias", "sway-yaw", "fouling"),
     in_words=compare_sides,
     thrust_difference="eps_LR",
 )

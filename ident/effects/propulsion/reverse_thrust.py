@@ -22,5 +22,5 @@ EFFECT = Effect(
     causes="propellers that are weaker astern than the given curve, thrusters that blow against the hull",
     experiment="reverse steps of several levels, and turning on the spot",
     requires=("n", "f"),
-    alternatives=("dead-band", "mismatch", "thruster-interaction"),
+    alternatives=("dead-band", "reverse-mismatch", "mismatch", "thruster-interaction"),
 )

@@ -242,10 +242,25 @@ def test_scanned_parameters_other_than_the_anchor_are_not_treated_as_a_position(
     """The lever arm of the wind also has the unit metre."""
     effect = catalogue()[name]
     n = len(effect.parameters)
-    fit = a_fit(tuple(p.name for p in effect.parameters), np.ones(n), 0.01 * np.eye(n))
+    values = np.array([p.value or 1.0 for p in effect.parameters])
+    fit = a_fit(tuple(p.name for p in effect.parameters), values, 0.01 * np.eye(n))
     fitted = cast(Any, SimpleNamespace(fit=fit, records=[]))
     (found,) = attributions_of(one_round(replace(refit(name, 800.0, fit=fit), effect=effect, fitted=fitted)))
     assert found.attribution == "identified"
+
+
+@pytest.mark.parametrize(("x_walk", "attribution"), [(-0.9, "identified"), (-1.62, "ambiguous")])
+def test_propellers_far_behind_the_boat_are_no_sure_name(x_walk: float, attribution: str) -> None:
+    """On a boat of 1.8 m with one propeller weak in reverse, propellers 1.6 m behind the origin fitted best."""
+    effect = catalogue()["propeller-walk"]
+    fit = a_fit(
+        tuple(p.name for p in effect.parameters), [-0.09, -0.002, x_walk], np.diag(np.square([0.01, 0.01, 0.33]))
+    )
+    fitted = cast(Any, SimpleNamespace(fit=fit, records=[]))
+    (found,) = attributions_of(one_round(replace(refit(effect.name, 800.0, fit=fit), effect=effect, fitted=fitted)))
+    assert found.attribution == attribution
+    if found.reasons:
+        assert "x_walk (position of the propellers ahead of the origin) is -1.62 ± 0.33 m" in found.reasons[0]
 
 
 @pytest.mark.parametrize(("error", "attribution"), [(1.3, "identified"), (1.003, "ambiguous")])

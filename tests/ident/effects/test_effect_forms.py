@@ -227,6 +227,40 @@ def test_a_leak_is_a_payload_that_grows_with_time() -> None:
     assert VectorisedModel(model)(state, u, p)[0, row] == pytest.approx(plain / 1.2, rel=1e-9)
 
 
+def thrusts(model: Model, **u: float) -> dict[str, float]:
+    """Return the thrust of each thruster at rest. Inputs that are not given are zero."""
+    inputs = [u.get(i.name, 0.0) for i in model.inputs]
+    return dict(model.signals([0.0] * len(model.states), inputs, list(model.values.values())).f)
+
+
+def test_reverse_mismatch_reduces_the_thrust_of_each_side_in_reverse_only() -> None:
+    plain, weak = model_with("reverse-mismatch"), model_with("reverse-mismatch", rho_left=0.2, rho_right=0.6)
+    for n, share in ((0.5, (1.0, 1.0)), (-0.5, (0.8, 0.4))):
+        before, after = thrusts(plain, n_left=n, n_right=n), thrusts(weak, n_left=n, n_right=n)
+        assert [after[side] / before[side] for side in ("left", "right")] == pytest.approx(share, rel=1e-12)
+
+
+def test_fouling_reduces_the_thrust_of_each_side_after_its_time() -> None:
+    model = model_with("fouling", foul_left=0.1, foul_right=0.4, t_foul=100.0)
+    plain = thrusts(model, n_left=0.5, n_right=0.5, t=0.0)
+    fouled = thrusts(model, n_left=0.5, n_right=0.5, t=200.0)
+    assert fouled["left"] / plain["left"] == pytest.approx(0.9, rel=1e-9)
+    assert fouled["right"] / plain["right"] == pytest.approx(0.6, rel=1e-9)
+
+
+def test_losses_of_thrust_are_told_by_side() -> None:
+    told = catalogue()["reverse-mismatch"].in_words
+    assert told is not None
+    assert told({"rho_left": (0.02, 0.04), "rho_right": (0.55, 0.03)}) == (
+        "in reverse the left thruster gives 98 ± 4 % of its given thrust, the right one 45 ± 3 %"
+    )
+    told = catalogue()["fouling"].in_words
+    assert told is not None
+    assert told({"foul_left": (0.01, 0.03), "foul_right": (0.4, 0.02), "t_foul": (210.0, 2.0)}) == (
+        "from 210 s of the first log on, the left thruster gives 99 ± 3 % of its thrust before, the right one 60 ± 2 %"
+    )
+
+
 def test_growing_drag_multiplies_the_surge_damping() -> None:
     model = model_with("growing-drag", g_before=0.1, g_rate=2e-3)
     t = [i.name for i in model.inputs].index("t")

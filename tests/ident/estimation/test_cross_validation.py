@@ -17,11 +17,17 @@ from seatrial.ident.estimation.cross_validation import (
     leave_one_block_out,
     time_blocks,
 )
-from seatrial.ident.estimation.fitted_model import cut_into_blocks, fit_and_evaluate, validated_in_blocks
+from seatrial.ident.estimation.fitted_model import (
+    cut_into_blocks,
+    evaluate_records,
+    fit_and_evaluate,
+    times_of_change,
+    validated_in_blocks,
+)
 from seatrial.ident.estimation.likelihood import Likelihood
 from seatrial.ident.estimation.maximum_likelihood import fit
 from seatrial.ident.model.parameter import Parameter
-from seatrial.ident.model.structure import PARAMETERS, Effect, EffectKind, Signals, State
+from seatrial.ident.model.structure import PARAMETERS, Effect, EffectKind, Input, Signals, State
 from tests.ident.estimation.test_homogeneity import pushed, records
 
 MODEL = replace(pushed(), block=0.4)  # Blocks of 0.4 s. A record of 30 s has at least five blocks.
@@ -123,3 +129,37 @@ def test_failed_validation_run_is_listed_and_the_others_are_kept(data: list[Reco
         assert [v.record.name for v in fitted.validation] == ["run1"]
         assert [f.record for f in fitted.failed] == ["wild"]
         assert "likelihood" in fitted.failed[0].reason
+
+
+def tugged() -> Effect:
+    """Return a force that begins at a time of its own in each record."""
+
+    def add(s: Signals) -> None:
+        s.u.X = s.u.X + s.p.tug * (1 + np.tanh((s.u.t - s.p.t_tug) / 0.5)) / 2
+
+    own = (
+        Parameter("tug", 0.0, "N", prior=(0.0, 5.0), per_record=True, step=0.1),
+        Parameter("t_tug", 8.0, "s", prior=(15.0, 15.0), per_record=True, step=0.5),
+    )
+    return Effect("tug", "a pull that begins", {PARAMETERS: add}, own, inputs=(Input("t", "s", "linear"),),
+                  scan={"t_tug": (5.0, 15.0, 25.0)})  # fmt: skip
+
+
+def test_time_of_a_change_is_found_in_each_record_that_was_not_fitted(data: list[Record]) -> None:
+    model = MODEL + tugged()
+    times, made = (7.0, 22.0), []
+    for record, at in zip(data, times, strict=True):
+        late = np.cumsum(np.where(record.t > at, -4.0 * 0.1 / 40.0, 0.0) * np.exp(-(record.t - at).clip(0) * 0.2))
+        u = np.column_stack([record.u, record.t])
+        made.append(replace(record, u=u, u_next=u, inputs=("X", "t"), y=record.y + late[:, None]))
+    views, failed = evaluate_records(model.with_values({"tug": -4.0}), made)
+    assert not failed
+    found = [view.values[list(model.values).index("t_tug")] for view in views]
+    assert found == pytest.approx(times, abs=1.5)
+    assert [view.values[list(model.values).index("tug")] for view in views] == pytest.approx([-4.0, -4.0], abs=1.2)
+
+
+def test_times_of_change_cover_the_longest_record_in_steps(data: list[Record]) -> None:
+    sets = times_of_change([tugged(), drifting()], data)
+    assert sets == [{"t_tug@0": at, "t_tug@1": at} for at in (10.0, 20.0)]
+    assert times_of_change([drifting()], data) == []

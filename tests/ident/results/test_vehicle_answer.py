@@ -589,8 +589,8 @@ def test_short_bench_runs_are_reported(seconds: float, n: int) -> None:
         (
             {"n_left": 0.4357, "n_right": 0.4941},
             {"psi": 0.5236},
-            "With equal shaft speeds the boat turns to starboard: to go straight at 0.78 m/s on heading 30 deg, it "
-            "needs n_left 0.436 and n_right 0.494.",
+            "With equal shaft speeds the boat turns to starboard: to go straight at 0.78 m/s, it needs n_left 0.436 "
+            "and n_right 0.494.",
         ),
         (
             {"f_left": 12.34, "f_right": 10.0},

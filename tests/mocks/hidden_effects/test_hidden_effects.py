@@ -61,7 +61,7 @@ def plain_track() -> list[tuple[float, float]]:
     return list(sailed(""))
 
 
-LATE = {"payload-shift", "leak"}  # a minute is too short for them
+LATE = {"payload-shift", "leak", "fouling"}  # a minute is too short for them
 
 
 @pytest.mark.parametrize("name", sorted({*EFFECTS, *SITE, *OUTSIDE} - ON_SENSORS - LATE - {"pendulum"}))
@@ -112,6 +112,30 @@ def test_advance_ratio_and_cubic_drag_reduce_speed_ahead() -> None:
 def test_reverse_thrust_is_lost_astern_only() -> None:
     assert surge("reverse-thrust", 0.6) == surge("", 0.6)
     assert surge("reverse-thrust", -0.6) / surge("", -0.6) == pytest.approx(math.sqrt(0.7), abs=0.06)
+
+
+def test_reverse_mismatch_weakens_one_thruster_in_reverse() -> None:
+    effect = make_effect("reverse-mismatch", 2)
+    assert effect.thrust is not None
+    ahead, astern = (effect.thrust(n, n, 0.0, 0.0, 50.0 * n, 50.0 * n, 0.0) for n in (0.6, -0.6))
+    assert ahead == (30.0, 30.0)
+    weak = int(effect.parameters["right"])
+    assert astern[1 - weak] == -30.0
+    assert astern[weak] == pytest.approx(-30.0 * (1.0 - effect.parameters["loss"]), abs=0.6)
+
+
+def test_fouling_takes_a_share_of_the_thrust_of_one_side_from_its_time_on() -> None:
+    effect = make_effect("fouling", 4)
+    assert effect.fouling is not None
+    plant = run((effect,), (0.0, 0.0), effect.parameters["at"] - 2.0)
+    still, n = (0.0,) * len(plant.state), (0.6, 0.6)
+    before = plant._rhs(still, *n, 0.0, 0.0, 0.0, 0.0)
+    for _ in range(round(4.0 / plant.step_s)):
+        plant.advance()
+    after = plant._rhs(still, *n, 0.0, 0.0, 0.0, 0.0)
+    assert after[3] / before[3] == pytest.approx(1.0 - effect.parameters["loss"] / 2.0, rel=1e-6)
+    assert before[5] == pytest.approx(0.0, abs=1e-12)
+    assert (after[5] > 0.0) == bool(effect.parameters["right"])  # the stronger left thruster turns it to starboard
 
 
 def test_battery_sag_grows_with_use() -> None:
