@@ -490,7 +490,7 @@ def times_of_change(effects: Iterable[Effect], records: Sequence[Record]) -> lis
     search reaches only the nearest one. The sets have the times from 10 s to the end of the longest record, every 10 s,
     and the same time in all records. The list is empty without such an effect.
     """
-    longest = max(r.duration for r in records)
+    longest = max((r.duration for r in records), default=0.0)
     return [
         dict.fromkeys([segment_name(p.name, i) for i in range(len(records))] if p.per_record else [p.name], at)
         for effect in effects
