@@ -493,11 +493,14 @@ def times_of_change(effects: Iterable[Effect], records: Sequence[Record]) -> lis
     longest = max((r.duration for r in records), default=0.0)
     return [
         dict.fromkeys([segment_name(p.name, i) for i in range(len(records))] if p.per_record else [p.name], at)
-        for effect in effects
-        for p in effect.parameters
-        if p.name in effect.scan and p.unit == "s" and p.transform != "log"
+        for p in _change_times(effects)
         for at in np.arange(TIME_STEP_S, longest, TIME_STEP_S).tolist()
     ]
+
+
+def _change_times(effects: Iterable[Effect]) -> list[Parameter]:
+    """Return the parameters of effects that are the time at which the effect begins in a run."""
+    return [p for e in effects for p in e.parameters if p.name in e.scan and p.unit == "s" and p.transform != "log"]
 
 
 def _start_by_scan(
@@ -554,7 +557,8 @@ def evaluated_in_blocks(model: Model, views: Sequence[RecordEvaluation], block: 
     """Cut evaluated records into blocks in time, and evaluate each block with the estimates from the other blocks.
 
     Only per-record parameters are estimated: those of effects from the other blocks of the record, and those of the
-    nominal model (the current) from the block itself. All other parameters keep their values.
+    nominal model (the current) from the block itself. All other parameters keep their values, and so does the time at
+    which an effect begins in the record: the block that has this time determines it alone.
 
     Parameters
     ----------
@@ -577,7 +581,8 @@ def evaluated_in_blocks(model: Model, views: Sequence[RecordEvaluation], block: 
         If a block cannot be evaluated.
     """
     blocks = cut_into_blocks([v.record for v in views], views, block)
-    own = [p for p in model.parameters if p.free and p.per_record]
+    times = {p.name for p in _change_times(model.effects)}
+    own = [p for p in model.parameters if p.free and p.per_record and p.name not in times]
     parameters = [replace(p, segment=i) for i in range(len(views)) for p in own]
     values = leave_one_block_out(model, blocks, np.array([v.values for v in views]), parameters)
     return tuple(_evaluation_of(model, r, v) for r, v in zip(blocks.records, values, strict=True))
