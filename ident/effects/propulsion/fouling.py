@@ -75,6 +75,7 @@ EFFECT = Effect(
     causes="weed or a line that a propeller caught during the run, a speed controller that became too hot",
     experiment="the same run again with clean propellers, and a look at both before and after it",
     requires=("f", "hull"),
+    nests=("mismatch",),
     alternatives=("mismatch", "payload-shift", "growing-drag", "battery-sag"),
     in_words=compare_sides,
 )
