@@ -154,7 +154,6 @@ def _moved_from_zero(p: Parameter) -> Parameter:
 OTHER_WORDS = {
     "deadzone": "dead band",
     "deadband": "dead band",
-    "fouling": "thrust mismatch",
     "fouled": "thrust mismatch",
     "asymmetry": "thrust mismatch",
     "slosh": "sloshing",

@@ -165,7 +165,7 @@ def require_thrust_and_length(segments: Sequence[LogSegment], model: Model, desp
     inputs = [
         (s.channels[n], n, *span) for s, span in zip(segments, spans, strict=True) for n in driving if n in s.channels
     ]
-    if driving and not any(_has_thrust(*signal) for signal in inputs):
+    if inputs and not any(_has_thrust(*signal) for signal in inputs):
         raise SeatrialError(
             f"{where}: {', '.join(driving)}: no thrust in the whole time, so that a fit finds neither masses nor "
             "damping; give a run with steps of the command (seatrial mission generate), or check that these are the "

@@ -55,7 +55,8 @@ def test_info_in_a_pipe_shows_complete_rows(tmp_path: Path) -> None:
     assert " 5 " in row
     narrow = info(tmp_path / "run.mcap", "70")
     assert "…" not in narrow
-    body = [line for line in narrow.splitlines() if line.startswith("│")]
-    assert body
+    lines = narrow.splitlines()
+    start = next(k for k, line in enumerate(lines) if "──" in line)
+    body = lines[start + 1 : next(k for k, line in enumerate(lines) if "/event" in line)]
     assert max(map(len, body)) <= 70
-    assert f"/{LONG}/1/" in "".join(line.split("│")[1].strip() for line in body)
+    assert "".join(line.split()[0] for line in body) == f"/{LONG}/1/state"

@@ -183,8 +183,8 @@ def test_choice_between_two_antennas_is_reported() -> None:
         ),
         (
             "horizontal:shaft",
-            "fouling",
-            "--effect fouling: there is no such effect; did you mean mismatch (a thrust mismatch of the left and right",
+            "fouled",
+            "--effect fouled: there is no such effect; did you mean mismatch (a thrust mismatch of the left and right",
         ),
         ("surge", "mount", "--effect mount: model surge has no place for this effect; it can have none"),
         (

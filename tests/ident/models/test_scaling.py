@@ -72,6 +72,7 @@ OTHERS = {
     "V_yx",
     "V_yy",
     "t_shift",
+    "t_foul",
     "f_wave",
 }
 LENGTH = 4.0  # Factor of the length of the catalogue's boat.
