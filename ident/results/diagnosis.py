@@ -844,7 +844,8 @@ def _notes(diagnosis: Diagnosis) -> list[str]:
 
     They are about common errors in the model, candidates that still pass the score test, the reason why the search
     ended, effects that were removed again, validation runs that the model does not fit (without effects, the answer has
-    them), a noise at its assumed bound, and parameters with a flag. A note that does not apply is left out.
+    them), a noise at its assumed bound, which model to use without effects, and parameters with a flag. A note that
+    does not apply is left out.
     """
     notes = common_errors_notes(diagnosis.common_errors, "the effects")
     if diagnosis.remaining and not diagnosis.untried_scores:
@@ -869,5 +870,10 @@ def _notes(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.effects:
         notes += [mismatch_sentence(m) for m in reported_mismatches(diagnosis)]
         notes += assumed_noise_notes(diagnosis.after.fit.model)
+    else:
+        notes.append(
+            "No effect was added. For use, take the model that was given to the diagnosis: here it is fitted again by "
+            "plain maximum likelihood, and its predictions can be slightly worse."
+        )
     notes += [f"Parameter {name}: {flag}" for name, flag in diagnosis.after.fit.flags]
     return notes

@@ -46,6 +46,7 @@ def test_clean_boat_gives_no_effect_and_true_parameters() -> None:
     found = diagnose_case(case, runs_of(case, (240.0, 120.0)))
     assert found.effects == ()
     assert found.rounds == ()
+    assert any(note.startswith("No effect was added. For use, take the model") for note in result_of(found).notes)
     z = z_scores(fit_summary(found.after.fit, {}).parameters, truth_of(case))
     assert set(z) >= IDENTIFIABLE
     assert {n: s for n, s in z.items() if abs(s) > 3.0} == {}

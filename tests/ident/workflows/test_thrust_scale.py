@@ -239,6 +239,7 @@ def test_weighed_mass_says_nothing_about_ratios_and_within_the_errors(
         (0.2, 11.0, "The mass in surge, m_u, is 1.09 times the weighed mass of 11 kg", False),
         (0.2, 8.0, "The mass in surge, m_u, is 1.50 times the weighed mass of 8 kg", True),
         (1.0, 8.0, "The mass in surge, m_u, is 1.50 times the weighed mass of 8 kg", False),
+        (0.6, 12.5, "The mass in surge, m_u, is 0.96 times the weighed mass of 12.5 kg. With the added mass", False),
         (0.2, 13.0, "", False),  # There is a warning.
         (0.2, None, "", False),
     ],
