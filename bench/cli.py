@@ -168,8 +168,7 @@ def _run_plan(
     """Run a plan on the devices of a rig, record it, and print a summary. THRUSTERS TURN.
 
     One line before the run names the thrusters, the largest command and the duration. The summary names the duration,
-    the path of the log, the next command for the user, and the autopilots that are
-    still armed.
+    the path of the log, the next command for the user, and the autopilots that are still armed.
 
     Parameters
     ----------

@@ -82,7 +82,7 @@ def largest_command_line(mission: Mission, external: bool = False) -> str:
 
 
 def counted_names(thrusters: Sequence[str]) -> str:
-    """Return the names of thrusters for a sentence, such as ``thrusters left and right``."""
+    """Return the word "thruster" or "thrusters" and the names, such as ``thrusters left and right``."""
     if len(thrusters) == 1:
         return f"thruster {thrusters[0]}"
     return f"thrusters {', '.join(thrusters[:-1])} and {thrusters[-1]}"
@@ -191,7 +191,7 @@ class TrackExtent(NamedTuple):
 
 
 def track_extent(predicted: Prediction) -> TrackExtent | None:
-    """Return the area that a predicted track needs; None for a track without points."""
+    """Return the area that a predicted track needs, or None if the track has no points."""
     if len(predicted.t) == 0:
         return None
     x, y, radius = predicted.x, predicted.y, predicted.radius

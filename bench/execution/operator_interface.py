@@ -121,7 +121,7 @@ class LiveDisplay:
     """
 
     def __init__(self, console: Console) -> None:
-        """Prepare the display on the terminal ``console``. Nothing is drawn before the context begins."""
+        """Prepare the display on the terminal ``console``. The display draws its first lines within the context."""
         # Without a refresh thread a blocked terminal blocks the runner, and the acquisition then commands zero.
         self._live = Live(console=console, auto_refresh=False, transient=True)
         self._last = -math.inf
@@ -205,7 +205,7 @@ class PlainDisplay:
         print(line, file=self._stream, flush=True)
 
     def clear(self) -> None:
-        """Leave the printed lines as they are: each has its mission time, so that none claims to be the present one."""
+        """Change nothing, because each printed line has its mission time, which shows that the line is old."""
 
 
 def make_display(stderr: bool = False) -> Display:

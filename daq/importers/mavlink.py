@@ -123,10 +123,9 @@ def is_tlog(head: bytes) -> bool:
 
 
 def _mavlink_device(rig: Rig | None) -> Device | None:
-    """Find the MAVLink device (autopilot) of a rig.
+    """Return the MAVLink device (autopilot) of a rig, or None without a rig.
 
-    The result is None if ``rig`` is None. The function raises SeatrialError if the rig does not have exactly one such
-    device.
+    SeatrialError is raised if the rig has no such device, or several.
     """
     if rig is None:
         return None

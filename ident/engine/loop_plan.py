@@ -235,7 +235,7 @@ def stage(inputs: Mapping[str, Any], results: Mapping[str, Any], bit: int | None
 
 
 def _stage_as_written(inputs: Mapping[str, Any], results: Mapping[str, Any], bit: int | None) -> ExpressionStage:
-    """Return what `stage` returns, for results whose equal subexpressions are joined already."""
+    """Return a stage like `stage`, but without a search for equal subexpressions. The caller has joined these."""
     expressions = [ca.densify(e) for e in results.values()]
     function = ca.Function(
         "stage", list(inputs.values()), expressions, list(inputs), list(results), {"allow_duplicate_io_names": True}
