@@ -13,7 +13,7 @@ from seatrial.bench.execution.link_test import require_link_test
 from seatrial.bench.execution.safety_guard import LINK_AGE_S, MANUAL, OPEN_SKY, RIVAL
 from seatrial.daq.acquisition import Acquisition
 from seatrial.daq.clock import RunClock
-from seatrial.daq.drivers import DISARMED, NOT_ANSWERED, LinkStatus, check_parameters, parameter_lines
+from seatrial.daq.drivers import DISARMED, LinkStatus, check_parameters, parameter_lines
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import read_note
 from seatrial.daq.protocol import EKF_POSITION, EKF_STANDS, ROVER
@@ -197,17 +197,17 @@ class Autopilots:
         here = [thruster for thruster in self._rig.thrusters if thruster.device == device.name]
         found = check_parameters(link.parameters, here, device.mavlink.own_system_id)
         lines = parameter_lines(found)
-        for line, is_fatal in lines:
-            self._acquisition.mark("parameter", f"{device.name}: {line}")
-            if not is_fatal:
-                advice = "" if NOT_ANSWERED in line else "; set it with a ground station, if this matters"
-                self._say(f"{device.name}: {line}{advice}")
+        for told in lines:
+            self._acquisition.mark("parameter", f"{device.name}: {told.text}")
+            if not told.fatal:
+                advice = "; set it with a ground station, if this matters" if told.is_answered else ""
+                self._say(f"{device.name}: {told.text}{advice}")
         for line in link.refused:
             self._say(f"{device.name} refuses {line}; raise SCHED_LOOP_RATE, or lower the rate in the rig")
         if link.armed:
             self.found_armed.append(device.name)
             self._say(f"{device.name} IS ARMED ALREADY: this run will not disarm it; disarm it yourself after the run")
-        fatal = [line for line, is_fatal in lines if is_fatal]
+        fatal = [told.text for told in lines if told.fatal]
         if fatal and all(finding.value is None for finding in found if finding.fatal):
             raise SeatrialError(f"{device.name}: not driven, because {fatal[0]}")
         if fatal:

@@ -13,7 +13,7 @@ from seatrial.bench.execution import OPEN_SKY, TELEMETRY, SafetyGuard, silent_de
 from seatrial.daq.acquisition import Acquisition, PortStatus, Status
 from seatrial.daq.checks import FAULT, OK, WARNING, Finding
 from seatrial.daq.clock import RunClock
-from seatrial.daq.drivers import NOT_ANSWERED, LinkStatus, check_parameters, parameter_lines
+from seatrial.daq.drivers import LinkStatus, check_parameters, parameter_lines
 from seatrial.daq.errors import SeatrialError, counted
 from seatrial.daq.log import Log
 from seatrial.daq.protocol import CAN, DEVICES, EKF_POSITION, EKF_STANDS, ROVER
@@ -190,11 +190,11 @@ def _autopilot_findings(rig: Rig, device: Device, status: Status, port: PortStat
             "repeat the check with a longer --seconds",
         )
     else:
-        for line, is_fatal in parameter_lines(check_parameters(link.parameters, here, device.mavlink.own_system_id)):
+        for told in parameter_lines(check_parameters(link.parameters, here, device.mavlink.own_system_id)):
             # A line on unanswered parameters has its own advice.
-            advice = "" if NOT_ANSWERED in line else "set it with a ground station: seatrial does not change it"
-            level = FAULT if is_fatal else WARNING
-            yield Finding(level, "autopilot-parameter", "parameters", device.name, line, advice)
+            advice = "set it with a ground station: seatrial does not change it" if told.is_answered else ""
+            level = FAULT if told.fatal else WARNING
+            yield Finding(level, "autopilot-parameter", "parameters", device.name, told.text, advice)
     for line in link.refused:
         yield Finding(
             WARNING,

@@ -1,5 +1,4 @@
 from .ardupilot_parameters import LEFT as LEFT
-from .ardupilot_parameters import NOT_ANSWERED as NOT_ANSWERED
 from .ardupilot_parameters import PADDLES as PADDLES
 from .ardupilot_parameters import RIGHT as RIGHT
 from .ardupilot_parameters import ParameterMismatch as ParameterMismatch

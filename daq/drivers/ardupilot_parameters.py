@@ -35,8 +35,6 @@ LINK_LOSS_PARAMETERS = (
 FAILSAFE_PARAMETERS = ("BATT_FS_LOW_ACT", "BATT_FS_CRT_ACT", "FENCE_ENABLE", "FENCE_ACTION")
 STOPPING_ACTIONS = (0.0, 2.0, 5.0)  # allowed actions of these failsafes: none, hold, terminate
 
-NOT_ANSWERED = "not answered by the autopilot"
-
 
 class ParameterMismatch(NamedTuple):
     """Parameter of the autopilot that has a wrong value or was not answered.
@@ -74,8 +72,26 @@ class ParameterMismatch(NamedTuple):
         return f"{self.name} is {self.value:g}, wanted {self.wanted}: {self.why}"
 
 
-def parameter_lines(mismatches: Sequence[ParameterMismatch]) -> list[tuple[str, bool]]:
-    """Return lines for the user about parameters, each with whether it forbids thrust. Unanswered ones share a line.
+class ParameterLine(NamedTuple):
+    """Line for the user about one wrong parameter, or about unanswered ones.
+
+    Attributes
+    ----------
+    text
+        The line. About unanswered parameters it ends with an advice.
+    fatal
+        Whether these parameters forbid thrust.
+    is_answered
+        Whether the autopilot sent a value, which is wrong.
+    """
+
+    text: str
+    fatal: bool
+    is_answered: bool
+
+
+def parameter_lines(mismatches: Sequence[ParameterMismatch]) -> list[ParameterLine]:
+    """Return lines for the user about parameters of an autopilot. Unanswered parameters share a line.
 
     Parameters
     ----------
@@ -84,19 +100,20 @@ def parameter_lines(mismatches: Sequence[ParameterMismatch]) -> list[tuple[str, 
 
     Returns
     -------
-    list of (str, bool)
+    list of ParameterLine
         The wrong ones one by one, then one line on the unanswered ones that forbid thrust, and one on the others. Each
         names the first parameters and the number of all.
     """
-    lines = [(str(mismatch), mismatch.fatal) for mismatch in mismatches if mismatch.value is not None]
+    lines = [ParameterLine(str(m), m.fatal, True) for m in mismatches if m.value is not None]
     for fatal in (True, False):
         unanswered = [m for m in mismatches if m.value is None and m.fatal is fatal]
         if len(unanswered) == 1:
-            lines.append((str(unanswered[0]), fatal))
+            lines.append(ParameterLine(str(unanswered[0]), fatal, False))
         elif unanswered:
             advice = str(unanswered[0]).partition("; ")[2]
-            text = f"{len(unanswered)} parameters were {NOT_ANSWERED} ({first_names([m.name for m in unanswered])})"
-            lines.append((f"{text}; {advice}", fatal))
+            names = first_names([m.name for m in unanswered])
+            text = f"{len(unanswered)} parameters were not answered by the autopilot ({names})"
+            lines.append(ParameterLine(f"{text}; {advice}", fatal, False))
     return lines
 
 
