@@ -220,6 +220,12 @@ NAMES: dict[str, str] = {
 _SI_OF = {"m": "x y", "m/s": "u v vx vy speed", "m/s2": "ax ay", "rad": "psi course lat lon", "rad/s": "r"}
 _SI = {meaning: unit for unit, meanings in _SI_OF.items() for meaning in meanings.split()}
 _MEANING = {name: meaning for meaning, names in NAMES.items() for name in names.split()}
+# Sensor that may begin a name -> the meanings that it measures. The heading of a GNSS is left out: often it is the course.
+_OF_SENSOR = {
+    **dict.fromkeys(("gps", "gnss", "rtk"), frozenset("x y vx vy speed course lat lon".split())),
+    **dict.fromkeys(("imu", "ahrs", "compass"), frozenset("psi r ax ay".split())),
+    **dict.fromkeys(("ins", "nav", "ekf"), frozenset("x y vx vy u v speed psi r ax ay lat lon".split())),
+}
 # Words of a struct whose fields are not measured motions of the boat
 _OF_OTHERS = frozenset([
     "accuracy", "air", "bias", "cmd", "command", "commands", "cov", "covariance", "current", "demand", "desired",
@@ -332,10 +338,10 @@ def read_name(column: str) -> Name:
     behind = bracket.group(1).strip() if bracket else ""
     plain = re.sub(r"[^a-z0-9]+", "_", _BRACKET.sub("", spaced).lower()).strip("_")
     words = frozenset(plain.split("_"))
-    meaning = _MEANING.get(plain, "")
+    meaning = _meaning_of(plain)
     if not meaning and (suffix := _SUFFIX.search(plain)) is not None:
         behind, plain = behind or suffix.group(1), plain[: suffix.start()]
-        meaning = _MEANING.get(plain, "")
+        meaning = _meaning_of(plain)
     unit = unit_of(behind)
     if unit == "ms" and _SI.get(meaning) == "m/s":  # m/s in a name that cannot contain a slash
         unit = "m/s"
@@ -343,6 +349,16 @@ def read_name(column: str) -> Name:
         meaning = ""
     fits = unit and (not meaning or UNITS.get(unit, ("",))[0] == _SI[meaning])
     return Name(meaning, unit if fits else "", words, plain, "" if fits or behind.isdecimal() else behind)
+
+
+def _meaning_of(plain: str) -> str:
+    """Return the meaning of a name, as `NAMES` or a sensor in front of such a name have it: "gps_vn"; "" if unknown.
+
+    Behind a sensor, a single letter has no meaning, since the axes of a sensor are often called x and y.
+    """
+    sensor, _, rest = plain.partition("_")
+    behind = _MEANING.get(rest, "") if len(rest) > 1 else ""
+    return _MEANING.get(plain, "") or (behind if behind in _OF_SENSOR.get(sensor, ()) else "")
 
 
 def read_nested_name(column: str, unit: str = "") -> Name | None:

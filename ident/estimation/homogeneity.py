@@ -44,6 +44,11 @@ CAUSES = {  # what to look for on the boat if a quantity differs between runs
 RELATIVE_SD = 0.3  # prior standard deviation of a parameter's relative difference between runs
 MIN_DIFFERENCE, MAX_DIFFERENCE = -0.9, 9.0  # bounds of that relative difference
 PAYLOAD_SHARE = 0.2  # prior standard deviation of a payload, as a share of the surge mass
+# Mean and standard deviation of the relative increase of drag and yaw inertia per relative increase of the mass. A hull
+# with vertical sides sinks in proportion to its load: its wetted surface grows by half to all of this share. A load
+# amidships does not change the yaw inertia, and a load at bow and stern changes it by more than its share.
+DRAG_BY_LOAD, INERTIA_BY_LOAD = (0.7, 0.4), (0.5, 0.5)
+DRAGS = ("d_u", "d_v", "d_r", "d_uu", "d_vv", "d_rr")
 # A record informs a parameter if its standard error is below this share of the prior's standard deviation.
 INFORMED_SHARE = 0.95
 MIN_SHIFT = 5.0  # a parameter has shifted if it differs by this many standard errors of both runs together
@@ -254,15 +259,22 @@ def between_runs_effect(model: Model, target: str) -> Effect:
     model
         Model to which the effect is added.
     target
-        ``payload``: a mass [kg] added to the masses in surge and sway, with a prior of 0 +- 20 % of the surge mass.
+        ``payload``: a mass [kg] added to the masses in surge and sway, with a prior of 0 +- 20 % of the surge mass;
+        drag and yaw inertia grow with it, since the boat lies deeper.
         ``thrust``: a factor 1 + k on the thrust coefficients c1 and c2. Otherwise the name of a parameter that gets
         this factor; KeyError is raised if the model lacks it. The prior of k is 0 +- 0.3.
     """
     if target == PAYLOAD:
 
         def load(s: Signals) -> None:
-            """Add the payload of the record to the masses in surge and sway, in place."""
-            s.p.m_u, s.p.m_v = s.p.m_u + s.p.m_payload, s.p.m_v + s.p.m_payload
+            """Add the payload of the record to the masses in surge and sway, and change drag and inertia, in place."""
+            p = s.p
+            share = p.m_payload / p.m_u
+            for names, factor in ((DRAGS, 1.0 + p.k_draught * share), (("m_r",), 1.0 + p.k_inertia * share)):
+                for name in names:
+                    if hasattr(p, name):
+                        setattr(p, name, getattr(p, name) * factor)
+            p.m_u, p.m_v = p.m_u + p.m_payload, p.m_v + p.m_payload
 
         sd = PAYLOAD_SHARE * model.values["m_u"]
         carried = Parameter(
@@ -275,8 +287,30 @@ def between_runs_effect(model: Model, target: str) -> Effect:
             step=0.05 * sd,
             origin=ParameterOrigin.BUILT_IN,
         )
+        deeper = Parameter(
+            "k_draught",
+            DRAG_BY_LOAD[0],
+            "",
+            "relative increase of the drag per relative increase of the mass",
+            prior=DRAG_BY_LOAD,
+            step=0.05,
+            origin=ParameterOrigin.BUILT_IN,
+        )
+        wider = Parameter(
+            "k_inertia",
+            INERTIA_BY_LOAD[0],
+            "",
+            "relative increase of the yaw inertia per relative increase of the mass",
+            prior=INERTIA_BY_LOAD,
+            step=0.05,
+            origin=ParameterOrigin.BUILT_IN,
+        )
         return _build_between_runs_effect(
-            PAYLOAD, "a payload that differs between runs", load, carried, "m_u + m, m_v + m in each run"
+            PAYLOAD,
+            "a payload that differs between runs",
+            load,
+            (carried, deeper, wider),
+            "m_u + m, m_v + m; drag (1 + k_draught m / m_u), m_r (1 + k_inertia m / m_u) in each run",
         )
     names = ("c1", "c2") if target == THRUST else (target,)
     meaning = "the thrust" if target == THRUST else f"{target} ({model.parameter(target).meaning})"
@@ -300,7 +334,7 @@ def between_runs_effect(model: Model, target: str) -> Effect:
         origin=ParameterOrigin.BUILT_IN,
     )
     formula = f"{', '.join(names)} (1 + k) in each run"
-    return _build_between_runs_effect(target, f"a difference of {meaning} between runs", change, factor, formula)
+    return _build_between_runs_effect(target, f"a difference of {meaning} between runs", change, (factor,), formula)
 
 
 def between_runs_title(name: str) -> str:
@@ -312,7 +346,7 @@ def between_runs_title(name: str) -> str:
 
 
 def _build_between_runs_effect(
-    target: str, title: str, change: Callable[[Signals], None], own: Parameter, formula: str
+    target: str, title: str, change: Callable[[Signals], None], own: tuple[Parameter, ...], formula: str
 ) -> Effect:
     """Return an effect by which one quantity differs between the runs (heterogeneity), from its parts.
 
@@ -325,7 +359,7 @@ def _build_between_runs_effect(
     change
         Function that changes the model's parameters in place, for the record that is evaluated.
     own
-        Per-record parameter of the effect: the additional mass or the relative difference.
+        Parameters of the effect: first the per-record one, which is the additional mass or the relative difference.
     formula
         Formula of the effect for reports.
     """
@@ -333,7 +367,7 @@ def _build_between_runs_effect(
         BETWEEN + target,
         title,
         {PARAMETERS: change},
-        (own,),
+        own,
         place="hull",
         formula=formula,
         causes=CAUSES.get(target, "another load, trim, battery, propeller or weather"),

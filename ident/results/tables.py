@@ -703,7 +703,7 @@ def effect_parameter_rows(effect: Effect, fitted: FittedModel) -> tuple[EffectPa
     for p in effect.parameters:
         runs = fitted.fit.records if p.per_record else ("",)
         found = [(f", in {run}" if len(runs) > 1 else "", *reported.estimate(p, i)) for i, run in enumerate(runs)]
-        if effect.kind is EffectKind.BETWEEN_RUNS:
+        if effect.kind is EffectKind.BETWEEN_RUNS and p.per_record:
             k = reported.factor(p.unit)
             differences = run_differences(fitted.fit, p.name)
             found = [(f", {d.record} against {runs[0]}", k * d.value, k * d.error) for d in differences]

@@ -114,6 +114,9 @@ def test_text_of_two_bytes_a_character(tmp_path: Path, encoding: str) -> None:
         ("x [cm]", "x", "cm"), ("u [mm/s]", "u", "mm/s"), ("thrust_left [N]", "", "N"), ("lat [degE7]", "lat", "degE7"),
         ("x_s", "x", ""), ("r [1/s]", "r", ""), ("t [ns]", "", "ns"), ("cmd [-]", "", "1"),
         ("Speed [rpm]", "", "rev/min"),
+        # behind a sensor, except an axis of the sensor, and the heading of a GNSS, which may be its course
+        ("gps_vn_mps", "vx", "m/s"), ("gnss_vel_e", "vy", ""), ("imu_yaw_rate_dps", "r", "deg/s"), ("gps_x", "", ""),
+        ("ahrs_heading_deg", "psi", "deg"), ("gps_heading_deg", "", "deg"), ("imu_vx", "", ""),
     ],
 )  # fmt: skip
 def test_a_column_name_gives_meaning_and_unit(column: str, meaning: str, unit: str) -> None:
