@@ -209,7 +209,7 @@ class TrajectoryLinearisation:
                 found = without_own_states(moved)
                 changes.append([after - before for after, before in zip(found, base, strict=True)])
                 names.append(p.name)
-            per_record = all(p.per_record for p in effect.parameters)
+            per_record = effect.kind is EffectKind.BETWEEN_RUNS or all(p.per_record for p in effect.parameters)
             touched = np.flatnonzero([any(c.any() for c in column) for column in zip(*changes, strict=True)])
             delta = np.empty((len(x), touched.size, len(changes)))
             for k, (change, (_, p)) in enumerate(zip(changes, sizes, strict=True)):

@@ -1305,8 +1305,8 @@ class _Search:
         ``current`` is the model before the round.
 
         A difference between runs (a parameter with its own value in each run) has as many parameters as there are runs,
-        and explains a part of any effect. So it comes after the other effects, unless it explains the validation data
-        significantly better than the best of them. If the likelihood cannot distinguish effects, the effect with the
+        and explains a part of any effect. So it comes after the other effects, unless it explains more than the best of
+        them (`_explains_more`). If the likelihood cannot distinguish effects, the effect with the
         smallest prediction errors is the best.
         """
         judged: list[Refit] = []
@@ -1344,14 +1344,18 @@ class _Search:
         return parametric and abs(first.criterion - second.criterion) < self.policy.indistinguishable
 
     def _explains_more(self, difference: Refit, other: Refit) -> bool:
-        """Return whether a difference between runs explains the validation data better than another effect.
+        """Return whether a difference between runs, which has the larger criterion, explains more than another effect.
 
-        The gain in log-likelihood over the model with ``other`` is positive, its t statistic exceeds ``policy.min_t``,
-        and the prediction over the horizon is not significantly worse. False if ``difference`` is another kind of
-        effect, or if the models cannot be compared.
+        An effect with a size in each run, such as `fouling`, contains a difference between runs: it has to gain more on
+        the estimation data. Any other effect explains less if the validation data say so: the gain in log-likelihood
+        over the model with ``other`` is positive, its t statistic exceeds ``policy.min_t``, and the prediction over the
+        horizon is not significantly worse. False if ``difference`` is another kind of effect, or if the models cannot
+        be compared.
         """
         if difference.effect.kind is not EffectKind.BETWEEN_RUNS:
             return False
+        if any(p.per_record for p in other.effect.parameters):
+            return True
         try:
             compared = comparison(other.fitted, difference.fitted, difference.effect, self.policy)
             gain, t = compared.gain

@@ -109,14 +109,16 @@ class Plans:
         Notes
         -----
         A vector register holds twice as many numbers in single precision. Rounding then matters only where a sample
-        reduces a variance by orders of magnitude. The array ``reduction`` of a plan in single precision is therefore
-        the sum over all samples of the squared ratio of the innovation's variance to that of the noise.
+        reduces the derivative of a variance by orders of magnitude: the rounding error of the derivative before the
+        sample remains. The array ``lost`` of a plan in single precision (in lanes) is therefore the sum over all
+        samples of the squared ratio ``dS / R``, with the variance R of the noise. The square root of ``lost``, times
+        the relative rounding error, is about the error of ``dll``.
 
         The Fisher information of Gaussian innovations e with variance S is the sum of
         ``de de' / S + dS dS' / (2 S^2)``. If the density of the noise includes outliers, both terms are reduced by a
         few per cent.
         """
-        g, lanes, single = self.graphs, {"ds", "dp", "dll"}, {"ds", "dp"}
+        g, lanes, single = self.graphs, {"ds", "dp", "dll", "lost"}, {"ds", "dp"}
         stages: list[ExpressionStage | GramStage] = []
         ds, dp = ca.SX.sym("ds", self.n_s), ca.SX.sym("dp", self.n_parameters)
         for q, (_, u, bit) in enumerate(self._forward_steps()):
@@ -129,11 +131,10 @@ class Plans:
                 results[f"v{q}"] = ca.vertcat(part[:, 0] * de / ca.sqrt(u.S), np.sqrt(0.5) * part[:, 1] * dS / u.S)
                 lanes.add(f"v{q}")
                 single.add(f"v{q}")
+                if g.covariance and not double:
+                    results["lost"] = ca.sumsqr(dS / ca.vertcat(*[c.sample.R for c in u.corrections]))
             single.add(f"w{q}")
-            scalars = self._stage_results(u)
-            if u.corrections and not double:
-                scalars["reduction"] = sum((step.S / step.sample.R) ** 2 for step in u.corrections)
-            stages += split_by_lanes(g.inputs, scalars, seeds, results, bit, f"w{q}")
+            stages += split_by_lanes(g.inputs, self._stage_results(u), seeds, results, bit, f"w{q}")
             if u.e is not None:
                 stages.append(GramStage(f"v{q}", "fisher", int(results[f"v{q}"].numel()), bit))
         if double:

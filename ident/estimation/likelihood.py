@@ -28,9 +28,9 @@ from seatrial.ident.numerics import Array
 # therefore processed in pieces of PIECE rows. Only one piece is in memory. Of the others only the state at their start
 # is kept, from which the filter runs again when needed. A piece fits into the cache of the processor.
 WHOLE, PIECE = 16384, 1024  # rows
-# Largest ratio of an innovation's variance to that of the noise at which derivatives are in single precision. Their
-# relative error of 6e-8 is multiplied by this ratio where a sample reduces the variance to that of the noise
-LARGEST_REDUCTION = 3e4
+# Largest estimated rounding error of a score [standard errors of the parameter] for derivatives in single precision, and
+# the relative rounding error of this precision
+LARGEST_ROUNDING, SINGLE_ROUNDING = 0.01, 2.0**-24
 
 
 @dataclass(frozen=True)
@@ -290,7 +290,7 @@ class Likelihood:
         double
             Whether to compute the derivatives in double precision. Single precision takes 0.6 of the time, and its
             errors are far below a standard error. Where they could be larger, double precision is used in any case: if
-            a sample reduces a variance by a factor above 30 000, or if a number exceeds 1e38.
+            the estimated rounding error of a score exceeds 1 % of a standard error, or if a number exceeds 1e38.
         """
         free = self.model.free if free is None else free
         data, start = self._prepare_with_initial_state(record, values)
@@ -334,10 +334,12 @@ class Likelihood:
             )
             dll = done["dll"].reshape(-1, groups * width)[:, :n].copy()
             information = _symmetric_from_blocks(done["fisher"])[:n, :n]
-            value, reduction = float(done["ll"][0]), float(done["reduction"][0]) if "reduction" in done else 0.0
+            value, lost = float(done["ll"][0]), done["lost"].reshape(-1)[:n].copy() if "lost" in done else np.zeros(n)
         result = LikelihoodAndScore(value, dll.sum(axis=0), information, dll if by_row else None)
         finite = np.isfinite(result.gradient).all() and np.isfinite(information).all()
-        return result, bool(finite and reduction < LARGEST_REDUCTION**2)
+        # A score that is wrong by the root of its information moves the estimate by one standard error.
+        is_accurate = SINGLE_ROUNDING**2 * lost <= LARGEST_ROUNDING**2 * np.diag(information)
+        return result, bool(finite and is_accurate.all())
 
     def value_by_row(self, record: Record, values: Array) -> Array:
         """Return the contribution of each row (instant of the record) to the log-likelihood (n_rows,).

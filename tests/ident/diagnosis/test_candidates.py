@@ -19,6 +19,7 @@ from seatrial.ident.diagnosis.candidates import (
 )
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.engine.vectorised_model import VectorisedModel
+from seatrial.ident.estimation.homogeneity import between_runs_effect
 from seatrial.ident.model.structure import Effect, EffectKind, Model
 from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
@@ -361,3 +362,10 @@ def test_spline_columns_have_the_same_meaning_in_every_record() -> None:
     np.testing.assert_allclose(at_rest, together[400:])
     np.testing.assert_allclose(splines(whole, 6, among), together[:400])
     assert splines(still, 6).shape == (50, 0)  # Alone, the constant variable carries no information.
+
+
+def test_a_payload_has_one_column_in_each_record() -> None:
+    """Drag and inertia of the load have no derivative without a load."""
+    model = base_for()
+    (columns,) = path_for(model).effect(between_runs_effect(model, "payload"))
+    assert (columns.parameters, columns.per_record) == (("m_payload",), True)

@@ -10,10 +10,12 @@ from scipy import stats
 
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.data.record import Record
-from seatrial.ident.estimation.homogeneity import between_runs_title, homogeneity_test
+from seatrial.ident.engine.vectorised_model import VectorisedModel
+from seatrial.ident.estimation.homogeneity import between_runs_effect, between_runs_title, homogeneity_test
 from seatrial.ident.estimation.maximum_likelihood import EstimationOptions, Method, SearchSettings, fit
 from seatrial.ident.model.parameter import Parameter
 from seatrial.ident.model.structure import Input, Model, Output, Sensor, State, plain_model
+from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.results.answers import homogeneity_sentence
 from seatrial.ident.results.tables import homogeneity_row
 
@@ -162,3 +164,17 @@ def test_restricted_fit_is_compared_with_restricted_fits() -> None:
 def test_candidates_of_differences_between_runs_have_words_for_readers() -> None:
     assert between_runs_title("between-runs:m_v") == "m_v differs between the runs"
     assert between_runs_title("mismatch") == "mismatch"
+
+
+def test_payload_changes_masses_drag_and_inertia() -> None:
+    """A boat with 8 kg more is a boat with other parameters. The share of the load is that of the surge mass."""
+    plain = horizontal_model()
+    effect = between_runs_effect(plain, "payload")
+    loaded = (plain + effect).with_values({"m_payload": 8.0, "k_draught": 0.5, "k_inertia": 0.25})
+    share = 8.0 / plain.values["m_u"]
+    masses = {n: plain.values[n] + 8.0 for n in ("m_u", "m_v")} | {"m_r": plain.values["m_r"] * (1 + 0.25 * share)}
+    drag = {n: plain.values[n] * (1 + 0.5 * share) for n in ("d_u", "d_v", "d_r", "d_uu", "d_vv", "d_rr")}
+    heavier = plain.with_values(masses | drag)
+    x, u = np.array([[0.0, 0.0, 0.3, 0.8, 0.1, 0.2]]), np.full((1, len(plain.inputs)), 0.4)
+    rates = [VectorisedModel(m)(x, u, np.array(list(m.values.values()))) for m in (loaded, heavier)]
+    np.testing.assert_allclose(*rates, rtol=1e-12)

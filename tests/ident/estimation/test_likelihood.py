@@ -228,6 +228,26 @@ def test_scores_are_in_double_precision_where_single_would_be_inaccurate(
         assert np.array_equal(found.information, wanted.information) != is_single
 
 
+@pytest.mark.parametrize("sd0", [1.0, 10.0, 30.0, 100.0, 300.0, 1000.0])
+def test_scores_have_small_rounding_errors_for_any_uncertainty_of_the_start(sd0: float) -> None:
+    """In single precision alone, the error is a tenth of a standard error from 300 rad/s on."""
+    model = turning().with_values({"sd0": sd0})
+    likelihood, record, v = Likelihood(model), turning_record(), values_of(model)
+    found, exact = (likelihood.scores(record, v, FREE, double=double) for double in (False, True))
+    error = np.abs(found.gradient - exact.gradient) / np.sqrt(np.diag(exact.information))
+    assert error.max() < 0.03
+
+
+def test_a_smoothed_heading_needs_no_double_precision() -> None:
+    """Its noise is hundreds of times smaller than the standard deviation of the heading at the start."""
+    model = turning().with_values({"e_psi": 2e-4})
+    likelihood, record, v = Likelihood(model), turning_record(), values_of(model)
+    found, exact = (likelihood.scores(record, v, FREE, double=double) for double in (False, True))
+    size = np.sqrt(np.diag(exact.information))
+    np.testing.assert_allclose(found.gradient / size, exact.gradient / size, atol=0.03)
+    assert not np.array_equal(found.gradient, exact.gradient)
+
+
 @pytest.mark.study
 def test_information_is_the_variance_of_the_score() -> None:
     """The model is linear, and 400 records are simulated."""
