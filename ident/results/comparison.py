@@ -202,6 +202,13 @@ class ComparedModel(Part, frozen=True, kw_only=True):
             "validation data (`intervals` of model.toml); over others they are its own"
         ),
     ] = ()
+    widened_by: Annotated[
+        tuple[str, ...],
+        Meta(
+            description="compared logs whose errors widened its 95 % intervals: the share of their errors inside is no "
+            "test of these intervals"
+        ),
+    ] = ()
     widened_simulation: Annotated[
         bool, Meta(description="whether those of its simulation are widened by its validation data")
     ] = False

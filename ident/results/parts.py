@@ -124,6 +124,7 @@ WarningCode = Literal[
     "noise-contradicted",
     "prior-contradicted",
     "inertia-too-small",
+    "intervals-from-compared-log",
     "mass-implausible",
     "motion-not-excited",
     "nearly-converged",

@@ -379,6 +379,7 @@ def _result(
             selected_by=used_logs(c.saved, loaded, "validation") if with_effects else (),
             widened_horizons=tuple(s for s in horizons if c.widens(s)),
             widened_simulation=c.widens(None),
+            widened_by=() if c.saved.intervals is None else used_logs(c.saved, loaded, "validation"),
             differences=model_differences(compared[0].saved, c.saved) if models else None,
             changes=tuple(own),
         )
@@ -418,7 +419,7 @@ def _result(
 
 
 def _warnings(models: Sequence[ComparedModel]) -> Iterator[ResultWarning]:
-    """Yield a warning for each model that was fitted to a compared log, or validated on one."""
+    """Yield warnings for each model that was fitted to a compared log, or validated on one."""
     for m in models:
         if m.fitted_to:
             yield ResultWarning(
@@ -431,6 +432,14 @@ def _warnings(models: Sequence[ComparedModel]) -> Iterator[ResultWarning]:
                 code="compared-on-validation-log",
                 text=f"the effects of {_subject(m, models).lower()} were selected by {', '.join(m.selected_by)}: its "
                 f"errors there may be smaller than on other logs. {_unused_logs(models)}",
+            )
+
+        if m.widened_by:
+            yield ResultWarning(
+                code="intervals-from-compared-log",
+                text=f"the errors on {', '.join(m.widened_by)} have widened the intervals of "
+                f"{_subject(m, models).lower()}, so that the share of the errors inside is no test of the intervals. "
+                f"{_unused_logs(models)}",
             )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import shutil
@@ -563,6 +564,20 @@ def test_intervals_are_those_of_an_unseen_run(
     assert text.count("in 95 %") == 4
 
 
+def test_intervals_are_not_tested_by_the_log_that_widened_them(
+    validated: Path, logs: list[Path], tmp_path: Path
+) -> None:
+    text = (validated / "model.toml").read_text(encoding="utf-8")
+    digest = hashlib.sha256(logs[2].read_bytes()).hexdigest()[:16]
+    known = f'[provenance]\nvalidation = ["other.mcap sha256:{digest}"]\n'
+    (tmp_path / "model.toml").write_text(text.replace("[provenance]\n", known), encoding="utf-8")
+    with pytest.warns(SeatrialWarning, match="the errors on run3 have widened the intervals of the model"):
+        seen = st.compare(tmp_path, logs[2]).result
+    assert seen.models[0].widened_by == ("run3",)
+    assert [w.code for w in seen.warnings] == ["intervals-from-compared-log"]
+    assert not st.compare(tmp_path, logs[1]).result.warnings
+
+
 def test_wrong_intervals_are_only_named_if_the_test_says_so() -> None:
     """Half of the errors are outside their intervals: many are a verdict, and a single slow error is none."""
     rng, t = np.random.default_rng(2), np.arange(0.0, 200.0, 0.1)
@@ -670,6 +685,8 @@ def test_effects_that_are_estimated_on_the_compared_log_are_named(logs: list[Pat
         "compared-on-validation-log": "the effects of (b) were selected by run3",
         "effect-estimated-on-compared-log": "(b) estimates parameters of an effect anew on each compared log "
         "(g_before of growing-drag)",
+        "intervals-from-compared-log": "the errors on run3 have widened the intervals of (b), so that the share of the "
+        "errors inside is no test of the intervals. Compare on logs that no model has used.",
     }
     assert "Estimated anew for each compared log: (a) V_x, V_y; (b) V_x, V_y, g_before." in result.notes
     assert result.models[1].score is not None
