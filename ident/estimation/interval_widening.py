@@ -73,7 +73,11 @@ class ErrorScale:
         calibrated model: the scale has the exponent n / (n + m), and Student's t has n + m degrees of freedom. There is
         no further scatter between runs, because the few errors explain the measured one.
         """
-        n, prior = max(self.n_effective, 1.0), 0.5 / BOAT_SCATTER**2
+        return self.simulation_widening_by(BOAT_SCATTER)
+
+    def simulation_widening_by(self, boat_scatter: float) -> float:
+        """Return the factor of `simulation_widening` for another scatter of the log scale between craft."""
+        n, prior = max(self.n_effective, 1.0), 0.5 / boat_scatter**2
         return _factor(self.scale ** (n / (n + prior)), 0.5 / (n + prior))
 
 

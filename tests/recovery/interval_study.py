@@ -30,6 +30,7 @@ from scipy.special import polygamma
 import seatrial as st
 from seatrial.bench.mission_generators import make_mission
 from seatrial.ident.estimation import ErrorScale, FittedModel, RecordEvaluation, parameter_uncertainty
+from seatrial.ident.estimation.interval_widening import BOAT_SCATTER
 from seatrial.ident.numerics import Array
 from seatrial.ident.validation.calibration import (
     NEARLY_ALL,
@@ -153,10 +154,11 @@ def boat_scatter(rows: Sequence[Row], kind: str = "simulation") -> float:
     return float(np.sqrt(max(0.0, float(np.mean(products)))))
 
 
-def coverage(rows: Sequence[Row], kind: str) -> list[tuple[float, float]]:
+def coverage(rows: Sequence[Row], kind: str, between: float = BOAT_SCATTER) -> list[tuple[float, float]]:
     """Return for each row the mean shares of the errors of the third run inside the 95 % intervals over its channels.
 
     The first number is that of the intervals of the model, the second that of the intervals widened by the second run.
+    ``between`` is the scatter of simulations between boats.
     """
     found = []
     for row in rows:
@@ -165,11 +167,23 @@ def coverage(rows: Sequence[Row], kind: str) -> list[tuple[float, float]]:
         for name in second.keys() & third.keys():
             scale, n = second[name][:2]
             known = ErrorScale(scale, n, 1)
-            factor = known.simulation_widening if kind == "simulation" else known.widening
+            factor = known.simulation_widening_by(between) if kind == "simulation" else known.widening
             shares.append([share_inside(third[name][2], NEARLY_ALL * f) for f in (1.0, factor)])
         plain, widened = np.mean(shares, axis=0).tolist()
         found.append((plain, widened))
     return found
+
+
+def coverage_by_other_boats(rows: Sequence[Row]) -> float:
+    """Return the mean share of simulations inside the widened intervals, each boat with the scatter of the others.
+
+    The shares of `coverage` are of the boats from which the scatter is estimated; this one is not.
+    """
+    shares = []
+    for boat in dict.fromkeys(r["key"].rpartition("/")[0] for r in rows):
+        own, others = ([r for r in rows if (r["key"].rpartition("/")[0] == boat) is same] for same in (True, False))
+        shares += [widened for _, widened in coverage(own, "simulation", boat_scatter(others))]
+    return float(np.mean(shares))
 
 
 def share_inside(quantiles: Sequence[float], limit: float) -> float:
@@ -229,8 +243,11 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=OUT)
     given = parser.parse_args(words)
     warnings.simplefilter("ignore", st.SeatrialWarning)
-    for table in tables(resume(cases(given.boats), run_case, line, given.jobs, given.out)):
+    rows = resume(cases(given.boats), run_case, line, given.jobs, given.out)
+    for table in tables(rows):
         print(as_text(table), end="\n\n")
+    share = coverage_by_other_boats([r for r in rows if "error" not in r])
+    print(f"simulations inside, each boat with the scatter of the others: {share:.3f}")
     return 0
 
 

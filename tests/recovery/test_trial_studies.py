@@ -142,6 +142,7 @@ def test_scatter_between_boats_is_estimated_beside_few_errors_of_a_run() -> None
     plain, widened = np.mean(interval_study.coverage(rows, "simulation"), axis=0)
     assert plain < 0.9
     assert 0.93 < widened < 0.97
+    assert interval_study.coverage_by_other_boats(rows[:40]) == pytest.approx(widened, abs=0.04)
 
 
 def half_normal(share: np.ndarray) -> np.ndarray:
