@@ -95,6 +95,7 @@ GROUPS = ("bench", "mission", "import", "ident", "mock")
 # Words that users try in place of a command.
 SYNONYMS = {
     "fit": "ident vehicle", "identify": "ident vehicle", "diagnosis": "ident diagnose", "record": "log", "plot": "view",
+    **dict.fromkeys(("evaluate", "validate", "test", "predict"), "ident compare MODEL --on LOG"),
 }  # fmt: skip
 
 

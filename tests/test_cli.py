@@ -140,6 +140,17 @@ def test_wrong_usage_is_2(run, args) -> None:
         (("plot", "x.mcap"), "seatrial: No such command 'plot'. Did you mean 'seatrial view'?"),
         (("vehicle", "x.mcap"), "seatrial: No such command 'vehicle'. Did you mean 'seatrial ident vehicle'?"),
         (("compare",), "seatrial: No such command 'compare'. Did you mean 'seatrial ident compare'?"),
+        (
+            ("evaluate", "x"),
+            "seatrial: No such command 'evaluate'. Did you mean 'seatrial ident compare MODEL --on LOG'",
+        ),
+        (("ident", "evaluate", "x"), "seatrial ident: No such command 'evaluate'. To evaluate a model on a log: `seat"),
+        (("ident", "validate", "x"), "seatrial ident: No such command 'validate'. To evaluate a model on a log: `seat"),
+        (("ident", "test", "x"), "seatrial ident: No such command 'test'. To evaluate a model on a log: `seatrial"),
+        (
+            ("ident", "predict"),
+            "seatrial ident: No such command 'predict'. To evaluate a model on a log: `seatrial ide",
+        ),
         (("diagnos",), "seatrial: No such command 'diagnos'. Did you mean 'seatrial ident diagnose'?"),
         (("design",), "seatrial: No such command 'design'. Did you mean 'seatrial mission design'?"),
         (("mission", "runn"), "seatrial mission: No such command 'runn'. Did you mean 'run'?"),
@@ -340,3 +351,9 @@ def test_the_advice_after_a_bracket_is_separated(tmp_path: Path, capsys: pytest.
     with pytest.raises(SystemExit):
         command_line.main(["check", str(tmp_path / "a.toml"), str(tmp_path / "b.mcap")])
     assert "one or more logs (.mcap); `seatrial check --help` shows how" in capsys.readouterr().err
+
+
+def test_the_hint_on_an_evaluation_names_the_command(capsys) -> None:
+    with pytest.raises(SystemExit):
+        command_line.main(("ident", "evaluate", "vehicle"))
+    assert "`seatrial ident compare MODEL --on LOG`" in capsys.readouterr().err

@@ -105,9 +105,9 @@ def _parse_intervals(
     return [_parse_interval(text) for text in texts]
 
 
-@ident.command(short_help="Compare fitted models on the same logs.")
+@ident.command(short_help="Evaluate a fitted model on unseen logs, or compare several.")
 @click.argument("models", nargs=-1, required=True, type=MODEL)
-@click.option("--on", "logs", multiple=True, required=True, type=LOG, help="Log to compare on; may be repeated.")
+@click.option("--on", "logs", multiple=True, required=True, type=LOG, help="Log to predict; may be repeated.")
 @click.option(
     "--horizon",
     "horizons",
@@ -131,14 +131,16 @@ def _parse_intervals(
 @force_option
 @json_option()
 def compare(models: tuple[Path, ...], logs: tuple[Path, ...], out: Path | None, as_json: bool, **how: Any) -> None:
-    """Predict the same logs by several fitted MODELS, compare each model with the first one, and print the comparison.
+    """Evaluate a fitted model on logs that it has not seen, or compare several MODELS with the first one.
 
     Each model predicts one step ahead, over each horizon, and in simulation from the inputs alone. For each channel the
-    comparison has the error and the fit of each model, and a verdict by a 95 % interval. Give at least two models, and
-    logs that no model was fitted to.
+    result has the error and the fit of each model, and the share of the errors inside its 95 % intervals, which
+    validation data of the fit have widened. Several models are compared, with a verdict by a 95 % interval. Give logs
+    that no model was fitted to.
 
     \b
     Example:
+      seatrial ident compare vehicle --on run4.mcap
       seatrial ident compare vehicle/model.toml diagnosis/model.toml --on run4.mcap --out comparison
       seatrial ident compare vehicle diagnosis --on run4.mcap --horizon 2 --horizon 10
     """

@@ -607,10 +607,27 @@ class InputsFirst(click.Command):
         return parser
 
 
+# Words for the evaluation of a model on unseen logs, which users try in place of `seatrial ident compare`.
+EVALUATE = ("evaluate", "evaluation", "validate", "validation", "test", "predict", "prediction")
+EVALUATION_HINT = "To evaluate a model on a log: `seatrial ident compare MODEL --on LOG`"
+
+
 class InputsFirstGroup(click.Group):
     """Group whose commands check their output last."""
 
     command_class = InputsFirst
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Return name, command and arguments for the words after the group's name, as the method of click does.
+
+        It is a usage error if there is no such command. The message for a word that means an evaluation (`EVALUATE`)
+        says how to evaluate a model.
+        """
+        if args[0] in EVALUATE and args[0] not in self.commands:
+            raise click.UsageError(f"No such command {args[0]!r}. {EVALUATION_HINT}", ctx)
+        return super().resolve_command(ctx, args)
 
 
 class GatheringCommand(InputsFirst):

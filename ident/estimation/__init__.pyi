@@ -32,6 +32,8 @@ from .homogeneity import between_runs_title as between_runs_title
 from .homogeneity import homogeneity_test as homogeneity_test
 from .homogeneity import parameter_shift as parameter_shift
 from .homogeneity import run_differences as run_differences
+from .interval_widening import ErrorScale as ErrorScale
+from .interval_widening import IntervalCalibration as IntervalCalibration
 from .likelihood import FilterResult as FilterResult
 from .likelihood import Likelihood as Likelihood
 from .maximum_likelihood import ROUGH_SEARCH as ROUGH_SEARCH

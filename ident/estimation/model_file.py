@@ -18,6 +18,7 @@ from seatrial.daq.log import is_log
 from seatrial.ident.data import FrameOrigin
 from seatrial.ident.effects import catalogue, input_response_effects, nonparametric_effect
 from seatrial.ident.estimation.homogeneity import BETWEEN, between_runs_effect
+from seatrial.ident.estimation.interval_widening import ErrorScale, IntervalCalibration
 from seatrial.ident.estimation.maximum_likelihood import Fit
 from seatrial.ident.estimation.parameter_covariance import ParameterCovariance
 from seatrial.ident.estimation.refitted_effect import RefittedEffect
@@ -79,11 +80,14 @@ class FittedData:
         By sensor, its sample rate [Hz]; after averaging, the rate of the averages.
     origin
         Origin of x and y in the logs; None if it is unknown. It is written only for a model with a fixed point.
+    intervals
+        Scales of the errors on the validation data; None if there were none.
     """
 
     validity: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     rates: Mapping[str, float] = field(default_factory=dict)
     origin: FrameOrigin | None = None
+    intervals: IntervalCalibration | None = None
 
 
 @dataclass(frozen=True)
@@ -124,6 +128,9 @@ class SavedModel:
     refits
         Effects that a diagnosis tried, in the order of its fits. Empty for a model that was not diagnosed, and in files
         of earlier versions.
+    intervals
+        Scales of the errors on the validation data, by which prediction intervals are widened. None without validation
+        data, and in files of earlier versions.
     """
 
     model: Model
@@ -140,6 +147,7 @@ class SavedModel:
     rates: Mapping[str, float] = field(default_factory=dict)
     holds: Mapping[str, str] = field(default_factory=dict)
     refits: tuple[RefittedEffect, ...] = ()
+    intervals: IntervalCalibration | None = None
 
     @property
     def python_files(self) -> tuple[Path, ...]:
@@ -192,7 +200,8 @@ def save_model(
     fit
         Fit whose estimates, standard errors and correlations are written.
     data
-        Ranges of the signals in the fitted data, rates of the sensors, and origin of x and y.
+        Ranges of the signals in the fitted data, rates of the sensors, origin of x and y, and scales of the errors on
+        the validation data.
     provenance
         Software version, command line, logs and their hashes. Entries that are None are left out.
     effects_file
@@ -249,6 +258,8 @@ def save_model(
     document["correlation"] = {"names": list(fit.names), "matrix": np.round(np.nan_to_num(fit.correlation), 6).tolist()}
     if refits:
         document["refit"] = _refit_tables(refits)
+    if data.intervals is not None:
+        document["intervals"] = _intervals_table(data.intervals)
     write_output(path, tomlkit.dumps(document))
 
 
@@ -273,6 +284,45 @@ def _refits_from_tables(rows: Sequence[Mapping[str, Any]]) -> tuple[RefittedEffe
         values, errors = ({str(n): float(z) for n, z in row.get(key, {}).items()} for key in ("values", "errors"))
         found.append(RefittedEffect(str(row["effect"]), tuple(str(n) for n in row["beside"]), values, errors))
     return tuple(found)
+
+
+def _intervals_table(intervals: IntervalCalibration) -> Any:
+    """Return the table ``intervals`` of model.toml: scales of the errors on validation data, by kind and channel."""
+    table = tomlkit.table()
+    table["horizon"] = float(intervals.horizon)
+    for kind, scales in (("ahead", intervals.ahead), ("simulation", intervals.simulation)):
+        by_channel = tomlkit.table()
+        for name, found in scales.items():
+            row = tomlkit.inline_table()
+            row.update({"scale": float(f"{found.scale:.6g}"), "n_effective": float(f"{found.n_effective:.6g}")})
+            row["n_records"] = found.n_records
+            by_channel[name] = row
+        table[kind] = by_channel
+    return table
+
+
+def _intervals_from_table(table: Mapping[str, Any] | None) -> IntervalCalibration | None:
+    """Return the scales of the errors on validation data from the table ``intervals`` of model.toml; None without it.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of range: a negative scale, or fewer than one record.
+    """
+    if table is None:
+        return None
+    ahead, simulation = (
+        {name: ErrorScale(float(row["scale"]), float(row["n_effective"]), int(row["n_records"]))
+         for name, row in table.get(kind, {}).items()}
+        for kind in ("ahead", "simulation")
+    )  # fmt: skip
+    for name, found in [*ahead.items(), *simulation.items()]:
+        if not (found.scale >= 0.0 and found.n_effective > 0.0 and found.n_records >= 1):
+            raise ValueError(f"intervals: {name} needs a scale of 0 or more, and at least one error and one record")
+    horizon = float(table["horizon"])
+    if not 0.0 < horizon < np.inf:
+        raise ValueError(f"intervals: horizon = {horizon:g}; it must be finite and above 0 s")
+    return IntervalCalibration(horizon, ahead, simulation)
 
 
 def _states_table(model: Model, effects_file: Path | None) -> dict[str, dict[str, float]]:
@@ -468,6 +518,7 @@ def load_model(path: Path) -> SavedModel:
         provenance, calibration = dict(table.get("provenance", {})), table.get("scale", {}).get("calibration")
         calibration = None if calibration is None else float(calibration)
         refits = _refits_from_tables(table.get("refit", ()))
+        intervals = _intervals_from_table(table.get("intervals"))
     except (AttributeError, KeyError, TypeError, ValueError) as problem:  # AttributeError: a value instead of a table
         raise SeatrialError(
             f"{path}: the model in this file is incomplete or does not match this version of seatrial, so fit it "
@@ -488,6 +539,7 @@ def load_model(path: Path) -> SavedModel:
         rates,
         holds,
         refits,
+        intervals,
     )
 
 

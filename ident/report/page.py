@@ -84,8 +84,9 @@ def _page(result: Result, budget: Budget) -> str:
     """Return the HTML text of the page of a result, whose curves have at most the points of the ``budget``."""
     canvas = Canvas(budget)
     opening, body = sections.opening(result), sections.body(canvas, result)
+    evaluation = isinstance(result, ComparisonResult) and result.is_evaluation
     return compose(
-        KINDS[str(type(result).__struct_config__.tag)],
+        "Evaluation of a model" if evaluation else KINDS[str(type(result).__struct_config__.tag)],
         result.answer,
         opening,
         body,

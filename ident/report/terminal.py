@@ -15,8 +15,11 @@ from seatrial.daq.errors import counted
 from seatrial.ident.report import formatting
 from seatrial.ident.report.sections.campaigns import VALUES, change_of, effect_words
 from seatrial.ident.report.sections.comparison import (
+    INSIDE,
     MARKS,
+    TOO,
     difference_rows,
+    interval_sentence,
     interval_words,
     kind_title,
     ratio_words,
@@ -54,6 +57,7 @@ from seatrial.ident.results import (
 
 MAX_OUTAGES, MAX_SEGMENTS, MAX_NOISE_CHANNELS = 8, 24, 12  # largest numbers of rows of a table
 LONGEST_FLAG = 48  # characters of a flag in the table of parameters; a longer one stands below it
+WIDEST_INTERVALS = 72  # characters of a line of the table of the 95 % intervals
 WIDEST_TEXT = 100  # characters of a line of texts in the table of what differs between models
 MAX_PARAMETERS, MAX_CANDIDATES, MAX_ERROR_CHANNELS = 9, 6, 8
 MOST_WITH_FIT, MOST_COMPARED = 3, 6  # largest numbers of models in a row of a table with their fit, and without it
@@ -87,8 +91,11 @@ def tables_of(result: Result) -> list[Table]:
     if isinstance(result, CampaignsResult):
         return campaign_tables(result)
     if isinstance(result, ComparisonResult):
+        if result.is_evaluation:
+            return [*evaluated_tables(result), intervals_table(result)]
         differences = [table for table in (differences_table(result),) if table is not None]
-        return [models_table(result), *differences, *compared_tables(result), likelihood_table(result)]
+        errors = [*compared_tables(result), intervals_table(result)]
+        return [models_table(result), *differences, *errors, likelihood_table(result)]
     return []
 
 
@@ -334,7 +341,8 @@ def differences_table(result: ComparisonResult) -> Table | None:
 def compared_tables(result: ComparisonResult) -> list[Table]:
     """Return a table of the RMS errors of all models for each kind of prediction, with a row for each channel.
 
-    With up to three models, a cell also has the fit. More than six models are divided into several tables.
+    With up to three models, a cell also has the fit. More than six models are divided into several tables. The last row
+    has the share of the errors of all channels inside the 95 % intervals of each model.
     """
     labels = [m.label for m in result.models]
     with_fit, tables = len(labels) <= MOST_WITH_FIT, []
@@ -353,8 +361,54 @@ def compared_tables(result: ComparisonResult) -> list[Table]:
                 factor, unit = formatting.degrees_for(row.unit)
                 cells = [_compared_cell(row, label, factor, with_fit) for label in shown]
                 table.add_row(Text(row.channel), Text(unit), *cells, Text(_best_words(row)))
+            shares = [result.inside_95(*kind, label) for label in shown]
+            if any(share is not None for share in shares):
+                inside = [Text(formatting.percent(share), "dim") for share in shares]
+                table.add_row(Text("in 95 %", "dim"), Text(""), *inside, Text(""))
             tables.append(table)
     return tables
+
+
+def evaluated_tables(result: ComparisonResult) -> list[Table]:
+    """Return a table of the errors of one model alone for each kind of prediction, with a row for each channel.
+
+    A row has the RMS error, the fit, and the share of the errors inside the 95 % intervals, with the verdict on them if
+    they are too narrow or too wide.
+    """
+    tables, label = [], result.models[0].label
+    for kind in result.kinds:
+        table = titled_table(kind_title(*kind))
+        table.padding = (0, 1, 0, 0)
+        table.add_column("", no_wrap=True)
+        table.add_column("", no_wrap=True)
+        for title in ("RMS error", "fit", INSIDE):
+            table.add_column(Text(title), justify="right", no_wrap=True)
+        table.add_column("", no_wrap=True)
+        for row in result.channels:
+            if (row.kind, row.seconds) != kind:
+                continue
+            factor, unit = formatting.degrees_for(row.unit)
+            for e in row.errors:
+                error = error_words(None if e.rms is None else factor * e.rms)
+                cells = (row.channel, unit, error, formatting.percent(e.fit), formatting.percent(e.inside_95))
+                table.add_row(*map(Text, cells), Text(TOO.get(e.intervals or "right", ""), "bold red"))
+        if (share := result.inside_95(*kind, label)) is not None:
+            table.add_row(Text("all", "dim"), "", "", "", Text(formatting.percent(share), "dim"), "")
+        tables.append(table)
+    return tables
+
+
+def intervals_table(result: ComparisonResult) -> Table:
+    """Return the table of what the 95 % intervals of each model are, in words."""
+    table = titled_table("95 % intervals")
+    table.show_header = False
+    table.padding = (0, 1, 0, 0)
+    table.add_column("", no_wrap=True, style="bold")
+    table.add_column("", overflow="fold", max_width=WIDEST_INTERVALS)
+    for m in result.models:
+        name = "" if result.is_evaluation else f"({m.label})"
+        table.add_row(Text(name), Text(interval_sentence(result, m)))
+    return table
 
 
 def _best_words(row: ComparedChannel) -> str:

@@ -293,7 +293,7 @@ def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
     There is at most one text on narrow and one on wide intervals for each kind of prediction: one step ahead, over the
     horizon, simulated. The factor of each channel is its RMS error over the predicted one, or the word diverged. The
     text advises to multiply the predicted standard deviations by the factors, except for narrow intervals over the
-    horizon on validation data: `evaluate` and `predict` have widened them already. If a channel diverged, the text also
+    horizon and in simulation on validation data: these are widened already. If a channel diverged, the text also
     advises against such predictions. The texts are about the validation data, or about the estimation data if there
     are no validation data. The list is empty if no channel is overconfident or underconfident.
 
@@ -323,8 +323,9 @@ def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
             if wrong:
                 diverged = any(c.scale is None for c in channels.values() if c.verdict == verdict)
                 advice = "Multiply the predicted standard deviations of these channels by them."
-                if role == "validation" and channels is table.horizon and verdict == "overconfident":
-                    advice = "The intervals of this result and of `predict` in Python are already widened for this."
+                if role == "validation" and channels is not table.one_step and verdict == "overconfident":
+                    call = "predict" if channels is table.horizon else "simulate"
+                    advice = f"The intervals of this result and of `{call}` in Python are already widened for this."
                 notes.append(
                     f"On {role} data, the {words} are {size} than the model predicts, by these factors: "
                     f"{', '.join(wrong)}. {advice}"

@@ -10,7 +10,7 @@ from typing import Annotated, Literal, get_args
 from msgspec import Meta
 
 from seatrial.ident.numerics import Array
-from seatrial.ident.results.parts import Part, Result, same_length
+from seatrial.ident.results.parts import Part, Result, Verdict, same_length
 
 PredictionKind = Literal["one_step", "horizon", "simulation"]
 ComparisonVerdict = Literal["better", "worse", "indistinguishable", "no-interval"]
@@ -42,6 +42,20 @@ class ComparedError(Part, frozen=True, kw_only=True):
     rms: Annotated[float | None, Meta(description="RMS error in the unit of the channel; null: a prediction diverged")]
     fit: Annotated[
         float | None, Meta(description="1 - `rms` / `spread`, 1 for a perfect prediction; null: unknown")
+    ] = None
+    inside_95: Annotated[
+        float | None,
+        Meta(
+            description="share of the errors inside the 95 % intervals, widened as those of `traces`; one step ahead "
+            "without outliers; null: no intervals, or a result of an earlier version"
+        ),
+    ] = None
+    intervals: Annotated[
+        Verdict | None,
+        Meta(
+            description="verdict on these intervals that allows for correlated errors: `overconfident` (too narrow) or "
+            "`underconfident` (too wide) beyond 10 %; `right`; `insufficient_data`; null as `inside_95`"
+        ),
     ] = None
     against_reference: Annotated[
         ComparedRatio | None,
@@ -181,6 +195,23 @@ class ComparedModel(Part, frozen=True, kw_only=True):
         tuple[str, ...],
         Meta(description="compared logs by which a fit or diagnosis was validated: its effects were selected by them"),
     ] = ()
+    widened_horizons: Annotated[
+        tuple[float, ...],
+        Meta(
+            description="horizons [s] over which its 95 % intervals and standard deviations are widened by its "
+            "validation data (`intervals` of model.toml); over others they are its own"
+        ),
+    ] = ()
+    widened_by: Annotated[
+        tuple[str, ...],
+        Meta(
+            description="compared logs whose errors widened its 95 % intervals: the share of their errors inside is no "
+            "test of these intervals"
+        ),
+    ] = ()
+    widened_simulation: Annotated[
+        bool, Meta(description="whether those of its simulation are widened by its validation data")
+    ] = False
     differences: Annotated[
         tuple[ModelDifference, ...] | None,
         Meta(
@@ -215,7 +246,13 @@ class ComparedPrediction(Part, frozen=True, kw_only=True):
     seconds: Annotated[float | None, Meta(description="horizon [s]; null: simulation")] = None
     t: Annotated[Array, Meta(description="times [s] since the start of the record")]
     predicted: Annotated[Array, Meta(description="predicted values; NaN from the time on at which it diverged")]
-    sd: Annotated[Array, Meta(description="standard deviation of the prediction errors by the model")]
+    sd: Annotated[
+        Array,
+        Meta(
+            description="standard deviation of the prediction errors: that of the model, widened by its validation "
+            "data if the model says so (`widened_horizons`, `widened_simulation`)"
+        ),
+    ]
 
     def __post_init__(self) -> None:
         """Raise ValueError if the arrays differ in length."""
@@ -244,7 +281,7 @@ class ComparedTrace(Part, frozen=True, kw_only=True):
 
 
 class ComparisonResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="comparison"):
-    """Result of `seatrial ident compare`: predictions of several fitted models on the same logs."""
+    """Result of `seatrial ident compare`: predictions of one fitted model, or of several, on the same logs."""
 
     horizons: Annotated[tuple[float, ...], Meta(description="prediction horizons [s]; the first one is in `answer`")]
     models: Annotated[tuple[ComparedModel, ...], Meta(description="the models; the first one is the reference")]
@@ -254,9 +291,33 @@ class ComparisonResult(Result, frozen=True, kw_only=True, tag_field="kind", tag=
     traces: Annotated[tuple[ComparedTrace, ...], Meta(description="one for each record and channel")]
 
     @property
+    def is_evaluation(self) -> bool:
+        """Whether there is one model only, which is evaluated and not compared."""
+        return len(self.models) == 1
+
+    @property
     def kinds(self) -> tuple[tuple[PredictionKind, float | None], ...]:
         """Kinds of prediction with their horizon [s] (None: no horizon), in the order of ``channels``."""
         return tuple(dict.fromkeys((row.kind, row.seconds) for row in self.channels))
+
+    def inside_95(self, kind: PredictionKind, seconds: float | None, label: str) -> float | None:
+        """Return the share of the errors of a model inside its 95 % intervals, over all channels; None if unknown.
+
+        Parameters
+        ----------
+        kind, seconds
+            Kind of prediction, and its horizon [s] (None: no horizon).
+        label
+            Label of the model.
+        """
+        found = [
+            (row.n, e.inside_95)
+            for row in self.channels
+            for e in row.errors
+            if (row.kind, row.seconds, e.model) == (kind, seconds, label) and e.inside_95 is not None
+        ]
+        total = sum(n for n, _ in found)
+        return sum(n * share for n, share in found) / total if total else None
 
     @property
     def best(self) -> str:

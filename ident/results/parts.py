@@ -124,6 +124,7 @@ WarningCode = Literal[
     "noise-contradicted",
     "prior-contradicted",
     "inertia-too-small",
+    "intervals-from-compared-log",
     "mass-implausible",
     "motion-not-excited",
     "nearly-converged",
@@ -344,7 +345,7 @@ class Trace(Part, frozen=True, kw_only=True):
     t: Annotated[Array, Meta(description="[s]")]
     measured: Annotated[Array, Meta(description="measured values")]
     model: Annotated[Array, Meta(description="simulated")]
-    sd: Annotated[Array, Meta(description="standard deviation of the simulation")]
+    sd: Annotated[Array, Meta(description="standard deviation of the simulation, widened by the validation data")]
     diverged: Annotated[
         float | None, Meta(description="time at which the simulation error exceeded ten times the measured range [s]")
     ] = None
@@ -567,7 +568,8 @@ class CalibrationRow(Part, frozen=True, kw_only=True):
         float | None,
         Meta(
             description="factor by which 95 % intervals of a further run have to be wider than predicted, at least 1; "
-            "the standard deviations of `traces` over the horizon are multiplied by that of the validation data"
+            "the standard deviations of `traces`, over the horizon and in simulation, are multiplied by that of the "
+            "validation data"
         ),
     ] = None
     verdict: Annotated[

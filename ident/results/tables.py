@@ -349,7 +349,7 @@ def calibration_tables(evaluation: PredictionEvaluation) -> Calibrations:
     A scale (RMS of error over predicted standard deviation) or an interval that is not finite is None.
     """
 
-    def table(found: Mapping[str, Calibration]) -> dict[str, CalibrationRow]:
+    def table(found: Mapping[str, Calibration], simulated: bool = False) -> dict[str, CalibrationRow]:
         """Return the calibration by channel as table rows for one kind of prediction, such as one step ahead."""
         return {
             name: CalibrationRow(
@@ -362,7 +362,7 @@ def calibration_tables(evaluation: PredictionEvaluation) -> Calibrations:
                 low=finite(c.low),
                 high=finite(c.high),
                 pit=c.pit,
-                widening=finite(c.widening),
+                widening=finite(c.simulation_widening if simulated else c.widening),
                 verdict=c.verdict,
             )
             for name, c in found.items()
@@ -373,7 +373,7 @@ def calibration_tables(evaluation: PredictionEvaluation) -> Calibrations:
             role: CalibrationTable(
                 one_step=table(data.calibration.one_step),
                 horizon=table(data.calibration.horizon),
-                simulation=table(data.calibration.simulation),
+                simulation=table(data.calibration.simulation, simulated=True),
             )
             for role, data in evaluation.sets.items()
         }

@@ -2,6 +2,7 @@ from .calibration import Calibration as Calibration
 from .calibration import horizon_forecasts as horizon_forecasts
 from .calibration import one_step_calibration as one_step_calibration
 from .calibration import pooled_calibration as pooled_calibration
+from .calibration import standardised_errors as standardised_errors
 from .evaluation import FEWEST as FEWEST
 from .evaluation import ChannelResiduals as ChannelResiduals
 from .evaluation import HorizonPrediction as HorizonPrediction

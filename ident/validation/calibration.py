@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from seatrial.ident.data import Record
 from seatrial.ident.engine import vectorised
-from seatrial.ident.estimation import FilterResult, Likelihood
+from seatrial.ident.estimation import ErrorScale, FilterResult, Likelihood
 from seatrial.ident.model import Model
-from seatrial.ident.numerics import Array, chi2_ppf, effective_sample_size, normal_cdf, student_ppf, wrap
+from seatrial.ident.numerics import Array, chi2_ppf, effective_sample_size, normal_cdf, wrap
 from seatrial.ident.validation.prediction_errors import WARM_UP, SimulationRun
 
 STRIDE = 0.2  # of the horizon, between the starts of predictions
@@ -33,9 +33,6 @@ HALF, NEARLY_ALL = 0.6744898, 1.9599640  # half-widths of the 50 % and 95 % inte
 BINS = 10  # of the probability integral transform
 TOLERANCE = 1.1  # ratio of actual to claimed errors, either way, that still counts as calibrated
 FEW = 8.0  # independent errors; fewer are insufficient for a verdict
-# Standard deviation of the logarithm of the scale between runs of one craft, beyond that of few errors, on realistic
-# mock boats (0.07 to 0.17 with 95 %): `python -m tests.recovery.interval_study`.
-RUN_SCATTER = 0.12
 Verdict = Literal["right", "overconfident", "underconfident", "insufficient_data"]
 
 
@@ -87,22 +84,18 @@ class Calibration:
 
     @property
     def widening(self) -> float:
-        """Factor by which 95 % intervals of a further run have to be wider than the predicted ones; at least 1.
+        """Factor by which 95 % intervals of a further run have to be wider: `ErrorScale.widening`."""
+        return self.error_scale.widening
 
-        An error of a further run over the predicted standard deviation and the scale follows Student's t distribution,
-        because the scale is estimated from few independent errors, and because every run has a scale of its own. The
-        factor is thus the scale times the ratio of the 97.5 % quantiles of this distribution and the normal one. It is
-        infinite if a prediction diverged.
+    @property
+    def simulation_widening(self) -> float:
+        """Factor for the simulation of a further run: `ErrorScale.simulation_widening`."""
+        return self.error_scale.simulation_widening
 
-        Notes
-        -----
-        The logarithm of a scale from n independent errors has the variance 1 / (2 n). That of a run differs from the
-        mean of ``n_records`` runs with the variance ``RUN_SCATTER**2 (1 + 1 / n_records)``. The degrees of freedom are
-        those of a scale with the sum of both variances.
-        """
-        between_runs = RUN_SCATTER**2 * (1.0 + 1.0 / self.n_records)
-        freedom = 1.0 / (1.0 / max(self.n_effective, 1.0) + 2.0 * between_runs)
-        return max(1.0, self.scale * float(student_ppf(0.975, freedom)) / NEARLY_ALL)
+    @property
+    def error_scale(self) -> ErrorScale:
+        """Scale with the numbers of independent errors and of records, from which both factors follow."""
+        return ErrorScale(self.scale, self.n_effective, self.n_records)
 
 
 def calibration_test(series: Sequence[Array], effective: float | None = None) -> Calibration | None:
@@ -248,20 +241,30 @@ def horizon_calibration(forecasts: Mapping[str, Forecast]) -> dict[str, Array]:
 
     An error is infinite if its prediction diverged: the error is not finite, or its standard deviation is NaN.
     """
-    return {name: _standardised_errors(f.e, f.sd, np.ones(f.e.size, dtype=bool)) for name, f in forecasts.items()}
+    return {name: standardised_errors(f.e, f.sd) for name, f in forecasts.items()}
 
 
-def _standardised_errors(e: Array, sd: Array, measured: NDArray[np.bool_]) -> Array:
-    """Return the errors e (n,) over their standard deviations (n,).
+def standardised_errors(e: Array, sd: Array, measured: NDArray[np.bool_] | None = None) -> Array:
+    """Return prediction errors over their predicted standard deviations; infinite where a prediction diverged.
 
-    ``measured`` (n,) is true for the samples that were measured. The result is infinite for such a sample if its error
-    is not finite or its standard deviation is NaN (a diverged prediction). The result is NaN for a sample without
-    measurement.
+    Parameters
+    ----------
+    e, sd : Array (n,)
+        Errors and their standard deviations. A prediction diverged if the error is not finite or the standard deviation
+        is NaN.
+    measured : array of bool (n,), optional
+        Samples that were measured; the result is NaN for the others. By default all were measured.
+
+    Returns
+    -------
+    Array (n,)
+        Standardised errors.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         z = e / sd
     # without the diverged predictions, a model would be judged only by the time before its predictions diverge
-    return np.where(measured & ~(np.isfinite(e) & ~np.isnan(sd)), np.inf, z)
+    seen = True if measured is None else measured
+    return np.where(seen & ~(np.isfinite(e) & ~np.isnan(sd)), np.inf, z)
 
 
 def _first_measured_row(measured: NDArray[np.bool_], due: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -282,7 +285,7 @@ def simulation_calibration(model: Model, record: Record, run: SimulationRun) -> 
     with np.errstate(invalid="ignore"):  # wrapping an infinite angle
         e = [wrap(record.y[blind, j] - run.y[blind, j], o.angle) for j, o in enumerate(model.outputs)]
     return {
-        o.name: _standardised_errors(e[j], run.sd[blind, j], np.isfinite(record.y[blind, j]))
+        o.name: standardised_errors(e[j], run.sd[blind, j], np.isfinite(record.y[blind, j]))
         for j, o in enumerate(model.outputs)
     }
 

@@ -12,7 +12,13 @@ from typing import Generic, Literal, TypeVar
 import numpy as np
 
 from seatrial.ident.data import TIME_INPUT, WORK_INPUT, Record
-from seatrial.ident.estimation import FittedModel, Likelihood, RecordEvaluation, parameter_uncertainty
+from seatrial.ident.estimation import (
+    FittedModel,
+    IntervalCalibration,
+    Likelihood,
+    RecordEvaluation,
+    parameter_uncertainty,
+)
 from seatrial.ident.model import DisturbanceChannel, Model
 from seatrial.ident.numerics import Array
 from seatrial.ident.validation import calibration
@@ -93,7 +99,8 @@ class RecordPrediction:
     errors
         Errors of these predictions, by channel.
     simulation
-        Simulation from the inputs alone.
+        Simulation from the inputs alone. Its standard deviations are the predicted ones times the factor of the channel
+        (`ErrorScale.simulation_widening`) by the validation data.
     """
 
     record: Record
@@ -203,7 +210,7 @@ class PredictionEvaluation:
         The factor is that of the validation data (`Calibration.widening`). The dictionary is empty without validation
         data, and lacks channels that these data do not have. Standard deviations without a factor are not changed.
         """
-        return {} if self.validation is None else _widening(self.validation.calibration.horizon)
+        return {} if self.validation is None else _intervals(self.validation, self.horizon).widening(self.horizon)
 
 
 def evaluate(fitted: FittedModel, horizon: float | None = None) -> PredictionEvaluation:
@@ -222,15 +229,16 @@ def evaluate(fitted: FittedModel, horizon: float | None = None) -> PredictionEva
         Errors and calibration of all records, and residual tests of the estimation data.
     """
     seconds, likelihood = horizon or fitted.model.horizon, Likelihood(fitted.model)
-    validated, factors = None, dict[str, float]()
+    estimated, validated = _evaluate_set(fitted, fitted.estimation, True, seconds, likelihood), None
     if fitted.validation:
         validated = _evaluate_set(fitted, fitted.validation, False, seconds, likelihood)
-        factors = _widening(validated.calibration.horizon)
+        intervals = _intervals(validated, seconds)
+        estimated, validated = _widened(estimated, intervals), _widened(validated, intervals)
     return PredictionEvaluation(
         fitted.model,
         seconds,
-        _widened(_evaluate_set(fitted, fitted.estimation, True, seconds, likelihood), factors),
-        None if validated is None else _widened(validated, factors),
+        estimated,
+        validated,
         tuple(r for v in fitted.estimation for r in residual_tests(fitted.model, v.record, v.run.standardised)),
     )
 
@@ -286,21 +294,27 @@ def _evaluate_set(
     return SetEvaluation(records, errors, prediction_change(mean, errors.horizon, seconds), calibrated)
 
 
-def _widening(calibration: Mapping[str, Calibration]) -> dict[str, float]:
-    """Return the factor of the predicted standard deviations by channel, from the calibration over the horizon."""
-    return {name: channel.widening for name, channel in calibration.items()}
+def _intervals(validated: SetEvaluation, seconds: float) -> IntervalCalibration:
+    """Return the scales of the errors on validation data, over a horizon of ``seconds`` [s] and in simulation."""
+    ahead, simulation = (
+        {name: channel.error_scale for name, channel in found.items()}
+        for found in (validated.calibration.horizon, validated.calibration.simulation)
+    )
+    return IntervalCalibration(seconds, ahead, simulation)
 
 
-def _widened(evaluation: SetEvaluation, factors: Mapping[str, float]) -> SetEvaluation:
-    """Return the evaluation with the standard deviations over the horizon times the factors by channel.
+def _widened(evaluation: SetEvaluation, intervals: IntervalCalibration) -> SetEvaluation:
+    """Return the evaluation with the standard deviations over the horizon and in simulation times their factors.
 
     Channels without a factor are not changed. The calibration stays that of the predicted standard deviations.
     """
-    records = tuple(
-        replace(r, horizon={n: replace(h, sd=h.sd * factors.get(n, 1.0)) for n, h in r.horizon.items()})
-        for r in evaluation.records
-    )
-    return replace(evaluation, records=records)
+    ahead, simulation = intervals.widening(intervals.horizon), intervals.widening(None)
+    records = []
+    for r in evaluation.records:
+        horizon = {n: replace(h, sd=h.sd * ahead.get(n, 1.0)) for n, h in r.horizon.items()}
+        factors = np.array([simulation.get(name, 1.0) for name in r.record.outputs])
+        records.append(replace(r, horizon=horizon, simulation=replace(r.simulation, sd=r.simulation.sd * factors)))
+    return replace(evaluation, records=tuple(records))
 
 
 def horizon_prediction(

@@ -1,5 +1,7 @@
 """Workflow of `seatrial ident compare`: comparison of the predictions of several fitted models on the same logs.
 
+One model alone is evaluated on logs that it has not seen.
+
 Each prediction of a record by a model is a task, which may run on another computer. The errors of all models are
 compared at the samples that all of them predict.
 """
@@ -57,8 +59,9 @@ from seatrial.ident.workflows.compared_predictions import (
     PredictedRecord,
     PredictionTask,
     predict_record,
+    widened,
 )
-from seatrial.ident.workflows.comparison_errors import at_common_samples, channel_rows, ratio_row
+from seatrial.ident.workflows.comparison_errors import at_common_samples, calibration_at, channel_rows, ratio_row
 from seatrial.ident.workflows.comparison_likelihood import (
     information_criteria,
     log_score,
@@ -84,7 +87,7 @@ class CompareRequest:
     Attributes
     ----------
     models
-        The model.toml of each model; at least two. The first one is the reference.
+        The model.toml of each model. The first one is the reference. One alone is evaluated.
     logs
         Logs on which the models are compared.
     horizons
@@ -153,9 +156,15 @@ class _Candidate:
         """Names of the parameters that are estimated anew for each compared log, such as the current."""
         return tuple(p.name for p in self.model.parameters if p.free and p.per_record)
 
+    def widens(self, seconds: float | None) -> bool:
+        """Return whether validation data widen the intervals over ``seconds`` [s], or in simulation (None)."""
+        return self.saved.intervals is not None and bool(self.saved.intervals.widening(seconds))
+
 
 def compare_models(request: CompareRequest, command: str, reporter: Reporter) -> ComparisonResult:
     """Predict the same logs by several fitted models, and compare the predictions with those of the first model.
+
+    One model alone is evaluated: the result has its errors, and the shares of them inside its 95 % intervals.
 
     Each model keeps its estimates. Only the parameters that belong to a log, such as the current, are estimated anew
     for each log and model. All models predict the same interval of time of each log, and their errors are compared at
@@ -184,12 +193,12 @@ def compare_models(request: CompareRequest, command: str, reporter: Reporter) ->
     Raises
     ------
     SeatrialError
-        If there are fewer than two models, if a file cannot be read, if the logs have faults that make a fit
+        If there is no model, if a file cannot be read, if the logs have faults that make a fit
         meaningless (unless ``despite_faults``), if no log is longer than a given horizon, if a model cannot predict a
         log, or if a cluster cannot be used.
     """
-    if len(request.models) < 2:
-        raise SeatrialError("a comparison needs two models or more; give another model.toml")
+    if not request.models:
+        raise SeatrialError("there is no model; give the model.toml of a fit, or several to compare them")
     loaded, _ = load_all(request.logs, [], request.window, device_faults)
     for horizon in request.horizons:
         check_horizon(horizon, loaded, [])
@@ -317,7 +326,8 @@ def _predicted(
             raise SeatrialError(
                 f"{path}: this model cannot predict {record}: {outcome.error}; leave out this log or model"
             )
-        found[outcome.task.index][record] = outcome.value
+        known = compared[outcome.task.index].saved.intervals
+        found[outcome.task.index][record] = [widened(part, known) for part in outcome.value]
         reporter.progress(f"{n} of {len(tasks)}: {record} predicted by {path}")
     return [{record.name: by[record.name] for record in records[0]} for by in found]
 
@@ -349,7 +359,8 @@ def _result(
         if kind == SIMULATION:
             for name, length in (item for other in errors[1:] for item in correlated_blocks(errors[0], other).items()):
                 lengths[name] = max(lengths[name], length)
-        channels += channel_rows(kind, errors, letters, units, lengths)
+        tested = [calibration_at(kind, own, by) for own, by in zip(errors, predicted, strict=True)]
+        channels += channel_rows(kind, errors, letters, units, lengths, tested)
         length = max(lengths.values())
         for own, other in zip(changes[1:], errors[1:], strict=True):
             found = prediction_change_by_record(errors[0], other, kind.seconds or 0.0, length)
@@ -366,6 +377,9 @@ def _result(
             per_log=c.per_log,
             fitted_to=used_logs(c.saved, loaded),
             selected_by=used_logs(c.saved, loaded, "validation") if with_effects else (),
+            widened_horizons=tuple(s for s in horizons if c.widens(s)),
+            widened_simulation=c.widens(None),
+            widened_by=() if c.saved.intervals is None else used_logs(c.saved, loaded, "validation"),
             differences=model_differences(compared[0].saved, c.saved) if models else None,
             changes=tuple(own),
         )
@@ -405,20 +419,38 @@ def _result(
 
 
 def _warnings(models: Sequence[ComparedModel]) -> Iterator[ResultWarning]:
-    """Yield a warning for each model that was fitted to a compared log, or validated on one."""
+    """Yield warnings for each model that was fitted to a compared log, or validated on one."""
     for m in models:
         if m.fitted_to:
             yield ResultWarning(
                 code="compared-on-fitted-log",
-                text=f"({m.label}) was fitted to {', '.join(m.fitted_to)}: its errors there are smaller than on other "
-                "logs. Compare on logs that no model has used.",
+                text=f"{_subject(m, models)} was fitted to {', '.join(m.fitted_to)}: its errors there are smaller than "
+                f"on other logs. {_unused_logs(models)}",
             )
         if m.selected_by:
             yield ResultWarning(
                 code="compared-on-validation-log",
-                text=f"the effects of ({m.label}) were selected by {', '.join(m.selected_by)}: its errors there may be "
-                "smaller than on other logs. Compare on logs that no model has used.",
+                text=f"the effects of {_subject(m, models).lower()} were selected by {', '.join(m.selected_by)}: its "
+                f"errors there may be smaller than on other logs. {_unused_logs(models)}",
             )
+
+        if m.widened_by:
+            yield ResultWarning(
+                code="intervals-from-compared-log",
+                text=f"the errors on {', '.join(m.widened_by)} have widened the intervals of "
+                f"{_subject(m, models).lower()}, so that the share of the errors inside is no test of the intervals. "
+                f"{_unused_logs(models)}",
+            )
+
+
+def _subject(m: ComparedModel, models: Sequence[ComparedModel]) -> str:
+    """Return the subject of a sentence on one of the models: its label, or ``The model`` if it is the only one."""
+    return f"({m.label})" if len(models) > 1 else "The model"
+
+
+def _unused_logs(models: Sequence[ComparedModel]) -> str:
+    """Return the advice to use other logs, in a sentence."""
+    return "Compare on logs that no model has used." if len(models) > 1 else "Evaluate it on logs that it has not used."
 
 
 def _by_part(predicted: Predictions) -> dict[str, PredictedRecord]:
@@ -448,6 +480,14 @@ def _warnings_of_effects(
     numbers = [len(parts) for parts in predicted.values()]
     if found and max(numbers) > 1:
         each = " and ".join(dict.fromkeys(str(n) for n in (min(numbers), max(numbers))))
+        if len(compared) == 1:
+            yield ResultWarning(
+                code="compared-in-blocks",
+                text=f"Effects have parameters of their own for each log: {found[letters[0]]}. The model is therefore "
+                f"evaluated on {each} blocks in time of each log, with the estimates of these parameters from the "
+                "other blocks. The simulation starts anew in each block.",
+            )
+            return
         of = ", ".join(f"({label}) {names}" for label, names in found.items())
         yield ResultWarning(
             code="compared-in-blocks",
@@ -460,7 +500,8 @@ def _warnings_of_effects(
     for label, names in found.items():
         yield ResultWarning(
             code="effect-estimated-on-compared-log",
-            text=f"({label}) estimates parameters of an effect anew on each compared log ({names}): its errors are "
+            text=f"{f'({label})' if len(compared) > 1 else 'The model'} estimates parameters of an effect anew on each "
+            f"compared log ({names}): its errors are "
             "those of a fit to these logs, and smaller than those of the saved model on a new log. Give longer logs or "
             f"a shorter horizon: {FEWEST_BLOCKS} blocks in time, each longer than {WARM_UP:g} s and the horizon, could "
             "be predicted with the estimates from one another.",
@@ -478,8 +519,9 @@ def _how_to_compare_whole_logs(per_log: Sequence[str], n_models: int) -> str:
 
 def _notes_on_logs(models: Sequence[ComparedModel]) -> list[str]:
     """Return the note that lists the parameters that are estimated anew for each log; empty if no model has any."""
-    own = [f"({m.label}) {', '.join(m.per_log)}" for m in models if m.per_log]
-    return [f"Estimated anew for each compared log: {'; '.join(own)}."] if own else []
+    own = [f"({m.label}) {', '.join(m.per_log)}" if len(models) > 1 else ", ".join(m.per_log) for m in models
+           if m.per_log]  # fmt: skip
+    return [f"Estimated anew for each {'compared ' * (len(models) > 1)}log: {'; '.join(own)}."] if own else []
 
 
 def _traces(
@@ -537,11 +579,15 @@ def _joined(parts: Sequence[PredictedRecord], kind: Kind, channel: str) -> Curve
 def comparison_answer(result: ComparisonResult) -> str:
     """Return the conclusion of a comparison: the best model over the first horizon, and its error over all channels.
 
+    For one model alone, it is its fit over the first horizon, and the share of the errors inside its 95 % intervals.
+
     Parameters
     ----------
     result : ComparisonResult
         The comparison; its field ``answer`` is not used.
     """
+    if result.is_evaluation:
+        return _evaluation_answer(result)
     seconds = result.horizons[0]
     first, *others = result.models
     shown = [(m, ratio) for m in others if (ratio := m.ahead(seconds)) is not None]
@@ -564,6 +610,28 @@ def comparison_answer(result: ComparisonResult) -> str:
             words += f" {_change_words(*shown[0], first)}"
     of = best[0] if best is not None else shown[0][0] if len(shown) == 1 else None
     return words if of is None else words + _other_horizons(of, result.horizons[1:])
+
+
+def _evaluation_answer(result: ComparisonResult) -> str:
+    """Return the conclusion of the evaluation of one model: median fit and coverage over the first horizon.
+
+    The median is over the channels, and the coverage is of the errors of all channels together. Channels whose
+    intervals are too narrow or too wide by the test of calibration are named.
+    """
+    seconds, label = result.horizons[0], result.models[0].label
+    rows = [(row, e) for row in result.channels if row.seconds == seconds for e in row.errors if e.model == label]
+    fits = [e.fit for _, e in rows if e.fit is not None]
+    if not fits:
+        return f"The logs have no prediction {seconds:g} s ahead."
+    median = 100.0 * float(np.median(fits))
+    words = f"{seconds:g} s ahead the fit is {median:.0f} % (median of {counted(len(fits), 'channel')})"
+    if (inside := result.inside_95("horizon", seconds, label)) is not None:
+        words += f"; {100.0 * inside:.0f} % of the errors of all channels lie inside the 95 % intervals"
+    words += "."
+    for verdict, width in (("overconfident", "narrow"), ("underconfident", "wide")):
+        if names := [row.channel for row, e in rows if e.intervals == verdict]:
+            words += f" The intervals of {', '.join(names)} are too {width}."
+    return words
 
 
 def _change_words(model: ComparedModel, ratio: ComparedRatio, reference: ComparedModel) -> str:

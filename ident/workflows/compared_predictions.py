@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +12,7 @@ from seatrial.daq.errors import SeatrialError
 from seatrial.ident.data import Record
 from seatrial.ident.estimation import (
     FIT_ERRORS,
+    IntervalCalibration,
     Likelihood,
     ParameterUncertainty,
     RecordEvaluation,
@@ -26,8 +27,10 @@ from seatrial.ident.validation import (
     horizon_errors,
     horizon_forecasts,
     horizon_prediction,
+    one_step_calibration,
     one_step_errors,
     simulation_run,
+    standardised_errors,
 )
 
 
@@ -111,6 +114,10 @@ class PredictedRecord:
         Prediction errors by kind of prediction and channel.
     curves
         Predictions by horizon or simulation, and by channel.
+    standardised
+        Errors over their standard deviations at the times of `errors`, by kind of prediction and channel. NaN for an
+        outlier one step ahead, and infinite where a prediction diverged. Channels without standard deviations are left
+        out.
     """
 
     t: Array
@@ -118,6 +125,7 @@ class PredictedRecord:
     ll: Array
     errors: Mapping[Kind, Mapping[str, PredictionErrors]]
     curves: Mapping[Kind, Mapping[str, Curve]]
+    standardised: Mapping[Kind, Mapping[str, Array]] = field(default_factory=dict)
 
 
 def predict_record(task: PredictionTask) -> list[PredictedRecord]:
@@ -156,11 +164,20 @@ def _predictions(view: RecordEvaluation, task: PredictionTask) -> PredictedRecor
     """Return the predictions of an evaluated record, or of a block of it, for the horizons of a task."""
     model, record, likelihood = view.model, view.record, Likelihood(view.model)
     errors: dict[Kind, Mapping[str, PredictionErrors]] = {ONE_STEP: one_step_errors(model, record, view.run)}
+    innovations = one_step_calibration(model, view.run)
+    z: dict[Kind, Mapping[str, Array]] = {
+        ONE_STEP: {n: innovations[n][np.searchsorted(record.t, e.t)] for n, e in errors[ONE_STEP].items()}
+    }
     curves: dict[Kind, Mapping[str, Curve]] = {}
     for seconds in task.horizons:
         kind = Kind("horizon", seconds)
         errors[kind] = horizon_errors(model, record, view.values, view.run.x_filt, seconds, task.interval)
         curves[kind] = _horizon_curves(view, errors[kind], seconds, likelihood)
+        z[kind] = {
+            n: standardised_errors(errors[kind][n].e, curve.sd)
+            for n, curve in curves[kind].items()
+            if np.isfinite(curve.sd).any()
+        }
     simulated = simulation_run(model, record, view.values, likelihood, task.uncertainty)
     errors[SIMULATION] = simulated.errors
     own: dict[str, Curve] = {}
@@ -171,9 +188,37 @@ def _predictions(view: RecordEvaluation, task: PredictionTask) -> PredictedRecor
             y[t >= simulated.diverged.get(o.name, np.inf)] = np.nan
             own[o.name] = Curve(t, y, simulated.sd[seen, j])
     curves[SIMULATION] = own
+    z[SIMULATION] = {
+        n: standardised_errors(e.e, own[n].sd[np.searchsorted(own[n].t, e.t)]) for n, e in simulated.errors.items()
+    }
     counts = np.isfinite(record.y).sum(axis=0).tolist()
     samples = {name: n for name, n in zip(record.outputs, counts, strict=True) if n}
-    return PredictedRecord(record.t, samples, view.ll, errors, curves)
+    return PredictedRecord(record.t, samples, view.ll, errors, curves, z)
+
+
+def widened(predicted: PredictedRecord, intervals: IntervalCalibration | None) -> PredictedRecord:
+    """Return the predictions with the standard deviations of a run that the model has not seen.
+
+    Those over the horizon of the validation, and of the simulation, are multiplied by the factor of the channel. Other
+    horizons, predictions one step ahead, and channels without a factor are not changed. A channel with an infinite
+    factor (its prediction of the validation data diverged) has no standardised errors.
+
+    Parameters
+    ----------
+    predicted : PredictedRecord
+        Predictions with the standard deviations of the model itself.
+    intervals : IntervalCalibration or None
+        Scales of the errors on the validation data of the model; None: there were none.
+    """
+    if intervals is None:
+        return predicted
+    curves, z = dict(predicted.curves), dict(predicted.standardised)
+    for kind, by_name in curves.items():
+        factors = intervals.widening(kind.seconds)
+        curves[kind] = {n: curve._replace(sd=curve.sd * factors.get(n, 1.0)) for n, curve in by_name.items()}
+        own = z.get(kind, {})
+        z[kind] = {n: e / f for n, e in own.items() if np.isfinite(f := factors.get(n, 1.0))}
+    return replace(predicted, curves=curves, standardised=z)
 
 
 def _horizon_curves(

@@ -8,8 +8,15 @@ from functools import cache, reduce
 import numpy as np
 
 from seatrial.ident.results import ComparedChannel, ComparedError, ComparedRatio, ComparisonVerdict, finite
-from seatrial.ident.validation import ErrorRatio, PredictionErrors, pooled_errors, prediction_change_by_record
-from seatrial.ident.workflows.compared_predictions import Kind
+from seatrial.ident.validation import (
+    Calibration,
+    ErrorRatio,
+    PredictionErrors,
+    pooled_calibration,
+    pooled_errors,
+    prediction_change_by_record,
+)
+from seatrial.ident.workflows.compared_predictions import SIMULATION, Kind, PredictedRecord
 
 VERDICTS: Mapping[str, ComparisonVerdict] = {"fell": "better", "rose": "worse", "unchanged": "indistinguishable"}
 ErrorsByRecord = Mapping[str, Mapping[str, PredictionErrors]]
@@ -41,12 +48,39 @@ def at_common_samples(models: Sequence[ErrorsByRecord]) -> list[dict[str, dict[s
     return found
 
 
+def calibration_at(
+    kind: Kind, errors: ErrorsByRecord, predicted: Mapping[str, PredictedRecord]
+) -> dict[str, Calibration]:
+    """Test the prediction intervals of one model by its errors at the given samples, for each channel.
+
+    Parameters
+    ----------
+    kind : Kind
+        Kind of prediction.
+    errors : mapping
+        Errors by record and channel, at the samples that count.
+    predicted : mapping
+        All predictions of the model by record.
+
+    Returns
+    -------
+    dict of str to Calibration
+        Calibration by channel, of all records together. Channels without standard deviations are left out.
+    """
+    by_record = []
+    for record, by_name in errors.items():
+        own, z = predicted[record].errors[kind], predicted[record].standardised.get(kind, {})
+        by_record.append({n: z[n][np.searchsorted(own[n].t, e.t)] for n, e in by_name.items() if n in z})
+    return pooled_calibration(by_record, together=kind == SIMULATION)
+
+
 def channel_rows(
     kind: Kind,
     models: Sequence[ErrorsByRecord],
     labels: Sequence[str],
     units: Mapping[str, str],
     blocks: Mapping[str, float],
+    calibrations: Sequence[Mapping[str, Calibration]] = (),
 ) -> list[ComparedChannel]:
     """Return the rows of the result for one kind of prediction: for each channel the errors of all models.
 
@@ -62,7 +96,10 @@ def channel_rows(
         Unit of each channel.
     blocks : mapping
         Length of the blocks of time for the intervals [s], by channel.
+    calibrations : sequence of mapping
+        Calibration of each model by channel; by default unknown.
     """
+    tested = calibrations or [dict[str, Calibration]()] * len(models)
     pooled = [pooled_errors(list(model.values())) for model in models]
 
     @cache  # the first model may also be the best one
@@ -86,6 +123,8 @@ def channel_rows(
                 model=labels[k],
                 rms=error,
                 fit=None if error is None or not spread else 1.0 - error / spread,
+                inside_95=None if (found := tested[k].get(name)) is None else found.inside_95,
+                intervals=None if found is None else found.verdict,
                 against_reference=against(0, k, name) if 0 in rms else None,
                 against_best=None if best is None else against(best, k, name),
             )

@@ -8,9 +8,17 @@ from pathlib import Path
 import numpy as np
 
 from seatrial.ident.data import TIME_INPUT, WORK_INPUT
-from seatrial.ident.estimation import Fit, FittedData, FittedModel, RefittedEffect, save_model
+from seatrial.ident.estimation import (
+    ErrorScale,
+    Fit,
+    FittedData,
+    FittedModel,
+    IntervalCalibration,
+    RefittedEffect,
+    save_model,
+)
 from seatrial.ident.report import write_report
-from seatrial.ident.results import FitResult, write_result
+from seatrial.ident.results import CalibrationRow, FitResult, write_result
 from seatrial.ident.validation import shown_inputs
 
 
@@ -31,8 +39,8 @@ def write_all(
     out : Path
         Folder of the results; it is created if it does not exist.
     result : FitResult
-        Content of result.json and report.html. Its provenance, and the origin of x and y of its first estimation log
-        that has one, are also written to model.toml.
+        Content of result.json and report.html. Its provenance, the origin of x and y of its first estimation log that
+        has one, and its calibration on validation data are also written to model.toml.
     fit : Fit
         Model and estimates for model.toml.
     ranges : mapping
@@ -57,7 +65,7 @@ def write_all(
     save_model(
         out / "model.toml",
         fit,
-        data=FittedData(ranges, rates or {}, origin),
+        data=FittedData(ranges, rates or {}, origin, intervals_of(result)),
         provenance=made,
         effects_file=effects_file,
         calibration=calibration,
@@ -65,6 +73,28 @@ def write_all(
     )
     write_result(result, out / "result.json")
     write_report(result, out / "report.html")
+
+
+def intervals_of(result: FitResult) -> IntervalCalibration | None:
+    """Return the scales of the errors on the validation data, for model.toml; None without validation data.
+
+    Parameters
+    ----------
+    result : FitResult
+        Result of a fit. A scale that is null there is infinite, because a prediction diverged.
+    """
+    found = result.calibration.validation
+    if found is None:
+        return None
+
+    def scales(rows: Mapping[str, CalibrationRow]) -> dict[str, ErrorScale]:
+        """Return the scale by channel of one kind of prediction."""
+        return {
+            name: ErrorScale(np.inf if row.scale is None else row.scale, row.n_effective, row.n_records)
+            for name, row in rows.items()
+        }
+
+    return IntervalCalibration(result.horizon_seconds, scales(found.horizon), scales(found.simulation))
 
 
 def validity(fitted: FittedModel) -> dict[str, tuple[float, float]]:

@@ -35,11 +35,14 @@ Models = Sequence[AnyModel] | Mapping[str, AnyModel]
 class Comparison(Shown):
     """Comparison of fitted models by their predictions of the same logs. `compare` returns it.
 
+    One model alone is evaluated on logs that it has not seen.
+
     Attributes
     ----------
     result : ComparisonResult
         Content of result.json: for each model and channel the errors one step ahead, over each horizon and in
-        simulation, with verdicts by 95 % intervals; log score and information criteria; and the predictions over time.
+        simulation, and the shares of them inside its 95 % intervals; with verdicts on the differences between models by
+        95 % intervals; log score and information criteria; and the predictions over time.
     """
 
     result: ComparisonResult
@@ -51,7 +54,11 @@ class Comparison(Shown):
 
     @property
     def answer(self) -> str:
-        """Best model over the first horizon, and its error over all channels against that of the first model."""
+        """Best model over the first horizon, and its error over all channels against that of the first model.
+
+        For one model alone, it is the median fit of its channels, and the share of the errors inside its 95 %
+        intervals.
+        """
         return tables.conclusion(self.result)
 
     @property
@@ -71,8 +78,9 @@ class Comparison(Shown):
         """Return all errors as a ``pandas.DataFrame``: a row for each kind of prediction, channel and model.
 
         The columns are ``kind`` (one_step, horizon, simulation), ``seconds`` (the horizon, else NaN), ``channel``,
-        ``unit``, ``model`` (its name), ``rms`` (NaN: diverged), ``fit`` (1: perfect), ``ratio``, ``low``, ``high``,
-        ``blocks`` and ``verdict`` (against the first model, with the 95 % interval and the number of independent blocks
+        ``unit``, ``model`` (its name), ``rms`` (NaN: diverged), ``fit`` (1: perfect), ``inside_95`` (share of the
+        errors inside the 95 % intervals), ``intervals`` (verdict on these), ``ratio``, ``low``, ``high``, ``blocks``
+        and ``verdict`` (against the first model, with the 95 % interval and the number of independent blocks
         of time; ``no-interval`` with fewer than four), and ``best`` (whether the error is the smallest).
         A model has no row for a channel that it does not predict.
 
@@ -89,9 +97,10 @@ class Comparison(Shown):
                 found = e.against_reference
                 ratio = {n: None if found is None else getattr(found, n) for n in RATIO}
                 own = {"model": names[e.model], "rms": e.rms, "fit": e.fit}
+                own |= {"inside_95": e.inside_95, "intervals": e.intervals}
                 rows.append({**of_channel, **own, **ratio, "best": e.model == row.best})
         frame = import_library("pandas").DataFrame(rows)
-        numbers = ["seconds", "rms", "fit", "ratio", "low", "high", "blocks"]
+        numbers = ["seconds", "rms", "fit", "inside_95", "ratio", "low", "high", "blocks"]
         return frame.astype(dict.fromkeys(numbers, float))
 
     def predictions(self) -> ComparedPredictions:
@@ -104,9 +113,11 @@ class Comparison(Shown):
         -------
         ComparedPredictions
             ``predictions[model][horizon][record][channel]`` is a `Prediction`: ``model`` is the name of a model, and
-            ``horizon`` a time [s] or ``"simulation"``. `to_pandas` gives one table of all. ``sd`` is that of the model
-            itself, which the validation data do not widen. ``predicted`` is NaN from the time on at which a prediction
-            diverged. ``measured`` is interpolated if the rows of the models differ. Angles are not wrapped: the
+            ``horizon`` a time [s] or ``"simulation"``. `to_pandas` gives one table of all. ``sd`` is that for a run
+            which the model has not seen: widened by the validation data of its fit, over their horizon and in
+            simulation. It is the model's own over other horizons, and without validation data
+            (`ComparedModel.widened_horizons`). ``predicted`` is NaN from the time on at which a prediction diverged.
+            ``measured`` is interpolated if the rows of the models differ. Angles are not wrapped: the
             prediction is within half a turn of the sample.
         """
         names = {m.label: m.name for m in self.result.models}
@@ -215,19 +226,21 @@ def compare(
     scheduler: str = "",
     jobs: int | None = None,
 ) -> Comparison:
-    """Compare fitted models on the same logs: their errors by channel and horizon, and their log score.
+    """Evaluate a fitted model on logs that it has not seen, or compare several: errors by channel and horizon.
 
-    The call is ``compare([m1, m2], logs)`` with a list or dictionary of models, or ``compare(m1, m2, logs)`` with one
-    model after the other: the last argument without a name is then the logs.
+    The call is ``compare(model, logs)`` for one model, whose fit and 95 % intervals are judged. It is
+    ``compare([m1, m2], logs)`` with a list or dictionary of models, or ``compare(m1, m2, logs)`` with one model after
+    the other: the last argument without a name is then the logs.
 
     Parameters
     ----------
     models : sequence, or dict by name, of path, `Saved`, `FittedVehicle` or `FittedDiagnosis`; or the first of them
-        Two models or more; the first one is the reference. A path that occurs twice counts once.
+        One model to evaluate, or several to compare; the first one is then the reference. A path that occurs twice
+        counts once.
     *others : models and logs
         Further models if ``models`` is a single one, and then the logs if ``logs`` is not given by its name.
     logs : path, `Log` or sequence of them, optional
-        Logs on which the models are compared; of a `Log`, its window is used. Use logs that no model was fitted to; the
+        Logs that the models predict; of a `Log`, its window is used. Use logs that no model was fitted to; the
         summary names the others.
     horizon : float or sequence of float, optional
         Horizons of the predictions [s], beside one step ahead and simulation. None: that of the first model.
@@ -247,16 +260,18 @@ def compare(
     Returns
     -------
     Comparison
-        Errors of each model and the differences with their 95 % intervals.
+        Errors of each model, the shares of them inside its 95 % intervals, and the differences between the models.
 
     Raises
     ------
     SeatrialError
-        If there are fewer than two different models or no logs, if a log is given as a model, if a model does not go
-        with the logs, if the logs have faults that make a fit meaningless, or if none is longer than ``horizon``.
+        If there are no models or no logs, if a model is given twice and no other one, if a log is given as a model, if
+        a model does not go with the logs, if the logs have faults that make a fit meaningless, or if none is longer
+        than ``horizon``.
 
     Examples
     --------
+    >>> print(st.compare("vehicle", "run4.mcap").answer)
     >>> compared = st.compare({"nominal": fit, "with mismatch": found}, "run4.mcap", horizon=[2.0, 10.0])
     >>> compared.plot("psi", "r", horizon="simulation").save("overlay.html")
     >>> st.compare("vehicle", "diagnosis", "run4.mcap").best
@@ -277,10 +292,8 @@ def compare(
     with errors_of_users(), ExitStack() as stack:
         if len(named) == 1 < len(chosen):
             raise SeatrialError(f"{next(iter(named))} is given twice; give another model to compare it with")
-        if len(named) < 2:
-            raise SeatrialError(
-                "a comparison needs two models or more; give them as a list, or one after the other, and then the logs"
-            )
+        if not named:
+            raise SeatrialError("there is no model; give one, or several as a list, and then the logs")
         paths = [stack.enter_context(model_path(m)) for m in named.values()]
         files = as_paths(data)
         request = CompareRequest(

@@ -95,7 +95,7 @@ def comparison_figure(
     kind: tuple[PredictionKind, float | None] = (
         ("simulation", None) if seconds == "simulation" else ("horizon", float(seconds))
     )
-    names = {m.label: f"({m.label}) {m.name}" for m in result.models}
+    names = {m.label: m.name if result.is_evaluation else f"({m.label}) {m.name}" for m in result.models}
     panels: list[Panel] = []
     for x in result.traces:
         if not channels or x.channel in channels:

@@ -54,9 +54,9 @@ class Prediction(NamedTuple):
     predicted : Array (n,)
         Predictions of these samples, in the same unit; infinite if the prediction diverged.
     sd : Array (n,)
-        Standard deviations of measured minus predicted, in the same unit. Over a horizon they are widened by what the
-        validation data show, so that ``predicted`` ± 1.96 ``sd`` contains about 95 % of further samples. NaN if a
-        channel has no such forecast.
+        Standard deviations of measured minus predicted, in the same unit. Over a horizon and in simulation they are
+        widened by what the validation data show, so that ``predicted`` ± 1.96 ``sd`` contains about 95 % of further
+        samples. NaN if a channel has no such forecast.
     unit : str
         Unit of the channel, SI and radians; empty if it has none or if it is unknown.
     """

@@ -33,6 +33,7 @@ from seatrial.api.messages import text_of, with_texts_in_python
 from seatrial.daq.checks import Finding
 from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
 from seatrial.daq.log import bag_of_ros
+from seatrial.ident.estimation.model_file import load_model
 from seatrial.ident.results import read_result
 from seatrial.mocks.plant.bench import draw_bench
 from tests.missions import bench_log, boat_log, boat_with
@@ -473,6 +474,27 @@ def test_predictions_have_the_errors_of_the_result(fit: st.FittedVehicle) -> Non
         assert np.mean(np.abs(z) < 1.96) >= factor.inside_95 - 0.05
     for name, row in errors.simulation.items():
         assert fit.simulate()["run2"][name].rms == pytest.approx(row.after, rel=1e-9)
+
+
+def test_intervals_of_a_fit_and_a_diagnosis_are_saved_and_used_on_an_unseen_log(
+    fit: st.FittedVehicle, found: st.FittedDiagnosis, logs: list[Path], tmp_path: Path
+) -> None:
+    judged = {"fit": fit, "found": found}
+    compared = st.compare(judged, logs[2])
+    for model, (name, result) in zip(compared.result.models, judged.items(), strict=True):
+        saved = load_model(result.save(tmp_path / name) / "model.toml")
+        rows = result.result.calibration.validation
+        assert rows is not None
+        assert saved.intervals is not None
+        assert saved.intervals.horizon == result.result.horizon_seconds
+        for kind, seconds in ((rows.horizon, 10.0), (rows.simulation, None)):
+            known = saved.intervals.widening(seconds)
+            assert known.keys() == kind.keys()
+            for channel, row in kind.items():
+                assert known[channel] == pytest.approx(row.widening, rel=1e-4)
+        assert (model.widened_horizons, model.widened_simulation) == ((10.0,), True)
+        (one,) = st.compare(tmp_path / name, logs[2]).result.models
+        assert one.widened_horizons == (10.0,)
 
 
 def test_series_become_tables(fit: st.FittedVehicle) -> None:
@@ -1497,7 +1519,7 @@ def test_a_malformed_gnss_outage_gives_a_one_line_error(
             "boat/model.toml: is the model horizontal of a boat, not of a thruster; give thruster the model.toml of",
         ),
         (lambda logs, fit: st.simulate(fit, 3.0, {"n_left": 1.0}), "times: they have the shape (); give a list of two"),
-        (lambda logs, fit: st.compare([fit], logs[2]), "a comparison needs two models or more"),
+        (lambda logs, fit: st.compare([], logs[2]), "there is no model; give one"),
         (
             lambda logs, fit: st.compare(logs[2], fit),
             "run3.mcap: is a log, not a model; the model is the first argument, and the",

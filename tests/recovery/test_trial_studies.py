@@ -11,6 +11,7 @@ import pytest
 
 from seatrial.ident.diagnosis.certainty import NAME_RECORDS
 from seatrial.ident.diagnosis.policy import DEFAULT_POLICY
+from seatrial.ident.numerics import normal_ppf
 from seatrial.ident.results.parts import DiagnosisResult
 from seatrial.mocks.offline_simulation import simulate
 from seatrial.mocks.plant.boat import draw_boat
@@ -121,9 +122,29 @@ def test_scatter_between_runs_is_estimated_beside_that_of_few_errors() -> None:
     for k in range(400):
         n = rng.uniform(20.0, 80.0, size=2)
         scales = np.exp(0.15 * rng.standard_normal(2)) * np.sqrt(rng.chisquare(n) / n)
-        runs = [{"r": [scale, number]} for scale, number in zip(scales.tolist(), n.tolist(), strict=True)]
+        runs = [{"horizon": {"r": [scale, number]}} for scale, number in zip(scales.tolist(), n.tolist(), strict=True)]
         rows.append({"key": f"boat{k}/auto", "runs": runs})
     count, total, sampling = interval_study.scatter(rows)
     assert count == 400
     assert interval_study.run_scatter(total, sampling) == pytest.approx(0.15, abs=0.02)
     assert interval_study.run_scatter(sampling, sampling) == 0.0
+
+
+def test_scatter_between_boats_is_estimated_beside_few_errors_of_a_run() -> None:
+    rng, rows = np.random.default_rng(8), []
+    quantiles = np.abs(half_normal(interval_study.GRID))
+    for k in range(3000):
+        own = 0.4 * rng.standard_normal()
+        scales = np.exp(own + 0.3 * rng.standard_normal(2))
+        runs = [{"simulation": {"r": [scale, 5.0, (scale * quantiles).tolist()]}} for scale in scales.tolist()]
+        rows.append({"key": f"boat{k}/auto", "runs": runs})
+    assert interval_study.boat_scatter(rows) == pytest.approx(0.4, abs=0.03)
+    plain, widened = np.mean(interval_study.coverage(rows, "simulation"), axis=0)
+    assert plain < 0.9
+    assert 0.93 < widened < 0.97
+    assert interval_study.coverage_by_other_boats(rows[:40]) == pytest.approx(widened, abs=0.04)
+
+
+def half_normal(share: np.ndarray) -> np.ndarray:
+    """Return the value below which the absolute value of a standard normal variable is with a probability."""
+    return np.minimum(normal_ppf(0.5 + 0.5 * share), interval_study.DIVERGED)

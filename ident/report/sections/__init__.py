@@ -74,9 +74,11 @@ def body(canvas: Canvas, result: Result) -> list[Section]:
         found = [campaigns.changes_section(result), campaigns.errors_section(result)]
         found += [campaigns.estimates_section(canvas, result), campaigns.logs_section(result)]
     elif isinstance(result, ComparisonResult):
-        found = [comparison.differences_section(result), comparison.best_section(result)]
-        found.append(comparison.errors_section(result))
-        found += [comparison.likelihood_section(result), comparison.overlay_section(canvas, result)]
+        found = [comparison.errors_section(result), comparison.overlay_section(canvas, result)]
+        if not result.is_evaluation:
+            errors, overlay = found
+            found = [comparison.differences_section(result), comparison.best_section(result), errors]
+            found += [comparison.likelihood_section(result), overlay]
         found.append(runs.run_section(canvas, result.logs, ()))
     else:
         raise TypeError(

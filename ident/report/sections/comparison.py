@@ -13,7 +13,7 @@ import numpy as np
 from seatrial.daq.errors import counted, first_names
 from seatrial.ident.numerics import Array
 from seatrial.ident.report import drawing, formatting
-from seatrial.ident.report.blocks import Canvas, Cell, Grid, Heading, Prose, Section, Table, tabbed
+from seatrial.ident.report.blocks import Canvas, Cell, Grid, Heading, Lines, Prose, Section, Table, tabbed
 from seatrial.ident.report.record_tabs import of_record, record_tabs, roles_of
 from seatrial.ident.report.sections.predictions import error_words
 from seatrial.ident.results import (
@@ -27,6 +27,7 @@ from seatrial.ident.results import (
     DifferenceKind,
     LogScore,
     PredictionKind,
+    Verdict,
 )
 
 TIME = "time since the start of the record [s]"
@@ -54,6 +55,12 @@ DIFFERENCES: dict[DifferenceKind, str] = {
     "method": "method of the fit",
 }
 MOST_TEXTS = 12  # texts of one kind of difference that a table lists
+INSIDE = "inside the 95 % interval"
+ABOUT_INSIDE = (
+    "Inside the 95 % interval: share of the errors, which should be about 95 %. Successive errors are correlated, so "
+    "that a share may differ from it by chance: too narrow or too wide are only intervals for which a test with the "
+    "number of independent errors says so."
+)
 BAND = 0.13  # opacity of the 95 % band of one of several models
 
 
@@ -70,11 +77,52 @@ def verdict_words(row: ComparedRatio | LogScore) -> str:
     return words if row.verdict != "no-interval" or row.blocks is None else f"{words}: {counted(row.blocks, 'block')}"
 
 
+TOO: dict[Verdict, str] = {"overconfident": "too narrow", "underconfident": "too wide"}
+JUDGED: dict[Verdict, str] = TOO | {"right": "right", "insufficient_data": "too few errors for a verdict"}
+
+
+def interval_sentence(result: ComparisonResult, m: ComparedModel) -> str:
+    """Return what the 95 % intervals of a model are: whether they are widened, and where the errors show otherwise."""
+    kinds = [kind_title("horizon", s) for s in m.widened_horizons] + ["simulation"] * m.widened_simulation
+    words = f"widened by its validation data: {', '.join(kinds)}" if kinds else "those of the model itself"
+    if kinds and (own := [f"{s:g} s ahead" for s in result.horizons if s not in m.widened_horizons]):
+        words += f"; those of the model itself: {', '.join(own)}"
+    for verdict, too in TOO.items():
+        places = []
+        for kind in result.kinds:
+            names = [
+                row.channel
+                for row in result.channels
+                for e in row.errors
+                if (row.kind, row.seconds) == kind and (e.model, e.intervals) == (m.label, verdict)
+            ]
+            places += [f"{_lower(kind_title(*kind))} ({', '.join(names)})"] if names else []
+        words += f"; {too}: {', '.join(places)}" if places else ""
+    return words
+
+
+def _lower(title: str) -> str:
+    """Return a title with a small first letter: ``Simulation`` becomes ``simulation``."""
+    return title[0].lower() + title[1:]
+
+
+def _evaluation_blocks(result: ComparisonResult) -> list[Any]:
+    """Return the table of the only model: name, number of parameters, and what its 95 % intervals are."""
+    (m,) = result.models
+    free = f"{m.n_free} + {len(m.per_log)} per log" if m.per_log else str(m.n_free)
+    cells: list[Cell | str] = [Cell(f"{m.name}, {m.model}", "wide"), Cell(free, "num")]
+    cells.append(Cell(interval_sentence(result, m), "wide"))
+    note = "The model keeps its estimates; only what belongs to a log, such as the current, is estimated anew."
+    return [Table((("model", ""), ("parameters", "num"), ("95 % intervals", "")), [cells]), Prose(note, "quiet")]
+
+
 def opening_blocks(result: ComparisonResult) -> list[Any]:
     """Return the table of the models: label, name, structure, number of parameters, error of all channels.
 
-    The error is that over the first horizon, as a ratio to the first model.
+    The error is that over the first horizon, as a ratio to the first model. One model alone has no comparison.
     """
+    if result.is_evaluation:
+        return _evaluation_blocks(result)
     title = f"error {result.horizons[0]:g} s ahead"
     columns = (
         ("", ""),
@@ -108,7 +156,8 @@ def opening_blocks(result: ComparisonResult) -> list[Any]:
         "estimates; only what belongs to a log, such as the current, is estimated anew. The last four columns count "
         "the verdicts against (a) over all channels and kinds of prediction."
     )
-    return [Table(columns, rows), Prose(note, "quiet")]
+    lines = [f"95 % intervals of ({m.label}): {interval_sentence(result, m)}." for m in result.models]
+    return [Table(columns, rows), Prose(note, "quiet"), Lines(lines, "quiet")]
 
 
 def ratio_words(ratio: ComparedRatio | None) -> str:
@@ -193,12 +242,15 @@ def errors_section(result: ComparisonResult) -> Section:
 
     The section is empty if there are no channels.
     """
+    if result.is_evaluation:
+        return _evaluated_errors_section(result)
     reference = result.models[0].label
     columns = (
         ("model", ""),
         ("error", "num"),
         ("unit", ""),
         ("fit", "num"),
+        (INSIDE, "num"),
         (f"ratio to ({reference})", "num"),
         ("95 %", "num"),
         ("verdict", ""),
@@ -218,7 +270,38 @@ def errors_section(result: ComparisonResult) -> Section:
         "The fit is 1 − error / standard deviation of the measured values. ▼ and ▲: the error is smaller or larger "
         f"than that of ({reference}), and the 95 % interval of the ratio excludes 1. The intervals are by a jackknife "
         "over blocks of time that are longer than the errors are correlated. Fewer than four blocks give no interval "
-        "and no verdict: the errors of a simulation accumulate, so that a short log is one block or two."
+        "and no verdict: the errors of a simulation accumulate, so that a short log is one block or two. "
+        + ABOUT_INSIDE
+    )
+    return Section("errors", "Prediction errors", tabbed(tabs), lead)
+
+
+def _evaluated_errors_section(result: ComparisonResult) -> Section:
+    """Return the section of the prediction errors of one model alone: a tab for each kind of prediction."""
+    columns = (
+        ("channel", ""),
+        ("samples", "num"),
+        ("error", "num"),
+        ("unit", ""),
+        ("fit", "num"),
+        (INSIDE, "num"),
+        ("intervals", ""),
+    )
+    tabs = []
+    for kind in result.kinds:
+        lines: list[list[Cell | str]] = []
+        for row in result.channels:
+            if (row.kind, row.seconds) == kind:
+                factor, unit = formatting.degrees_for(row.unit)
+                for e in row.errors:
+                    shown: list[Cell | str] = [formatting.named(row.channel), Cell(str(row.n), "num")]
+                    shown += [Cell(error_words(None if e.rms is None else factor * e.rms), "num"), Cell(unit, "nowrap")]
+                    shown += [Cell(formatting.percent(e.fit), "num"), Cell(formatting.percent(e.inside_95), "num")]
+                    lines.append([*shown, Cell("–" if e.intervals is None else JUDGED[e.intervals])])
+        tabs.append((kind_title(*kind), [Table(columns, lines)] if lines else []))
+    lead = (
+        "Root mean square of the difference of measured and predicted values. The fit is 1 − error / standard "
+        f"deviation of the measured values. {ABOUT_INSIDE}"
     )
     return Section("errors", "Prediction errors", tabbed(tabs), lead)
 
@@ -233,12 +316,19 @@ def _error_cells(row: ComparedChannel, e: ComparedError) -> list[Cell | str]:
         Cell(error_words(None if e.rms is None else factor * e.rms), "num"),
         Cell(unit, "nowrap"),
         Cell(formatting.percent(e.fit), "num"),
+        Cell(_inside_with_verdict(e), "num"),
         Cell(mark + ratio_words(ratio), f"num {style}".strip()),
         Cell(interval_words(ratio), "num"),
         Cell("–" if ratio is None else verdict_words(ratio), style),
         Cell("best" if e.model == row.best else ratio_words(e.against_best), "num"),
         Cell(interval_words(e.against_best), "num"),
     ]
+
+
+def _inside_with_verdict(e: ComparedError) -> str:
+    """Return the share of the errors inside the 95 % intervals as text, with the verdict if these are not right."""
+    too = None if e.intervals is None else TOO.get(e.intervals)
+    return formatting.percent(e.inside_95) + (f", {too}" if too else "")
 
 
 def likelihood_section(result: ComparisonResult) -> Section:
@@ -311,7 +401,7 @@ def overlay_section(canvas: Canvas, result: ComparisonResult) -> Section:
     for tab in record_tabs(result.traces, roles_of(result.logs)):
         blocks: list[Any] = []
         for kind in kinds:
-            short = {m.label: f"({m.label})" for m in result.models}
+            short = {m.label: "predicted" if result.is_evaluation else f"({m.label})" for m in result.models}
             panels = overlay_panels(result, of_record(result.traces, tab), kind, canvas.budget.points, short)
             if panels:
                 figure, height = with_legend(*drawing.stacked(panels, TIME), 1)
@@ -319,10 +409,11 @@ def overlay_section(canvas: Canvas, result: ComparisonResult) -> Section:
                 blocks += [Heading(kind_title(*kind)), Grid([canvas.plot(figure, height, label)], 320)]
                 blocks += [Prose(drawing.CUT, "caption")] if drawing.cut(panels) else []
         tabs.append((tab.title, blocks))
-    names = ", ".join(f"({m.label}) {m.name}" for m in result.models)
+    names = ", ".join(m.name if result.is_evaluation else f"({m.label}) {m.name}" for m in result.models)
+    of = "" if result.is_evaluation else "by each model, "
     lead = (
-        f"{names}. Measured samples are grey. The bands are the 95 % intervals of the predictions by each model. A "
-        "click on a name of the legend hides its lines."
+        f"{names}. Measured samples are grey. The bands are the 95 % intervals of the predictions {of}which validation "
+        "data may have widened. A click on a name of the legend hides its lines."
     )
     return Section("overlay", "Measured and predicted", tabbed(tabs), lead)
 
@@ -423,8 +514,12 @@ def _turned(angle: Array, turn: float | None) -> Array:
 
 
 def _fit_words(row: ComparedChannel | None) -> str:
-    """Return the fit of each model for the title of a panel: `` · fit (a) 67 %, (b) 95 %``; empty without a fit."""
-    fits = [] if row is None else [f"({e.model}) {formatting.percent(e.fit)}" for e in row.errors if e.fit is not None]
+    """Return the fit of each model for the title of a panel: `` · fit (a) 67 %, (b) 95 %``; empty without a fit.
+
+    The fit of one model alone has no label.
+    """
+    found = [] if row is None else [e for e in row.errors if e.fit is not None]
+    fits = [f"({e.model}) " * (len(found) > 1) + formatting.percent(e.fit) for e in found]
     return f" · fit {', '.join(fits)}" if fits else ""
 
 

@@ -260,8 +260,9 @@ def calibration_section(canvas: Canvas, calibration: Calibrations, seconds: floa
         "The model predicts the standard deviation of its own errors. It is calibrated if 50 % and 95 % of the errors "
         "are inside the 50 % and 95 % intervals, and if the errors over their predicted standard deviation are about "
         "1. Overconfident: the intervals are too narrow. Underconfident: they are too wide. The bands of the "
-        "predictions over the horizon, and those of `predict` in Python, are widened by the factor of the validation "
-        "data in the column widened by: further data then lie inside the 95 % intervals as often as they should."
+        "predictions over the horizon and of the simulation, and those in Python, are widened by the factor of the "
+        "validation data in the column widened by: further data then lie inside the 95 % intervals as often as they "
+        "should. model.toml has the factors, so that `seatrial ident compare` widens its intervals too."
     )
     return Section("calibration", "Calibration of the prediction intervals", tabbed(tabs), lead)
 

@@ -20,6 +20,7 @@ from seatrial.ident.effects.nonparametric import input_response_effects, nonpara
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.engine.vectorised_model import VectorisedModel
 from seatrial.ident.estimation.homogeneity import between_runs_effect
+from seatrial.ident.estimation.interval_widening import ErrorScale, IntervalCalibration
 from seatrial.ident.estimation.maximum_likelihood import Fit, SearchSettings, fit
 from seatrial.ident.estimation.model_file import FittedData, load_model, model_file, save_model
 from seatrial.ident.estimation.refitted_effect import RefittedEffect
@@ -68,6 +69,27 @@ def test_effects_that_a_diagnosis_tried_are_restored(tmp_path: Path, found: Fit)
     )
     assert load_model(saved(tmp_path / "tried.toml", found, refits=tried)).refits == tried
     assert load_model(saved(tmp_path / "none.toml", found)).refits == ()
+
+
+def test_scales_of_the_validation_errors_are_restored(tmp_path: Path, found: Fit) -> None:
+    """A file without the table, as of an earlier version, loads without scales, and a wrong number is named."""
+    ahead = {"r": ErrorScale(1.2345, 40.25, 2), "psi": ErrorScale(np.inf, 1.0, 1)}
+    known = IntervalCalibration(10.0, ahead, {"r": ErrorScale(0.75, 2.5, 1)})
+    path, data = tmp_path / "model.toml", FittedData(VALIDITY, intervals=known)
+    save_model(path, found, data=data, provenance={})
+    assert load_model(path).intervals == known
+    assert load_model(saved(tmp_path / "none.toml", found)).intervals is None
+    text = path.read_text(encoding="utf-8")
+    for old, new, message in (
+        ("n_records = 2", "n_records = 0", "intervals: r needs a scale of 0 or more"),
+        ("scale = 1.2345", "scale = nan", "intervals: r needs a scale of 0 or more"),
+        ("horizon = 10.0", "horizon = 0.0", "intervals: horizon = 0; it must be finite and above 0 s"),
+        ("n_effective = 40.25, ", "", "it has no entry 'n_effective'"),
+    ):
+        assert old in text
+        path.write_text(text.replace(old, new), encoding="utf-8")
+        with pytest.raises(SeatrialError, match=message):
+            load_model(path)
 
 
 def test_fitted_model_is_restored(tmp_path: Path, found: Fit) -> None:

@@ -12,7 +12,9 @@ from scipy import stats
 
 from seatrial.ident.data.record import LogSegment, Record
 from seatrial.ident.estimation.fitted_model import FittedModel, RecordEvaluation, fit_nominal_model
+from seatrial.ident.estimation.interval_widening import RUN_SCATTER
 from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.estimation.parameter_covariance import parameter_uncertainty
 from seatrial.ident.model.parameter import Parameter
 from seatrial.ident.model.structure import Input, Output, Sensor, State, plain_model
 from seatrial.ident.models.horizontal import horizontal_model
@@ -20,7 +22,6 @@ from seatrial.ident.numerics.autocorrelation import effective_sample_size
 from seatrial.ident.results.answers import calibration_notes
 from seatrial.ident.results.tables import calibration_tables
 from seatrial.ident.validation.calibration import (
-    RUN_SCATTER,
     Calibration,
     calibration_test,
     pooled_calibration,
@@ -214,6 +215,21 @@ def test_intervals_are_never_narrowed() -> None:
     calibration = calibration_test([0.5 * np.random.default_rng(1).standard_normal(400)], 400.0)
     assert calibration is not None
     assert calibration.widening == 1.0
+
+
+def test_standard_deviations_of_the_simulation_are_widened_by_the_validation_data() -> None:
+    sure = with_values(fitted(), {"q_X": 0.2, "q_Y": 0.2, "q_N": 0.2})
+    judged = evaluate(sure)
+    assert judged.validation is not None
+    (view,), (shown,) = sure.validation, judged.validation.records
+    own = simulation_run(fitted().model, view.record, view.values, None, parameter_uncertainty(fitted().fit, None))
+    factors = {n: c.simulation_widening for n, c in judged.validation.calibration.simulation.items()}
+    assert max(factors.values()) > 1.2
+    for j, name in enumerate(view.record.outputs):
+        np.testing.assert_allclose(shown.simulation.sd[:, j], factors[name] * own.sd[:, j], rtol=1e-6)
+    rows = calibration_tables(judged).validation
+    assert rows is not None
+    assert {n: row.widening for n, row in rows.simulation.items()} == factors
 
 
 def test_standard_deviations_over_the_horizon_are_widened_by_the_validation_data() -> None:

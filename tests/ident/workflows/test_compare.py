@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import shutil
@@ -26,6 +27,7 @@ from seatrial.ident.data.record import Channel, LogSegment, build_record, make_r
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.engine import quick_compilation
 from seatrial.ident.estimation.fitted_model import evaluate_records, evaluated_in_blocks
+from seatrial.ident.estimation.interval_widening import ErrorScale
 from seatrial.ident.estimation.model_file import SavedModel, load_model
 from seatrial.ident.model.parameter import Parameter, ParameterOrigin
 from seatrial.ident.models.horizontal import horizontal_model
@@ -47,7 +49,7 @@ from seatrial.ident.workflows.compare import (
     records_of_same_time,
 )
 from seatrial.ident.workflows.compared_predictions import ONE_STEP, SIMULATION, PredictedRecord
-from seatrial.ident.workflows.comparison_errors import at_common_samples, channel_rows
+from seatrial.ident.workflows.comparison_errors import at_common_samples, calibration_at, channel_rows
 from seatrial.ident.workflows.comparison_likelihood import (
     _is_nested,
     _n_estimates,
@@ -263,7 +265,7 @@ def test_python_interface_takes_a_list_or_one_model_after_the_other(
     assert [(x["name"], x["mode"]) for x in figures[0].data] == [(x["name"], x["mode"]) for x in figures[1].data]
     assert figures[0].layout == figures[1].layout
     for call, message in (
-        (lambda: st.compare(models[0], logs[2]), "a comparison needs two models or more"),
+        (lambda: st.compare(models[0], models[0], logs[2]), "is given twice; give another model to compare it with"),
         (lambda: st.compare(models), "there are no logs"),
         (lambda: st.compare(models, logs[2], 10.0), "a list of models is followed by the logs alone"),
         (lambda: listed.plot(horizon=7.0), "there is no horizon 7.0; choose 2 or 'simulation'"),
@@ -284,12 +286,18 @@ def test_the_page_runs_as_written(
 ) -> None:
     for model, name in zip(models, ("vehicle", "diagnosis"), strict=True):
         shutil.copytree(model.parent, tmp_path / name)
-    shutil.copy(logs[2], tmp_path / "run3.mcap")
+    for name in ("run3", "run4"):
+        shutil.copy(logs[2], tmp_path / f"{name}.mcap")
     monkeypatch.chdir(tmp_path)
     text = (Path(__file__).parents[3] / "docs/how-to/compare.md").read_text(encoding="utf-8")
-    (block,) = re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
-    exec(compile(block, "compare.md", "exec"), {})
-    assert "RMS error and fit: 2 s ahead" in capsys.readouterr().out
+    blocks, place = re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL), dict[str, Any]()
+    assert len(blocks) == 2
+    for block in blocks:
+        exec(compile(block, "compare.md", "exec"), place)
+    shown = capsys.readouterr().out
+    assert "RMS error and fit: 2 s ahead" in shown
+    assert "10 s ahead the fit is" in shown
+    assert "inside_95" in shown
     assert "Measured (grey) and predicted: Simulation" in (tmp_path / "overlay.html").read_text(encoding="utf-8")
     assert (tmp_path / "comparison/report.html").exists()
 
@@ -499,9 +507,147 @@ def test_answer_without_a_significant_difference(compared: ComparisonResult) -> 
         "The logs are too short for a verdict 2 s ahead (no interval: 3 blocks). The error of (b) over all channels is "
         "2 % smaller than that of (a), without an interval."
     )
-    assert comparison_answer(msgspec.structs.replace(compared, models=(first,))).startswith(
+    unlike = msgspec.structs.replace(second, changes=())
+    assert comparison_answer(msgspec.structs.replace(compared, models=(first, unlike))).startswith(
         "The logs have no prediction"
     )
+
+
+@pytest.fixture(scope="module")
+def validated(models: list[Path]) -> Path:
+    """Return the folder of the good model with scales of its errors over 5 s and in simulation, but not of x."""
+    folder = models[0].parent.parent / "validated"
+    shutil.copytree(models[0].parent, folder)
+    channels = ("psi", "r", "ax", "ay", "y", "vx", "vy")
+    row = "{scale = 1.5, n_effective = 40.0, n_records = 1}"
+    rows = "\n".join(f"{n} = {row}" for n in channels)
+    text = (folder / "model.toml").read_text(encoding="utf-8")
+    own = f"\n[intervals]\nhorizon = 5.0\n\n[intervals.ahead]\n{rows}\n\n[intervals.simulation]\n{rows}\n"
+    (folder / "model.toml").write_text(text + own, encoding="utf-8")
+    return folder
+
+
+def test_intervals_are_those_of_an_unseen_run(
+    validated: Path, models: list[Path], logs: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Over the horizon of the validation and in simulation, and nowhere else, intervals are widened."""
+    both = st.compare({"plain": models[0], "validated": validated}, logs[2], horizon=[2.0, 5.0])
+    plain, wide = both.result.models
+    assert (plain.widened_horizons, plain.widened_simulation) == ((), False)
+    assert (wide.widened_horizons, wide.widened_simulation) == ((5.0,), True)
+    own, curves = both.predictions()["plain"], both.predictions()["validated"]
+    known = ErrorScale(1.5, 40.0, 1)
+    for horizon, factor in ((2.0, 1.0), (5.0, known.widening), ("simulation", known.simulation_widening)):
+        for name, p in curves[horizon]["run3"].items():
+            expected = own[horizon]["run3"][name].sd * (1.0 if name == "x" else factor)
+            np.testing.assert_allclose(p.sd, expected, rtol=1e-6)
+    frame = both.to_pandas().set_index(["kind", "model", "channel"])
+    for kind in ("horizon", "simulation"):
+        narrow, wider = (frame.loc[kind].loc[n][lambda x: x["seconds"] != 2.0] for n in ("plain", "validated"))
+        assert (wider["inside_95"] >= narrow["inside_95"]).all()
+        assert wider["inside_95"].mean() > narrow["inside_95"].mean()
+    for name, p in curves[5.0]["run3"].items():
+        inside = float(np.mean(np.abs(p.measured - p.predicted) < 1.96 * p.sd))
+        shown = next(
+            e.inside_95
+            for row in both.result.channels
+            for e in row.errors
+            if (row.seconds, row.channel, e.model) == (5.0, name, wide.label)
+        )
+        assert shown == pytest.approx(inside, abs=2e-3)
+    steps = frame.loc["one_step"]
+    assert (steps.loc["plain", "inside_95"] == steps.loc["validated", "inside_95"]).all()
+    assert steps["inside_95"].between(0.85, 1.0).all()
+    text = " ".join(both.summary().split())
+    assert "(a) those of the model itself" in text
+    assert "(b) widened by its validation data: 5 s ahead, simulation; those of the model itself: 2 s ahead" in text
+    assert text.count("in 95 %") == 4
+
+
+def test_intervals_are_not_tested_by_the_log_that_widened_them(
+    validated: Path, logs: list[Path], tmp_path: Path
+) -> None:
+    text = (validated / "model.toml").read_text(encoding="utf-8")
+    digest = hashlib.sha256(logs[2].read_bytes()).hexdigest()[:16]
+    known = f'[provenance]\nvalidation = ["other.mcap sha256:{digest}"]\n'
+    (tmp_path / "model.toml").write_text(text.replace("[provenance]\n", known), encoding="utf-8")
+    with pytest.warns(SeatrialWarning, match="the errors on run3 have widened the intervals of the model"):
+        seen = st.compare(tmp_path, logs[2]).result
+    assert seen.models[0].widened_by == ("run3",)
+    assert [w.code for w in seen.warnings] == ["intervals-from-compared-log"]
+    assert not st.compare(tmp_path, logs[1]).result.warnings
+
+
+def test_wrong_intervals_are_only_named_if_the_test_says_so() -> None:
+    """Half of the errors are outside their intervals: many are a verdict, and a single slow error is none."""
+    rng, t = np.random.default_rng(2), np.arange(0.0, 200.0, 0.1)
+    quick, slow = 3.0 * rng.standard_normal(t.size), 3.0 * np.sin(t / 60.0)
+    for z, verdict in ((quick, "overconfident"), (slow, "insufficient_data"), (quick / 3.0, "right")):
+        e = errors(t, z)
+        part = PredictedRecord(t, {"r": t.size}, t, {ONE_STEP: {"r": e}}, {}, {ONE_STEP: {"r": z}})
+        tested = calibration_at(ONE_STEP, {"run": {"r": e}}, {"run": part})
+        (row,) = channel_rows(ONE_STEP, [{"run": {"r": e}}], labels(1), {"r": "rad/s"}, {"r": 10.0}, [tested])
+        assert row.errors[0].intervals == verdict
+        assert row.errors[0].inside_95 == pytest.approx(float(np.mean(np.abs(z) < 1.96)), abs=1e-3)
+    (row,) = channel_rows(ONE_STEP, [{"run": {"r": e}}], labels(1), {"r": "rad/s"}, {"r": 10.0})
+    assert (row.errors[0].inside_95, row.errors[0].intervals) == (None, None)
+
+
+WORDS_OF_A_COMPARISON = ("(a)", "best", "Best", "better", "worse", "differs", "Likelihood", "log score", "ratio")
+
+
+def test_one_model_is_evaluated(
+    validated: Path, models: list[Path], logs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(validated.parent)
+    monkeypatch.setenv("COLUMNS", "80")
+    judged = st.compare("validated", logs[2], horizon=5.0)
+    (m,) = judged.result.models
+    assert (m.label, m.name, judged.best) == ("a", "validated", "validated")
+    rows = judged.to_pandas()
+    assert len(rows) == 3 * 8
+    ahead = rows[rows["seconds"] == 5.0]
+    share = judged.result.inside_95("horizon", 5.0, "a")
+    assert share is not None
+    assert judged.answer.startswith(
+        f"5 s ahead the fit is {100 * ahead['fit'].median():.0f} % (median of 8 channels); {100 * share:.0f} % of the "
+        "errors of all channels lie inside the 95 % intervals."
+    )
+    assert st.compare([models[0]], logs[2]).result.models[0].widened_simulation is False
+    capsys.readouterr()
+    run("ident", "compare", "validated", "--on", logs[2], "--horizon", 5, "--out", tmp_path / "judged")
+    text = capsys.readouterr().out
+    assert max(len(line) for line in text.splitlines() if not line.startswith("report: ")) <= 80
+    assert "5 s ahead the fit is" in text
+    assert "inside the 95 %" in text
+    page = (tmp_path / "judged/report.html").read_text(encoding="utf-8")
+    shown = page[page.index("<body") : page.index("<script", page.index("<body"))]
+    assert "Evaluation of a model" in shown
+    assert "inside the 95 % interval" in shown.replace("\u00a0", " ")
+    for word in WORDS_OF_A_COMPARISON:
+        assert word not in text, word
+        assert not re.search(rf">{re.escape(word)}|[ (]{re.escape(word)} ", shown), word
+    again = read_result(tmp_path / "judged/result.json")
+    assert isinstance(again, ComparisonResult)
+    assert again.is_evaluation
+    assert again.answer == judged.answer
+    assert st.load(tmp_path / "judged").summary() == judged.summary()
+
+
+def test_narrow_intervals_are_in_the_answer(compared: ComparisonResult) -> None:
+    (first, _), rows = compared.models, []
+    for row in compared.channels:
+        verdict = "overconfident" if row.channel in ("r", "vx") else "insufficient_data"
+        own = tuple(msgspec.structs.replace(e, intervals=verdict, inside_95=0.5) for e in row.errors)
+        rows.append(msgspec.structs.replace(row, errors=own[:1]))
+    one = msgspec.structs.replace(compared, models=(first,), channels=tuple(rows), traces=())
+    assert comparison_answer(one).endswith("; 50 % of the errors of all channels lie inside the 95 % intervals. The "
+                                           "intervals of r, vx are too narrow.")  # fmt: skip
+    one = msgspec.structs.replace(one, answer=comparison_answer(one))
+    assert text_of(one).count("too narrow") == 1 + 2 * 4 + 1
+    page = render(one)
+    assert "too few errors for a verdict" in page
 
 
 def test_nested_models() -> None:
@@ -539,6 +685,8 @@ def test_effects_that_are_estimated_on_the_compared_log_are_named(logs: list[Pat
         "compared-on-validation-log": "the effects of (b) were selected by run3",
         "effect-estimated-on-compared-log": "(b) estimates parameters of an effect anew on each compared log "
         "(g_before of growing-drag)",
+        "intervals-from-compared-log": "the errors on run3 have widened the intervals of (b), so that the share of the "
+        "errors inside is no test of the intervals. Compare on logs that no model has used.",
     }
     assert "Estimated anew for each compared log: (a) V_x, V_y; (b) V_x, V_y, g_before." in result.notes
     assert result.models[1].score is not None
