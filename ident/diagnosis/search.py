@@ -1346,15 +1346,15 @@ class _Search:
     def _explains_more(self, difference: Refit, other: Refit) -> bool:
         """Return whether a difference between runs, which has the larger criterion, explains more than another effect.
 
-        An effect with a size in each run, such as `fouling`, contains a difference between runs: it has to gain more on
-        the estimation data. Any other effect explains less if the validation data say so: the gain in log-likelihood
+        An effect of boat or thrust with a size in each run, such as `fouling`, contains a difference between runs: it
+        has to gain more on the estimation data. Any other effect explains less if the validation data say so: the gain in log-likelihood
         over the model with ``other`` is positive, its t statistic exceeds ``policy.min_t``, and the prediction over the
         horizon is not significantly worse. False if ``difference`` is another kind of effect, or if the models cannot
         be compared.
         """
         if difference.effect.kind is not EffectKind.BETWEEN_RUNS:
             return False
-        if any(p.per_record for p in other.effect.parameters):
+        if other.effect.place in ("hull", "actuator") and any(p.per_record for p in other.effect.parameters):
             return True
         try:
             compared = comparison(other.fitted, difference.fitted, difference.effect, self.policy)

@@ -142,16 +142,23 @@ def test_parameter_difference_between_runs_is_chosen_only_if_it_explains_signifi
     assert [r.effect.name for r in judged] == [f"{BETWEEN}payload", "wind", "lift"]
 
 
-@pytest.mark.parametrize(("criterion", "chosen"), [(101.0, f"{BETWEEN}payload"), (99.0, "fouling")])
+@pytest.mark.parametrize(
+    ("name", "criterion", "chosen"),
+    [
+        ("fouling", 101.0, f"{BETWEEN}payload"),
+        ("fouling", 99.0, "fouling"),
+        ("current-drift", 101.0, "current-drift"),  # The current of each run is no property of the boat.
+    ],
+)
 def test_parameter_difference_between_runs_competes_with_an_effect_that_contains_one(
-    monkeypatch: pytest.MonkeyPatch, criterion: float, chosen: str
+    monkeypatch: pytest.MonkeyPatch, name: str, criterion: float, chosen: str
 ) -> None:
     """Fouling with a loss in each run describes two runs of different thrust, if its times are at the starts."""
     monkeypatch.setattr(_Search, "_fit_exactly", exactly({}))
     monkeypatch.setattr(search, "comparison", lambda *_: blank(gain=(-40.0, -1.4), prediction=SAME))
     between = refit(f"{BETWEEN}payload", criterion)
     between = replace(between, effect=replace(between.effect, kind=EffectKind.BETWEEN_RUNS))
-    own = replace(refit("fouling", 100.0), effect=catalogue()["fouling"])
+    own = replace(refit(name, 100.0), effect=catalogue()[name])
     _, found = a_search()._choose_refit(blank(), [between, own], [])
     assert found is not None
     assert found.effect.name == chosen
