@@ -33,7 +33,8 @@ SENSOR_ERRORS = (
     "velocity-lag", "compass", "compass-filtered", "gyro-scale", "lever-arm",
 )  # fmt: skip
 HULL_FORM = ("cross-flow", "lift", "sway-yaw")
-COMMON_ERRORS = (*SENSOR_ERRORS, *HULL_FORM)
+THRUST_FORM = ("advance-ratio",)  # every propeller loses thrust with its inflow
+COMMON_ERRORS = (*SENSOR_ERRORS, *HULL_FORM, *THRUST_FORM)
 # A compass deviation behind a heading filter has four states, which double the time of a fit. It gains twice as much as
 # a deviation without filter on boats whose prediction it does not change, and seven times as much on others.
 MIN_GAIN_RATIO_OF_STATES = 4.0

@@ -11,7 +11,7 @@ import numpy as np
 from seatrial.daq.errors import SeatrialError, closest_name
 from seatrial.ident.checks import device_faults
 from seatrial.ident.data import WHOLE, TimeWindows, load_all
-from seatrial.ident.diagnosis import Diagnosis, diagnose, evaluate_diagnosis
+from seatrial.ident.diagnosis import Diagnosis, diagnose, evaluate_diagnosis, with_weighed_mass
 from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import EstimationOptions, RefittedEffect, load_model
 from seatrial.ident.model import Effect, EffectKind, Model, ModelKind
@@ -209,6 +209,7 @@ def diagnose_model(request: DiagnosisRequest, command: str, reporter: Reporter) 
     model, floors = with_noise_floors(model, loaded)
     candidates = {**catalogue(), **(effects_for(model, effects_file) if effects_file else {})}
     excluded = excluded_effects(request.exclude, candidates, model)
+    hull = loaded[0].hull(request.mass)
     found = diagnose(
         with_outliers(model) if request.estimation.outlier_model else model,
         runs,
@@ -218,12 +219,12 @@ def diagnose_model(request: DiagnosisRequest, command: str, reporter: Reporter) 
         max_effects=request.max_effects,
         reporter=reporter,
     )
-    found = replace(found, excluded=tuple(excluded.values()))
+    found = with_weighed_mass(replace(found, excluded=tuple(excluded.values())), hull.get("mass"))
     result = diagnosis_result(
         found,
         evaluate_diagnosis(found, horizon),
         provenance([*loaded, *validation_logs], command),
-        warnings=estimation_warnings(found.after.fit, found.after.records, loaded[0].hull(request.mass)),
+        warnings=estimation_warnings(found.after.fit, found.after.records, hull),
         notes=[*floors, *considered_notes(found.after.fit.model), *found.after.outlier_notes],
         model_path=str(request.model),
         unused=unused,

@@ -1,0 +1,71 @@
+"""Weighed mass of the boat as evidence on the names of effects.
+
+The mass in surge is the weighed mass and the added mass of the water. An effect with the wrong name can move it away
+from the weighed mass: a thrust curve of another form, for example, changes the scale of all forces at partial thrust.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from seatrial.ident.diagnosis.findings import Diagnosis, EffectAttribution
+from seatrial.ident.estimation import Fit, thrust_scale_of
+
+# Mass in surge over weighed mass: the added mass of a hull at the surface is 5 to 30 % of the mass (Fossen 2011,
+# section 6.3), more for a blunt one
+LEAST_RATIO, LARGEST_RATIO = 1.0, 1.5
+MOST_MOVED = 0.1  # increase of the logarithm of the distance from this range that is still no evidence
+
+
+def with_weighed_mass(diagnosis: Diagnosis, weighed: float | None) -> Diagnosis:
+    """Return a diagnosis in which an implausible mass in surge makes the names of effects ambiguous.
+
+    The mass in surge is implausible if it is below the weighed mass or above 1.5 times that mass. An effect of hull or
+    thrust is ambiguous if the mass is implausible with the effects, and by at least 10 % closer to the plausible range
+    without them.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        The diagnosis.
+    weighed : float or None
+        Weighed mass of the boat [kg]; None: unknown, and the diagnosis is returned unchanged. So is that of a model
+        without the mass in surge, or of which masses are known as ratios to the thrust only.
+    """
+    if weighed is None:
+        return diagnosis
+    masses = [_mass_in_surge(fitted.fit) for fitted in (diagnosis.before, diagnosis.after)]
+    before, after = masses
+    if before is None or after is None:
+        return diagnosis
+    if _distance(after / weighed) <= _distance(before / weighed) + MOST_MOVED:
+        return diagnosis
+    reason = (
+        f"with the effects the mass in surge is {after:.3g} kg, and the boat weighs {weighed:.3g} kg; without them it is "
+        f"{before:.3g} kg: something else may act in a similar way"
+    )
+    of_boat = {r.effect.name for r in diagnosis.effects if r.effect.place in ("hull", "actuator")}
+    return replace(
+        diagnosis,
+        attributions=tuple(_doubted(a, reason) if a.effect in of_boat else a for a in diagnosis.attributions),
+    )
+
+
+def _doubted(found: EffectAttribution, reason: str) -> EffectAttribution:
+    """Return the attribution of an effect with a further reason for ambiguity; that of a curve is not changed."""
+    if found.attribution == "nonparametric":
+        return found
+    return replace(found, attribution="ambiguous", reasons=(*found.reasons, reason))
+
+
+def _mass_in_surge(fit: Fit) -> float | None:
+    """Return the estimated mass in surge [kg]; None if the model has none, or none in kilograms."""
+    if "m_u" not in fit.names or thrust_scale_of(fit.model).relative:
+        return None
+    return fit.estimate("m_u")[0]
+
+
+def _distance(ratio: float) -> float:
+    """Return the distance of a ratio of masses from the plausible range, as the logarithm of a factor; 0 inside."""
+    return max(0.0, math.log(ratio / LARGEST_RATIO), math.log(LEAST_RATIO / ratio)) if ratio > 0.0 else math.inf
