@@ -41,7 +41,7 @@ EFFECT = Effect(
     formula="f_i *= 1 + k_clip (|n_i| >= n_clip)",
     source="telemetry with a fixed number of bits or a limit on the reported speed",
     experiment="levels of steady command up to full command, with the speed of the boat at each level",
-    requires=("n", "f"),
+    requires=("n", "f", "n_input"),
     one_sided=True,
     alternatives=("thrust-power", "thrust-linearity", "advance-ratio", "hump"),
 )

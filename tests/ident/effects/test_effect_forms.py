@@ -240,6 +240,19 @@ def test_reverse_mismatch_reduces_the_thrust_of_each_side_in_reverse_only() -> N
         assert [after[side] / before[side] for side in ("left", "right")] == pytest.approx(share, rel=1e-12)
 
 
+def test_a_limit_of_the_shaft_speed_acts_on_commands_above_it() -> None:
+    """A boat with measured shaft speeds shows the limit in them."""
+    effect = catalogue()["shaft-limit"]
+    assert not horizontal_model().accepts(effect)
+    command = with_disturbances(horizontal_model("command"))
+    at_rest = [0.0] * len(command.states)
+    for n, share in ((0.3, 0.3), (0.9, 0.5)):
+        limited = (command + effect).with_values({"n_top": 0.5, "k_top": 1.0, "T_n": 0.0, "dead_zone": 0.0})
+        inputs = [n if i.name.startswith("n_cmd") else 0.0 for i in limited.inputs]
+        found = limited.signals(at_rest, inputs, list(limited.values.values())).n
+        assert list(found.values()) == pytest.approx([share, share], rel=0.01)
+
+
 def test_fouling_reduces_the_thrust_of_each_side_after_its_time() -> None:
     model = model_with("fouling", foul_left=0.1, foul_right=0.4, t_foul=100.0)
     plain = thrusts(model, n_left=0.5, n_right=0.5, t=0.0)
