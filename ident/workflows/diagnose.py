@@ -219,10 +219,11 @@ def diagnose_model(request: DiagnosisRequest, command: str, reporter: Reporter) 
         max_effects=request.max_effects,
         reporter=reporter,
     )
+    evaluation = evaluate_diagnosis(found, horizon)
     found = with_weighed_mass(replace(found, excluded=tuple(excluded.values())), hull.get("mass"))
     result = diagnosis_result(
         found,
-        evaluate_diagnosis(found, horizon),
+        evaluation,
         provenance([*loaded, *validation_logs], command),
         warnings=estimation_warnings(found.after.fit, found.after.records, hull),
         notes=[*floors, *considered_notes(found.after.fit.model), *found.after.outlier_notes],

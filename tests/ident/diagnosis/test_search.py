@@ -770,7 +770,7 @@ def test_effect_with_support_but_no_influence_on_the_prediction_is_named() -> No
         (),
         removed=(gone,),
     )
-    assert "lag of filtered velocities" in diagnosis_answer(found, None, 10.0)
+    assert "lag of the yaw rate" in diagnosis_answer(found, None, 10.0)
     poor = diagnosis_answer(found, None, 10.0, ("yaw rate", -0.55))
     assert "one channel 10 s ahead worse than its mean value would: yaw rate, fit -55 %" in poor
     assert not is_immaterial(replace(gone, t=1.0))
