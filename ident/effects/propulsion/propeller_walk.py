@@ -35,5 +35,5 @@ EFFECT = Effect(
     causes="propellers that turn in the same direction, a propeller near the surface or the hull",
     experiment="equal commands from rest, ahead and then astern, at several levels",
     requires=("f", "hull"),
-    alternatives=("thrust-angle", "reverse-mismatch", "mismatch", "yaw-bias", "cg-offset"),
+    alternatives=("swinging-mount", "thrust-angle", "reverse-mismatch", "mismatch", "yaw-bias", "cg-offset"),
 )

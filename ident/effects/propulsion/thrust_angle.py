@@ -20,20 +20,24 @@ def turn(s: Signals) -> None:
     s.N = s.N + s.p.x_delta * sideways
 
 
+def angle_in_words(angle: float, se: float) -> str:
+    """Return an angle [rad], positive to starboard, in words: "2.0 ± 0.3 deg to starboard".
+
+    The size is shown in degrees with one decimal, and an angle of zero as "to port". A standard error ``se`` [rad] that
+    is not finite is left out.
+    """
+    error = f" ± {math.degrees(se):.1f}" if math.isfinite(se) else ""
+    return f"{abs(math.degrees(angle)):.1f}{error} deg to {'starboard' if angle > 0 else 'port'}"
+
+
 def angles(estimates: Mapping[str, tuple[float, float]]) -> str:
     """Return a clause for reports: "the left thruster pushes 2.0 ± 0.3 deg to starboard and the right ...".
 
     ``estimates`` has estimate and standard error [rad] by parameter. Only ``delta_L`` and ``delta_R`` are used,
-    positive to starboard. The size of each angle is shown in degrees with one decimal, and an angle of zero as "to
-    port". A standard error that is not finite is left out.
+    positive to starboard.
     """
-    parts = []
-    for name, side in (("delta_L", "left"), ("delta_R", "right")):
-        angle, se = (math.degrees(z) for z in estimates[name])
-        where = "starboard" if angle > 0 else "port"
-        error = f" ± {se:.1f}" if math.isfinite(se) else ""
-        parts.append(f"the {side} thruster pushes {abs(angle):.1f}{error} deg to {where}")
-    return " and ".join(parts)
+    sides = (("delta_L", "left"), ("delta_R", "right"))
+    return " and ".join(f"the {side} thruster pushes {angle_in_words(*estimates[name])}" for name, side in sides)
 
 
 EFFECT = Effect(

@@ -253,6 +253,23 @@ def test_a_limit_of_the_shaft_speed_acts_on_commands_above_it() -> None:
         assert list(found.values()) == pytest.approx([share, share], rel=0.01)
 
 
+def test_a_swinging_mount_pushes_sideways_only_astern() -> None:
+    model = model_with("swinging-mount", swing_L=0.4, swing_R=0.0, x_swing=-0.7)
+    plain = model_with("swinging-mount")
+    at_rest = [0.0] * len(model.states)
+    for left, right, astern in ((0.5, -0.5, False), (-0.5, 0.5, True)):
+        inputs = [{"n_left": left, "n_right": right}.get(i.name, 0.0) for i in model.inputs]
+        turned, straight = (m.signals(at_rest, inputs, list(m.values.values())) for m in (model, plain))
+        sideways = 0.4 * straight.f["left"] if astern else 0.0
+        assert turned.Y - straight.Y == pytest.approx(sideways, abs=1e-9)
+        assert turned.N - straight.N == pytest.approx(-0.7 * sideways, abs=1e-9)
+    words = catalogue()["swinging-mount"].in_words
+    assert words is not None
+    assert words({"swing_L": (0.4, 0.02), "swing_R": (-0.1, float("nan"))}) == (
+        "astern the left thruster turns 22.9 ± 1.1 deg to starboard and the right thruster turns 5.7 deg to port"
+    )
+
+
 def test_fouling_reduces_the_thrust_of_each_side_after_its_time() -> None:
     model = model_with("fouling", foul_left=0.1, foul_right=0.4, t_foul=100.0)
     plain = thrusts(model, n_left=0.5, n_right=0.5, t=0.0)
