@@ -7,8 +7,9 @@ of them is in the model they also distort the score tests of the effects that ma
 adds them together if several are needed and no other parametric effect (waves left out) that passes its score test
 explains more. They do not count as effects found.
 
-The members are selected by stepwise regression in the normal equations of the score tests, without a refit. The priors
-of the catalogue are part of these equations, so that members of no use stay near zero.
+The members are selected by stepwise regression in the normal equations of the score tests, without a refit. The forms
+of hull and thrust are then added in any case. The priors of the catalogue are part of these equations, so that members
+of no use stay near zero.
 """
 
 from __future__ import annotations
@@ -143,6 +144,35 @@ def score_common_errors(equations: ScoreEquations, common: Mapping[str, Effect],
             return CommonErrorScore(tuple(selected), best, step, scan)
         best, step = top[0], top[2]
         selected.append(top[1])
+
+
+def with_forms(selected: CommonErrorScore, equations: ScoreEquations, common: Mapping[str, Effect]) -> CommonErrorScore:
+    """Add the forms of hull and thrust to selected common errors, and return all of them with their joint estimates.
+
+    No hull has exactly two drag terms for each axis, and every propeller loses thrust with its inflow. Their priors
+    shrink what the data do not show. Without them a large missing effect would be distorted, and a form would be
+    called an effect as soon as that effect is in the model. A one-sided form whose estimate is not positive is left
+    out, and so is one that is nested in a selected error or contains it.
+
+    Parameters
+    ----------
+    selected
+        Result of `score_common_errors`. Its criterion is kept.
+    equations, common
+        Score equations and common errors by name, as for that function.
+    """
+    placed = _without_costly_states(best_columns(equations, common), equations, common)
+    for name in (*HULL_FORM, *THRUST_FORM):
+        if name not in placed or name in {*selected.names, *nested_in(common, [common[m] for m in selected.names])}:
+            continue
+        names = (*selected.names, name)
+        at = np.concatenate([np.asarray(placed[m].at) for m in names])
+        weight = [w for m in names for w in prior_information(common[m], placed[m].names)]
+        parameters = [p for m in names for p in placed[m].names]
+        step = dict(zip(parameters, equations.one_step(at, np.array(weight)).tolist(), strict=True))
+        if all(_has_possible_sign(common[m], step) for m in names):
+            selected = replace(selected, names=names, step=step)
+    return selected
 
 
 def best_columns(equations: ScoreEquations, effects: Mapping[str, Effect]) -> dict[str, ColumnIndex]:

@@ -48,6 +48,7 @@ from seatrial.ident.diagnosis.common_errors import (
     nested_in,
     prior_information,
     score_common_errors,
+    with_forms,
 )
 from seatrial.ident.diagnosis.findings import (
     CommonErrorsFit,
@@ -986,6 +987,7 @@ class _Search:
         if len(joint.names) < self.policy.min_common_errors or joint.criterion < max(others, default=0.0):
             return None
         common, self.common = self.common, {}
+        joint = with_forms(joint, self.equations, common)
         names = ", ".join(joint.names)
         self.reporter.progress(f"fitting with {counted(len(joint.names), 'common error')}: {names}")
         before = [r.chosen.effect.name for r in self.rounds if r.chosen is not None]

@@ -18,6 +18,7 @@ from seatrial.ident.diagnosis.common_errors import (
     fit_common_errors,
     nested_in,
     score_common_errors,
+    with_forms,
     with_common_errors,
 )
 from seatrial.ident.diagnosis.score_test import (
@@ -99,6 +100,19 @@ def test_members_that_are_in_the_residuals_are_selected_and_others_are_not() -> 
     # 2 d ln L of an effect theta with unit columns is n theta^2, here less what its prior takes
     gain = N * (0.3**2 + 0.2**2 + 0.15**2) - 4 * np.log(N)
     assert found.criterion == pytest.approx(gain, rel=0.15)
+
+
+def test_forms_of_hull_and_thrust_are_added_to_selected_errors() -> None:
+    """Their small sizes are no reason to select them. An impossible sign is a reason to leave one out."""
+    sizes = {"gnss-latency": [0.3], "cross-flow": [0.01, 0.0], "lift": [0.02, 0.0], "advance-ratio": [-0.05]}
+    found = equations(sizes)
+    selected = score_common_errors(found, common(*sizes), N)  # type: ignore[arg-type]
+    assert selected.names == ("gnss-latency",)
+    members = with_forms(selected, found, common(*sizes))  # type: ignore[arg-type]
+    assert members.names == ("gnss-latency", "cross-flow", "lift")
+    assert members.criterion == selected.criterion
+    assert members.step["tau_gnss"] == pytest.approx(0.3, abs=0.05)
+    assert set(members.step) == {p.name for n in members.names for p in catalogue()[n].parameters}
 
 
 def test_correlated_members_are_judged_together() -> None:

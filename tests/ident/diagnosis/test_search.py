@@ -609,6 +609,7 @@ def test_waves_do_not_keep_the_common_errors_out(name: str, added: bool, monkeyp
     extended = blank()
     found = CommonErrorsFit(tuple(mine.common.values()), extended)
     monkeypatch.setattr(search, "score_common_errors", lambda *_: CommonErrorScore(members, 100.0, {}, {}))
+    monkeypatch.setattr(search, "with_forms", lambda joint, *_: joint)
     monkeypatch.setattr(search, "fit_common_errors", lambda *_, **__: found)
     result = mine.add_common_errors(blank(), [Score(name, 900.0, 1, 30.0, {}, {})])
     assert (result is extended) is added
