@@ -10,7 +10,7 @@ from seatrial.ident.models import SIDES
 
 
 def derate(s: Signals) -> None:
-    """Multiply the thrust of each thruster by ``1 - k_heat H``, in place in ``s.f``, and set the rate of its heat ``H``.
+    """Multiply each thrust in ``s.f`` by ``1 - k_heat H`` and set the rate of the heat ``H`` of its thruster.
 
     The heat is the temperature above that of a cold thruster, in units of the one at continuous full power. Its power
     is ``|n|^3``, the shaft power of a propeller, over that at full speed.

@@ -1,9 +1,8 @@
 """Lag of the thrust that differs between the left and the right thruster.
 
 With measured shaft speeds or given thrusts, each thruster has a first-order lag with a time constant of its own. With
-commands as inputs the shafts of the model have a lag already, whose time constant ``T_n`` is the mean of both sides. The
-effect then changes the time constants by the same amount in opposite directions: one lag behind another would have a
-second order, and its two time constants could not be told from ``T_n``.
+commands as inputs, the shafts of the model have a lag already, with the time constant ``T_n``. The effect then makes
+``T_n`` the mean of both sides. Its parameter is the difference. Two further lags could not be told from ``T_n``.
 """
 
 from __future__ import annotations
@@ -18,6 +17,13 @@ from seatrial.ident.effects.propulsion.thrust_history import FULL, GIVEN, MEASUR
 from seatrial.ident.model import Effect, Parameter, Signals, State
 from seatrial.ident.models import SHORTEST_LAG, SIDES, first_order
 
+# A score test sees the slope at a time constant of zero. The response of a lag of 0.05 s has little in common with that
+# of a lag of a second: for a true lag of 0.9 s, the slope promised 0.09 s and a tenth of the gain. Below this value the
+# response is a weighted mean of the signal and its lag of 0.4 s, with the right mean delay (`first_order`).
+SHORTEST_OWN_LAG = 0.4  # s
+# A small lead is possible where telemetry is later than the thrust. It also keeps the estimate for a thruster without a
+# lag away from a bound, at which it would have no standard error and the effect no sure name.
+LARGEST_LEAD = 0.2  # s
 SIGNS = (-1, 1)  # left, right
 EXPERIMENT = "steps of equal commands ahead and astern: the boat turns towards the slower side while the thrust changes"
 CAUSES = (
@@ -28,13 +34,13 @@ SOURCE = "motor and inflow dynamics, Blanke, Lindegaard and Fossen 2000; ramps o
 
 
 def _seconds(value: float, error: float) -> str:
-    """Return a time with its standard error in words, such as "1.40 ± 0.10 s".
+    """Return a time with its standard error in words, such as "1.4 ± 0.1 s".
 
-    The number of decimals (one to three) follows from the error. The error is left out if it is zero or not finite.
+    The number of decimals (none to three) follows from the error. The error is left out if it is zero or not finite.
     """
     if not (math.isfinite(error) and error > 0):
         return f"{value:.2f} s"
-    digits = min(max(1 - math.floor(math.log10(error)), 1), 3)
+    digits = min(max(-math.floor(math.log10(error)), 0), 3)  # the error has one significant digit
     return f"{value:.{digits}f} ± {error:.{digits}f} s"
 
 
@@ -62,13 +68,13 @@ def compare_shafts(estimates: Mapping[str, tuple[float, float]]) -> str:
     (mean, _), (difference, error) = estimates["T_n"], estimates["dT_n"]
     left, right = (max(mean + sign * difference / 2, 0.0) for sign in SIGNS)
     return (
-        f"the left thruster follows its command with {left:.2f} s, the right one with {right:.2f} s (they differ by "
-        f"{_seconds(abs(difference), error)})"
+        f"the left thruster follows its command with {left:.2f} s, the right one with {right:.2f} s, a difference "
+        f"of {_seconds(abs(difference), error)}"
     )
 
 
 def spread(s: Signals) -> None:
-    """Let each shaft follow its command with its own time constant, ``T_n - dT_n / 2`` left and ``T_n + dT_n / 2`` right.
+    """Let each shaft follow its command with its own time constant: ``T_n`` less half ``dT_n`` left, plus half right.
 
     Replace the shaft speeds ``s.n`` and the rates of their states. A time constant below zero counts as zero.
     """
@@ -79,8 +85,10 @@ def spread(s: Signals) -> None:
         s.n[side] = first_order(s, name, reference, np.maximum(s.p.T_n + sign * s.p.dT_n / 2, 0.0))
 
 
-def _lag_effect(name: str, title: str, quantity: Literal["n", "f"], requires: tuple[str, ...], **described: Any) -> Effect:
-    """Return the effect of a first-order lag of each shaft speed or thrust, with its own time constant of 0 to 3 s.
+def _lag_effect(
+    name: str, title: str, quantity: Literal["n", "f"], requires: tuple[str, ...], **described: Any
+) -> Effect:
+    """Return the effect of a first-order lag of each shaft speed or thrust, with its own time constant of up to 3 s.
 
     Parameters
     ----------
@@ -101,7 +109,8 @@ def _lag_effect(name: str, title: str, quantity: Literal["n", "f"], requires: tu
         """
         bag = s.n if quantity == "n" else s.f
         for side in SIDES:
-            bag[side] = first_order(s, f"slow_{side}", bag[side], getattr(s.p, f"T_lag_{side}"))
+            own = getattr(s.p, f"T_lag_{side}")
+            bag[side] = first_order(s, f"slow_{side}", bag[side], own, SHORTEST_OWN_LAG)
 
     full, unit = FULL[quantity], "N" if quantity == "f" else ""
     return Effect(
@@ -115,7 +124,7 @@ def _lag_effect(name: str, title: str, quantity: Literal["n", "f"], requires: tu
                 "s",
                 f"time constant of the thrust, {side}",
                 prior=(0.0, 0.7),
-                bounds=(0.0, 3.0),
+                bounds=(-LARGEST_LEAD, 3.0),
                 step=0.05,
                 scales=False,
             )

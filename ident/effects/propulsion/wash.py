@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
+from seatrial.ident.effects.propulsion.mismatch import share_in_words
 from seatrial.ident.model import Effect, Parameter, Signals
 
 WIDTH = 0.15  # shaft speed at which half of the loss is reached, so that the thrust has a derivative at zero
@@ -25,6 +27,18 @@ def lose(s: Signals) -> None:
     left, right = s.n["left"], s.n["right"]
     s.f["left"] = s.f["left"] * (1 - s.p.k_wash * _running_ahead(-left) * _running_ahead(right))
     s.f["right"] = s.f["right"] * (1 - s.p.k_wash * _running_ahead(-right) * _running_ahead(left))
+
+
+def describe(estimates: Mapping[str, tuple[float, float]]) -> str:
+    """Return a clause for reports: which share of its thrust a propeller in the wash gives.
+
+    Parameters
+    ----------
+    estimates : Mapping[str, tuple[float, float]]
+        Estimate and standard error by parameter. Only ``k_wash`` is used, the lost share.
+    """
+    lost, error = estimates["k_wash"]
+    return f"astern a propeller gives {share_in_words(1 - lost, error)} % of its thrust while the other one runs ahead"
 
 
 EFFECT = Effect(
@@ -52,4 +66,5 @@ EFFECT = Effect(
     requires=("n", "f"),
     one_sided=True,
     alternatives=("thruster-interaction", "reverse-thrust", "turning-resistance"),
+    in_words=describe,
 )

@@ -259,16 +259,19 @@ def run_of(model: Model, x: dict[str, float], u: dict[str, float]) -> Signals:
 )
 def test_each_side_has_its_own_lag(name: str, source: str, inputs: str) -> None:
     base = horizontal_model("shaft" if source == "n" else "force")
-    model = (base + catalogue()[name]).with_values({"T_lag_left": 0.2, "T_lag_right": 1.4})
+    model = (base + catalogue()[name]).with_values({"T_lag_left": 0.5, "T_lag_right": 1.4})
     s = run_of(model, {"slow_left": 0.1, "slow_right": 0.3}, {f"{inputs}_left": 0.8, f"{inputs}_right": 0.8})
-    assert [s.rate[f"slow_{side}"] for side in ("left", "right")] == pytest.approx([0.7 / 0.2, 0.5 / 1.4])
+    assert [s.rate[f"slow_{side}"] for side in ("left", "right")] == pytest.approx([0.7 / 0.5, 0.5 / 1.4])
     assert getattr(s, source)["left"] == pytest.approx(0.1)
     assert getattr(s, source)["right"] == pytest.approx(0.3)
+    short = run_of(model.with_values({"T_lag_left": 0.1}), {"slow_left": 0.1}, {f"{inputs}_left": 0.8})
+    assert short.rate["slow_left"] == pytest.approx(0.7 / 0.4)  # a quarter of the signal passes a lag of 0.4 s
+    assert getattr(short, source)["left"] == pytest.approx(0.8 - 0.7 / 4)
 
 
 def test_lag_of_each_side_follows_the_common_lag() -> None:
     base = horizontal_model()
-    values = {"T_lag": 0.5, "T_lag_left": 0.2, "T_lag_right": 1.0}
+    values = {"T_lag": 0.5, "T_lag_left": 0.0, "T_lag_right": 1.0}
     for order in (("lag", "lag-mismatch"), ("lag-mismatch", "lag")):
         model = (base + catalogue()[order[0]] + catalogue()[order[1]]).with_values(values)
         s = run_of(model, {"late_right": 0.4, "slow_right": 0.1}, {"n_right": 0.8})
@@ -287,16 +290,21 @@ def test_shafts_follow_their_commands_with_time_constants_that_differ() -> None:
     assert at_once.n["left"] == pytest.approx(0.8)
 
 
-def test_lags_are_told_by_side() -> None:
+def test_effects_of_the_thrusters_are_told_in_words() -> None:
     told = catalogue()["lag-mismatch"].in_words
     assert told is not None
     assert told({"T_lag_left": (0.15, 0.02), "T_lag_right": (1.4, 0.1)}) == (
-        "the left thruster follows with 0.150 ± 0.020 s, the right one with 1.40 ± 0.10 s"
+        "the left thruster follows with 0.15 ± 0.02 s, the right one with 1.4 ± 0.1 s"
     )
     told = catalogue()["shaft-lag-mismatch"].in_words
     assert told is not None
     assert told({"T_n": (0.775, 0.03), "dT_n": (1.25, 0.06)}) == (
-        "the left thruster follows its command with 0.15 s, the right one with 1.40 s (they differ by 1.250 ± 0.060 s)"
+        "the left thruster follows its command with 0.15 s, the right one with 1.40 s, a difference of 1.25 ± 0.06 s"
+    )
+    told = catalogue()["wash"].in_words
+    assert told is not None
+    assert told({"k_wash": (0.4, 0.03)}) == (
+        "astern a propeller gives 60 ± 3 % of its thrust while the other one runs ahead"
     )
     told = catalogue()["derating"].in_words
     assert told is not None
