@@ -41,7 +41,7 @@ def _seconds(value: float, error: float) -> str:
     if not (math.isfinite(error) and error > 0):
         return f"{value:.2f} s"
     digits = min(max(-math.floor(math.log10(error)), 0), 3)  # the error has one significant digit
-    return f"{value:.{digits}f} ± {error:.{digits}f} s"
+    return f"{round(value, digits) + 0.0:.{digits}f} ± {error:.{digits}f} s"  # + 0.0: no negative zero
 
 
 def compare_sides(estimates: Mapping[str, tuple[float, float]]) -> str:

@@ -296,6 +296,9 @@ def test_effects_of_the_thrusters_are_told_in_words() -> None:
     assert told({"T_lag_left": (0.15, 0.02), "T_lag_right": (1.4, 0.1)}) == (
         "the left thruster follows with 0.15 ± 0.02 s, the right one with 1.4 ± 0.1 s"
     )
+    assert told({"T_lag_left": (-0.0001, 0.004), "T_lag_right": (0.9, 0.0)}) == (
+        "the left thruster follows with 0.000 ± 0.004 s, the right one with 0.90 s"
+    )
     told = catalogue()["shaft-lag-mismatch"].in_words
     assert told is not None
     assert told({"T_n": (0.775, 0.03), "dT_n": (1.25, 0.06)}) == (
