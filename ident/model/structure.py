@@ -26,6 +26,7 @@ from seatrial.ident.model.parameter import Parameter, ParameterRole
 PARAMETERS = "parameters"  # a hook with this label changes parameters before the first stage
 # Places after each stage, in order, for effects that run after all effects at the stage itself
 LATER: Mapping[str, tuple[str, ...]] = {
+    "thrust_lag": ("side_lag",),  # a lag of each thruster, behind the common one
     "thrust": ("thrust_loss",),  # factors on the generated thrust
     "force": ("loose_mass",),  # a moving mass that takes a part of the total force
     "rate": ("carried",),  # states that the acceleration of the boat excites
@@ -403,8 +404,8 @@ class Effect:
         Whether the effect acts at a point that is fixed over ground, so that all logs must have the same origin of
         position.
     in_words : Callable or None
-        Function that returns a clause for reports, given (estimate, standard error) by parameter. None: the parameters
-        need no explanation.
+        Function that returns a clause for reports, given (estimate, standard error) by parameter of the model. None:
+        the parameters need no explanation.
     thrust_difference : str
         Name of the parameter that is half the relative difference of the thrust of both sides. The data determine the
         difference, but not which side differs from its given curve. Empty: the effect has no such parameter.

@@ -267,7 +267,7 @@ def driven_shaft(s: Signals) -> None:
         s.n[side] = first_order(s, f"n_{side}", reference, s.p.T_n)
 
 
-def first_order(s: Signals, state: str, driven_by: Any, time_constant: Any) -> Any:
+def first_order(s: Signals, state: str, driven_by: Any, time_constant: Any, shortest: float = SHORTEST_LAG) -> Any:
     """Return a signal after a first-order lag, and set the time derivative of the state of the lag.
 
     Parameters
@@ -280,21 +280,23 @@ def first_order(s: Signals, state: str, driven_by: Any, time_constant: Any) -> A
         Signal before the lag.
     time_constant : float or symbol
         Time constant [s], >= 0.
+    shortest : float
+        Shortest time constant of the state [s], > 0.
 
     Returns
     -------
     float or symbol
-        The state itself if the time constant is at least ``SHORTEST_LAG`` (0.05 s), and ``driven_by`` if it is zero.
+        The state itself if the time constant is at least ``shortest``, and ``driven_by`` if it is zero.
 
     Notes
     -----
-    In between, the state has the time constant ``SHORTEST_LAG``, and the result is a weighted mean of the state and the
+    In between, the state has the time constant ``shortest``, and the result is a weighted mean of the state and the
     signal. Its delay is that of a lag with the given time constant. Shorter time constants of the state would need
     shorter integration steps.
     """
     x = getattr(s.x, state)
-    s.rate[state] = (driven_by - x) / np.maximum(time_constant, SHORTEST_LAG)
-    return driven_by + np.minimum(time_constant / SHORTEST_LAG, 1.0) * (x - driven_by)
+    s.rate[state] = (driven_by - x) / np.maximum(time_constant, shortest)
+    return driven_by + np.minimum(time_constant / shortest, 1.0) * (x - driven_by)
 
 
 def shift_in_time(s: Signals, quantity: str) -> None:

@@ -465,8 +465,8 @@ def _is_size_undetermined(effect: Effect, diagnosis: Diagnosis) -> bool:
 def in_words(effect: Effect, fitted: FittedModel) -> str:
     """Return the estimates of an effect as a clause for reports, by the effect's own function ``Effect.in_words``.
 
-    The text is empty if the effect has no such function. Estimates are in the units of the parameters. Of a per-record
-    parameter, the estimate of the first record is used.
+    The text is empty if the effect has no such function. It gets the estimates of all parameters of the model, in
+    their units. Of a per-record parameter, the estimate of the first record is used.
 
     Parameters
     ----------
@@ -477,7 +477,7 @@ def in_words(effect: Effect, fitted: FittedModel) -> str:
     """
     if effect.in_words is None:
         return ""
-    return effect.in_words({p.name: fitted.fit.estimate(p.name) for p in effect.parameters})
+    return effect.in_words({p.name: fitted.fit.estimate(p.name) for p in fitted.fit.model.parameters})
 
 
 def _resemblance_clause(titles: Sequence[str]) -> str:

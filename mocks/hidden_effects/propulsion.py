@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from seatrial.mocks.plant import HiddenEffect, Maker, effect_size
+from seatrial.mocks.plant import Heating, HiddenEffect, Maker, effect_size
 
 
 def _advance_ratio(rng: np.random.Generator, scale: float) -> HiddenEffect:
@@ -207,6 +207,55 @@ def _lag(rng: np.random.Generator, scale: float) -> HiddenEffect:
     return HiddenEffect("lag", sentence, {"lag": lag}, inflow=(0.0, lag))
 
 
+def _lag_mismatch(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return the hidden effect "lag-mismatch": the thrust of one thruster follows its shaft late.
+
+    The left thruster (``right`` 0) or the right one (``right`` 1) has a first-order lag with the time constant ``lag``
+    [s], which is 20 % longer while the shaft slows down (``Inflow`` in seatrial.mocks.plant.thruster). ``lag`` is drawn
+    within 15 % of ``0.8 scale``.
+    """
+    lag, is_right = scale * effect_size(rng, 0.8), rng.random() < 0.5  # s
+    side = "right" if is_right else "left"
+    sentence = f"the {side} thruster follows its command {lag:.1f} s later than the other one"
+    slowness = (0.0, lag) if is_right else (lag, 0.0)
+    return HiddenEffect("lag-mismatch", sentence, {"lag": lag, "right": float(is_right)}, slowness=slowness)
+
+
+def _derating(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return the hidden effect "derating": hot speed controllers limit the thrust, until they have cooled.
+
+    Each thruster loses the share ``loss`` of its thrust at the temperature of continuous full power. ``loss`` is drawn
+    within 15 % of ``0.45 scale``, and the time constant ``tau`` [s] of the temperature within 15 % of 45 s.
+    """
+    loss, tau = min(scale * effect_size(rng, 0.45), 0.9), effect_size(rng, 45.0)
+    sentence = f"hot speed controllers take up to {100.0 * loss:.0f} % of the thrust, and give it back as they cool"
+    return HiddenEffect("derating", sentence, {"loss": loss, "tau": tau}, heating=Heating(loss, tau))
+
+
+def _wash(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return the hidden effect "wash": a propeller that runs astern stands in the jet of the other one ahead.
+
+    For the shaft speeds ``n < 0`` and ``m > 0`` of the other thruster, the thrust is multiplied by ``1 - loss
+    (1 - exp(8 n)) (1 - exp(-8 m))``. ``loss`` is drawn within 15 % of ``0.4 scale``.
+    """
+    loss = min(scale * effect_size(rng, 0.4), 1.0)
+
+    def factor(n: float, other: float) -> float:
+        """Return the factor on the thrust at the shaft speed ``n``, with the speed of the ``other`` shaft."""
+        if n >= 0.0 or other <= 0.0:
+            return 1.0
+        return 1.0 - loss * (1.0 - math.exp(8.0 * n)) * (1.0 - math.exp(-8.0 * other))
+
+    def thrust(
+        n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
+    ) -> tuple[float, float]:
+        """Return the thrust [N], left and right: ``f_l`` and ``f_r`` [N], reduced astern if the other runs ahead."""
+        return f_l * factor(n_l, n_r), f_r * factor(n_r, n_l)
+
+    sentence = f"a propeller astern loses up to {100.0 * loss:.0f} % of its thrust in the wash of the other one ahead"
+    return HiddenEffect("wash", sentence, {"loss": loss}, thrust=thrust)
+
+
 MAKERS: dict[str, Maker] = {
     "advance-ratio": _advance_ratio,
     "reverse-thrust": _reverse_thrust,
@@ -217,4 +266,7 @@ MAKERS: dict[str, Maker] = {
     "dead-band": _dead_band,
     "delay": _delay,
     "lag": _lag,
+    "lag-mismatch": _lag_mismatch,
+    "derating": _derating,
+    "wash": _wash,
 }

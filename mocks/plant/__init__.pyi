@@ -16,6 +16,7 @@ from .effect import Fouling as Fouling
 from .effect import Growth as Growth
 from .effect import Gust as Gust
 from .effect import HeadingFilter as HeadingFilter
+from .effect import Heating as Heating
 from .effect import HiddenEffect as HiddenEffect
 from .effect import Line as Line
 from .effect import Maker as Maker

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import NamedTuple
 
-from seatrial.mocks.plant.effect import ENERGY_UNIT, Fouling, HiddenEffect, Line, Payload
+from seatrial.mocks.plant.effect import ENERGY_UNIT, Fouling, Heating, HiddenEffect, Line, Payload
 from seatrial.mocks.plant.hull import ARM, AT_REST, Hull, State, draw_current, draw_hull, make_rhs, rk4
 from seatrial.mocks.plant.thruster import Inflow, Shaft, ThrusterTruth, thrust
 from seatrial.mocks.plant.weather import Weather
@@ -176,7 +176,10 @@ class BoatPlant:
             Shaft(boat.thruster, 0.5 * step, n, braking=braking),
         )
         self._water = list(boat.current)  # current velocity; the right-hand side reads this list at each call
-        self._rhs = make_rhs(boat.hull, boat.thruster, self._water, boat.effects)
+        self._hot = [HotThrusters(e.heating, step, n) for e in boat.effects if e.heating is not None]
+        # thrust of hot thrusters, payloads that have slid, and weed in the propellers
+        self._occurred = tuple(HiddenEffect("temperature of the thrusters", "", thrust=h.thrust) for h in self._hot)
+        self._rhs = make_rhs(boat.hull, boat.thruster, self._water, (*boat.effects, *self._occurred))
         self._n = (n, n)  # shaft speeds that act on the water, behind the delays of hidden effects
         self._inflows = self._make_inflows(n)
         self._drifts = [e.current for e in boat.effects if e.current is not None]
@@ -184,7 +187,6 @@ class BoatPlant:
         self._payloads = sorted((e.payload for e in boat.effects if e.payload is not None), key=lambda load: load.at)
         self._lines = [TowedLine(e.line, DISTURBANCE_EVERY * step) for e in boat.effects if e.line is not None]
         self._weeds = sorted((e.fouling for e in boat.effects if e.fouling is not None), key=lambda weed: weed.at)
-        self._occurred: tuple[HiddenEffect, ...] = ()  # payloads that have slid, and weed in the propellers
         self._growths = [e.growth for e in boat.effects if e.growth is not None]
         self._grown_at = 0.0  # time of the last growth of the hull [s]
         self._weather = Weather(boat.effects, boat.seed, run, DISTURBANCE_EVERY * step)
@@ -204,7 +206,8 @@ class BoatPlant:
         if no effect delays the thrust.
         """
         delay, lag = (sum(e.inflow[k] for e in self.boat.effects) for k in (0, 1))
-        return [Inflow(delay, lag, 0.5 * self.step_s, n) for _ in range(2)] if delay or lag else []
+        lags = [lag + sum(e.slowness[side] for e in self.boat.effects) for side in (0, 1)]
+        return [Inflow(delay, each, 0.5 * self.step_s, n) for each in lags] if delay or any(lags) else []
 
     def _first_state(self, run: int) -> State:
         """Return the boat's state at the start of the run with this number.
@@ -241,6 +244,8 @@ class BoatPlant:
         f_mid, self._n = self._delayed_shaft_speeds(n_mid), self._delayed_shaft_speeds(n_end)
         self.state = rk4(self._rhs, self.state, k1, self.step_s, (*f_mid, *self._n), energy, self._forces)
         self.energy += self.step_s * (abs(n_mid[0]) ** 3 + abs(n_mid[1]) ** 3)
+        for thrusters in self._hot:
+            thrusters.advance(n_mid)
         self.steps += 1
         if self._antenna.latency:
             self._antenna.push(self.state)
@@ -367,6 +372,32 @@ class TowedLine:
         pull_n, pull_e = -tension * north / distance, -tension * east / distance
         sway = c * pull_e - s * pull_n
         return c * pull_n + s * pull_e, sway, self._line.x * sway
+
+
+class HotThrusters:
+    """Temperature of both thrusters of the simulated boat, and the thrust that they lose by it.
+
+    The temperature is zero for a cold thruster and 1 at continuous full power.
+    """
+
+    def __init__(self, heating: Heating, step: float, n: float) -> None:
+        """Set up two thrusters that have run at the shaft speed ``n`` (-1 to 1) for long. ``step`` is in s."""
+        self._loss = heating.loss
+        self._warming, self._cooling = (1.0 - math.exp(-step / (k * heating.tau)) for k in (1.0, 1.25))
+        self._temperature = [abs(n) ** 2.8] * 2
+
+    def advance(self, n: tuple[float, float]) -> None:
+        """Advance the temperatures by one step, in which the shafts turn at the speeds ``n`` (-1 to 1)."""
+        for side in (0, 1):
+            gap = abs(n[side]) ** 2.8 - self._temperature[side]
+            self._temperature[side] += gap * (self._warming if gap > 0.0 else self._cooling)
+
+    def thrust(
+        self, n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
+    ) -> tuple[float, float]:
+        """Return the thrust [N], left and right: ``f_l`` and ``f_r`` [N] less the parts that the heat takes."""
+        left, right = self._temperature
+        return f_l * (1.0 - self._loss * left), f_r * (1.0 - self._loss * right)
 
 
 class Antenna:

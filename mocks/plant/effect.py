@@ -198,6 +198,22 @@ class Fouling:
 
 
 @dataclass(frozen=True)
+class Heating:
+    """Thrusters that lose thrust while they are hot. Each thruster has its own temperature.
+
+    Attributes
+    ----------
+    loss : float
+        Share of its thrust that a thruster loses at the temperature of continuous full power.
+    tau : float
+        Time constant with which a thruster becomes hot [s]. It cools more slowly, with 1.25 times this time.
+    """
+
+    loss: float
+    tau: float
+
+
+@dataclass(frozen=True)
 class Growth:
     """Steady growth of mass or drag from the start of the boat on, by a leak or by weed.
 
@@ -252,6 +268,10 @@ class HiddenEffect:
         returns the thrusts that replace the previous ones [N].
     inflow : tuple of two floats
         Delay and time constant of a first-order lag from shaft speed to thrust [s].
+    slowness : tuple of two floats
+        Addition to the time constant of this lag for the left and the right thruster [s].
+    heating : Heating, optional
+        Loss of thrust of hot thrusters.
     force : callable, optional
         Returns an additional force and moment (X, Y, N) [N, N, N m], given heading, velocity through the water, yaw
         rate and velocity over ground.
@@ -318,6 +338,8 @@ class HiddenEffect:
     parameters: dict[str, float] = field(default_factory=dict)
     thrust: Thrust | None = None
     inflow: tuple[float, float] = (0.0, 0.0)
+    slowness: tuple[float, float] = (0.0, 0.0)
+    heating: Heating | None = None
     force: Force | None = None
     jet: Jet | None = None
     tether: Tether | None = None

@@ -38,5 +38,5 @@ EFFECT = Effect(
     experiment="the same steps at the start and at the end of a long run",
     requires=("n", "f"),
     one_sided=True,
-    alternatives=("current-drift", "tether", "advance-ratio"),
+    alternatives=("derating", "current-drift", "tether", "advance-ratio"),
 )

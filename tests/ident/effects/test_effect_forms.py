@@ -15,7 +15,7 @@ from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.engine.vectorised_model import VectorisedModel
 from seatrial.ident.estimation.fitted_model import fit_and_evaluate, fit_nominal_model, nominal_model
 from seatrial.ident.export.linearisation import linearise
-from seatrial.ident.model.structure import Model
+from seatrial.ident.model.structure import Model, Signals
 from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
 from tests.missions import boat_with, channels_of, sail
@@ -276,6 +276,99 @@ def test_fouling_reduces_the_thrust_of_each_side_after_its_time() -> None:
     fouled = thrusts(model, n_left=0.5, n_right=0.5, t=200.0)
     assert fouled["left"] / plain["left"] == pytest.approx(0.9, rel=1e-9)
     assert fouled["right"] / plain["right"] == pytest.approx(0.6, rel=1e-9)
+
+
+def run_of(model: Model, x: dict[str, float], u: dict[str, float]) -> Signals:
+    """Return the signals of the model with the states and inputs given. All others are zero."""
+    states, inputs = [x.get(s.name, 0.0) for s in model.states], [u.get(i.tap_of or i.name, 0.0) for i in model.inputs]
+    return model.signals(states, inputs, list(model.values.values()))
+
+
+@pytest.mark.parametrize(
+    ("name", "source", "inputs"), [("lag-mismatch", "n", "n"), ("force-lag-mismatch", "f", "f")], ids=["shaft", "force"]
+)
+def test_each_side_has_its_own_lag(name: str, source: str, inputs: str) -> None:
+    base = horizontal_model("shaft" if source == "n" else "force")
+    model = (base + catalogue()[name]).with_values({"T_lag_left": 0.5, "T_lag_right": 1.4})
+    s = run_of(model, {"slow_left": 0.1, "slow_right": 0.3}, {f"{inputs}_left": 0.8, f"{inputs}_right": 0.8})
+    assert [s.rate[f"slow_{side}"] for side in ("left", "right")] == pytest.approx([0.7 / 0.5, 0.5 / 1.4])
+    assert getattr(s, source)["left"] == pytest.approx(0.1)
+    assert getattr(s, source)["right"] == pytest.approx(0.3)
+    short = run_of(model.with_values({"T_lag_left": 0.1}), {"slow_left": 0.1}, {f"{inputs}_left": 0.8})
+    assert short.rate["slow_left"] == pytest.approx(0.7 / 0.4)  # a quarter of the signal passes a lag of 0.4 s
+    assert getattr(short, source)["left"] == pytest.approx(0.8 - 0.7 / 4)
+
+
+def test_lag_of_each_side_follows_the_common_lag() -> None:
+    base = horizontal_model()
+    values = {"T_lag": 0.5, "T_lag_left": 0.0, "T_lag_right": 1.0}
+    for order in (("lag", "lag-mismatch"), ("lag-mismatch", "lag")):
+        model = (base + catalogue()[order[0]] + catalogue()[order[1]]).with_values(values)
+        s = run_of(model, {"late_right": 0.4, "slow_right": 0.1}, {"n_right": 0.8})
+        assert (s.rate["late_right"], s.rate["slow_right"]) == pytest.approx((0.8, 0.3))
+
+
+def test_shafts_follow_their_commands_with_time_constants_that_differ() -> None:
+    model = (horizontal_model("command") + catalogue()["shaft-lag-mismatch"]).with_values(
+        {"T_n": 0.775, "dT_n": 1.25, "dead_zone": 0.0}
+    )
+    x, u = {"n_left": 0.1, "n_right": 0.3}, {"n_cmd_left": 0.8, "n_cmd_right": 0.8}
+    s = run_of(model, x, u)
+    assert [s.rate[f"n_{side}"] for side in ("left", "right")] == pytest.approx([0.7 / 0.15, 0.5 / 1.4])
+    assert (s.n["left"], s.n["right"]) == pytest.approx((0.1, 0.3))
+    at_once = run_of(model.with_values({"T_n": 0.3}), x, u)  # the left time constant would be -0.325 s
+    assert at_once.n["left"] == pytest.approx(0.8)
+
+
+def test_effects_of_the_thrusters_are_told_in_words() -> None:
+    told = catalogue()["lag-mismatch"].in_words
+    assert told is not None
+    assert told({"T_lag_left": (0.15, 0.02), "T_lag_right": (1.4, 0.1)}) == (
+        "the left thruster follows with 0.15 ± 0.02 s, the right one with 1.4 ± 0.1 s"
+    )
+    assert told({"T_lag_left": (-0.0001, 0.004), "T_lag_right": (0.9, 0.0)}) == (
+        "the left thruster follows with 0.000 ± 0.004 s, the right one with 0.90 s"
+    )
+    told = catalogue()["shaft-lag-mismatch"].in_words
+    assert told is not None
+    assert told({"T_n": (0.775, 0.03), "dT_n": (1.25, 0.06)}) == (
+        "the left thruster follows its command with 0.15 s, the right one with 1.40 s, a difference of 1.25 ± 0.06 s"
+    )
+    told = catalogue()["wash"].in_words
+    assert told is not None
+    assert told({"k_wash": (0.4, 0.03)}) == (
+        "astern a propeller gives 60 ± 3 % of its thrust while the other one runs ahead"
+    )
+    told = catalogue()["derating"].in_words
+    assert told is not None
+    assert told({"k_heat": (0.3, 0.02), "tau_heat": (42.0, 3.0)}) == (
+        "at continuous full power the thrust falls by 30 ± 2 %, with a time constant of 42 s, and at rest it comes "
+        "back in the same time"
+    )
+
+
+def test_hot_thrusters_lose_thrust_and_cool_at_rest() -> None:
+    model = model_with("derating", k_heat=0.4, tau_heat=50.0)
+    hot, cold = ({"heat_left": heat, "heat_right": 0.0} for heat in (0.5, 0.0))
+    n = {"n_left": 0.8, "n_right": -0.8}
+    assert run_of(model, hot, n).f["left"] / run_of(model, cold, n).f["left"] == pytest.approx(0.8)
+    assert run_of(model, hot, n).f["right"] == run_of(model, cold, n).f["right"]
+    rate = run_of(model, cold, n).rate  # the power does not depend on the direction
+    assert (rate["heat_left"], rate["heat_right"]) == pytest.approx((0.512 / 50.0, 0.512 / 50.0))
+    assert run_of(model, hot, {}).rate["heat_left"] == pytest.approx(-0.5 / 50.0)
+
+
+def test_wash_weakens_a_propeller_astern_only_while_the_other_one_runs_ahead() -> None:
+    plain, washed = model_with("wash"), model_with("wash", k_wash=0.5)
+
+    def shares(left: float, right: float) -> list[float]:
+        before, after = (thrusts(model, n_left=left, n_right=right) for model in (plain, washed))
+        return [after[side] / before[side] for side in ("left", "right")]
+
+    assert shares(0.6, 0.6) == shares(-0.6, -0.6) == shares(-0.6, 1e-9) == [1.0, 1.0]
+    reached = (0.6**2 / (0.6**2 + 0.15**2)) ** 2
+    assert shares(-0.6, 0.6) == pytest.approx([1.0 - 0.5 * reached, 1.0])
+    assert shares(0.6, -0.6) == pytest.approx([1.0, 1.0 - 0.5 * reached])
 
 
 def test_losses_of_thrust_are_told_by_side() -> None:

@@ -62,9 +62,10 @@ def plain_track() -> list[tuple[float, float]]:
 
 
 LATE = {"payload-shift", "leak", "fouling"}  # a minute is too short for them
+OPPOSED = {"wash"}  # the thrusters never run in opposite directions in this minute
 
 
-@pytest.mark.parametrize("name", sorted({*EFFECTS, *SITE, *OUTSIDE} - ON_SENSORS - LATE - {"pendulum"}))
+@pytest.mark.parametrize("name", sorted({*EFFECTS, *SITE, *OUTSIDE} - ON_SENSORS - LATE - OPPOSED - {"pendulum"}))
 def test_every_effect_bends_the_track(name: str) -> None:
     """The deviation exceeds the GNSS noise, so that an analysis can resolve it."""
     both = zip(sailed(name), plain_track(), strict=False)  # until the deviation shows
@@ -136,6 +137,47 @@ def test_fouling_takes_a_share_of_the_thrust_of_one_side_from_its_time_on() -> N
     assert after[3] / before[3] == pytest.approx(1.0 - effect.parameters["loss"] / 2.0, rel=1e-6)
     assert before[5] == pytest.approx(0.0, abs=1e-12)
     assert (after[5] > 0.0) == bool(effect.parameters["right"])  # the stronger left thruster turns it to starboard
+
+
+def test_lag_mismatch_delays_the_thrust_of_one_side() -> None:
+    for seed in (1, 2, 3, 4):
+        effect = make_effect("lag-mismatch", seed)
+        plant, slow = run((effect,), (0.8, 0.8), 1.5), int(effect.parameters["right"])
+        plain = run((), (0.8, 0.8), 1.5)
+        assert plant._n[1 - slow] == pytest.approx(plain._n[1 - slow], abs=1e-9)
+        assert 0.2 < plant._n[slow] < 0.8 * plain._n[slow]
+        assert (plant.state[5] > 0.0) == bool(slow)  # the boat turns to the slower side
+
+
+def test_derating_takes_thrust_of_a_hot_thruster_and_gives_it_back() -> None:
+    effect = make_effect("derating", 3)
+    loss, tau = effect.parameters["loss"], effect.parameters["tau"]
+    plant = run((effect,), (1.0, 0.0), 8.0 * tau)
+    still, n = (0.0,) * len(plant.state), (0.6, 0.6)
+
+    def forces() -> tuple[float, float]:
+        """Return the thrust [N] of the left and the right thruster of a boat at rest."""
+        hot = plant._hot[0]
+        return hot.thrust(*n, 0.0, 0.0, 10.0, 10.0, 0.0)
+
+    assert forces() == pytest.approx((10.0 * (1.0 - loss), 10.0), rel=1e-3)
+    turned = plant._rhs(still, *n, 0.0, 0.0, 0.0, 0.0)[5]
+    assert turned < 0.0  # the weaker left thruster turns the boat to port
+    plant.command(0, plant.t, 0.0)
+    for _ in range(round(1.25 * tau / plant.step_s)):
+        plant.advance()
+    assert forces()[0] == pytest.approx(10.0 * (1.0 - loss * math.exp(-1.0)), rel=0.02)
+
+
+def test_wash_acts_astern_while_the_other_thruster_runs_ahead() -> None:
+    effect = make_effect("wash", 1)
+    assert effect.thrust is not None
+    loss = effect.parameters["loss"]
+    for n in ((0.6, 0.6), (-0.6, -0.6), (-0.6, 0.0), (0.6, 0.0)):
+        assert effect.thrust(*n, 0.0, 0.0, 10.0, -10.0, 0.0) == (10.0, -10.0)
+    ahead, astern = effect.thrust(0.6, -0.6, 0.0, 0.0, 10.0, -10.0, 0.0)
+    assert (ahead, astern) == (10.0, pytest.approx(-10.0 * (1.0 - loss), abs=0.1))
+    assert abs(run((effect,), (0.7, -0.7)).state[5]) < 0.97 * abs(run((), (0.7, -0.7)).state[5])
 
 
 def test_battery_sag_grows_with_use() -> None:
