@@ -124,6 +124,8 @@ class SavedModel:
     refits
         Effects that a diagnosis tried, in the order of its fits. Empty for a model that was not diagnosed, and in files
         of earlier versions.
+    converged
+        Whether the fit converged. True in files of earlier versions, which do not say it.
     """
 
     model: Model
@@ -140,6 +142,7 @@ class SavedModel:
     rates: Mapping[str, float] = field(default_factory=dict)
     holds: Mapping[str, str] = field(default_factory=dict)
     refits: tuple[RefittedEffect, ...] = ()
+    converged: bool = True
 
     @property
     def python_files(self) -> tuple[Path, ...]:
@@ -219,6 +222,8 @@ def save_model(
         document["second_order"] = True
     if fit.options.reml:
         document["reml"] = True
+    if not fit.converged:
+        document["converged"] = False
     unlisted = {e.name: _curve_table(e) for e in model.effects if e.kind.nonparametric}
     if unlisted:
         document["curves"] = unlisted
@@ -468,6 +473,7 @@ def load_model(path: Path) -> SavedModel:
         provenance, calibration = dict(table.get("provenance", {})), table.get("scale", {}).get("calibration")
         calibration = None if calibration is None else float(calibration)
         refits = _refits_from_tables(table.get("refit", ()))
+        converged = bool(table.get("converged", True))
     except (AttributeError, KeyError, TypeError, ValueError) as problem:  # AttributeError: a value instead of a table
         raise SeatrialError(
             f"{path}: the model in this file is incomplete or does not match this version of seatrial, so fit it "
@@ -488,6 +494,7 @@ def load_model(path: Path) -> SavedModel:
         rates,
         holds,
         refits,
+        converged,
     )
 
 
