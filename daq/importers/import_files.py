@@ -132,8 +132,8 @@ def _shift_of_negative_times(data: Sequence[_SourceFile], sources: Sequence[Sour
 def _shift_line(shift: float) -> str:
     """Return the line for the user on a shift [s] of all times of a log (`_shift_of_negative_times`)."""
     return (
-        f"its times begin at {-shift:.6g} s, before zero, and a log cannot: {shift:.6g} s are added to all times of this "
-        "import, so that the log begins at zero; origin of [time] gives it a date instead"
+        f"its times begin at {-shift:.6g} s, before zero, and a log cannot: {shift:.6g} s are added to all times of "
+        "this import, so that the log begins at zero; origin of [time] gives it a date instead"
     )
 
 
@@ -297,9 +297,9 @@ def _write_piece(
 
     An event exactly at an end of the interval is included. The signals and events are shifted by the origin of their
     file to s since 1970. The metadata contain the digests of the import map and the files, and the numbers of rows left
-    out, and the shift [s] of times that begin below zero, which is already in the origins. The map and the known numbers
-    of the boat in it are attached. An existing log is replaced only with `force`;
-    the files `reads` (map and sources) are never replaced.
+    out, and the shift [s] of times that begin below zero, which the origins contain already. The map and the known
+    numbers of the boat in it are attached. An existing log is replaced only with `force`; the files `reads` (map and
+    sources) are never replaced.
     """
     signals: list[SignalData] = []
     events = [

@@ -239,7 +239,7 @@ def test_times_of_day_continue_after_midnight(folder: Path) -> None:
         ("", "the file is empty"),
         (
             "t,cmd,heading\n-1e8,1,2\n",
-            "its first time is negative, -100000000 s, but times must be between 1970 and 2038",
+            "its first time is negative, -100000000 s, but times must be",
         ),
         ("t,cmd,heading\n-5,1,2\n1.7e9,1,2\n", "its first time is negative, -5 s, but times must be between 1970 and"),
         ("t,cmd,heading\n1e12,1,2\n", "times must be between 1970 and 2038"),
