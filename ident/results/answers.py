@@ -64,7 +64,7 @@ NAMES = {
     "speed": "speed over ground",
     "n": "shaft speed",
 }
-LATE_CODES = frozenset({"sensor-late", "thrust-late", "motion-late"})  # findings of `seatrial check`
+LATE_CODES = frozenset({"sensor-late", "thrust-late", "motion-late", "clock-step"})  # findings of `seatrial check`
 DELAY_BIASED = frozenset({"m", "d", "T", "K"})  # masses, damping, time constants, gains: their names before a "_"
 MOST_NAMES = 4  # channels or logs that a sentence lists by name; the others are counted
 FINE_SHIFT_PERCENT = 2.0  # smaller changes are printed with one decimal
