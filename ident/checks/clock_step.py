@@ -16,6 +16,7 @@ The standard error of the step is that of the jackknife over groups of blocks of
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -108,10 +109,7 @@ class _Regression(NamedTuple):
         block = ((self.t - self.t[0]) / BLOCK_S).astype(int)
         edges = np.searchsorted(block, np.arange(block[-1] + 2))
         return np.array(
-            [
-                [rows[first:last].T @ rows[first:last] for first, last in zip(edges[:-1], edges[1:], strict=True)]
-                for rows in self.rows
-            ]
+            [[rows[first:last].T @ rows[first:last] for first, last in pairwise(edges)] for rows in self.rows]
         )
 
 

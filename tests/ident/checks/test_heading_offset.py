@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from seatrial.daq.samples import Ahrs
+from seatrial.ident.checks import device_faults
 from seatrial.ident.checks.heading_offset import HeadingAngle, compare_headings, heading_angle
 from seatrial.ident.checks.log_checks import LogChecks
 from seatrial.ident.data import Channel
@@ -113,7 +114,7 @@ def test_check_and_fit_warn_of_a_sensor_that_was_turned_between_logs(tmp_path: P
     ((path, finding),) = checks.differences()
     assert (path, finding.code) == (paths[1], "heading-offset-differs")
     assert "run1 " in finding.text
-    loaded = [load_run(path, "estimation") for path in paths]
+    loaded = [load_run(path, "estimation", device_faults=device_faults) for path in paths]
     checked, _ = check_first(loaded, [], horizontal_model("shaft"), False)
     codes = [[f["code"] for f in log.about["findings"]] for log in checked]
     assert ["heading-offset-differs" in c for c in codes] == [False, True, False]
