@@ -21,6 +21,7 @@ import numpy as np
 from seatrial.daq.checks import WARNING, Finding
 from seatrial.ident.checks.latency import increments_without_pause, mean_rate
 from seatrial.ident.checks.sensors import SENSOR_GRID_S, Channels, common_grid
+from seatrial.ident.data import parts_between, silent_times
 from seatrial.ident.numerics import Array, cumulative_integral, ned_to_body
 
 HALF_S = 1.0  # s before and after, over which headings, positions and velocities are averaged
@@ -53,7 +54,9 @@ class HeadingAngle(NamedTuple):
 
 
 def heading_angle(c: Channels) -> HeadingAngle | None:
-    """Return the mean angle of the heading against the motion through the water in a log.
+    """Return the mean angle of the heading against the motion through the water in a log, or in its longest part.
+
+    The parts are those between the gaps of the log, as a fit uses them.
 
     Parameters
     ----------
@@ -66,6 +69,9 @@ def heading_angle(c: Channels) -> HeadingAngle | None:
         None without these signals, with positions or velocities slower than 1 Hz, and if the boat is
         under way without fast turns for too short a time (30 s in 5 blocks of 15 s).
     """
+    gaps = silent_times(c)
+    if gaps:
+        c = max(parts_between(c, gaps), key=lambda part: max((np.ptp(x.t) for x in part.values()), default=0.0))
     names = ("vx", "vy") if {"vx", "vy"} <= set(c) else ("x", "y")
     if not {"psi", *names} <= set(c) or np.median(np.diff(c[names[0]].t)) > LONGEST_INTERVAL_S:
         return None

@@ -225,9 +225,9 @@ def diagnose_model(request: DiagnosisRequest, command: str, reporter: Reporter) 
         provenance([*loaded, *validation_logs], command),
         warnings=estimation_warnings(found.after.fit, found.after.records, loaded[0].hull(request.mass)),
         notes=[*floors, *considered_notes(found.after.fit.model), *found.after.outlier_notes],
-        given=GivenModel(str(request.model), saved.converged),
         unused=unused,
         dynamics=dynamics_of(found.after),
+        given=GivenModel(str(request.model), saved.converged),
     )
     return DiagnosedModel(found, result, effects_file or saved.effects_file)
 
