@@ -13,7 +13,7 @@ import numpy as np
 
 from seatrial.daq.checks import too_many_rows_missing, unknown_names_text, unknown_times
 from seatrial.daq.errors import SeatrialError, counted, warn
-from seatrial.daq.importers.import_map import ImportMap, Piece, Source, load_import_map
+from seatrial.daq.importers.import_map import TIME_UNITS, ImportMap, Piece, Source, load_import_map
 from seatrial.daq.importers.missing_inputs import gap_lines
 from seatrial.daq.importers.signals import Held, RowsLeftOut, SignalData, Signals, coarse_advice, read_signals
 from seatrial.daq.importers.sources import source_kind
@@ -22,6 +22,7 @@ from seatrial.daq.importers.write_log import sha256_of, write_signals
 from seatrial.daq.samples import Event
 
 _WHOLE = Piece("", -1e18, 1e18)  # the piece of a map without [[log]]
+LONGEST_RELATIVE_S = 1e7  # 116 days; times that are larger do not count from the start of a log
 
 
 def import_files(
@@ -70,12 +71,17 @@ def import_files(
     spoiled: list[tuple[Path, RowsLeftOut]] = []
     for stem, group in groups:
         data = [_read_source(path, source) for path, source in group]
+        shift = _shift_of_negative_times(data, [source for _, source in group], pieces)
+        if shift:
+            data = [source_file._replace(origin=shift) for source_file in data]
+            warn(f"{group[0][0]}: {_shift_line(shift)}")
         for piece in pieces:
             name = f"{stem}_{piece.name}" if piece.name else stem
             target = out or (out_dir or Path()) / f"{name}.mcap"
             if target in written:
                 raise SeatrialError(f"{target}: two of the files would become this log; rename one of them")
-            _write_piece(import_map, data, piece, target, force, [map_path, *files, *_files_named_in_map(import_map)])
+            reads = [map_path, *files, *_files_named_in_map(import_map)]
+            _write_piece(import_map, data, piece, target, force, reads, shift)
             written.append(target)
         for remark in (remark for source_file in data for remark in source_file.remarks):
             warn(remark)
@@ -95,6 +101,40 @@ def import_files(
             f"{spoiled[0][0]}: {spoiled[0][1].text}{rest}: the log is written, but too many rows are missing; {advice}"
         )
     return written
+
+
+def _shift_of_negative_times(data: Sequence[_SourceFile], sources: Sequence[Source], pieces: Sequence[Piece]) -> float:
+    """Return the time [s] that is added to all times of one log, so that its first sample is at zero; usually 0.
+
+    Times that count from an event in the log, as the trigger of a recorder, can begin below zero. They are shifted if
+    all times of the log are such: numbers of a time unit without `origin`, at most 116 days from zero. The files and
+    pieces of one log have one clock, and so one shift. Times that the pieces leave out do not count.
+    """
+    formats = [
+        fmt
+        for source in sources
+        for fmt in (source.time.format if source.time else "", *(s.time_format for s in source.signals if s.time))
+    ]
+    is_relative = all(fmt in TIME_UNITS for fmt in formats if fmt) and all(s.time for s in sources)
+    times = [
+        cut.t
+        for source_file in data
+        for signal in source_file.signals.signals
+        for cut in (_within_piece(signal, piece) for piece in pieces)
+        if len(cut.t)
+    ]
+    if not times or not is_relative or any(source_file.origin for source_file in data):
+        return 0.0
+    first, last = min(float(t[0]) for t in times), max(float(t[-1]) for t in times)
+    return -first if -LONGEST_RELATIVE_S < first < 0.0 and last < LONGEST_RELATIVE_S else 0.0
+
+
+def _shift_line(shift: float) -> str:
+    """Return the line for the user on a shift [s] of all times of a log (`_shift_of_negative_times`)."""
+    return (
+        f"its times begin at {-shift:.6g} s, before zero, and a log cannot: {shift:.6g} s are added to all times of "
+        "this import, so that the log begins at zero; origin of [time] gives it a date instead"
+    )
 
 
 def _is_too_many(row: RowsLeftOut) -> bool:
@@ -245,14 +285,21 @@ def _files_named_in_map(import_map: ImportMap) -> list[Path]:
 
 
 def _write_piece(
-    import_map: ImportMap, data: Sequence[_SourceFile], piece: Piece, target: Path, force: bool, reads: Sequence[Path]
+    import_map: ImportMap,
+    data: Sequence[_SourceFile],
+    piece: Piece,
+    target: Path,
+    force: bool,
+    reads: Sequence[Path],
+    shift: float,
 ) -> None:
     """Write one log, `target`: the signals and events of the source files within one interval of time (`piece`).
 
     An event exactly at an end of the interval is included. The signals and events are shifted by the origin of their
     file to s since 1970. The metadata contain the digests of the import map and the files, and the numbers of rows left
-    out. The map and the known numbers of the boat in it are attached. An existing log is replaced only with `force`;
-    the files `reads` (map and sources) are never replaced.
+    out, and the shift [s] of times that begin below zero, which the origins contain already. The map and the known
+    numbers of the boat in it are attached. An existing log is replaced only with `force`; the files `reads` (map and
+    sources) are never replaced.
     """
     signals: list[SignalData] = []
     events = [
@@ -263,6 +310,8 @@ def _write_piece(
     ]
     kinds = ", ".join(dict.fromkeys(source_file.kind for source_file in data))
     metadata = {"import": kinds, "import.map": import_map.name, "import.map.sha256": _sha256(import_map.text)}
+    if shift:
+        metadata["import.time_shift_s"] = repr(shift)
     for i, source_file in enumerate(data, start=1):
         metadata[f"source.{i}.name"] = source_file.path.name
         metadata[f"source.{i}.sha256"] = source_file.sha256
@@ -275,6 +324,7 @@ def _write_piece(
             signals.append(replace(cut, t=cut.t + source_file.origin))
     names = ", ".join(source_file.path.name for source_file in data)
     note = f"{names} by {import_map.path.name}" + (f", {piece.name}" if piece.name else "")
+    note += f", times shifted by {shift:.6g} s" if shift else ""
     attachments = {"import.toml": import_map.text.encode()}
     if import_map.vehicle:
         attachments["vehicle.toml"] = "".join(f"{k} = {v!r}\n" for k, v in import_map.vehicle.items()).encode()

@@ -98,7 +98,12 @@ def write_signals(
     times = [data.t for data in signals if len(data.t)]
     if not times:
         raise SeatrialError(f"{out}: no samples left to write; check t_from, t_to and nan in the import map")
-    if min(t[0] for t in times) < 0.0 or max(t[-1] for t in times) >= 2**31:
+    if (begin := min(float(t[0]) for t in times)) < 0.0:
+        raise SeatrialError(
+            f"{out}: its first time is negative, {begin:.10g} s, but times must be between 1970 and 2038; check time "
+            "format and origin in the import map, or leave out these times by [[log]] t_from"
+        )
+    if max(t[-1] for t in times) >= 2**31:
         raise SeatrialError(
             f"{out}: times must be between 1970 and 2038; check time format and origin in the import map"
         )

@@ -1,3 +1,5 @@
+from .heading_offset import compare_headings as compare_headings
+from .heading_offset import heading_angle as heading_angle
 from .inputs import speed_of_positions as speed_of_positions
 from .inputs import speed_of_velocities as speed_of_velocities
 from .log_checks import IMPORTED as IMPORTED

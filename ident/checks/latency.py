@@ -103,11 +103,11 @@ def check_latency(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
         ``sensor-late``, ``thrust-late`` or ``motion-late``; ``sensors-in-time`` or ``thrust-in-time``;
         ``delay-unknown`` if the log does not show the delay.
     """
-    push = _thrust_signals(c, sides)
+    push = thrust_signals(c, sides)
     if "psi" not in c:
         return
     attitude, velocity = (f(c, push) if push else None for f in (_yaw_after_thrust, _speed_after_thrust))
-    turned, moved = _first_source(c, ("r", "psi")), _first_source(c, ("vx", "u", "x"))
+    turned, moved = first_source(c, ("r", "psi")), first_source(c, ("vx", "u", "x"))
     if moved and push:
         yield from _attitude_velocity_delay(attitude, velocity, turned, moved)
     if push:
@@ -242,7 +242,7 @@ def _half_interval(*found: LagEstimate) -> float:
     return float(np.sqrt(sum(estimate.half**2 + SYSTEMATIC**2 * (1.0 - estimate.r2) for estimate in found)))
 
 
-def _first_source(c: Channels, names: Sequence[str]) -> str:
+def first_source(c: Channels, names: Sequence[str]) -> str:
     """Return the source (device) of the first of the channels ``names`` that the log has.
 
     The result is the name of the channel if it has no source, and empty if the log has none of the channels.
@@ -250,7 +250,7 @@ def _first_source(c: Channels, names: Sequence[str]) -> str:
     return next((c[n].source or n for n in names if n in c), "")
 
 
-def _thrust_signals(c: Channels, sides: Mapping[str, float]) -> ThrustSignals | None:
+def thrust_signals(c: Channels, sides: Mapping[str, float]) -> ThrustSignals | None:
     """Return the thrust signals of a log; None if the log has no thrust.
 
     The surge force ``X`` and the yaw moment ``N`` of all thrusters together are preferred. Else each thruster of
@@ -280,7 +280,7 @@ def _signed_square(shaft: Channel) -> Channel:
     return Channel(shaft.t, shaft.value * np.abs(shaft.value), "", shaft.source, shaft.hold)
 
 
-class _Motion(NamedTuple):
+class GridMotion(NamedTuple):
     """Motion on a common grid of times, without NaN. A signal is None if no sensor measures it.
 
     Attributes
@@ -305,7 +305,7 @@ class _Motion(NamedTuple):
     half: float
 
 
-def _motion_on_grid(c: Channels, thrusts: Sequence[Channel], half_r: float = HEADING_HALF) -> _Motion | None:
+def motion_on_grid(c: Channels, thrusts: Sequence[Channel], half_r: float = HEADING_HALF) -> GridMotion | None:
     """Return the motion in the time that all thrusts and motion sensors cover; None if it is shorter than 60 s.
 
     The log needs a yaw rate or a heading. Without a yaw rate, the heading is differenced from ``half_r`` [s] before to
@@ -321,7 +321,7 @@ def _motion_on_grid(c: Channels, thrusts: Sequence[Channel], half_r: float = HEA
         r = np.interp(t, c["r"].t, c["r"].value)
     else:
         assert psi is not None
-        r, half = _mean_rate(psi, half_r), half_r
+        r, half = mean_rate(psi, half_r), half_r
     u = v = None
     if {"u", "v"} <= set(c):
         u, v = (np.interp(t, c[n].t, c[n].value) for n in ("u", "v"))
@@ -330,12 +330,12 @@ def _motion_on_grid(c: Channels, thrusts: Sequence[Channel], half_r: float = HEA
             north, east = (np.interp(t, c[n].t, c[n].value) for n in ("vx", "vy"))
         else:
             half = max(half, POSITION_HALF)
-            north, east = (_mean_rate(np.interp(t, c[n].t, c[n].value), POSITION_HALF) for n in ("x", "y"))
+            north, east = (mean_rate(np.interp(t, c[n].t, c[n].value), POSITION_HALF) for n in ("x", "y"))
         u, v = ned_to_body(psi, north, east)
-    return _Motion(t, r, psi, u, v, half)
+    return GridMotion(t, r, psi, u, v, half)
 
 
-def _mean_rate(s: Array, half: float) -> Array:
+def mean_rate(s: Array, half: float) -> Array:
     """Return the mean rate of change (n,) per second of a signal s (n,) with a step of 0.05 s.
 
     It is the difference from ``half`` [s] before to ``half`` after each sample. Near both ends the signal is continued
@@ -351,13 +351,13 @@ def _yaw_after_thrust(c: Channels, push: ThrustSignals) -> LagEstimate | None:
     The result is None if no thrust turns the boat, the motion is constant, or the log without pauses of the sensors is
     shorter than 60 s.
     """
-    if not push.turning or (m := _motion_on_grid(c, push.turning)) is None:
+    if not push.turning or (m := motion_on_grid(c, push.turning)) is None:
         return None
     smooth = 0.0 if "r" in c else HEADING_HALF
     terms = [m.r, m.r * np.abs(m.r), np.ones(m.t.size)]
     if m.u is not None and m.v is not None:  # Munk moment, coupling, and errors of a late sway velocity
         terms += [m.u * m.v, m.u * m.r, m.v, m.r * np.abs(m.u)]
-    pushes = [part for thrust in push.turning for part in _forward_and_reverse(_thrust_at(thrust, m.t))]
+    pushes = [part for thrust in push.turning for part in forward_and_reverse(thrust_at(thrust, m.t))]
     return _lag_behind_thrust(c, m, m.r, terms, pushes, YAW_WINDOW, smooth)
 
 
@@ -367,7 +367,7 @@ def _speed_after_thrust(c: Channels, push: ThrustSignals) -> LagEstimate | None:
     The result is None if no thrust drives the boat forward, no sensor measures the velocity, the motion is constant, or
     the log without pauses of the sensors is shorter than 60 s.
     """
-    if not push.ahead or (m := _motion_on_grid(c, push.ahead)) is None or m.u is None or m.v is None:
+    if not push.ahead or (m := motion_on_grid(c, push.ahead)) is None or m.u is None or m.v is None:
         return None
     smooth = 0.0 if {"vx", "vy"} <= set(c) or {"u", "v"} <= set(c) else POSITION_HALF
     terms = [m.u, m.u * np.abs(m.u), m.v * m.r, m.r * m.r, np.ones(m.t.size)]
@@ -376,11 +376,11 @@ def _speed_after_thrust(c: Channels, push: ThrustSignals) -> LagEstimate | None:
         axes = np.cos(m.psi), np.sin(m.psi)
         terms += [axis * age**power for axis in axes for power in range(3)]
         terms += [axis * m.r * age**power for axis in axes for power in range(2)]
-    pushes = _forward_and_reverse(sum((_thrust_at(thrust, m.t) for thrust in push.ahead), np.zeros(m.t.size)))
+    pushes = forward_and_reverse(sum((thrust_at(thrust, m.t) for thrust in push.ahead), np.zeros(m.t.size)))
     return _lag_behind_thrust(c, m, m.u, terms, pushes, SURGE_WINDOW, smooth)
 
 
-def _thrust_at(push: Channel, t: Array) -> Array:
+def thrust_at(push: Channel, t: Array) -> Array:
     """Return the values (n,) of a thrust signal at times t (n,) [s].
 
     A signal with the hold ``zero`` keeps each sample until the next one; others are interpolated. Outside the samples
@@ -391,7 +391,7 @@ def _thrust_at(push: Channel, t: Array) -> Array:
     return push.value[np.clip(np.searchsorted(push.t, t, side="right") - 1, 0, None)]
 
 
-def _forward_and_reverse(f: Array) -> list[Array]:
+def forward_and_reverse(f: Array) -> list[Array]:
     """Split a thrust (n,) into its parts forward and reverse, since a propeller gives less thrust in reverse.
 
     A part that is constant is left out.
@@ -400,7 +400,7 @@ def _forward_and_reverse(f: Array) -> list[Array]:
 
 
 def _lag_behind_thrust(
-    c: Channels, m: _Motion, y: Array, terms: Sequence[Array], pushes: Sequence[Array], window: float, smooth: float
+    c: Channels, m: GridMotion, y: Array, terms: Sequence[Array], pushes: Sequence[Array], window: float, smooth: float
 ) -> LagEstimate | None:
     """Estimate the lag of a motion behind the thrust by regressions of its increments.
 
@@ -429,13 +429,13 @@ def _lag_behind_thrust(
     """
     if not pushes or np.std(y) < 1e-9:
         return None
-    mean = (lambda s: _mean_rate(cumulative_integral(m.t, s), smooth)) if smooth else (lambda s: s)
+    mean = (lambda s: mean_rate(cumulative_integral(m.t, s), smooth)) if smooth else (lambda s: s)
     own = [cumulative_integral(m.t, mean(s)) for s in terms]
     late = [cumulative_integral(m.t, mean(s)) for s in pushes]
     width, most = round(window / SENSOR_GRID_S), round(MAX_LAG / SENSOR_GRID_S)
     every = max(round(EVERY / SENSOR_GRID_S), y.size // MAX_ROWS)
     at = np.arange(most, y.size - most - width, every)
-    at = at[_increments_without_pause(c, m.t, at, width)]
+    at = at[increments_without_pause(c, m.t, at, width)]
     if at.size * every * SENSOR_GRID_S < MIN_DURATION:
         return None
     errors = LagErrors(np.linspace(-MAX_LAG, MAX_LAG, 2 * most + 1), at.size)
@@ -447,7 +447,7 @@ def _lag_behind_thrust(
     return errors.estimate()
 
 
-def _increments_without_pause(c: Channels, t: Array, at: NDArray[np.intp], width: int) -> NDArray[np.bool_]:
+def increments_without_pause(c: Channels, t: Array, at: NDArray[np.intp], width: int) -> NDArray[np.bool_]:
     """Return which increments (n_rows,) do not overlap a pause of a sensor: true for those that can be used.
 
     A pause is longer than 1 s and than five median sample intervals of the signal. Pauses of the thrust do not count.

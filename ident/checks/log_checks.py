@@ -17,7 +17,9 @@ from seatrial.daq.checks import FAULT, WARNING, Finding, check_devices, unknown_
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import WHOLE, Log, TimeWindow, open_log, part_in
 from seatrial.daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar
+from seatrial.ident.checks.clock_step import check_clock_step
 from seatrial.ident.checks.frames import check_accelerometer, check_frames
+from seatrial.ident.checks.heading_offset import HeadingAngle, compare_headings, heading_angle
 from seatrial.ident.checks.held import check_held, check_held_inputs
 from seatrial.ident.checks.inputs import (
     INPUTS,
@@ -481,12 +483,14 @@ def invalidates_fit(finding: Finding, uses_shaft_speeds: bool = True) -> bool:
 class LogChecks:
     """Checks of the motion in several logs, and of differences between them. Each log is read once.
 
-    The held commands of a checked log, and the shaft speeds that they reached, are kept for the comparison.
+    The held commands of a checked log with the shaft speeds that they reached, and the angle of its heading, are kept
+    for the comparison.
     """
 
     def __init__(self) -> None:
         """Begin without a log."""
         self._held: list[tuple[Path, str, Mapping[str, Held]]] = []
+        self._headings: list[HeadingAngle | None] = []
 
     def check(self, path: Path | str, window: TimeWindow = WHOLE) -> list[Finding]:
         """Return the findings of one log on its signals, and on speed controllers that sent no telemetry.
@@ -509,19 +513,22 @@ class LogChecks:
         except SeatrialError as error:
             return [Finding("warning", "log-not-readable", "motion", Path(path).name, str(error))]
         self._held.append((Path(path), window.label, held_of_thrusters(found)))
+        # With wrong axes, signs or units the angle has no meaning.
+        self._headings.append(None if any(map(invalidates_fit, findings)) else heading_angle(found))
         return findings
 
     def differences(self) -> list[tuple[Path, Finding]]:
-        """Return the findings on differences between the checked logs: shafts whose speed at equal commands differs.
+        """Return the findings on differences between the checked logs, each with the path of its log.
 
-        Each finding comes with the path of its log.
+        They are shafts whose speed at equal commands differs, and another angle of the heading sensor.
         """
         names = [path.stem + window for path, window, _ in self._held]
         if len(set(names)) < len(names):
             names = [str(path) + window for path, window, _ in self._held]
         paths = {name: path for name, (path, _, _) in zip(names, self._held, strict=True)}
         gains = compare_shaft_gains([(name, held) for name, (_, _, held) in zip(names, self._held, strict=True)])
-        return [(paths[name], finding) for name, finding in gains]
+        headings = compare_headings(list(zip(names, self._headings, strict=True)))
+        return [(paths[name], finding) for name, finding in (*gains, *headings)]
 
 
 def _check_names(signals: Iterable[str]) -> Iterator[Finding]:
@@ -659,6 +666,7 @@ def check_signals(c: Channels, sides: Mapping[str, float], known_noise: Collecti
     yield from of_motion
     if not of_frames and not any(f.level == FAULT for f in of_motion):
         yield from check_latency(c, sides)
+        yield from check_clock_step(c, sides)
     if not of_frames and not any(f.is_problem for f in of_motion):
         yield from check_accelerometer(c, matches.velocity)
 

@@ -543,7 +543,7 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
                 )
         elif attribution.attribution == "ambiguous":
             lines.append(f"To test whether it is {effect.title}: {effect.experiment}.")
-    return " ".join(lines) or None
+    return " ".join(dict.fromkeys(lines)) or None  # an effect can come closest in several rounds
 
 
 def reason_without_experiment(diagnosis: Diagnosis) -> str:
@@ -555,6 +555,11 @@ def reason_without_experiment(diagnosis: Diagnosis) -> str:
         if all(j.attribution == "nonparametric" for j in diagnosis.attributions):
             return (
                 "the added effects are curves without a name, and the catalogue has experiments for named effects only"
+            )
+        if diagnosis.remaining:
+            return (
+                "the effects that were added have no competing effect, and no experiment can be designed for the "
+                "candidates that still pass the score test, since the model has none of them"
             )
         return "no competing effect is left for the effects that were added"
     if any(r.refits for r in diagnosis.rounds):

@@ -131,6 +131,8 @@ class SavedModel:
     intervals
         Scales of the errors on the validation data, by which prediction intervals are widened. None without validation
         data, and in files of earlier versions.
+    converged
+        Whether the fit converged. True in files of earlier versions, which do not say it.
     """
 
     model: Model
@@ -148,6 +150,7 @@ class SavedModel:
     holds: Mapping[str, str] = field(default_factory=dict)
     refits: tuple[RefittedEffect, ...] = ()
     intervals: IntervalCalibration | None = None
+    converged: bool = True
 
     @property
     def python_files(self) -> tuple[Path, ...]:
@@ -228,6 +231,8 @@ def save_model(
         document["second_order"] = True
     if fit.options.reml:
         document["reml"] = True
+    if not fit.converged:
+        document["converged"] = False
     unlisted = {e.name: _curve_table(e) for e in model.effects if e.kind.nonparametric}
     if unlisted:
         document["curves"] = unlisted
@@ -519,6 +524,7 @@ def load_model(path: Path) -> SavedModel:
         calibration = None if calibration is None else float(calibration)
         refits = _refits_from_tables(table.get("refit", ()))
         intervals = _intervals_from_table(table.get("intervals"))
+        converged = bool(table.get("converged", True))
     except (AttributeError, KeyError, TypeError, ValueError) as problem:  # AttributeError: a value instead of a table
         raise SeatrialError(
             f"{path}: the model in this file is incomplete or does not match this version of seatrial, so fit it "
@@ -540,6 +546,7 @@ def load_model(path: Path) -> SavedModel:
         holds,
         refits,
         intervals,
+        converged,
     )
 
 

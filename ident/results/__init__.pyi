@@ -74,6 +74,7 @@ from .comparison import InformationCriteria as InformationCriteria
 from .comparison import LogScore as LogScore
 from .comparison import ModelDifference as ModelDifference
 from .comparison import PredictionKind as PredictionKind
+from .diagnosis import GivenModel as GivenModel
 from .diagnosis import diagnosis_result as diagnosis_result
 from .parts import CalibrationRow as CalibrationRow
 from .parts import Calibrations as Calibrations

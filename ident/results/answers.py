@@ -64,7 +64,7 @@ NAMES = {
     "speed": "speed over ground",
     "n": "shaft speed",
 }
-LATE_CODES = frozenset({"sensor-late", "thrust-late", "motion-late"})  # findings of `seatrial check`
+LATE_CODES = frozenset({"sensor-late", "thrust-late", "motion-late", "clock-step"})  # findings of `seatrial check`
 DELAY_BIASED = frozenset({"m", "d", "T", "K"})  # masses, damping, time constants, gains: their names before a "_"
 MOST_NAMES = 4  # channels or logs that a sentence lists by name; the others are counted
 FINE_SHIFT_PERCENT = 2.0  # smaller changes are printed with one decimal
@@ -79,7 +79,8 @@ UNUSUAL = 3.0  # standard deviations of its prior, from which an estimate is far
 LARGEST_ASYMMETRY = 0.5  # of c2 over c1: one direction then has a third of the other's thrust
 UNEQUAL_THRUST = 0.05  # difference of the thrust ahead from the given mean, relative to it, from which it is reported
 USUAL_ADDED = 1.3  # usual largest mass in surge of a slender hull, as a multiple of the weighed mass
-MOST_ADDED = 2.0  # largest plausible mass in surge, as a multiple of the weighed mass
+SURELY_ADDED = 1.5  # as MOST_ADDED, if the mass is above it by more than two standard errors
+MOST_ADDED = 2.0  # largest plausible mass in surge, as a multiple of the weighed mass, whatever its standard error is
 FULL_SPEED = 0.95  # of full speed; a thrust that was measured up to this speed is not called extrapolated
 SHORT_BENCH_S = 20.0  # as SHORT_DATA_S, of a thruster: some held commands of 4 s, forward and in reverse
 LIFT = "Y_uv"  # parameter of the hull lift: damping of sway per forward speed
@@ -403,18 +404,20 @@ def estimation_warnings(
 def mass_warnings(fit: Fit, weighed: float | None) -> list[ResultWarning]:
     """Return a warning if the estimated mass in surge contradicts the weighed mass of the boat [kg].
 
-    The mass in surge is the weighed mass and the added mass of the water. A mass below the weighed one, by more than
-    two standard errors, or above twice the weighed one is implausible. The list is empty without a weighed mass, if
-    the model has no mass in surge, and if the thrust was not given, so that masses are known as ratios only.
+    The mass in surge is the weighed mass and the added mass of the water. A mass below the weighed one or above 1.5
+    times it, both by more than two standard errors, or above twice the weighed one is implausible. The list is empty
+    without a weighed mass, if the model has no mass in surge, and if the thrust was not given, so that masses are known
+    as ratios only.
     """
     if weighed is None or not _has_mass_to_weigh(fit):
         return []
     mass, error = fit.estimate("m_u")
+    least = mass - 2.0 * error if np.isfinite(error) else -np.inf
     found = f"The estimated mass in surge, m_u, is {plus_minus(mass, error)} kg, and the boat weighs {weighed:g} kg"
     cause = "All masses are in proportion to the given thrust: check it first (its unit, and the thrust at full speed)"
     if mass + 2.0 * np.nan_to_num(error) < weighed:
         text = f"{found}: m_u contains the added mass of the water too and cannot be smaller. {cause}."
-    elif mass > MOST_ADDED * weighed:
+    elif mass > MOST_ADDED * weighed or least > SURELY_ADDED * weighed:
         text = (
             f"{found}: the added mass of the water would be {mass / weighed - 1.0:.1f} times that mass, but in surge "
             f"it is usually a small part of it. {cause}, then water in the hull and loads that were not weighed."

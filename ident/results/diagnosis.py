@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from math import isfinite
-from typing import cast
+from typing import NamedTuple, cast
 
 import msgspec
 
@@ -70,6 +70,21 @@ AT_BOUND = 1.001  # factor of a lower bound up to which a noise counts as at it
 CHANCE_P = 1e-6  # larger p values of the best score test may occur by chance in data without a missing effect
 
 
+class GivenModel(NamedTuple):
+    """Model that was given to a diagnosis.
+
+    Attributes
+    ----------
+    path
+        File of the model.
+    converged
+        Whether its fit converged.
+    """
+
+    path: str
+    converged: bool = True
+
+
 def diagnosis_result(
     diagnosis: Diagnosis,
     evaluation: DiagnosisEvaluation,
@@ -77,7 +92,7 @@ def diagnosis_result(
     *,
     warnings: Sequence[parts.ResultWarning],
     notes: Sequence[str],
-    model_path: str,
+    given: GivenModel,
     unused: Sequence[parts.UnusedSignal] = (),
     dynamics: parts.Dynamics | None = None,
 ) -> DiagnosisResult:
@@ -98,8 +113,8 @@ def diagnosis_result(
         Warnings of the fit with the effects.
     notes : sequence of str
         Sentences that precede the other notes of the result.
-    model_path : str
-        File of the diagnosed model, which replaces MODEL in the command of the recommended experiment.
+    given : GivenModel
+        Model that was given to the diagnosis. Its path replaces MODEL in the command of the recommended experiment.
     unused : sequence of UnusedSignal
         Signals of the logs that the model does not use.
     dynamics : Dynamics, optional
@@ -136,7 +151,7 @@ def diagnosis_result(
         ),
         notes=(
             *notes,
-            *_notes(diagnosis),
+            *_notes(diagnosis, given),
             *alternative_notes(rounds, effects),
             *refit_error_notes(rounds, effects),
             *_blocks_note(evaluation),
@@ -192,7 +207,7 @@ def diagnosis_result(
             for s in diagnosis.curves
         ),
         parameters_before_after=_parameter_change_rows(diagnosis),
-        recommended_experiment=None if recommended is None else recommended.replace("MODEL", model_path),
+        recommended_experiment=None if recommended is None else recommended.replace("MODEL", given.path),
         no_experiment=reason_without_experiment(diagnosis) if recommended is None else "",
     )
 
@@ -839,8 +854,31 @@ def assumed_noise_notes(model: Model) -> list[str]:
     ]
 
 
-def _notes(diagnosis: Diagnosis) -> list[str]:
-    """Return the notes of a diagnosis, in this order.
+def _model_for_use(diagnosis: Diagnosis, given: GivenModel) -> str:
+    """Return the sentences that name the model for use after a diagnosis without an added effect.
+
+    A model whose fit did not converge is not for use.
+    """
+    if given.converged:
+        return (
+            "For use, take the model that was given to the diagnosis: here it is fitted again by plain maximum "
+            "likelihood, and its predictions can be slightly worse."
+        )
+    if diagnosis.after.fit.converged:
+        return (
+            "Do not use the model that was given to the diagnosis: its fit did not converge. Here it is fitted again "
+            "by plain maximum likelihood, and this fit converged. For use, take the model.toml of this diagnosis, and "
+            "check its parameters: what kept the first fit from converging can also bias them, such as a clock step or "
+            "a stuck signal (seatrial check LOG)."
+        )
+    return (
+        "Do not use the model that was given to the diagnosis, nor that of this diagnosis: neither fit converged. "
+        "First look for a fault of the logs (seatrial check LOG), then fit a model with fewer free parameters."
+    )
+
+
+def _notes(diagnosis: Diagnosis, given: GivenModel) -> list[str]:
+    """Return the notes of a diagnosis of a given model, in this order.
 
     They are about common errors in the model, candidates that still pass the score test, the reason why the search
     ended, effects that were removed again, validation runs that the model does not fit (without effects, the answer has
@@ -871,9 +909,6 @@ def _notes(diagnosis: Diagnosis) -> list[str]:
         notes += [mismatch_sentence(m) for m in reported_mismatches(diagnosis)]
         notes += assumed_noise_notes(diagnosis.after.fit.model)
     else:
-        notes.append(
-            "No effect was added. For use, take the model that was given to the diagnosis: here it is fitted again by "
-            "plain maximum likelihood, and its predictions can be slightly worse."
-        )
+        notes.append(f"No effect was added. {_model_for_use(diagnosis, given)}")
     notes += [f"Parameter {name}: {flag}" for name, flag in diagnosis.after.fit.flags]
     return notes

@@ -20,8 +20,10 @@ from seatrial.ident.checks import (
     IMPORTED,
     check_copies,
     check_signals,
+    compare_headings,
     compare_shaft_gains,
     estimated,
+    heading_angle,
     held_of_thrusters,
     invalidates_fit,
     log_evidence,
@@ -108,11 +110,14 @@ def check_first(
     copies = check_copies([(x.about["path"], x.run.channels) for x in logs])
     # A model that the shaft speeds drive is right for each of them, whatever the commands were.
     driven = _has_shaft_speed(i.tap_of or i.name for i in model.inputs)
-    gains = [] if driven else compare_shaft_gains([(x.about["path"], held_of_thrusters(x.run.channels)) for x in logs])
+    differences = (
+        [] if driven else compare_shaft_gains([(x.about["path"], held_of_thrusters(x.run.channels)) for x in logs])
+    )
+    differences += compare_headings([(x.about["path"], heading_angle(x.run.channels)) for x in logs])
     checked = []
     for log in logs:
         more = [f for f in copies if f.where == log.about["path"]]
-        more += [finding for path, finding in gains if path == log.about["path"]]
+        more += [finding for path, finding in differences if path == log.about["path"]]
         sides, by_shafts = sides_of_model(model, log), _uses_shaft_speeds(model)
         checked.append(
             with_findings(

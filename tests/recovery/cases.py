@@ -20,7 +20,7 @@ from seatrial.ident.diagnosis.findings import Diagnosis
 from seatrial.ident.diagnosis.search import diagnose, evaluate_diagnosis
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.fitted_model import FittedModel
-from seatrial.ident.results.diagnosis import diagnosis_result
+from seatrial.ident.results.diagnosis import GivenModel, diagnosis_result
 from seatrial.ident.results.parts import DiagnosisResult, ParameterRow
 from seatrial.ident.results.tables import provenance
 from seatrial.ident.validation.prediction_errors import (
@@ -105,7 +105,7 @@ def run_case(case: Case) -> Row:
 def result_of(found: Diagnosis) -> DiagnosisResult:
     """Return the result as `seatrial ident diagnose` reports it."""
     made = provenance([], "")
-    return diagnosis_result(found, evaluate_diagnosis(found), made, warnings=(), notes=(), model_path="MODEL")
+    return diagnosis_result(found, evaluate_diagnosis(found), made, warnings=(), notes=(), given=GivenModel("MODEL"))
 
 
 def recorded(result: DiagnosisResult) -> Row:

@@ -237,7 +237,11 @@ def test_times_of_day_continue_after_midnight(folder: Path) -> None:
         ('t,cmd,heading\n0," 1\n",2\n1,2,z\n', "line 4, column 'heading': 'z' is not a number"),
         ("t,cmd,heading\n", "no lines with data below the header"),
         ("", "the file is empty"),
-        ("t,cmd,heading\n-5,1,2\n", "times must be between 1970 and 2038"),
+        (
+            "t,cmd,heading\n-1e8,1,2\n",
+            "its first time is negative, -100000000 s, but times must be",
+        ),
+        ("t,cmd,heading\n-5,1,2\n1.7e9,1,2\n", "its first time is negative, -5 s, but times must be between 1970 and"),
         ("t,cmd,heading\n1e12,1,2\n", "times must be between 1970 and 2038"),
     ],
 )
@@ -246,6 +250,56 @@ def test_an_error_in_a_csv_file_gives_a_one_line_error(folder: Path, rows: str, 
         import_files(*write(folder, rows))
     assert "\n" not in str(caught.value)
     assert sorted(path.name for path in folder.iterdir()) == ["map.toml", "run.csv"]
+
+
+def test_relative_times_that_begin_below_zero_are_shifted_as_a_whole(folder: Path) -> None:
+    rows = "t,cmd,heading\n-5.25,0.1,1\n-5,0.2,2\n0,0.3,3\n1.5,0.4,4\n"
+    with pytest.warns(
+        SeatrialWarning, match=r"run\.csv: its times begin at -5\.25 s, before zero.* 5\.25 s are added"
+    ) as got:
+        (out,) = import_files(*write(folder, rows))
+    assert len(got) == 1
+    log = open_log(out)
+    assert values(out, "psi")[0] == values(out, "n_left")[0] == [0.0, 0.25, 5.25, 6.75]
+    assert log.metadata["import.time_shift_s"] == "5.25"
+    # A clock event would be reported as a clock that was set back.
+    assert log.events() == [(0.0, "import", "run.csv by map.toml, times shifted by 5.25 s")]
+
+
+def test_times_that_the_pieces_leave_out_do_not_shift_a_log(folder: Path) -> None:
+    """The pieces of a file have one shift, so that they can be placed on one axis of time."""
+    rows = "t,cmd,heading\n-5,0.1,1\n-4,0.2,2\n1,0.3,3\n2,0.4,4\n"
+    csv_map, files = write(folder, rows)
+    text = csv_map.read_text(encoding="utf-8")
+    csv_map.write_text(text + '\n[[log]]\nname = "after"\nt_from = 0.5\n', encoding="utf-8")
+    (out,) = import_files(csv_map, files)
+    assert values(out, "psi")[0] == [1.0, 2.0]
+    assert "import.time_shift_s" not in open_log(out).metadata
+    pieces = '\n[[log]]\nname = "before"\nt_to = -3.5\n[[log]]\nname = "after"\nt_from = 0.5\n'
+    csv_map.write_text(text + pieces, encoding="utf-8")
+    with pytest.warns(SeatrialWarning, match="5 s are added to all times"):
+        before, after = import_files(csv_map, files, force=True)
+    assert (values(before, "psi")[0], values(after, "psi")[0]) == ([0.0, 1.0], [6.0, 7.0])
+
+
+def test_files_of_one_log_are_shifted_by_the_same_amount(folder: Path) -> None:
+    (folder / "a.csv").write_text("t,cmd\n-3,0.1\n1,0.2\n", encoding="utf-8")
+    (folder / "b.csv").write_text("t_ms,heading\n-1500,1\n2000,2\n", encoding="utf-8")
+    lines = 'format = "seatrial-import 1"\nname = "both"\n[[file]]\nmatch = "a.csv"\ntime = { column = "t" }\n'
+    lines += 'signal = [{ name = "n_left", column = "cmd", unit = "1", role = "input" }]\n[[file]]\nmatch = "b.csv"\n'
+    lines += (
+        'time = { column = "t_ms", format = "ms" }\nsignal = [{ name = "psi", column = "heading", unit = "deg" }]\n'
+    )
+    (folder / "map.toml").write_text(lines, encoding="utf-8")
+    files = [folder / "a.csv", folder / "b.csv"]
+    with pytest.warns(SeatrialWarning, match="3 s are added"):
+        (out,) = import_files(folder / "map.toml", files)
+    assert (values(out, "n_left")[0], values(out, "psi")[0]) == ([0.0, 4.0], [1.5, 5.0])
+    # With dates in one of the files there is no common relative clock.
+    dated = lines.replace('format = "ms" }', 'format = "ms", origin = "2025-05-01" }')
+    (folder / "map.toml").write_text(dated, encoding="utf-8")
+    with pytest.raises(SeatrialError, match="its first time is negative, -3 s"):
+        import_files(folder / "map.toml", files, force=True)
 
 
 def test_bytes_that_are_not_text_are_refused(folder: Path) -> None:

@@ -59,6 +59,10 @@ def judged(attribution: str) -> SimpleNamespace:
     return SimpleNamespace(effect="wind", attribution=attribution, not_excluded=())
 
 
+def blank_score(name: str) -> SimpleNamespace:
+    return SimpleNamespace(name=name, kind=catalogue()[name].kind)
+
+
 @pytest.mark.parametrize(
     ("diagnosis", "reason"),
     [
@@ -66,9 +70,23 @@ def judged(attribution: str) -> SimpleNamespace:
         (of(short_data=object()), "no candidate passed the score tests, and the data are too short"),
         (of(untested=[object()]), "could not be fitted"),
         (of(effects=("wind",), attributions=[judged("identified")]), "no competing effect is left"),
+        (
+            of(effects=("wind",), attributions=[judged("identified")], remaining=[blank_score("lift")]),
+            "no experiment can be designed for the candidates that still pass the score test",
+        ),
         (of(effects=("curve",), attributions=[judged("nonparametric")]), "are curves without a name"),
     ],
 )
 def test_a_diagnosis_without_an_experiment_has_the_reason(diagnosis: Diagnosis, reason: str) -> None:
     assert recommended_experiment(diagnosis) is None
     assert reason in reason_without_experiment(diagnosis)
+
+
+def test_an_experiment_of_two_rounds_is_recommended_once() -> None:
+    """An effect comes closest in two rounds, of which one adds another effect that is removed later."""
+    lag, wind = (SimpleNamespace(effect=catalogue()[name]) for name in ("filter-lag", "wind"))
+    rounds = [SimpleNamespace(chosen=None, refits=[refit]) for refit in (lag, lag, wind)]
+    text = recommended_experiment(of(rounds=rounds))
+    assert text is not None
+    for effect in (lag.effect, wind.effect):
+        assert text.count(f"To test whether {effect.title} is present: {effect.experiment}.") == 1

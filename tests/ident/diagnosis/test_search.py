@@ -37,6 +37,7 @@ from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.reporter import QUIET
 from seatrial.ident.results import parts
 from seatrial.ident.results.diagnosis import (
+    GivenModel,
     _blocks_note,
     _mismatch_row,
     _notes,
@@ -301,7 +302,7 @@ def test_search_that_reached_its_limit_names_the_untried_candidates(monkeypatch:
         "the other candidates: wind."
     )
     assert diagnosis_caveat(found) == caveat  # The caveat is also shown on the screen.
-    assert caveat not in _notes(found)
+    assert caveat not in _notes(found, GivenModel("model.toml"))
     doubted = replace(found, attributions=(EffectAttribution("hump", "ambiguous", ("a lag resembles it",)),))
     assert (
         diagnosis_caveat(doubted) == f"It is uncertain whether the missing effect is hump: a lag resembles it. {caveat}"
@@ -322,6 +323,22 @@ def test_caveat_of_a_certain_name_has_the_candidates_that_still_pass() -> None:
     assert diagnosis_caveat(replace(found, remaining=())) is None
     doubted = replace(found, attributions=(EffectAttribution("hump", "ambiguous", ("a lag resembles it",)),))
     assert diagnosis_caveat(doubted) == "It is uncertain whether the missing effect is hump: a lag resembles it."
+
+
+@pytest.mark.parametrize(
+    ("given", "refit_converged", "begin"),
+    [
+        (True, True, "For use, take the model that was given"),
+        (True, False, "For use, take the model that was given"),
+        (False, True, "Do not use the model that was given to the diagnosis: its fit did not converge."),
+        (False, False, "Do not use the model that was given to the diagnosis, nor that of this diagnosis"),
+    ],
+)
+def test_a_model_whose_fit_did_not_converge_is_not_for_use(given: bool, refit_converged: bool, begin: str) -> None:
+    after = blank(fit=blank(flags=(), converged=refit_converged))
+    (note,) = _notes(Diagnosis(after, after, (), (), ()), GivenModel("model.toml", given))
+    assert note.startswith(f"No effect was added. {begin}")
+    assert ("For use, take the model.toml of this diagnosis" in note) == (not given and refit_converged)
 
 
 def test_a_removed_effect_takes_no_place_of_another(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -67,8 +67,9 @@ def test_effect_that_makes_the_mass_implausible_is_ambiguous(
     assert [a.effect for a in found.attributions if a.attribution == "identified"] == certain
     for a in found.attributions:
         if a.attribution == "ambiguous":
-            assert f"mass in surge is {after:g} kg, and the boat weighs 11.4 kg; without them it is {before:g} kg" in (
-                a.reasons[-1]
+            assert (
+                f"mass in surge is {after:g} kg, and the boat weighs 11.4 kg; without them it is {before:g} kg"
+                in (a.reasons[-1])
             )
 
 

@@ -92,6 +92,13 @@ def test_scales_of_the_validation_errors_are_restored(tmp_path: Path, found: Fit
             load_model(path)
 
 
+@pytest.mark.parametrize("converged", [True, False])
+def test_a_fit_that_did_not_converge_is_marked(tmp_path: Path, found: Fit, converged: bool) -> None:
+    path = saved(tmp_path / "model.toml", replace(found, converged=converged))
+    assert load_model(path).converged is converged
+    assert ("converged = false" in path.read_text(encoding="utf-8")) is not converged
+
+
 def test_fitted_model_is_restored(tmp_path: Path, found: Fit) -> None:
     found = replace(found, inflation=np.where(np.array(found.names) == "m_r", 2.5, 1.0))
     back = load_model(saved(tmp_path / "model.toml", found))

@@ -16,7 +16,7 @@ from seatrial.ident.model.outlier_density import with_outlier_model
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.report.page import write_report
 from seatrial.ident.results.commands import FitContext, vehicle_result
-from seatrial.ident.results.diagnosis import diagnosis_result
+from seatrial.ident.results.diagnosis import GivenModel, diagnosis_result
 from seatrial.ident.results.parts import Provenance
 from seatrial.ident.results.result_file import read_result, to_json, write_result
 from seatrial.ident.validation.evaluation import evaluate
@@ -69,7 +69,7 @@ def test_diagnosis_result_needs_no_computation(
     evaluation = evaluate_diagnosis(found)
     no_more_computing(monkeypatch)
     notes = found.after.outlier_notes
-    result = diagnosis_result(found, evaluation, MADE, warnings=(), notes=notes, model_path="model.toml")
+    result = diagnosis_result(found, evaluation, MADE, warnings=(), notes=notes, given=GivenModel("model.toml"))
     write_result(result, tmp_path / "result.json")
     write_report(result, tmp_path / "report.html")
     assert to_json(read_result(tmp_path / "result.json").fit) == to_json(result.fit)  # type: ignore[union-attr]

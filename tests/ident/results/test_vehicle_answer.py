@@ -139,7 +139,13 @@ def test_one_wind_for_logs_of_different_days_is_named_with_the_way_to_separate_i
 
 
 @pytest.mark.parametrize(
-    ("level", "code", "n"), [("fault", "sensor-late", 1), ("warning", "sensor-late", 0), ("fault", "two-sensors", 0)]
+    ("level", "code", "n"),
+    [
+        ("fault", "sensor-late", 1),
+        ("fault", "clock-step", 1),
+        ("warning", "sensor-late", 0),
+        ("fault", "two-sensors", 0),
+    ],
 )
 def test_late_sensor_warning_names_the_biased_parameters(level: str, code: str, n: int) -> None:
     finding = LogFinding(level=level, code=code, check="late", where="vx", text="velocity comes 0.88 s after heading")

@@ -231,6 +231,12 @@ def test_weighed_mass_says_nothing_about_ratios_and_within_the_errors(
     for error, expected in ((0.6, []), (0.2, ["mass-implausible"])):
         estimate = SimpleNamespace(model=model, estimate=lambda _, e=error: (12.0, e))
         assert [w.code for w in mass_warnings(cast("Fit", estimate), 13.0)] == expected
+    # Above 1.5 times the weighed mass by two standard errors, or above twice whatever the error is.
+    for mass, error, n_warned in ((18.6, 0.9, 1), (18.6, 2.0, 0), (16.0, 0.4, 1), (15.0, 0.3, 0), (15.0, np.nan, 0)):
+        estimate = SimpleNamespace(model=model, estimate=lambda _, m=mass, e=error: (m, e))
+        assert len(mass_warnings(cast("Fit", estimate), 10.0)) == n_warned, (mass, error)
+    above_twice = SimpleNamespace(model=model, estimate=lambda _: (20.5, np.nan))
+    assert [w.code for w in mass_warnings(cast("Fit", above_twice), 10.0)] == ["mass-implausible"]
 
 
 @pytest.mark.parametrize(
