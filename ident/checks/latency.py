@@ -371,8 +371,11 @@ def _speed_after_thrust(c: Channels, push: ThrustSignals) -> LagEstimate | None:
         return None
     smooth = 0.0 if {"vx", "vy"} <= set(c) or {"u", "v"} <= set(c) else POSITION_HALF
     terms = [m.u, m.u * np.abs(m.u), m.v * m.r, m.r * m.r, np.ones(m.t.size)]
-    if m.psi is not None:  # a current
-        terms += [np.cos(m.psi), np.sin(m.psi)]
+    if m.psi is not None:  # a current, which may turn and grow during the log, as that of a tide
+        age = np.linspace(-1.0, 1.0, m.t.size)
+        axes = np.cos(m.psi), np.sin(m.psi)
+        terms += [axis * age**power for axis in axes for power in range(3)]
+        terms += [axis * m.r * age**power for axis in axes for power in range(2)]
     pushes = forward_and_reverse(sum((thrust_at(thrust, m.t) for thrust in push.ahead), np.zeros(m.t.size)))
     return _lag_behind_thrust(c, m, m.u, terms, pushes, SURGE_WINDOW, smooth)
 

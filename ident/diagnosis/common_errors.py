@@ -29,8 +29,8 @@ from seatrial.ident.model import Effect, Model
 from seatrial.ident.models import TELEMETRY_AGE, telemetry_age
 
 SENSOR_ERRORS = (
-    TELEMETRY_AGE, "gnss-latency", "gnss-latency-command", "gnss-latency-force", "heading-lag", "compass",
-    "compass-filtered", "gyro-scale", "lever-arm",
+    TELEMETRY_AGE, "gnss-latency", "gnss-latency-command", "gnss-latency-force", "heading-lag", "filter-lag",
+    "velocity-lag", "compass", "compass-filtered", "gyro-scale", "lever-arm",
 )  # fmt: skip
 HULL_FORM = ("cross-flow", "lift", "sway-yaw")
 COMMON_ERRORS = (*SENSOR_ERRORS, *HULL_FORM)

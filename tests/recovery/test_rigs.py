@@ -220,7 +220,19 @@ def test_errors_of_an_estimator_are_not_identified_as_motion(tmp_path: Path) -> 
     rig = replace(RIGS["ekf"], estimation=(250.0,), validation=())
     boat = rig.boat(None, 7002)
     logs, _ = rig.sail(boat, tmp_path)
-    seatrial(tmp_path, "ident", "vehicle", logs[0].name, *rig.options(boat), "--effect", "filter-lag", "--out", "found")
+    seatrial(
+        tmp_path,
+        "ident",
+        "vehicle",
+        logs[0].name,
+        *rig.options(boat),
+        "--effect",
+        "filter-lag",
+        "--effect",
+        "velocity-lag",
+        "--out",
+        "found",
+    )
     found = read_result(tmp_path / "found" / "result.json")
     assert isinstance(found, VehicleResult)
     z = z_scores(found.fit.parameters, rigs.truth_of(boat))

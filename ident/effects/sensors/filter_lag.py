@@ -1,4 +1,4 @@
-"""First-order lag of filtered velocities and yaw rate: estimates of an autopilot, a low-pass-filtered gyro."""
+"""First-order lags of a yaw rate and of body velocities: low-pass filters, estimates of an autopilot, late stamps."""
 
 from __future__ import annotations
 
@@ -7,12 +7,19 @@ import numpy as np
 from seatrial.ident.model import INF, Effect, Parameter, Signals
 
 
-def lag(s: Signals) -> None:
-    """Delay the outputs of body velocity and yaw rate by the lag of their filters, in place.
+def lag_yaw_rate(s: Signals) -> None:
+    """Delay the output of the yaw rate ``r`` by its lag ``T_r`` [s], in place.
 
-    The lag is of first order: lag times rate of change is subtracted from ``u``, ``v`` (lag ``T_uv`` [s]) and ``r``
-    (lag ``T_r`` [s]). ``u`` and ``v`` are over ground, so their rates include the rotation of the current in the body
-    frame.
+    The lag is of first order: lag times rate of change is subtracted.
+    """
+    s.y["r"] = s.y["r"] - s.p.T_r * s.rate["r"]
+
+
+def lag_velocity(s: Signals) -> None:
+    """Delay the outputs of the body velocities ``u`` and ``v`` by their lag ``T_uv`` [s], in place.
+
+    The lag is of first order: lag times rate of change is subtracted. ``u`` and ``v`` are over ground, so their rates
+    include the rotation of the current in the body frame.
     """
     x, T = s.x, s.p.T_uv
     cos, sin = np.cos(x.psi), np.sin(x.psi)
@@ -21,24 +28,50 @@ def lag(s: Signals) -> None:
     du = s.rate["u"] + x.r * (-sin * V_x + cos * V_y)
     dv = s.rate["v"] - x.r * (cos * V_x + sin * V_y)
     s.y["u"], s.y["v"] = s.y["u"] - T * du, s.y["v"] - T * dv
-    s.y["r"] = s.y["r"] - s.p.T_r * s.rate["r"]
 
 
-EFFECT = Effect(
-    name="filter-lag",
-    title="the lag of filtered velocities and yaw rate",
-    place="sensor",
-    hooks={"output": lag},
-    parameters=(
-        Parameter("T_r", 0.0, "s", "lag of the yaw rate", prior=(0.0, 0.3), bounds=(0.0, INF), step=0.02, scales=False),
-        Parameter(
-            "T_uv", 0.0, "s", "lag of the body velocities", prior=(0.0, 0.3), bounds=(0.0, INF), step=0.02, scales=False
+SOURCE = "first order of a delay and of any low-pass filter; autopilot state estimators"
+EXPERIMENT = "chirp of thrust and of thrust difference"
+EFFECTS = (
+    Effect(
+        name="filter-lag",
+        title="the lag of the yaw rate",
+        place="sensor",
+        hooks={"output": lag_yaw_rate},
+        parameters=(
+            Parameter(
+                "T_r", 0.0, "s", "lag of the yaw rate", prior=(0.0, 0.3), bounds=(0.0, INF), step=0.02, scales=False
+            ),
         ),
+        formula="r_measured = r - T_r r'",
+        source=SOURCE,
+        experiment=EXPERIMENT,
+        requires=("hull",),
+        one_sided=True,
+        alternatives=("lag", "delay", "heading-lag"),
     ),
-    formula="u_measured = u - T_uv u', v_measured = v - T_uv v', r_measured = r - T_r r'",
-    source="first order of any low-pass filter; autopilot state estimators",
-    experiment="chirp of thrust and of thrust difference",
-    requires=("hull",),
-    one_sided=True,
-    alternatives=("lag", "delay", "heading-lag"),
+    Effect(
+        name="velocity-lag",
+        title="the lag of the body velocities",
+        place="sensor",
+        hooks={"output": lag_velocity},
+        parameters=(
+            Parameter(
+                "T_uv",
+                0.0,
+                "s",
+                "lag of the body velocities",
+                prior=(0.0, 0.3),
+                bounds=(0.0, INF),
+                step=0.02,
+                scales=False,
+            ),
+        ),
+        formula="u_measured = u - T_uv u', v_measured = v - T_uv v'",
+        source=SOURCE,
+        experiment=EXPERIMENT,
+        requires=("hull", "body_velocity"),
+        one_sided=True,
+        alternatives=("lag", "delay", "filter-lag"),
+    ),
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -73,6 +74,25 @@ def test_sensors_in_time_give_no_alarm(thrust: tuple[str, ...], seed: int) -> No
     assert [f.code for f in found] == ["sensors-in-time", "thrust-in-time"]
     assert all("95 %" in f.text for f in found)
     assert re.match(r"(heading and yaw rate come|velocity comes) 0\.\d\d s after ", found[0].text)
+
+
+def in_a_turning_current(c: dict[str, Channel], speed: float) -> dict[str, Channel]:
+    """Add a current that turns by 150 deg during the log. The boat is at rest in the water at the start."""
+    for n, wave in (("vx", np.cos), ("vy", np.sin)):
+        direction = np.radians(40.0 + 150.0 * c[n].t / SECONDS)
+        c[n] = replace(c[n], value=c[n].value + speed * wave(direction))
+    return c
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+def test_a_turning_current_is_no_delay(seed: int) -> None:
+    """The drag by the water changes with heading and time. Without terms for it the velocity appears 0.2 s early, or its
+    delay is unknown.
+    """
+    found = list(check_latency(in_a_turning_current(log(ATTITUDE, ("vx", "vy"), SHAFTS, seed=seed), 0.4), SIDES))
+    assert [f.code for f in found] == ["sensors-in-time", "thrust-in-time"]
+    lag = float(found[0].text.split(" s after")[0].split()[-1])
+    assert lag < 0.12
 
 
 @pytest.mark.parametrize("thrust", [COMMANDS, SHAFTS])
