@@ -8,8 +8,8 @@ from seatrial.ident.effects.propulsion.mismatch import share_in_words
 from seatrial.ident.model import Effect, Parameter, Signals, State
 from seatrial.ident.models import SIDES
 
-# A thruster that becomes hot over most of a run and does not cool in it is a battery that sags. With time constants above
-# three minutes, a discharging battery of the mock boat was called derating for certain.
+# A thruster that becomes hot over most of a run and does not cool in it looks like a battery that sags: with a time
+# constant of 280 s, a discharging battery of the mock boat was called derating for certain.
 LONGEST_S = 120.0
 
 
