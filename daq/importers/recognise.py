@@ -220,11 +220,14 @@ NAMES: dict[str, str] = {
 _SI_OF = {"m": "x y", "m/s": "u v vx vy speed", "m/s2": "ax ay", "rad": "psi course lat lon", "rad/s": "r"}
 _SI = {meaning: unit for unit, meanings in _SI_OF.items() for meaning in meanings.split()}
 _MEANING = {name: meaning for meaning, names in NAMES.items() for name in names.split()}
-# Sensor that may begin a name -> the meanings that it measures. The heading of a GNSS is left out: often it is the course.
+# Sensor that may begin a name -> the meanings that it measures. The heading of a GNSS is left out, since it is often the
+# course.
 _OF_SENSOR = {
-    **dict.fromkeys(("gps", "gnss", "rtk"), frozenset("x y vx vy speed course lat lon".split())),
-    **dict.fromkeys(("imu", "ahrs", "compass"), frozenset("psi r ax ay".split())),
-    **dict.fromkeys(("ins", "nav", "ekf"), frozenset("x y vx vy u v speed psi r ax ay lat lon".split())),
+    **dict.fromkeys(("gps", "gnss", "rtk"), {"x", "y", "vx", "vy", "speed", "course", "lat", "lon"}),
+    **dict.fromkeys(("imu", "ahrs", "compass"), {"psi", "r", "ax", "ay"}),
+    **dict.fromkeys(
+        ("ins", "nav", "ekf"), {"x", "y", "vx", "vy", "u", "v", "speed", "psi", "r", "ax", "ay", "lat", "lon"}
+    ),
 }
 # Words of a struct whose fields are not measured motions of the boat
 _OF_OTHERS = frozenset([

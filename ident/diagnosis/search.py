@@ -1348,11 +1348,11 @@ class _Search:
     def _explains_more(self, difference: Refit, other: Refit) -> bool:
         """Return whether a difference between runs, which has the larger criterion, explains more than another effect.
 
-        An effect of boat or thrust with a size in each run, such as `fouling`, contains a difference between runs: it
-        has to gain more on the estimation data. Any other effect explains less if the validation data say so: the gain in log-likelihood
-        over the model with ``other`` is positive, its t statistic exceeds ``policy.min_t``, and the prediction over the
-        horizon is not significantly worse. False if ``difference`` is another kind of effect, or if the models cannot
-        be compared.
+        An effect of hull or thrust with a size in each run, such as `fouling`, contains a difference between runs: it
+        has to gain more on the estimation data. Any other effect explains less if the validation data say so: the gain
+        in log-likelihood over the model with ``other`` is positive, its t statistic exceeds ``policy.min_t``, and the
+        prediction over the horizon is not significantly worse. False if ``difference`` is another kind of effect, or
+        if the models cannot be compared.
         """
         if difference.effect.kind is not EffectKind.BETWEEN_RUNS:
             return False

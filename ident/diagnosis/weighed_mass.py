@@ -42,8 +42,8 @@ def with_weighed_mass(diagnosis: Diagnosis, weighed: float | None) -> Diagnosis:
     if _distance(after / weighed) <= _distance(before / weighed) + MOST_MOVED:
         return diagnosis
     reason = (
-        f"with the effects the mass in surge is {after:.3g} kg, and the boat weighs {weighed:.3g} kg; without them it is "
-        f"{before:.3g} kg: something else may act in a similar way"
+        f"with the effects the mass in surge is {after:.3g} kg, and the boat weighs {weighed:.3g} kg; without them it "
+        f"is {before:.3g} kg: something else may act in a similar way"
     )
     of_boat = {r.effect.name for r in diagnosis.effects if r.effect.place in ("hull", "actuator")}
     return replace(

@@ -28,8 +28,8 @@ from seatrial.ident.numerics import Array
 # therefore processed in pieces of PIECE rows. Only one piece is in memory. Of the others only the state at their start
 # is kept, from which the filter runs again when needed. A piece fits into the cache of the processor.
 WHOLE, PIECE = 16384, 1024  # rows
-# Largest estimated rounding error of a score [standard errors of the parameter] for derivatives in single precision, and
-# the relative rounding error of this precision
+# Largest estimated rounding error of a score [standard errors of the parameter] for derivatives in single precision,
+# and the relative rounding error of this precision
 LARGEST_ROUNDING, SINGLE_ROUNDING = 0.01, 2.0**-24
 
 

@@ -86,8 +86,8 @@ def in_a_turning_current(c: dict[str, Channel], speed: float) -> dict[str, Chann
 
 @pytest.mark.parametrize("seed", [1, 2, 3, 4])
 def test_a_turning_current_is_no_delay(seed: int) -> None:
-    """The drag by the water changes with heading and time. Without terms for it the velocity appears 0.2 s early, or its
-    delay is unknown.
+    """The drag by the water changes with heading and time. Without terms for it the velocity appears 0.2 s early, or
+    its delay is unknown.
     """
     found = list(check_latency(in_a_turning_current(log(ATTITUDE, ("vx", "vy"), SHAFTS, seed=seed), 0.4), SIDES))
     assert [f.code for f in found] == ["sensors-in-time", "thrust-in-time"]

@@ -18,8 +18,8 @@ from seatrial.ident.diagnosis.common_errors import (
     fit_common_errors,
     nested_in,
     score_common_errors,
-    with_forms,
     with_common_errors,
+    with_forms,
 )
 from seatrial.ident.diagnosis.score_test import (
     ColumnIndex,

@@ -261,8 +261,8 @@ def test_a_swinging_mount_pushes_sideways_only_astern() -> None:
         inputs = [{"n_left": left, "n_right": right}.get(i.name, 0.0) for i in model.inputs]
         turned, straight = (m.signals(at_rest, inputs, list(m.values.values())) for m in (model, plain))
         sideways = 0.4 * straight.f["left"] if astern else 0.0
-        assert turned.Y - straight.Y == pytest.approx(sideways, abs=1e-9)
-        assert turned.N - straight.N == pytest.approx(-0.7 * sideways, abs=1e-9)
+        assert pytest.approx(sideways, abs=1e-9) == turned.Y - straight.Y
+        assert pytest.approx(-0.7 * sideways, abs=1e-9) == turned.N - straight.N
     words = catalogue()["swinging-mount"].in_words
     assert words is not None
     assert words({"swing_L": (0.4, 0.02), "swing_R": (-0.1, float("nan"))}) == (
