@@ -220,14 +220,14 @@ NAMES: dict[str, str] = {
 _SI_OF = {"m": "x y", "m/s": "u v vx vy speed", "m/s2": "ax ay", "rad": "psi course lat lon", "rad/s": "r"}
 _SI = {meaning: unit for unit, meanings in _SI_OF.items() for meaning in meanings.split()}
 _MEANING = {name: meaning for meaning, names in NAMES.items() for name in names.split()}
-# Sensor that may begin a name -> the meanings that it measures. The heading of a GNSS is left out, since it is often the
-# course.
+# Sensor that may begin a name -> the meanings that it measures. The heading of a GNSS is left out, since it often is
+# the course.
+_OF_SATELLITES = frozenset(["x", "y", "vx", "vy", "speed", "course", "lat", "lon"])
+_OF_GYROS = frozenset(["psi", "r", "ax", "ay"])
 _OF_SENSOR = {
-    **dict.fromkeys(("gps", "gnss", "rtk"), {"x", "y", "vx", "vy", "speed", "course", "lat", "lon"}),
-    **dict.fromkeys(("imu", "ahrs", "compass"), {"psi", "r", "ax", "ay"}),
-    **dict.fromkeys(
-        ("ins", "nav", "ekf"), {"x", "y", "vx", "vy", "u", "v", "speed", "psi", "r", "ax", "ay", "lat", "lon"}
-    ),
+    **dict.fromkeys(("gps", "gnss", "rtk"), _OF_SATELLITES),
+    **dict.fromkeys(("imu", "ahrs", "compass"), _OF_GYROS),
+    **dict.fromkeys(("ins", "nav", "ekf"), (_OF_SATELLITES - {"course"}) | _OF_GYROS | {"u", "v"}),
 }
 # Words of a struct whose fields are not measured motions of the boat
 _OF_OTHERS = frozenset([
