@@ -472,7 +472,7 @@ def check_smoothing(c: Channels, known_noise: Collection[str] = ()) -> Iterator[
     if smooth:
         text = "a filter has smoothed the signal: it lacks the noise of a sensor, and its errors last for seconds"
         advice = (
-            "a fit takes at least the noise of a usual sensor, so nothing has to be done; if the data sheet states the "
+            "a fit takes at least the noise of a usual sensor; if the data sheet states the "
             "accuracy of the filter's output, give it to the fit (for a heading of 1.1 deg --fix e_psi=0.02, in rad)"
         )
         yield Finding("warning", "channel-smoothed", "noise", ", ".join(smooth), text, advice)
