@@ -161,7 +161,7 @@ def document(rows: Sequence[Row]) -> str:
         certainty=as_markdown(certainty([*rows, *clean])),
         n=len(rows),
         n_all=len(all_large(0)),
-        n_codes=len({r["code"] for r in [*rows, *clean]}),
+        n_codes=len({r.get("code") for r in [*rows, *clean]}),
         identified=ways.count("identified"),
         ambiguous=ways.count("ambiguous"),
         missed=ways.count(""),
