@@ -82,7 +82,7 @@ def largest_command_line(mission: Mission, external: bool = False) -> str:
 
 
 def counted_names(thrusters: Sequence[str]) -> str:
-    """Return the word "thruster" or "thrusters" and the names, such as ``thrusters left and right``."""
+    """Return the names of thrusters after the word "thruster" or "thrusters", such as ``thrusters left and right``."""
     if len(thrusters) == 1:
         return f"thruster {thrusters[0]}"
     return f"thrusters {', '.join(thrusters[:-1])} and {thrusters[-1]}"

@@ -10,11 +10,8 @@ import math
 from dataclasses import replace
 
 from seatrial.ident.diagnosis.findings import Diagnosis, EffectAttribution
-from seatrial.ident.estimation import Fit, thrust_scale_of
+from seatrial.ident.estimation import PLAUSIBLE_MASS_RATIO, Fit, thrust_scale_of
 
-# Mass in surge over weighed mass: the added mass of a hull at the surface is 5 to 30 % of the mass (Fossen 2011,
-# section 6.3), more for a blunt one
-LEAST_RATIO, LARGEST_RATIO = 1.0, 1.5
 MOST_MOVED = 0.1  # increase of the logarithm of the distance from this range that is still no evidence
 
 
@@ -53,14 +50,14 @@ def with_weighed_mass(diagnosis: Diagnosis, weighed: float | None) -> Diagnosis:
 
 
 def _doubted(found: EffectAttribution, reason: str) -> EffectAttribution:
-    """Return the attribution of an effect with a further reason for ambiguity; that of a curve is not changed."""
+    """Add a reason for ambiguity to the attribution of an effect. The attribution of a curve is not changed."""
     if found.attribution == "nonparametric":
         return found
     return replace(found, attribution="ambiguous", reasons=(*found.reasons, reason))
 
 
 def _mass_in_surge(fit: Fit) -> float | None:
-    """Return the estimated mass in surge [kg]; None if the model has none, or none in kilograms."""
+    """Return the estimated mass in surge [kg]. It is None if the model has no such mass in kilograms."""
     if "m_u" not in fit.names or thrust_scale_of(fit.model).relative:
         return None
     return fit.estimate("m_u")[0]
@@ -68,4 +65,4 @@ def _mass_in_surge(fit: Fit) -> float | None:
 
 def _distance(ratio: float) -> float:
     """Return the distance of a ratio of masses from the plausible range, as the logarithm of a factor; 0 inside."""
-    return max(0.0, math.log(ratio / LARGEST_RATIO), math.log(LEAST_RATIO / ratio)) if ratio > 0.0 else math.inf
+    return max(0.0, math.log(ratio / PLAUSIBLE_MASS_RATIO), -math.log(ratio)) if ratio > 0.0 else math.inf

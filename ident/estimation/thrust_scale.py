@@ -31,6 +31,9 @@ ASYMMETRY = 0.1
 PRIOR_WIDTHS = 3.0  # data and prior contradict each other if they differ by more standard deviations
 LEAST_DATA = 0.01  # lower limit of the data's share of a parameter's information, in the test against the prior
 LEAST_GYRATION = 0.15  # least radius of gyration in yaw over the hull's length; real hulls have 0.2 to 0.3
+# Largest plausible mass in surge over the weighed mass: the added mass of a hull at the surface is 5 to 30 % of the
+# mass (Fossen 2011, section 6.3), more for a blunt one
+PLAUSIBLE_MASS_RATIO = 1.5
 
 
 @dataclass(frozen=True)

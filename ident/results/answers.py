@@ -21,6 +21,7 @@ from seatrial.ident.data import ORIGIN, Record
 from seatrial.ident.diagnosis import ModelUncertainty
 from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import (
+    PLAUSIBLE_MASS_RATIO,
     FailedRun,
     Fit,
     FittedModel,
@@ -79,7 +80,6 @@ UNUSUAL = 3.0  # standard deviations of its prior, from which an estimate is far
 LARGEST_ASYMMETRY = 0.5  # of c2 over c1: one direction then has a third of the other's thrust
 UNEQUAL_THRUST = 0.05  # difference of the thrust ahead from the given mean, relative to it, from which it is reported
 USUAL_ADDED = 1.3  # usual largest mass in surge of a slender hull, as a multiple of the weighed mass
-SURELY_ADDED = 1.5  # as MOST_ADDED, if the mass is above it by more than two standard errors
 MOST_ADDED = 2.0  # largest plausible mass in surge, as a multiple of the weighed mass, whatever its standard error is
 FULL_SPEED = 0.95  # of full speed; a thrust that was measured up to this speed is not called extrapolated
 SHORT_BENCH_S = 20.0  # as SHORT_DATA_S, of a thruster: some held commands of 4 s, forward and in reverse
@@ -417,7 +417,7 @@ def mass_warnings(fit: Fit, weighed: float | None) -> list[ResultWarning]:
     cause = "All masses are in proportion to the given thrust: check it first (its unit, and the thrust at full speed)"
     if mass + 2.0 * np.nan_to_num(error) < weighed:
         text = f"{found}: m_u contains the added mass of the water too and cannot be smaller. {cause}."
-    elif mass > MOST_ADDED * weighed or least > SURELY_ADDED * weighed:
+    elif mass > MOST_ADDED * weighed or least > PLAUSIBLE_MASS_RATIO * weighed:
         text = (
             f"{found}: the added mass of the water would be {mass / weighed - 1.0:.1f} times that mass, but in surge "
             f"it is usually a small part of it. {cause}, then water in the hull and loads that were not weighed."

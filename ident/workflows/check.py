@@ -113,7 +113,8 @@ def check_first(
     differences = (
         [] if driven else compare_shaft_gains([(x.about["path"], held_of_thrusters(x.run.channels)) for x in logs])
     )
-    differences += compare_headings([(x.about["path"], heading_angle(x.run.channels)) for x in logs])
+    if len(logs) > 1:
+        differences += compare_headings([(x.about["path"], heading_angle(x.run.channels)) for x in logs])
     checked = []
     for log in logs:
         more = [f for f in copies if f.where == log.about["path"]]
@@ -179,9 +180,9 @@ def require_thrust_and_length(segments: Sequence[LogSegment], model: Model, desp
 
 
 def _span(segment: LogSegment, model: Model) -> tuple[float, float]:
-    """Return start and end [s] of the time in which a segment has known inputs and any sensor of a model.
+    """Return the start and the end [s] of the time in which a segment has all inputs and any sensor of a model.
 
-    Without such a time the end is the start.
+    The end equals the start if the segment has no such time.
     """
     inputs, sensors = (
         [c for s in signals if (c := segment.channels.get(s.name)) is not None and c.t.size]

@@ -331,7 +331,7 @@ def _verdict(p: float | None, level: float, passed: str, failed: str) -> str:
 
 
 def _or_nan(value: float | None) -> float:
-    """Return ``value``, or NaN in place of None."""
+    """Return a number as it is. The result is NaN if the number is None."""
     return math.nan if value is None else value
 
 

@@ -25,34 +25,28 @@ def saturate(s: Signals) -> None:
     s.n_ref = limited(s.n_ref, s.p.n_top, s.p.k_top)
 
 
-PARAMETERS = (
-    Parameter(
-        "k_top",
-        0.0,
-        "",
-        "share of the excess over the limit that is cut",
-        prior=(1.0, 0.25),
-        bounds=(0.0, 1.2),
-        step=0.02,
-    ),
-    Parameter("n_top", 0.8, "", "saturation limit", "log", prior=(0.8, 0.4), bounds=(0.1, 1.5)),
-)
-SCAN = {"n_top": (0.3, 0.45, 0.6, 0.75, 0.85)}
-SOURCE = "governors, power limits and end points of speed controllers"
-CAUSES = "end points, a governor or a current limit of the speed controller"
-EXPERIMENT = "steady commands in small steps up to the highest"
-
 EFFECT = Effect(
     name="speed-limit",
     title="a saturation of the shaft speed",
     place="actuator",
     hooks={"shaft": saturate},
-    parameters=PARAMETERS,
-    scan=SCAN,
+    parameters=(
+        Parameter(
+            "k_top",
+            0.0,
+            "",
+            "share of the excess over the limit that is cut",
+            prior=(1.0, 0.25),
+            bounds=(0.0, 1.2),
+            step=0.02,
+        ),
+        Parameter("n_top", 0.8, "", "saturation limit", "log", prior=(0.8, 0.4), bounds=(0.1, 1.5)),
+    ),
+    scan={"n_top": (0.3, 0.45, 0.6, 0.75, 0.85)},
     formula="n_ref -> n_ref / (1 + (n_ref / n_top)^32)^(1/32)",
-    source=SOURCE,
-    causes=CAUSES,
-    experiment=EXPERIMENT,
+    source="governors, power limits and end points of speed controllers",
+    causes="end points, a governor or a current limit of the speed controller",
+    experiment="steady commands in small steps up to the highest",
     requires=("bench",),
     one_sided=True,
     alternatives=("speed-curve",),

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from seatrial.ident.effects.bench.speed_limit import CAUSES, EXPERIMENT, PARAMETERS, SCAN, SOURCE, limited
-from seatrial.ident.model import Effect, Signals
+from dataclasses import replace
+
+from seatrial.ident.effects.bench.speed_limit import EFFECT as SPEED_LIMIT
+from seatrial.ident.effects.bench.speed_limit import limited
+from seatrial.ident.model import Signals
 
 
 def saturate(s: Signals) -> None:
@@ -12,18 +15,13 @@ def saturate(s: Signals) -> None:
         s.n[side] = limited(n, s.p.n_top, s.p.k_top)
 
 
-EFFECT = Effect(
+# The limit is that of a shaft on the bench; only its place in the model differs.
+EFFECT = replace(
+    SPEED_LIMIT,
     name="shaft-limit",
     title="a limit of the shaft speed below full command",
-    place="actuator",
     hooks={"thrust_lag": saturate},
-    parameters=PARAMETERS,
-    scan=SCAN,
     formula="n_i -> n_i / (1 + (n_i / n_top)^32)^(1/32)",
-    source=SOURCE,
-    causes=CAUSES,
-    experiment=EXPERIMENT,
     requires=("n", "f", "n_state"),  # a measured shaft speed shows its limit
-    one_sided=True,
     alternatives=("thrust-power", "thrust-linearity", "advance-ratio", "hump"),
 )
