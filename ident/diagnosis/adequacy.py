@@ -122,7 +122,7 @@ def assess_alternatives(
         still_found = _alternatives_still_found(search_round.chosen.effect, remaining, len(chosen))
         reasons = [
             *_strong_remaining_test_reasons(strong, evidence.n),
-            *_many_remaining_tests_reasons(remaining, policy),
+            *_many_remaining_tests_reasons(remaining, len(evidence.nominal), policy),
             *_remaining_alternative_reasons(still_found),
             *_nonparametric_curve_reasons(chosen, search_round, unaffected, policy),
         ]
@@ -171,13 +171,16 @@ def _strong_remaining_test_reasons(strong: Sequence[Score], n: int) -> list[str]
     ]
 
 
-def _many_remaining_tests_reasons(remaining: Sequence[Score], policy: SearchPolicy) -> list[str]:
-    """Return the reason for ambiguity that more than ``policy.max_remaining_tests`` score tests still pass, else [].
+def _many_remaining_tests_reasons(remaining: Sequence[Score], n_tests: int, policy: SearchPolicy) -> list[str]:
+    """Return the reason for ambiguity that too many score tests still pass, else [].
+
+    The limit is the larger of ``policy.max_remaining_tests`` and the share ``policy.max_remaining_test_share`` of the
+    ``n_tests`` score tests of the nominal model.
 
     ``remaining`` are the scores that pass on the last model, the strongest first; for an effect that keeps its size
     beside the strongest of them, only those of its alternatives. The reason names the first.
     """
-    if len(remaining) <= policy.max_remaining_tests:
+    if len(remaining) <= max(policy.max_remaining_tests, policy.max_remaining_test_share * n_tests):
         return []
     return [
         f"with this effect {len(remaining)} score tests are still significant; "

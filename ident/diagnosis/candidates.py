@@ -32,7 +32,16 @@ from seatrial.ident.diagnosis.score_test import (
 from seatrial.ident.effects import FORCES, WAVES, harmonics, input_response_effects
 from seatrial.ident.engine import VectorisedModel, vectorised
 from seatrial.ident.estimation import FittedModel, RecordEvaluation
-from seatrial.ident.model import DisturbanceChannel, Effect, EffectKind, ForceCurve, Model, Parameter, curve_name
+from seatrial.ident.model import (
+    DisturbanceChannel,
+    Effect,
+    EffectKind,
+    ForceCurve,
+    Model,
+    Parameter,
+    RecordedEvaluation,
+    curve_name,
+)
 from seatrial.ident.models import products_of, residuals_of, sensor_errors_of, size_of, thrust_losses_of, variables_of
 from seatrial.ident.numerics import Array, chi2_isf, wrap
 from seatrial.ident.validation import SpectralPeak, spectral_peak
@@ -91,7 +100,7 @@ class TrajectoryLinearisation:
         part = copy(self)
         part.record, own = self.record.rows(rows), self.own.rows(rows)
         part.own, part.x = replace(own, u=np.asfortranarray(own.u)), np.asfortranarray(self.x[rows])
-        for computed in ("base", "jacobian", "steps"):
+        for computed in ("base", "recorded", "jacobian", "steps"):
             part.__dict__.pop(computed, None)
         return part
 
@@ -99,6 +108,18 @@ class TrajectoryLinearisation:
     def base(self) -> Array:
         """Rates of the states, then values of the outputs, in each row, Array (n_rows, n_states + n_outputs)."""
         return self.rowwise(self.x, self.own.u, self.values)
+
+    @cached_property
+    def recorded(self) -> RecordedEvaluation | None:
+        """Evaluation of the model, from which those of the model with a candidate continue.
+
+        None if a function of the model does not accept arrays or changes them in place.
+        """
+        try:
+            with np.errstate(all="ignore"):
+                return RecordedEvaluation(self.model, list(self.x.T), list(self.own.u.T), self.values.tolist())
+        except (TypeError, ValueError):
+            return None
 
     @cached_property
     def jacobian(self) -> Array:
@@ -198,7 +219,7 @@ class TrajectoryLinearisation:
 
                 ``values`` are the parameters of the model with the effect, ``rowwise``.
                 """
-                columns = rowwise.columns(x, u, values)
+                columns = rowwise.columns(x, u, values, self.recorded)
                 return columns[:n] + columns[n + m :]
 
             at_zero = all(p.value == 0.0 for _, p in sizes)
@@ -257,7 +278,7 @@ class TrajectoryLinearisation:
         found = []
         for z, values, A in zip(begin, all_values, matrices, strict=True):
             assert A is not None
-            drive = rowwise.rates(x, u, values)[:, n:]
+            drive = rowwise.rates(x, u, values, self.recorded)[:, n:]
             transition, weight = (each[step_of] for each in _discretised_dynamics(A, steps))
             mean = (drive[:-1] + drive[1:]) / 2
             found.append(_solved_recursion(transition, np.einsum("kij,kj->ki", weight, mean), z))

@@ -113,9 +113,10 @@ class SearchPolicy:
         value and a share of the sum of the criteria of all added effects, but (above the absolute value) not more than
         the criterion of the effect itself. The true form of an effect is not exactly that of the catalogue
         (tests/recovery: leave-one-out against the full catalogue).
-    max_remaining_tests
-        Largest number of score tests that may still pass beside an identified effect. A small difference of form makes
-        a few of them pass.
+    max_remaining_tests, max_remaining_test_share
+        Largest number of score tests that may still pass beside an identified effect: the larger of an absolute number
+        and a share of all tests. A small difference of form makes a few of them pass, and the more, the more
+        candidates there are.
     n_beside, max_change_beside
         If score tests still pass, the last model is fitted together with the ``n_beside`` strongest remaining
         candidates. If the strongest parameter of an effect changes by less than the share ``max_change_beside`` of its
@@ -183,6 +184,7 @@ class SearchPolicy:
     max_remaining_criterion: float = 20.0
     max_remaining_share: float = 0.03
     max_remaining_tests: int = 8
+    max_remaining_test_share: float = 0.1
     n_beside: int = 3
     max_change_beside: float = 0.3
     max_curve_share: float = 0.3

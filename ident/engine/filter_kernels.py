@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from seatrial.ident.engine.filter_plans import Plans
     from seatrial.ident.engine.loop_plan import Plan
 
+PARTS = ("states", "inputs", "sensors", "stages", "effects")  # of a model, on which its kernels depend
 _known: WeakValueDictionary[str, FilterKernels] = WeakValueDictionary()  # by ``FilterKernels.key``
 # by the id of the model, so that the model is traced only once
 _by_model: dict[tuple[int, bool, bool], tuple[ref[Model], ref[FilterKernels]]] = {}
@@ -59,8 +60,10 @@ def filter_kernels_for(model: Model, *, covariance: bool = True, joseph: bool = 
         known_model, programs = _by_model.get(at, (None, None))
         kernels = programs() if programs and known_model and known_model() is model else None
         if kernels is None:
-            new = FilterKernels(model, covariance, joseph)
-            kernels = _known.setdefault(new.key, new)
+            kernels = next((k for k in _recent if k.are_of(model, covariance, joseph)), None)
+            if kernels is None:
+                new = FilterKernels(model, covariance, joseph)
+                kernels = _known.setdefault(new.key, new)
             _by_model[at] = ref(model, lambda _: _by_model.pop(at, None)), ref(kernels)
         if kernels in _recent:
             _recent.remove(kernels)
@@ -91,6 +94,19 @@ class FilterKernels:
         traced_key = kernel_cache.kernel_key(model, covariance, joseph) if len(model.sensors) <= MAX_BITS else None
         self._cache_key = traced_key if jit.AVAILABLE else None
         self.key = traced_key or self.graphs.key
+
+    def are_of(self, model: Model, covariance: bool, joseph: bool) -> bool:
+        """Return whether these are the kernels of a model that has the same parts, with other parameter values.
+
+        The parts have to be the same objects, as after `Model.with_values`. False says nothing: equal parts may have
+        the same kernels. ``covariance`` and ``joseph`` are the options of the filter.
+        """
+        own = self._model
+        return (
+            (covariance, joseph, model.second_order) == (self._covariance, self._joseph, own.second_order)
+            and all(getattr(model, part) is getattr(own, part) for part in PARTS)
+            and [p.name for p in model.parameters] == [p.name for p in own.parameters]
+        )
 
     @cached_property
     def graphs(self) -> EkfGraphs:

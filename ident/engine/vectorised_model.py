@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from seatrial.ident.model import Model
+from seatrial.ident.model import Model, RecordedEvaluation
 from seatrial.ident.numerics import Array
 
 ca.GlobalOptions.setNumpyMode(-1)  # plain numpy functions on symbols stay symbolic
@@ -75,37 +75,41 @@ class VectorisedModel:
             result[:, j] = column
         return result
 
-    def columns(self, x: Array, u: Array, values: Array) -> list[Array]:
+    def columns(self, x: Array, u: Array, values: Array, recorded: RecordedEvaluation | None = None) -> list[Array]:
         """Return the rates of the states, followed by the outputs, as a list of n_states + n_outputs arrays (n_rows,).
 
         The arguments are states x (n_rows, n_states), inputs u (n_rows, n_inputs) and values of the parameters
-        (n_parameters,). A rate or output that is the same for all rows is repeated. If the functions of the model raise
+        (n_parameters,). ``recorded`` is the evaluation of the model without its last effect for the same values, which
+        saves time. A rate or output that is the same for all rows is repeated. If the functions of the model raise
         TypeError or ValueError for arrays, CasADi evaluates them, which is slower. Values that are not finite raise no
         warning.
         """
         with np.errstate(all="ignore"):
             try:
-                s = self.model.signals(list(x.T), list(u.T), values.tolist())
+                own = list(x.T), list(u.T), values.tolist()
+                s = self.model.signals(*own) if recorded is None else recorded.signals(self.model, *own)
                 signals = [s.rate[v.name] for v in self.model.states] + [s.y[o.name] for o in self.model.outputs]
                 return [c if np.shape(c) == (len(x),) else np.full(len(x), c, dtype=np.float64) for c in signals]
             except (TypeError, ValueError):
                 return list(np.asarray(self._rates_and_outputs(x.T, u.T, values)))
 
-    def rates(self, x: Array, u: Array, values: Array) -> Array:
+    def rates(self, x: Array, u: Array, values: Array, recorded: RecordedEvaluation | None = None) -> Array:
         """Return the rates of the states (n_rows, n_states) without the outputs, which takes less time than a call.
 
         The arguments are states x (n_rows, n_states), inputs u (n_rows, n_inputs), and values of the parameters:
-        (n_parameters,), or (n_rows, n_parameters) with values for each row.
+        (n_parameters,), or (n_rows, n_parameters) with values for each row. ``recorded`` is as in `columns`.
         """
         if self._outputs_change_no_rate:
             try:
-                return self._rates_before_outputs(x, u, values)
+                return self._rates_before_outputs(x, u, values, recorded)
             except (TypeError, ValueError):
                 pass
         found = np.asarray(self._rates_and_outputs(x.T, u.T, values.T), dtype=np.float64)
         return found[: self.n_states].T
 
-    def _rates_before_outputs(self, x: Array, u: Array, values: Array) -> Array:
+    def _rates_before_outputs(
+        self, x: Array, u: Array, values: Array, recorded: RecordedEvaluation | None = None
+    ) -> Array:
         """Return the rates (n_rows, n_states) before the stage ``output``. The arguments are those of `rates`.
 
         KeyError is raised if that stage computes one of them, TypeError or ValueError if a function of the model does
@@ -113,7 +117,11 @@ class VectorisedModel:
         """
         p = list(values.T) if values.ndim == 2 else values.tolist()
         with np.errstate(all="ignore"):
-            rate = self.model.rates(list(x.T), list(u.T), p)
+            own = list(x.T), list(u.T), p
+            if recorded is None:
+                rate = self.model.rates(*own)
+            else:
+                rate = recorded.signals(self.model, *own, until_output=True).rate
             columns = [np.broadcast_to(rate[v.name], len(x)) for v in self.model.states]
         found: Array = np.stack(columns, axis=1, dtype=np.float64)
         return found

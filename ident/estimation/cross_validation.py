@@ -23,6 +23,9 @@ from seatrial.ident.estimation.maximum_likelihood import ROUGH_SEARCH, fit
 from seatrial.ident.model import Model, Parameter
 from seatrial.ident.numerics import Array
 
+# The few per-record parameters of a block need two or three iterations. The likelihood of some effects has kinks, along
+# which a search creeps.
+BLOCK_SEARCH = replace(ROUGH_SEARCH, max_iterations=12)
 BLOCK_LENGTH = 12  # length of a block in units of ``Model.block``: a minute for a boat
 FEWEST_BLOCKS, MOST_BLOCKS = 5, 8  # number of blocks in a record
 LARGE_GAIN = 10.0  # above this expected gain the likelihood may not be quadratic: the step is then checked
@@ -191,4 +194,4 @@ def _with_per_record_values_of_block(model: Model, block: Record, values: Array)
     if not own:
         return values
     held = model.with_values(dict(zip(model.values, values.tolist(), strict=True)))
-    return np.asarray(fit(held.with_free(own), [block], settings=ROUGH_SEARCH).record_values[0])
+    return np.asarray(fit(held.with_free(own), [block], settings=BLOCK_SEARCH).record_values[0])

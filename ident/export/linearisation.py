@@ -598,6 +598,7 @@ def linearise(
     speed: float,
     known: ParameterCovariance | None = None,
     conditions: Mapping[str, float] | None = None,
+    near: LinearModel | None = None,
 ) -> LinearModel:
     """Linearise a fitted model about straight motion at a forward speed in still water.
 
@@ -617,6 +618,9 @@ def linearise(
     conditions : mapping, optional
         Values of ``t``, ``work``, ``x``, ``y`` and ``psi`` by name; a missing one has the default of
         `chosen_conditions`.
+    near : LinearModel, optional
+        Linear model of the same model at another speed or in other conditions. The search for the operating point
+        begins at that one, which takes a fraction of the time.
 
     Raises
     ------
@@ -638,7 +642,7 @@ def linearise(
         raise SeatrialError(f"speed {speed!r}: give a number, in m/s, such as 0.5")
     if not np.isfinite(speed) or speed == 0.0:
         raise SeatrialError(f"speed {speed} m/s: give a number other than zero, where the model has a slope")
-    x0, u0 = _operating_point(rates, speed)
+    x0, u0 = _operating_point(rates, speed, near)
     for name, value in zip(rates.inputs, u0, strict=True):
         if is_of_thruster(name, COMMAND, SHAFT_SPEED) and abs(value) > 1.0:
             raise SeatrialError(
@@ -729,11 +733,12 @@ def _moved_operating_points(rates: Rates, x0: Array, u0: Array, values: Array) -
     return (x, u) if remaining.max(initial=0.0) < BALANCED else None
 
 
-def _operating_point(rates: Rates, speed: float) -> tuple[Array, Array]:
+def _operating_point(rates: Rates, speed: float, near: LinearModel | None = None) -> tuple[Array, Array]:
     """Return the states (n,) and inputs (m,) that keep straight motion at a forward speed [m/s] through the water.
 
     The surge speed has this value and the yaw rate is zero; the other states and the inputs are found by least squares
-    of the rates. The limits of the inputs are not checked. If there are several such points, it is one of them.
+    of the rates. The limits of the inputs are not checked. If there are several such points, it is one of them: if
+    possible the one to which the search from the operating point of the linear model ``near`` leads.
 
     Raises
     ------
@@ -774,9 +779,14 @@ def _operating_point(rates: Rates, speed: float) -> tuple[Array, Array]:
     begins = [np.zeros(len(free)), *([rates.initial[free]] if rates.initial[free].any() else [])]
     drifting = np.array([rates.names[k] == "v" for k in free], dtype=float)
     begins += [part * abs(speed) * drifting for part in DRIFTS] if drifting.any() else []
+    starts = []
+    if near is not None:  # drift and inputs are nearly proportional to the speed
+        starts = [np.concatenate([near.x0[free], near.u0]) * abs(speed / near.speed)]
     for begin, size in product(begins, TRIALS):
         start = np.concatenate([begin, np.full(m, np.copysign(size, speed))])
         start[: len(free)] += [start[-1] if is_of_thruster(rates.names[k], SHAFT_SPEED) else 0.0 for k in free]
+        starts.append(start)
+    for start in starts:
         found = least_squares(residuals, start, slopes, xtol=1e-14, ftol=1e-14, gtol=1e-14)
         if np.abs(found.fun).max(initial=0.0) < smallest:
             smallest, best = float(np.abs(found.fun).max(initial=0.0)), found.x

@@ -14,6 +14,7 @@ from .parameter import ParameterOrigin as ParameterOrigin
 from .parameter import ParameterRole as ParameterRole
 from .parameter import built_in as built_in
 from .parameter import segment_name as segment_name
+from .partial_evaluation import RecordedEvaluation as RecordedEvaluation
 from .signal_id import COMMAND as COMMAND
 from .signal_id import SHAFT_SPEED as SHAFT_SPEED
 from .signal_id import THRUSTER_FORCE as THRUSTER_FORCE

@@ -65,8 +65,13 @@ class Signals(Named):
         Time derivatives of the states per second, and outputs, by name.
     again : Callable
         ``again(x, u, p)`` runs the model again up to the time derivatives, with other values of some states, inputs and
-        parameters (dicts by name). It returns new signals, without outputs and without `again`; effects that change
+        parameters (dicts by name). It returns new signals, without outputs, `again` and `once`; effects that change
         parameters do not change them again. It is for effects that depend on earlier derivatives.
+
+    once : Callable
+        ``once(name, compute)`` returns ``compute()``. If the evaluation continues a recorded one (`RecordedEvaluation`)
+        and has its inputs and parameters, the result is the recorded one of this name. It is for slow computations that
+        depend on inputs and parameters only.
 
     Each model adds signals of its own. Vehicle models add shaft speeds ``n`` and thrusts ``f`` [N] by thruster, and the
     forces ``X``, ``Y`` [N] and the moment ``N`` [N m].
@@ -78,6 +83,15 @@ class Signals(Named):
     rate: dict[str, Any]
     y: dict[str, Any]
     again: Callable[[Mapping[str, Any], Mapping[str, Any], Mapping[str, Any]], Signals]
+    once: Callable[[str, Callable[[], Any]], Any]
+
+    def with_values(self, x: Mapping[str, Any], u: Mapping[str, Any], p: Mapping[str, Any]) -> Signals:
+        """Return new signals before the first stage, with other values of some states, inputs and parameters by name.
+
+        The other values are those of these signals, which are not changed.
+        """
+        x, u, p = vars(self.x) | x, vars(self.u) | u, vars(self.p) | p
+        return Signals(x=States(**x), u=Inputs(**u), p=Parameters(**p), rate={}, y={})
 
     def state_or_input(self, name: str) -> Any:
         """Return the value of the state ``name`` if the model has it, otherwise of the input ``name``.
@@ -730,9 +744,8 @@ class Model:
         ValueError
             If the number of values is wrong.
         """
-        s = self._begun(x, u, p)
-        for label, stage in self.stages:
-            self._run_stage(label, stage, s)
+        s = self.begun(x, u, p)
+        self.run_stages(s)
         return s
 
     def rates(self, x: Any, u: Any, p: Any) -> dict[str, Any]:
@@ -741,51 +754,73 @@ class Model:
         The arguments are those of `signals`, which takes longer. The derivative of a state is missing if the stage
         ``output`` computes it.
         """
-        s = self._begun(x, u, p)
-        self._run_until_output(s)
+        s = self.begun(x, u, p)
+        self.run_stages(s, until_output=True)
         return s.rate
 
-    def _begun(self, x: Any, u: Any, p: Any) -> Signals:
-        """Return the signals before the first stage, with the parameters changed by the hooks of the effects."""
+    def begun(self, x: Any, u: Any, p: Any) -> Signals:
+        """Return the signals before the first stage, with the parameters changed by the hooks of the effects.
+
+        The arguments are those of `signals`.
+        """
         s = self.bag(x, u, p)
         for effect in self.effects:
             if PARAMETERS in effect.hooks:
                 effect.hooks[PARAMETERS](s)
-        s.again = lambda x, u, p: self._until_rates(s, x, u, p)
+
+        def again(x: Mapping[str, Any], u: Mapping[str, Any], p: Mapping[str, Any]) -> Signals:
+            """Run the model up to the time derivatives with other values (`Signals.again`)."""
+            changed = s.with_values(x, u, p)
+            self.run_stages(changed, until_output=True)
+            return changed
+
+        s.again, s.once = again, lambda name, compute: compute()
         return s
 
-    def _run_until_output(self, s: Signals) -> None:
-        """Run the stages before ``output`` with the hooks of all effects. The signals ``s`` are changed in place."""
+    @cached_property
+    def places(self) -> tuple[str, ...]:
+        """Places after which functions of effects run, in order: each stage, followed by its ``LATER`` places."""
+        return tuple(place for label, _ in self.stages for place in (label, *LATER.get(label, ())))
+
+    def run_stages(
+        self,
+        s: Signals,
+        *,
+        until_output: bool = False,
+        continued_at: int | None = None,
+        after_each: Callable[[], None] | None = None,
+    ) -> None:
+        """Run the stages, each followed by the hooks of all effects at its `places`. ``s`` is changed in place.
+
+        At each place, the hooks run in the order in which the effects were added.
+
+        Parameters
+        ----------
+        s : Signals
+            Signals before the first stage, or those at ``continued_at``.
+        until_output : bool
+            Whether to stop before the stage ``output``.
+        continued_at : int, optional
+            Index of the place up to which everything has run, except for the hook of the last effect at this place.
+        after_each : Callable, optional
+            Function that is called after each place.
+        """
+        index = -1
         for label, stage in self.stages:
-            if label == "output":
-                break
-            self._run_stage(label, stage, s)
-
-    def _run_stage(self, label: str, stage: ModelFunction, s: Signals) -> None:
-        """Run one stage, then the hooks of all effects after this stage and at its ``LATER`` places.
-
-        At each of these places, the hooks run in the order in which the effects were added.
-
-        ``label`` is the name of the stage, by which effects refer to it. ``stage`` is its function. The signals ``s``
-        are changed in place.
-        """
-        stage(s)
-        for place in (label, *LATER.get(label, ())):
-            for effect in self.effects:
-                if place in effect.hooks:
-                    effect.hooks[place](s)
-
-    def _until_rates(self, s: Signals, x: Mapping[str, Any], u: Mapping[str, Any], p: Mapping[str, Any]) -> Signals:
-        """Evaluate the model up to the time derivatives with other values of some states, inputs and parameters.
-
-        ``x``, ``u`` and ``p`` are these values by name. The other values are those of the signals ``s``, which are not
-        changed. The result is a new `Signals` object, for which the stage ``output`` has not run. Hooks that change
-        parameters do not run again.
-        """
-        x, u, p = vars(s.x) | x, vars(s.u) | u, vars(s.p) | p
-        changed = Signals(x=States(**x), u=Inputs(**u), p=Parameters(**p), rate={}, y={})
-        self._run_until_output(changed)
-        return changed
+            if until_output and label == "output":
+                return
+            for place in (label, *LATER.get(label, ())):
+                index += 1
+                effects = self.effects
+                if continued_at is not None and index <= continued_at:
+                    effects = effects[-1:] if index == continued_at else ()
+                elif place == label:
+                    stage(s)
+                for effect in effects:
+                    if place in effect.hooks:
+                        effect.hooks[place](s)
+                if after_each is not None:
+                    after_each()
 
     def with_values(self, values: Mapping[str, float]) -> Model:
         """Return the model with other parameter values, by name. Parameters that are not named keep their values.

@@ -79,7 +79,9 @@ def dynamics_of(fitted: FittedModel) -> Dynamics | None:
         course = _course_stability(linear, ranges.get("u"))
         if "psi" in conditions:
             at, angles = [x.speed for x in linear], (2.0 * np.pi * k / HEADINGS for k in range(HEADINGS))
-            by_heading = {psi: _linear_models(model, at, None, {**conditions, "psi": psi}) for psi in angles}
+            by_heading, beside = dict[float, list[LinearModel]](), linear
+            for psi in angles:
+                beside = by_heading[psi] = _linear_models(model, at, None, {**conditions, "psi": psi}, beside)
             headings = [
                 HeadingPoint(heading=psi, speed=x.speed, inputs=_inputs_of(x))
                 for psi, found in by_heading.items()
@@ -160,7 +162,8 @@ def _worst_course(
     if not found:
         return None
     _, psi, speed = max(found)
-    course = _course_stability(_linear_models(model, [speed], known, {**conditions, "psi": psi}), None)
+    worst = _linear_models(model, [speed], known, {**conditions, "psi": psi}, by_heading[psi])
+    course = _course_stability(worst, None)
     return None if course is None else msgspec.structs.replace(course, heading=psi)
 
 
@@ -316,16 +319,22 @@ def _operating_speeds(fastest: float) -> list[float]:
 
 
 def _linear_models(
-    model: Model, speeds: Sequence[float], known: ParameterCovariance | None, conditions: Mapping[str, float]
+    model: Model,
+    speeds: Sequence[float],
+    known: ParameterCovariance | None,
+    conditions: Mapping[str, float],
+    beside: Sequence[LinearModel] = (),
 ) -> list[LinearModel]:
     """Return the linear models at these speeds [m/s]. A speed without one is left out.
 
     Their standard errors are from the covariance ``known`` of the estimates; None: they have no standard errors.
+    ``beside`` are linear models in other conditions, near which the operating points are searched.
     """
-    found = []
+    found: list[LinearModel] = []
     for speed in speeds:
+        near = min((*beside, *found[-1:]), key=lambda x: abs(x.speed - speed), default=None)
         try:
-            found.append(linearise(model, speed, known, conditions))
+            found.append(linearise(model, speed, known, conditions, near))
         except (SeatrialError, ArithmeticError, np.linalg.LinAlgError, TypeError, ValueError):
             continue
     return found

@@ -56,6 +56,12 @@ def delay_shaft(s: Signals) -> None:
     delayed copies of the inputs (``NAME~k``: k steps of 0.1 s ago). Before the oldest copy, they are constant. A lag of
     the thrust in the model is traced back too.
     """
+    earlier = s.once("shaft speeds half the GNSS latency ago", lambda: _earlier_shaft_speeds(s))
+    _delay_fix(s, s.again(_earlier_lag_states(s, earlier), earlier, {}))
+
+
+def _earlier_shaft_speeds(s: Signals) -> dict[str, Any]:
+    """Return the shaft speeds and their delayed copies by name, as they were half the GNSS latency ago."""
     weights, earlier = _weights_ago(s.p.tau_gnss / 2), {}
     for side in SIDES:
         name = f"n_{side}"
@@ -64,7 +70,7 @@ def delay_shaft(s: Signals) -> None:
         copies += N_PAST * copies[-1:]  # before the oldest copy, the input is assumed constant
         for i, k in enumerate(taps):
             earlier[tap_name(name, k)] = weighted_sum(weights, copies[i : i + N_PAST + 1])
-    _delay_fix(s, s.again(_earlier_lag_states(s, earlier), earlier, {}))
+    return earlier
 
 
 def delay_driven_shaft(s: Signals) -> None:

@@ -154,6 +154,15 @@ def test_many_small_remaining_scores_make_an_effect_ambiguous(n_left: int, attri
     assert found.attribution == attribution
 
 
+@pytest.mark.parametrize(("n_left", "attribution"), [(12, "identified"), (13, "ambiguous")])
+def test_number_of_remaining_scores_is_judged_by_the_number_of_tests(n_left: int, attribution: str) -> None:
+    left = tuple(score(f"candidate-{k}", 3.0) for k in range(n_left))
+    nominal = [score(f"candidate-{k}", 3.0) for k in range(120)]
+    evidence = AttributionEvidence(left, N, nominal=nominal)
+    (found,) = assess_alternatives([one_round(refit("lag", 4000.0))], evidence)
+    assert found.attribution == attribution
+
+
 def test_nonparametric_effect_added_beside_an_effect_makes_it_ambiguous() -> None:
     wind, table = attributions_of(one_round(refit("heading-moment", 700.0)), one_round(refit("unknown Y(psi)", 1000.0)))
     assert (wind.attribution, table.attribution) == ("ambiguous", "nonparametric")

@@ -20,7 +20,7 @@ from seatrial.ident.diagnosis.candidates import (
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.engine.vectorised_model import VectorisedModel
 from seatrial.ident.estimation.homogeneity import between_runs_effect
-from seatrial.ident.model.structure import Effect, EffectKind, Model
+from seatrial.ident.model.structure import Effect, EffectKind, Model, Signals
 from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.models.scaling import VesselScale, scale_priors
@@ -369,3 +369,88 @@ def test_a_payload_has_one_column_in_each_record() -> None:
     model = base_for()
     (columns,) = path_for(model).effect(between_runs_effect(model, "payload"))
     assert (columns.parameters, columns.per_record) == (("m_payload",), True)
+
+
+def in_full(larger: Model, path: TrajectoryLinearisation, values: np.ndarray) -> list[np.ndarray]:
+    """Return rates and outputs of a larger model, evaluated from its first stage on, with its own states at 0.1."""
+    x = np.hstack([path.x, np.full((len(path.x), len(larger.states) - path.x.shape[1]), 0.1)])
+    return VectorisedModel(larger).columns(x, path.record.for_model(larger).u, values)
+
+
+@pytest.mark.parametrize("inputs", ["shaft", "command", "force"])
+def test_continued_evaluation_equals_one_from_the_first_stage(inputs: str) -> None:
+    """Check every candidate on a model with late sensors, which evaluates its dynamics again at an earlier time."""
+    model = with_disturbances(horizontal_model(inputs))
+    latency = {"shaft": "gnss-latency", "command": "gnss-latency-command", "force": "gnss-latency-force"}[inputs]
+    for name in (latency, "delay", "lag", "compass", "wind"):
+        effect = catalogue()[name]
+        model = model + effect if model.accepts(effect) else model
+    assert latency in [e.name for e in model.effects]
+    model = model.with_values({p.name: p.step or 0.1 for p in model.parameters if p.value == 0.0 and p.free})
+    path, tried = path_for(model), 0
+    for effect in catalogue().values():
+        if not model.accepts(effect):
+            continue
+        larger = model + effect
+        values = np.array([p.value or p.step for p in larger.parameters])
+        values[: len(path.values)] = path.values
+        x = np.hstack([path.x, np.full((N_ROWS, len(effect.states)), 0.1)])
+        u = path.record.for_model(larger).u
+        assert path.recorded is not None
+        continued = VectorisedModel(larger).columns(x, u, values, path.recorded)
+        np.testing.assert_array_equal(continued, in_full(larger, path, values), err_msg=effect.name)
+        np.testing.assert_array_equal(
+            VectorisedModel(larger).rates(x, u, values, path.recorded), VectorisedModel(larger).rates(x, u, values)
+        )
+        tried += 1
+    assert tried > 30
+
+
+def test_continued_evaluation_computes_only_what_the_effect_changes() -> None:
+    calls = []
+
+    def counted(s: Signals) -> None:
+        calls.append(1)
+
+    model = horizontal_model() + Effect("counter", "", {"force": counted}) + catalogue()["gnss-latency"]
+    path = path_for(model)
+    assert path.recorded is not None
+    once = len(calls)
+    for name, again in (("lever-arm", 0), ("mismatch", 2)):  # at present, and at the time of the fix
+        larger = model + catalogue()[name]
+        path.recorded.signals(
+            larger, list(path.x.T), list(path.record.for_model(larger).u.T), list(larger.values.values())
+        )
+        assert len(calls) - once == again
+        once = len(calls)
+
+
+def test_effect_that_changes_inputs_gets_no_recorded_result() -> None:
+    """Check that the shaft speeds at the time of a late fix follow an input that the candidate changes."""
+
+    def double(s: Signals) -> None:
+        s.u.n_left = 2.0 * s.u.n_left
+
+    model = (horizontal_model() + catalogue()["gnss-latency"]).with_values({"tau_gnss": 0.13})
+    path = path_for(model)
+    larger = model + Effect("double", "", {"rate": double})
+    values = np.array(list(larger.values.values()))
+    continued = VectorisedModel(larger).columns(path.x, path.record.for_model(larger).u, values, path.recorded)
+    np.testing.assert_array_equal(continued, in_full(larger, path, values))
+    assert not np.array_equal(continued, list(path.base.T))
+
+
+def test_recorded_evaluation_refuses_functions_that_change_arrays_in_place() -> None:
+    def spoil(s: Signals) -> None:
+        s.x.u *= 2.0
+
+    path = path_for(horizontal_model() + Effect("spoil", "", {"rate": spoil}))
+    assert path.recorded is None
+
+
+def test_recorded_evaluation_refuses_another_model() -> None:
+    path = path_for(horizontal_model())
+    other = horizontal_model() + catalogue()["wind"] + catalogue()["mismatch"]
+    assert path.recorded is not None
+    with pytest.raises(ValueError, match="is not the recorded model horizontal with one more effect"):
+        path.recorded.signals(other, [], [], [])
