@@ -12,6 +12,7 @@ It is valid also if the innovations are not white.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -307,6 +308,7 @@ class SensitivityFilter:
         self.at = np.where(self.seen, number, NOWHERE)
         self.n_states = n_states
         self.end = np.zeros((n_states, 0))
+        self._drive = np.zeros(0)  # memory for the joined sensitivities of a batch
 
     def __call__(self, columns: Sequence[SensitivityColumns], begin: Array | None = None) -> Array:
         """Return the whitened sensitivities of the innovations, Array (n_samples, n_columns), and set ``end``.
@@ -329,7 +331,7 @@ class SensitivityFilter:
         return found[:, :width]
 
     def _joined_sensitivities(self, columns: Sequence[SensitivityColumns]) -> tuple[Array, NDArray[np.int64], int]:
-        """Join the sensitivities of all candidates in one array.
+        """Join the sensitivities of all candidates in one array, which the next call overwrites.
 
         Returns
         -------
@@ -345,7 +347,11 @@ class SensitivityFilter:
         each = [every if c.touched is None else c.touched for c in columns]
         touched = np.unique(np.concatenate(each))
         width, n = sum(c.delta.shape[2] for c in columns), len(self.seen)
-        drive, first = np.zeros((n + 1, touched.size, padded(width))), 0
+        shape = n + 1, touched.size, padded(width)
+        if self._drive.size < math.prod(shape):
+            self._drive = np.zeros(math.prod(shape))
+        drive, first = self._drive[: math.prod(shape)].reshape(shape), 0
+        drive.fill(0.0)  # faster than new memory for each batch
         for c, indices in zip(columns, each, strict=True):
             last = first + c.delta.shape[2]
             drive[: len(c.delta), np.searchsorted(touched, indices), first:last] = c.delta[: n + 1]
