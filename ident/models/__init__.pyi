@@ -14,6 +14,7 @@ from .components import THRUST_CALIBRATION as THRUST_CALIBRATION
 from .components import antenna_component as antenna_component
 from .components import current_walk as current_walk
 from .components import estimator_error as estimator_error
+from .components import estimator_error_units as estimator_error_units
 from .components import navigation_errors as navigation_errors
 from .components import shift as shift
 from .components import telemetry_age as telemetry_age

@@ -163,6 +163,38 @@ def _shift_tilted(s: Signals) -> None:
     rotations.shift(s, (s.p.antenna_x, s.p.antenna_y, s.p.antenna_z))
 
 
+def estimator_error_units(model: Model) -> dict[str, tuple[float, str]]:
+    """Return the factors from the scaled states of the effect `estimator_error` to errors in the unit of their sensor.
+
+    Parameters
+    ----------
+    model : Model
+        Model with the estimates as values.
+
+    Returns
+    -------
+    dict of str to (float, str)
+        Factor and unit by the name of the state, such as ``error_x``. It is empty for a model without the effect.
+    """
+    if all(e.name != ESTIMATOR_ERROR for e in model.effects):
+        return {}
+    own, names = model.values, {x.name for x in model.states}
+    return {
+        f"error_{axis}": (_error_size(own[f"A_{e.name}"], own[f"tau_{e.name}"]), e.unit)
+        for e in ERRORS
+        for axis in e.axes
+        if f"error_{axis}" in names
+    }
+
+
+def _error_size(amplitude: Any, tau: Any) -> Any:
+    """Return the factor ``A sqrt(2 / tau)`` from a scaled state of `estimator_error` to the error in its unit.
+
+    White noise of unit intensity drives the scaled states.
+    """
+    return amplitude * np.sqrt(2 / tau)
+
+
 def current_walk() -> Effect:
     """Return the effect of a random-walk current in NED, which adds to the constant current (Fossen 2011, 8.3).
 
@@ -352,11 +384,8 @@ def estimator_error(sensors: Sequence[str]) -> Effect:
     errors = {e.of: e for e in navigation_errors(sensors)}
 
     def size(s: Signals, e: NavigationError) -> Any:
-        """Return the factor ``A sqrt(2 / tau)`` from the scaled states of an error to the error in its unit.
-
-        White noise of unit intensity drives the scaled states.
-        """
-        return getattr(s.p, f"A_{e.name}") * np.sqrt(2 / getattr(s.p, f"tau_{e.name}"))
+        """Return the factor from the scaled states of an error to the error in its unit."""
+        return _error_size(getattr(s.p, f"A_{e.name}"), getattr(s.p, f"tau_{e.name}"))
 
     def value(s: Signals, of: str) -> list[Any]:
         """Return the error of the quantity ``of``, in its unit, on each of its axes (one or two values).

@@ -27,6 +27,7 @@ from seatrial.ident.data import (
 )
 from seatrial.ident.estimation import ParameterCovariance, SavedModel, load_model, reported_units
 from seatrial.ident.model import Model
+from seatrial.ident.models import estimator_error_units
 from seatrial.ident.navigation import CURRENT, POSITION, Navigation, Outage, OutageErrors, gnss_outages, navigate
 from seatrial.ident.numerics import Array
 from seatrial.ident.report import write_report
@@ -254,15 +255,19 @@ def _csv_columns(done: Navigation, t0: float) -> Columns:
     They are the time, the states and their standard deviations, the current with its standard deviations (if it is a
     state), the covariance ``cov_x_y`` [m2] of north and east, and ``gnss``: 1 for a fix that was used, -1 for one that
     was withheld, 0 without a fix. ``t0``: log time [s] of the first row. States are in reported units: forces are
-    ratios to the thrust if the scale of the forces is unknown.
+    ratios to the thrust if the scale of the forces is unknown, and errors of a sensor are in its unit.
     """
     states, best = done.model.states, done.best
     drift = set(CURRENT.values()) if done.current() is not None else set()
     columns: Columns = [("t", "s", done.t + t0)]
-    units = reported_units(done.model)
-    kept = [(i, s.name, s.unit, units.scale.unit(s.unit)) for i, s in enumerate(states) if s.name not in drift]
-    columns += [(name, shown, units.factor(unit) * best.x[:, i]) for i, name, unit, shown in kept]
-    columns += [(f"sd_{name}", shown, units.factor(unit) * best.sd[:, i]) for i, name, unit, shown in kept]
+    units, errors = reported_units(done.model), estimator_error_units(done.model)
+    kept = [
+        (i, s.name, *errors.get(s.name, (units.factor(s.unit), units.scale.unit(s.unit))))
+        for i, s in enumerate(states)
+        if s.name not in drift
+    ]
+    columns += [(name, unit, factor * best.x[:, i]) for i, name, factor, unit in kept]
+    columns += [(f"sd_{name}", unit, factor * best.sd[:, i]) for i, name, factor, unit in kept]
     current = done.current()
     if current is not None:
         names = [*CURRENT, *(f"sd_{n}" for n in CURRENT)]
@@ -322,7 +327,7 @@ def _navigated_record(done: Navigation, t0: float, table: Columns) -> NavigatedR
             StateTrace(
                 name=n,
                 unit=units[n],
-                meaning=meaning[n],
+                meaning=meaning[n].removesuffix(", scaled"),
                 angle=n in angles,
                 value=values[n],
                 sd=values[f"sd_{n}"],

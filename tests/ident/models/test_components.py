@@ -19,7 +19,13 @@ from seatrial.ident.estimation.model_file import FittedData, load_model, save_mo
 from seatrial.ident.estimation.prior_knowledge import apply_rig_geometry
 from seatrial.ident.model.parameter import ParameterOrigin
 from seatrial.ident.models.catalogue import make_model
-from seatrial.ident.models.components import antenna, current_walk, estimator_error, thrust_calibration
+from seatrial.ident.models.components import (
+    antenna,
+    current_walk,
+    estimator_error,
+    estimator_error_units,
+    thrust_calibration,
+)
 from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
 from tests.missions import boat_with, channels_of, sail
@@ -108,6 +114,24 @@ def test_estimator_errors_have_the_stationary_size_of_their_parameters() -> None
     decay, gain = found[1, k] - found[0, k], found[1, y] - found[0, y]
     assert decay == pytest.approx(-1 / 7.0)
     assert gain * np.sqrt(1 / (2 * -decay)) == pytest.approx(0.3)  # The variance of dz = -z/tau dt + dw is tau / 2.
+
+
+def test_scaled_error_times_its_unit_is_the_error_of_the_reading() -> None:
+    sensors = ("attitude", "gyro", "position", "ground_velocity")
+    base = horizontal_model("shaft", sensors)
+    model = (base + estimator_error(sensors)).with_values({"A_xy": 0.3, "tau_xy": 7.0, "A_psi": 0.02})
+    units = estimator_error_units(model)
+    assert units["error_x"][1] == "m"
+    assert units["error_psi"][1] == "rad"
+    assert estimator_error_units(base) == {}
+    at = [0.0] * len(base.states)
+    for state, (factor, _) in units.items():
+        error = [float(x.name == state) for x in model.states[len(at) :]]
+        moved = model.signals([*at, *error], [0.0] * len(model.inputs), list(model.values.values())).y
+        still = base.signals(at, [0.0] * len(base.inputs), list(base.values.values())).y
+        axis = state.removeprefix("error_")
+        if axis not in ("ax", "ay"):  # these act through the error of the velocity
+            assert moved[axis] - still[axis] == pytest.approx(factor)
 
 
 @pytest.mark.parametrize(
