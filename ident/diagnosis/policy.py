@@ -119,8 +119,9 @@ class SearchPolicy:
         candidates there are.
     n_beside, max_change_beside
         If score tests still pass, the last model is fitted together with the ``n_beside`` strongest remaining
-        candidates. If the strongest parameter of an effect changes by less than the share ``max_change_beside`` of its
-        value, the effect exists beside them, and the remaining tests are no reason against it.
+        candidates, and with up to as many remaining alternatives of the effects found. If the strongest parameter of an
+        effect changes by less than the share ``max_change_beside`` of its value, the effect exists beside them, and the
+        remaining tests are no reason against it.
     max_curve_share
         A nonparametric curve that was added beside an effect is no reason against the effect if the effect keeps its
         size and the criterion of the curve is below this share of that of the effect.

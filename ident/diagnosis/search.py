@@ -1030,9 +1030,9 @@ class _Search:
     def unaffected_by(self, current: FittedModel, remaining: Sequence[Score]) -> tuple[frozenset[str], frozenset[str]]:
         """Fit the last model with the strongest remaining candidates, and find the effects that they do not change.
 
-        The strongest remaining candidates are the first ``policy.n_beside`` parametric ones in ``remaining``. If there
-        is none, the model is compared with itself. All added effects then keep their size, except those whose size
-        cannot be compared (`_keeps_its_size`).
+        The candidates are the first ``policy.n_beside`` parametric ones in ``remaining``, and up to as many alternatives
+        of added effects. If there is none, the model is compared with itself. All added effects then keep their size,
+        except those whose size cannot be compared (`_keeps_its_size`).
 
         A score test that still passes has two possible reasons: a further effect, beside those found, or an effect that
         was found in place of the right one. In the first case the effects found keep their size beside it, in the
@@ -1054,7 +1054,9 @@ class _Search:
             Names of the candidates that they were fitted with. Empty if the fit fails.
         """
         strongest = [s for s in remaining if not s.nonparametric and s.name in self.candidates]
-        beside = strongest[: self.policy.n_beside]
+        n, found = self.policy.n_beside, [r.chosen.effect for r in self.rounds if r.chosen is not None]
+        alternatives = {name for e in found for name in e.alternatives}
+        beside = strongest[:n] + [s for s in strongest[n:] if s.name in alternatives][:n]
         model, fitted = current.fit.model, current
         try:
             joint = self._joint_steps(beside)
