@@ -1030,9 +1030,9 @@ class _Search:
     def unaffected_by(self, current: FittedModel, remaining: Sequence[Score]) -> tuple[frozenset[str], frozenset[str]]:
         """Fit the last model with the strongest remaining candidates, and find the effects that they do not change.
 
-        The candidates are the first ``policy.n_beside`` parametric ones in ``remaining``, and up to as many alternatives
-        of added effects. If there is none, the model is compared with itself. All added effects then keep their size,
-        except those whose size cannot be compared (`_keeps_its_size`).
+        The candidates are the first ``policy.n_beside`` parametric ones in ``remaining``, and up to as many of the
+        alternatives of added effects. If there is none, the model is compared with itself. All added effects then keep
+        their size, except those whose size cannot be compared (`_keeps_its_size`).
 
         A score test that still passes has two possible reasons: a further effect, beside those found, or an effect that
         was found in place of the right one. In the first case the effects found keep their size beside it, in the

@@ -634,6 +634,27 @@ def test_waves_do_not_keep_the_common_errors_out(name: str, added: bool, monkeyp
     assert ("compass" in mine.candidates) is True
 
 
+def test_effects_are_compared_beside_their_remaining_alternatives(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three strong candidates that are no alternatives must not keep the alternatives of the effect out of the fit."""
+    names = ("lift", "cross-flow", "sway-yaw", "compass", "heading-moment", "coulomb")
+    searched = a_search(*(catalogue()[n] for n in names))
+    bias = catalogue()["yaw-bias"]
+    assert "heading-moment" in bias.alternatives
+    assert "compass" not in bias.alternatives
+    chosen = replace(refit("yaw-bias", 100.0), effect=bias)
+    searched.rounds = [Round((), (), (chosen,), chosen, ())]
+    monkeypatch.setattr(search, "fit_and_evaluate", lambda model, *_, **__: blank(model=model))
+    monkeypatch.setattr(search, "_keeps_its_size", lambda effect, *_: effect is bias)
+    monkeypatch.setattr(_Search, "_joint_steps", lambda _, scores: scores)
+    monkeypatch.setattr(_Search, "_shifted_estimates", lambda *_: {})
+    current = blank()
+    current.fit = type("FakeFit", (), {"model": with_disturbances(horizontal_model())})
+    scores = [Score(n, 60.0 - k, 1, 60.0, {}, {}) for k, n in enumerate(names)]
+    kept, beside = searched.unaffected_by(current, scores)
+    assert kept == {"yaw-bias"}
+    assert beside == {"lift", "cross-flow", "sway-yaw", "heading-moment"}
+
+
 def test_rough_refits_beside_common_errors_hold_the_noise_of_the_sensors(monkeypatch: pytest.MonkeyPatch) -> None:
     wind, compass = catalogue()["wind"], catalogue()["compass"]
     nominal = with_disturbances(horizontal_model())
