@@ -145,7 +145,8 @@ class LinearModel:
     speed : float
         Forward speed through the water [m/s].
     states, inputs : tuple of str
-        Names of the n states (velocities and shafts) and m inputs.
+        Names of the n states and m inputs. The states are the velocities, and those on which these depend, such as
+        those of shafts. States of sensors, such as the filter of a compass, are not among them.
     A : Array (n, n)
         Derivatives of the rates by the states [1/s, if both have the same unit].
     B : Array (n, m)
@@ -602,9 +603,9 @@ def linearise(
     """Linearise a fitted model about straight motion at a forward speed in still water.
 
     The operating point is found first: the inputs, the sway speed and the shafts for which speed and yaw rate (zero)
-    stay. If one thruster is weaker, the inputs differ. Disturbance forces and sensor errors are left out. Delayed
-    copies of an input count as the input itself. Time, work of the thrusters, place and heading are no inputs: they are
-    constant. The derivatives by the heading are in `LinearModel.by_heading`, not in A.
+    stay. If one thruster is weaker, the inputs differ. Disturbance forces, sensor errors and states of sensors are left
+    out. Delayed copies of an input count as the input itself. Time, work of the thrusters, place and heading are no
+    inputs: they are constant. The derivatives by the heading are in `LinearModel.by_heading`, not in A.
 
     Parameters
     ----------

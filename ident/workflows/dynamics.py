@@ -88,7 +88,7 @@ def dynamics_of(fitted: FittedModel) -> Dynamics | None:
             ]
             if _differ_by_heading(headings):
                 course = _worst_course(model, by_heading, known, conditions, ranges.get("u")) or course
-            else:  # for example a compass error depends on the heading, and no force does
+            else:  # for example a wind of nearly zero
                 headings = []
         if course is not None:
             lowest = _negative_sway_damping_from(model, linear, ranges.get("u"), conditions)

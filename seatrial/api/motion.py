@@ -63,7 +63,8 @@ class Linearisation(Shown, LinearModel):
     speed : float
         Forward speed through the water [m/s].
     states, inputs : tuple of str
-        Names of the n states (velocities and shafts) and m inputs.
+        Names of the n states and m inputs. The states are the velocities, and those on which these depend, such as
+        those of shafts. States of sensors, such as the filter of a compass, are not among them.
     A : Array (n, n)
         Derivatives of the rates by the states [1/s, if both have the same unit].
     B : Array (n, m)
