@@ -391,7 +391,10 @@ class InputTrace(Part, frozen=True, kw_only=True):
     name: Annotated[str, Meta(description="name of the input")]
     unit: Annotated[str, Meta(description="unit of the values, SI and radians; empty: none")]
     t: Annotated[Array, Meta(description="[s]")]
-    value: Annotated[Array, Meta(description="values of the input at `t`")]
+    value: Annotated[
+        Array,
+        Meta(description="values of the input at `t`; of an averaged input its mean from there to the next time"),
+    ]
 
     def __post_init__(self) -> None:
         """Raise ValueError if times and values of the input differ in length."""

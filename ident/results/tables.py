@@ -13,7 +13,7 @@ import numpy as np
 
 from seatrial.daq.errors import counted
 from seatrial.ident import validation
-from seatrial.ident.data import LoadedLog, Record
+from seatrial.ident.data import LoadedLog, Record, given_inputs
 from seatrial.ident.diagnosis import CommonErrorsFit, ModelUncertainty
 from seatrial.ident.estimation import (
     AT_BOUND,
@@ -472,7 +472,7 @@ def record_inputs(model: Model, record: Record) -> tuple[InputTrace, ...]:
     """Return the inputs of a record over time as rows of a result: those of the model's inputs that reports show.
 
     Time, the work of the thrusters and the delayed copies of an input are not shown. Times count from the start of the
-    record.
+    record. An averaged input has its mean in the interval after each time.
 
     Parameters
     ----------
@@ -481,8 +481,9 @@ def record_inputs(model: Model, record: Record) -> tuple[InputTrace, ...]:
     record
         Record with the values of all inputs of the model.
     """
+    given = given_inputs(model, record)
     return tuple(
-        InputTrace(record=record.name, name=name, unit=unit, t=record.t, value=record.u[:, j])
+        InputTrace(record=record.name, name=name, unit=unit, t=record.t, value=given[:, j])
         for j, name, unit in shown_inputs(model)
     )
 
