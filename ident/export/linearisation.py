@@ -34,6 +34,7 @@ HEADING_STEP = 1e-5  # step of the central difference by the heading [rad]
 CORRECTIONS = 6  # steps of the search for the operating point of moved estimates
 CONSTANTS, LONGEST_S, TIMES = 4.0, 60.0, 200  # length of a response in time constants and in s, and its points
 DECADE, FREQUENCIES = 10.0, 300  # reach of a frequency response beyond the poles, as a factor, and its points
+LAGS = 3.0  # reach of a frequency response beyond a lag of 90 deg by a dead time, as a factor
 MOTION_WORDS = {"yaw": "turn", "heading": "turn", "surge": "straight", "forward": "straight"}  # to one of the motions
 HALF_POWER = np.sqrt(0.5)  # -3 dB
 EQUAL_STEPS = 1e-13  # of the longest time, by which two steps of time may differ and still count as equal
@@ -492,13 +493,16 @@ class LinearModel:
     def frequencies(self) -> Array:
         """Frequencies (300,) [Hz] of a response, from a decade below the slowest pole to one above the fastest.
 
-        Integrators do not count. A dead time counts as a pole with the same time constant.
+        Integrators do not count. A dead time counts as a pole with the same time constant for the lowest frequency. The
+        highest one is at least three times that at which a dead time and the fastest pole together lag by 90 deg.
         """
-        size = np.abs(self.poles)
-        corners = [*size[size > STATIC * size.max(initial=0.0)], *(1.0 / d for d in self.delays.values() if d > 0.0)]
-        corners = corners or [1.0]
-        low, high = min(corners) / DECADE, max(corners) * DECADE
-        return np.geomspace(low, high, FREQUENCIES) / (2.0 * np.pi)
+        size, delays = np.abs(self.poles), np.array([d for d in self.delays.values() if d > 0.0])
+        poles = size[size > STATIC * size.max(initial=0.0)]
+        corners = np.concatenate([poles, 1.0 / delays]) if poles.size or delays.size else np.ones(1)
+        fastest = poles.max() if poles.size else corners.max()
+        # Beyond the pole p, its lag is 90 deg - p / w. A dead time d, whose lag is w d, makes it 90 deg at sqrt(p / d).
+        high = max(DECADE * fastest, LAGS * np.sqrt(fastest / delays.min(initial=np.inf)))
+        return np.geomspace(corners.min() / DECADE, high, FREQUENCIES) / (2.0 * np.pi)
 
     @property
     def _modes(self) -> tuple[Complex, Complex]:

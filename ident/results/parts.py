@@ -284,6 +284,20 @@ class ParameterRow(Part, frozen=True, kw_only=True):
     start: Annotated[float | None, Meta(description="initial value of the search")] = None
     flag: Annotated[str | None, Meta(description="what is wrong with the estimate")] = None
     record: Annotated[str | None, Meta(description="name of the record; null: shared by all")] = None
+    positive: Annotated[
+        bool, Meta(description="true: the quantity cannot be negative, and its 95 % interval in tables ends at zero")
+    ] = False
+
+    def interval(self, reach: float) -> tuple[float, float] | None:
+        """Return the value ± ``reach`` standard errors; None without one.
+
+        The interval of a quantity that cannot be negative ends at zero: this part contains the true value as often as
+        the whole interval.
+        """
+        if self.se is None:
+            return None
+        low, high = self.value - reach * self.se, self.value + reach * self.se
+        return (max(low, 0.0) if self.positive else low), high
 
     @property
     def origin_in_table(self) -> str:

@@ -149,6 +149,7 @@ def fit_summary(fit: Fit, start: Mapping[str, float], calibration: float | None 
                     )
                     or None,
                     record=fit.records[i] if p.per_record and p.free and len(names) > 1 else None,
+                    positive=p.transform == "log" or p.bounds[0] >= 0.0,
                 )
             )
     return FitSummary(

@@ -21,6 +21,7 @@ from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError, counted, warn
 from seatrial.daq.log import import_library
 from seatrial.ident.export import (
+    Bode,
     Inputs,
     LinearModel,
     conditions_text,
@@ -245,12 +246,13 @@ class Linearisation(Shown, LinearModel):
             degrees_for,
             frequency_axis,
             gain_traces,
+            phase_axis,
             phase_traces,
             stacked,
         )
 
         f = None if frequency is None else np.asarray(frequency, dtype=float)
-        gain, phase = Panel("gain [dB]"), Panel("phase [deg]", y={"dtick": 90})
+        gain, phase, shown = Panel("gain [dB]"), Panel("phase [deg]"), list[Bode]()
         for name, chosen in self._chosen(inputs).items():
             for state, bode in self.bode(chosen, f).items():
                 if states and state not in states:
@@ -262,9 +264,11 @@ class Linearisation(Shown, LinearModel):
                 gain.traces += gain_traces(bode.frequency, factor * bode.gain, bode.gain_sd, words, POINTS, **style)
                 lines = phase_traces(bode.frequency, bode.phase, bode.phase_sd, words, POINTS, **style)
                 phase.traces += [{**trace, "showlegend": False} for trace in lines]
+                shown.append(bode)
         if not gain.traces:
             asked = ", ".join(states) or "no state"
             raise SeatrialError(f"{asked}: does not respond to these inputs; the states are {', '.join(self.states)}")
+        phase.y.update(phase_axis([b.phase for b in shown], [b.phase_sd for b in shown]))
         figure, height = stacked([gain, phase], FREQUENCY, panel_height=220)
         layout = _legend_below(figure["layout"], height)
         layout |= {"xaxis": layout["xaxis"] | frequency_axis()}
@@ -334,8 +338,8 @@ class Steady(Shown):
     def answer(self) -> str:
         """Largest steady speed and turn rate within the commands of the data, and the conditions, in sentences.
 
-        A speed or turn rate beyond those of the data is marked. A sentence says why a model that depends on heading or
-        place has no steady turn rate.
+        The number after ± is one standard error. A speed or turn rate beyond those of the data is marked. A sentence
+        says why a model that depends on heading or place has no steady turn rate.
         """
         words = {"u": ("speed", 1.0, "m/s"), "r": ("turn rate", np.degrees(1.0), "deg/s")}
         found = []
@@ -351,7 +355,7 @@ class Steady(Shown):
                     else (f"{number(left, 2)} left and {number(curve.mean - curve.command[k], 2)} right")
                 )
                 sd = factor * curve.sd[k]
-                error = "" if np.isnan(sd) else f" ± {number(1.96 * sd, 2)}"
+                error = "" if np.isnan(sd) else f" ± {number(sd, 2)}"
                 beyond = ""
                 if quantity == "u" and self.speeds is not None and value > self.speeds[1]:
                     beyond = f", beyond the speeds of the data (up to {number(self.speeds[1], 2)} m/s)"

@@ -880,6 +880,9 @@ def test_steady_motion_is_that_of_a_long_simulation(fit: st.FittedVehicle, tmp_p
     assert np.all(np.diff(steady.straight.value) > 0.0)
     assert "The largest steady turn rate is" in steady.answer
     assert " m/s, at a shaft speed of " in steady.answer
+    top = steady.straight.value.size - 1
+    value, error = steady.straight.value[top], steady.straight.sd[top]
+    assert f"speed is {value:.3g} ± {error:.2g} m/s" in steady.answer  # one standard error, as everywhere
     assert "not determined" not in steady.answer + steady._repr_html_()
     vague = replace(steady, curves=tuple(structs.replace(c, sd=0.6 * np.abs(c.value)) for c in steady.curves))
     assert "The largest steady turn rate is not determined: its standard error is more than half" in vague.answer

@@ -12,7 +12,7 @@ from seatrial.ident.model import THRUSTER_FORCE, drive_word, is_of_thruster
 from seatrial.ident.numerics import is_undetermined
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Canvas, Cell, Grid, Heading, Plot, Prose, Section, Table
-from seatrial.ident.report.bode import FREQUENCY, frequency_axis, gain_traces, phase_traces
+from seatrial.ident.report.bode import FREQUENCY, frequency_axis, gain_traces, phase_axis, phase_traces
 from seatrial.ident.results import (
     Dynamics,
     FrequencyResponse,
@@ -227,11 +227,12 @@ def _bode_plots(canvas: Canvas, response: FrequencyResponse) -> list[Plot]:
     f, name, plots = response.frequency, formatting.titled(response.quantity), []
     what = "both sides" if response.motion == "straight" else "left minus right side, halved"
     reference = f"gain [dB, 0 dB: 1 {unit}]"
-    for title, axis, traces in (
-        ("gain", reference, gain_traces(f, factor * response.gain, response.gain_sd, name, POINTS)),
-        ("phase", "phase [deg]", phase_traces(f, response.phase, response.phase_sd, name, POINTS)),
+    angles = phase_axis([response.phase], [response.phase_sd])
+    for title, axis, traces, yaxis in (
+        ("gain", reference, gain_traces(f, factor * response.gain, response.gain_sd, name, POINTS), {}),
+        ("phase", "phase [deg]", phase_traces(f, response.phase, response.phase_sd, name, POINTS), angles),
     ):
-        figure = drawing.single(traces, FREQUENCY, axis, xaxis=frequency_axis(), hovermode="closest")
+        figure = drawing.single(traces, FREQUENCY, axis, xaxis=frequency_axis(), yaxis=yaxis, hovermode="closest")
         plots.append(canvas.plot(figure, 260, f"Bode plot, {title} of {name}", f"{name}, {title} · {what}"))
     return plots
 

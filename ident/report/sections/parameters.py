@@ -153,7 +153,8 @@ def _sname(row: ParameterRow) -> str:
 def _parameter_cells(row: ParameterRow, titles: Sequence[str], extra: Sequence[str]) -> list[Cell | str]:
     """Return the table cells of one parameter: value, standard error, 95 % interval, t, origin and others.
 
-    A missing standard error, interval or t is a dash. The interval is the value ± 1.96 standard errors.
+    A missing standard error, interval or t is a dash. The interval is the value ± 1.96 standard errors, and ends at
+    zero if the parameter cannot be negative.
 
     Parameters
     ----------
@@ -168,8 +169,8 @@ def _parameter_cells(row: ParameterRow, titles: Sequence[str], extra: Sequence[s
     value, se = formatting.scaled(factor, row.value, row.se)
     shown, error = formatting.pair(value, se)
     ends = "–"
-    if value is not None and se is not None and error:
-        low, high = (formatting.pair(value + k * drawing.Z95 * se, se)[0] for k in (-1.0, 1.0))
+    if se is not None and error and (interval := row.interval(drawing.Z95)):
+        low, high = (formatting.pair(factor * end, se)[0] if end else "0" for end in interval)
         ends = f"{low} to {high}"
     t = "–" if value is None or not se else formatting.plain(value / se, 2)
     cells: list[Cell | str] = [

@@ -263,6 +263,19 @@ def test_lag_of_an_unstable_boat_is_that_beyond_its_unstable_pole() -> None:
     assert stable.no_lag_90.startswith("The state never lags by 90 deg up to")
 
 
+def test_frequencies_reach_beyond_the_lag_of_90_deg_and_no_farther_than_needed() -> None:
+    """A dead time of milliseconds does not extend them to frequencies of hundreds of hertz."""
+    for delay in (1e-4, 3e-3, 0.05, 0.4):
+        found = linearise(saved(horizontal_model("command"), {"tau_n": delay, "T_n": 0.15}), 0.7)
+        fastest = np.abs(found.poles).max() / (2.0 * np.pi)
+        shaft = found.bode("straight")["n_left"]
+        assert np.isfinite(shaft.lag_90)
+        highest = float(found.frequencies[-1])
+        assert highest > 2.0 * shaft.lag_90
+        assert highest == pytest.approx(max(10.0 * fastest, 3.0 * math.sqrt(fastest / (2.0 * np.pi * delay))))
+    assert float(linearise(saved(horizontal_model("command")), 0.7).frequencies[-1]) < 500.0
+
+
 def test_standard_errors_follow_from_those_of_the_estimates() -> None:
     """The surge has the time constant m_u / (d_u + 2 d_uu u) and the gain of a first-order lag."""
     sd_m, sd_tau = 1.5, 0.02
