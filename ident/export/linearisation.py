@@ -40,6 +40,7 @@ HALF_POWER = np.sqrt(0.5)  # -3 dB
 EQUAL_STEPS = 1e-13  # of the longest time, by which two steps of time may differ and still count as equal
 STATE_WORDS = {"u": "surge speed", "v": "sway speed", "r": "yaw rate"}
 LARGE_PART = 0.2  # participation of a state in a motion, as a part of the largest one, from which it is named
+MAIN_PART = 0.5  # the same, from which a pole is named after it
 Z95 = 1.96  # half the width of a 95 % interval in standard errors
 STATIC = 1e-6  # poles below this part of the largest one are integrators, which have no corner frequency
 
@@ -261,15 +262,35 @@ class LinearModel:
         return self.pole_errors * np.square(self.time_constants)
 
     @property
+    def participation(self) -> Array:
+        """Participation factors (n, n) of the states in the poles, with a row for each pole in the order of `poles`.
+
+        They are the products of the left and right eigenvectors of a pole by state, as absolute values (Perez-Arriaga,
+        Verghese and Schweppe 1982). Those of poles that coincide are not unique.
+        """
+        _, right = self._modes
+        return np.abs(np.linalg.pinv(right) * right.T)
+
+    @property
+    def mainly(self) -> tuple[str, ...]:
+        """Names of the states that take most part in each pole (n,), such as ``u`` or ``r, v``, the largest part first.
+
+        They are those whose participation is more than half of the largest one.
+        """
+        found = []
+        for share in self.participation:
+            order = np.argsort(-share, kind="stable")
+            found.append(", ".join(self.states[k] for k in order if share[k] > MAIN_PART * share.max()))
+        return tuple(found)
+
+    @property
     def course_pole(self) -> int | None:
         """Index in `poles` of the least stable pole of sway and yaw; None if there is none.
 
-        A pole belongs to sway and yaw if these states have more than half of its participation factors. These are the
-        products of its left and right eigenvectors by state (Perez-Arriaga, Verghese and Schweppe 1982).
+        A pole belongs to sway and yaw if these states have more than half of its participation factors.
         """
-        poles, right = self._modes
+        poles, share = self.poles, self.participation
         of = [k for k, name in enumerate(self.states) if name in ("v", "r")]
-        share = np.abs(np.linalg.pinv(right) * right.T)
         found = np.flatnonzero(share[:, of].sum(axis=1) > 0.5 * share.sum(axis=1))
         return int(found[np.argmax(poles.real[found])]) if found.size else None
 
@@ -287,9 +308,7 @@ class LinearModel:
         """
         if self.stable:
             return "stable"
-        _, right = self._modes
-        share = np.abs(np.linalg.pinv(right) * right.T)
-        found = []
+        share, found = self.participation, []
         for k, (pole, error) in enumerate(zip(self.poles, self.pole_errors, strict=True)):
             if pole.real < 0.0 or pole.imag < 0.0:  # of a pair, the pole with the positive imaginary part is described
                 continue
@@ -542,8 +561,9 @@ class LinearModel:
             lines.append(words)
         if words := self.outside:
             lines.append(f"outside the fitted data: {words}")
-        for pole, constant, error in zip(self.poles, self.time_constants, self.time_constant_errors, strict=True):
-            lines.append(f"pole {pole_text(pole)} 1/s, {time_text(constant, error)}")
+        constants, errors = self.time_constants, self.time_constant_errors
+        for pole, constant, error, names in zip(self.poles, constants, errors, self.mainly, strict=True):
+            lines.append(f"pole {pole_text(pole)} 1/s, {time_text(constant, error)}, mainly {names}")
         return "\n".join(lines)
 
 

@@ -796,6 +796,12 @@ class OperatingPoint(Part, frozen=True, kw_only=True):
     states: Annotated[
         dict[str, float], Meta(description="states of the operating point by name; empty: result of an earlier version")
     ] = msgspec.field(default_factory=dict)
+    mainly: Annotated[
+        tuple[str, ...],
+        Meta(
+            description="states that take most part in each pole, such as `r, v`; empty: result of an earlier version"
+        ),
+    ] = ()
 
 
 class StepResponse(Part, frozen=True, kw_only=True):

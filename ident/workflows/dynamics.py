@@ -347,6 +347,7 @@ def _point(linear: LinearModel) -> OperatingPoint:
         stable=linear.stable,
         error=linear.pole_errors,
         states={name: float(value) for name, value in zip(linear.states, linear.x0, strict=True)},
+        mainly=linear.mainly,
     )
 
 

@@ -95,8 +95,8 @@ class Linearisation(Shown, LinearModel):
         """Return the poles as a ``pandas.DataFrame`` with a row for each, the slowest first.
 
         The columns are real, imaginary [1/s], time_constant [s], se (its standard error; NaN if unknown), frequency
-        [Hz] and damping (ratio, 1 for a real stable pole). An unstable pole has no time constant (NaN): it grows by a
-        factor of e in the time 1 / real.
+        [Hz], damping (ratio, 1 for a real stable pole) and mainly (the states that take most part in it). An unstable
+        pole has no time constant (NaN): it grows by a factor of e in the time 1 / real.
 
         Raises
         ------
@@ -113,6 +113,7 @@ class Linearisation(Shown, LinearModel):
             "se": np.where(grows, np.nan, self.time_constant_errors),
             "frequency": size / (2.0 * np.pi),
             "damping": damping,
+            "mainly": list(self.mainly),
         }
         frame = import_library("pandas").DataFrame(columns)
         frame.index.name = "pole"
@@ -285,8 +286,10 @@ class Linearisation(Shown, LinearModel):
         """Return speed and stability, and the table of the poles."""
         at = ", ".join(f"{n} {number(v)}" for n, v in zip(self.inputs, self.u0, strict=True))
         rows = [
-            (pole_text(pole), _time_cell(constant, se), "" if constant < 0.0 else number(se, 2))
-            for pole, constant, se in zip(self.poles, self.time_constants, self.time_constant_errors, strict=True)
+            (pole_text(pole), _time_cell(constant, se), "" if constant < 0.0 else number(se, 2), names)
+            for pole, constant, se, names in zip(
+                self.poles, self.time_constants, self.time_constant_errors, self.mainly, strict=True
+            )
         ]
         answer = f"Linear model at {self.speed:g} m/s ({at}), {self.stability}."
         if self.conditions:
@@ -296,7 +299,7 @@ class Linearisation(Shown, LinearModel):
         if words := self.drift:
             answer += f" Operating point with {words}."
         notes = [f"The operating point is outside the fitted data: {self.outside}."] if self.outside else []
-        return Content(answer, notes, ("pole [1/s]", "time constant [s]", "s.e. [s]"), rows)
+        return Content(answer, notes, ("pole [1/s]", "time constant [s]", "s.e. [s]", "mainly"), rows)
 
 
 @dataclass(frozen=True, repr=False)

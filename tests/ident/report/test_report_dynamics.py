@@ -120,6 +120,22 @@ def test_poles_are_in_words(shown: Page) -> None:
     assert "Taken as constant: t = 240 s." in words
 
 
+def test_poles_have_the_states_that_take_part() -> None:
+    """Results of an earlier version have no such column, and stable boats none of their stability."""
+    found = dynamics()
+    named = tuple(msgspec.structs.replace(p, mainly=("r, v", "n_left")) for p in found.points)
+
+    def words(points: tuple[OperatingPoint, ...]) -> str:
+        result = msgspec.structs.replace(loaded(KINDS["diagnosis"]()), dynamics=replaced(found, points=points))
+        return " ".join(Page(page.render(result)).words.split())
+
+    replaced = msgspec.structs.replace
+    assert "time constant mainly stability 0.5 m/s 0.250 −0.500 ± 2.00 j 2.00 s r, v" in words(named)
+    assert "r, v unstable: doubles in 6.9 s −2.00 0.500 s n_left" in words(named)
+    assert "time constant stability 0.5 m/s" in words(found.points)
+    assert "time constant mainly 0.5 m/s" in words(named[:1])
+
+
 def test_operating_points_outside_the_data_are_named() -> None:
     found = dynamics()
     points = tuple(
