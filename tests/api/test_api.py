@@ -734,7 +734,8 @@ def test_operating_point_outside_the_data_warns(fit: st.FittedVehicle, tmp_path:
 def test_linear_model_has_table_and_figures_with_errors(fit: st.FittedVehicle, tmp_path: Path) -> None:
     at, saved = fit.linearise(0.5), st.load(fit.save(tmp_path / "fit"))
     table = at.to_pandas()
-    assert list(table.columns) == ["real", "imaginary", "time_constant", "se", "frequency", "damping"]
+    assert list(table.columns) == ["real", "imaginary", "time_constant", "se", "frequency", "damping", "mainly"]
+    assert set(table["mainly"].str.split(", ").sum()) == set(at.states)
     np.testing.assert_allclose(table["time_constant"], -1.0 / table["real"])
     # The surge has the time constant m_u / (d_u + 2 d_uu u), and its standard error follows from their covariance.
     drag = fit.params["d_u"] + 2 * fit.params["d_uu"] * 0.5

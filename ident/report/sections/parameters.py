@@ -30,6 +30,7 @@ from seatrial.ident.results import (
     SegmentInformation,
 )
 
+SMALLEST_T = 1e-3  # smaller t statistics are shown as zero
 MAX_NUMBERED = 14  # parameters; larger correlation matrices show their numbers on hover only
 
 
@@ -172,7 +173,8 @@ def _parameter_cells(row: ParameterRow, titles: Sequence[str], extra: Sequence[s
     if se is not None and error and (interval := row.interval(drawing.Z95)):
         low, high = (formatting.pair(factor * end, se)[0] if end else "0" for end in interval)
         ends = f"{low} to {high}"
-    t = "–" if value is None or not se else formatting.plain(value / se, 2)
+    ratio = 0.0 if value is None or not se else value / se
+    t = "–" if value is None or not se else formatting.plain(ratio if abs(ratio) > SMALLEST_T else 0.0, 2)
     cells: list[Cell | str] = [
         Cell(row.name, "symbol"),
         Cell(shown, "num"),

@@ -219,6 +219,9 @@ def test_interval_of_a_quantity_that_cannot_be_negative_ends_at_zero() -> None:
     found = loaded(content)
     cells = re.findall(r"<td[^>]*>(.*?)</td>", page.render(found).split('id="parameters"')[1], re.DOTALL)
     assert [c.strip() for c in cells if " to " in c][:2] == ["0 to 1.28", "−0.28 to 1.28"]
+    lowest = loaded(content | {"fit": content["fit"] | {"parameters": [row | {"value": 3e-18, "positive": True}]}})
+    cells = re.findall(r"<td[^>]*>(.*?)</td>", page.render(lowest).split('id="parameters"')[1], re.DOTALL)
+    assert [c.strip() for c in cells[1:5]] == ["0.00", "0.40", "0 to 0.78", "0"]
     rows = [statistics(r) for r in found.fit.parameters]
     assert [r.low for r in rows] == pytest.approx([0.0, 0.5 - 1.959964 * 0.4])
     assert [r.high for r in rows] == pytest.approx(2 * [0.5 + 1.959964 * 0.4])
