@@ -34,5 +34,6 @@ from .record import LogSegment as LogSegment
 from .record import Record as Record
 from .record import block_mean as block_mean
 from .record import build_record as build_record
+from .record import given_inputs as given_inputs
 from .record import make_record as make_record
 from .record import sample_and_hold as sample_and_hold

@@ -813,6 +813,24 @@ def _integral_up_to(t: Array, value: Array, after: Array, whole: Array, at: Arra
     return np.asarray(whole[k] + since * (value[k] + slope * since / 2) + outside)
 
 
+def given_inputs(model: Model, record: Record) -> Array:
+    """Return the inputs of a record at its rows as they were given, for ranges and figures: (n_rows, n_inputs).
+
+    An input with the hold ``average`` has its mean in the interval after the row. The rest of its line (`held_lines`)
+    exceeds the given values where these change: after a step from 0 to 1 it reaches up to 4/3. Any other input has
+    the values ``record.u``.
+
+    Parameters
+    ----------
+    model
+        The model, with the holds of the inputs in the order of the record.
+    record
+        A record that was built for this model.
+    """
+    averaged = np.array([i.hold == "average" and i.name != TIME_INPUT for i in model.inputs], dtype=bool)
+    return np.where(averaged, (record.u + record.u_next) / 2.0, record.u)
+
+
 def held_lines(channel: Channel, t: Array) -> tuple[Array, Array]:
     """Approximate a zero-order hold of samples by a straight line in each interval between given times.
 

@@ -2,7 +2,8 @@
 
 Some effects depend on them: a payload shifts at a time, a battery sags with the work, a bank acts at a place, and wind
 acts from a direction. They are no inputs of a controller. The rates of velocities and shafts are therefore evaluated at
-constant values of them.
+constant values of them. States of sensors, such as a filter of a compass, are no part of the motion, and what they
+depend on is no condition.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from collections import deque
 from collections.abc import Mapping
 from math import atan2, degrees
 from operator import is_
+from typing import NamedTuple
 
 from seatrial.daq.errors import SeatrialError, closest_name
 from seatrial.ident.data import TIME_INPUT, WORK_INPUT
@@ -25,45 +27,84 @@ LEAST_DRIFT_DEG = 1.0  # drift angle of an operating point from which it is desc
 AFTER_S = 10.0  # time after the last change of a model at which it is evaluated without a range of the time [s]
 
 
+class Dependence(NamedTuple):
+    """What the motion of a model depends on, from the symbols in its rates.
+
+    Attributes
+    ----------
+    states : tuple of str
+        Dynamic states on which the velocities depend, the velocities included, in the order of the model.
+    conditions : tuple of str
+        Conditions on which the rates of these states depend, in the order of `UNITS`.
+    """
+
+    states: tuple[str, ...]
+    conditions: tuple[str, ...]
+
+
+def moving_states(model: Model) -> tuple[str, ...]:
+    """Return the names of the states of the motion: the velocities, and all states on which these depend.
+
+    Such states are those of shafts, thrusts, lags and forces. The position and the heading are not among them, and
+    neither are states that only act on outputs or on the position, such as the filter of a compass or a current. A
+    model without the velocities ``u``, ``v`` and ``r`` keeps all its states. A coefficient of zero counts.
+    """
+    return _dependence(model).states
+
+
 def conditions_of(model: Model) -> tuple[str, ...]:
-    """Return the names of the conditions on which the rates of velocities and shafts depend.
+    """Return the names of the conditions on which the rates of the states of the motion depend (`moving_states`).
 
     They are among the inputs ``t`` and ``work`` and the states ``x``, ``y`` and ``psi``, in this order. The names are
     those of the equations: a coefficient of zero counts, too.
     """
+    return _dependence(model).conditions
+
+
+def _dependence(model: Model) -> Dependence:
+    """Return what the motion of a model depends on. That of the last models is remembered."""
     parts = (model.states, model.inputs, model.parameters)
     equations = tuple(tuple(v.name for v in part) for part in parts)
     functions = (*model.stages, *model.effects)
     for names, used, found in tuple(_known):
         if names == equations and len(used) == len(functions) and all(map(is_, used, functions)):
             return found
-    found = _dependencies(model)
+    found = _found_dependence(model)
     _known.append((equations, functions, found))
     return found
 
 
-# Conditions found last, by the names and the functions of the equations. The models of one fit, which differ in their
+# Dependences found last, by the names and the functions of the equations. The models of one fit, which differ in their
 # values, have the same.
-_known: deque[tuple[tuple[tuple[str, ...], ...], tuple[object, ...], tuple[str, ...]]] = deque(maxlen=8)
+_known: deque[tuple[tuple[tuple[str, ...], ...], tuple[object, ...], Dependence]] = deque(maxlen=8)
 
 
-def _dependencies(model: Model) -> tuple[str, ...]:
-    """Return the conditions on which the rates of velocities and shafts depend, from the symbols in the rates."""
+def _found_dependence(model: Model) -> Dependence:
+    """Return what the motion of a model depends on, from the symbols in its rates."""
     import casadi as ca  # imported here, because reports only need the texts
 
     parts = (("x", model.states), ("u", model.inputs), ("p", model.parameters))
     symbols = [[ca.SX.sym(f"{kind}{i}") for i in range(len(part))] for kind, part in parts]
     s = model.signals(*symbols)
-    rates = ca.vertcat(*(ca.SX(s.rate[v.name]) for v in model.states if v.name not in POSE))
-    found = {i.name: v for i, v in zip(model.inputs, symbols[1], strict=True) if i.name in COMPUTED}
-    found |= {x.name: v for x, v in zip(model.states, symbols[0], strict=True) if x.name in POSE}
-    return tuple(n for n in UNITS if n in found and ca.depends_on(rates, found[n]))
+    state = {x.name: v for x, v in zip(model.states, symbols[0], strict=True)}
+    dynamic = [n for n in state if n not in POSE]
+    moving = {n for n in dynamic if n in VELOCITIES} or set(dynamic)
+    added = moving
+    while added:  # the states on which the last ones depend
+        rates = ca.vertcat(*(ca.SX(s.rate[n]) for n in dynamic if n in added))
+        added = {n for n in dynamic if n not in moving and ca.depends_on(rates, state[n])}
+        moving = moving | added
+    rates = ca.vertcat(*(ca.SX(s.rate[n]) for n in dynamic if n in moving))
+    known = {i.name: v for i, v in zip(model.inputs, symbols[1], strict=True) if i.name in COMPUTED}
+    known |= {n: v for n, v in state.items() if n in POSE}
+    found = tuple(n for n in UNITS if n in known and ca.depends_on(rates, known[n]))
+    return Dependence(tuple(n for n in dynamic if n in moving), found)
 
 
 def chosen_conditions(
     model: Model, ranges: Mapping[str, tuple[float, float]] | None = None, at: Mapping[str, float] | None = None
 ) -> dict[str, float]:
-    """Return the values of the conditions on which the rates of a model depend.
+    """Return the values of the conditions on which the motion of a model depends (`conditions_of`).
 
     Parameters
     ----------

@@ -34,11 +34,13 @@ HEADING_STEP = 1e-5  # step of the central difference by the heading [rad]
 CORRECTIONS = 6  # steps of the search for the operating point of moved estimates
 CONSTANTS, LONGEST_S, TIMES = 4.0, 60.0, 200  # length of a response in time constants and in s, and its points
 DECADE, FREQUENCIES = 10.0, 300  # reach of a frequency response beyond the poles, as a factor, and its points
+LAGS = 3.0  # reach of a frequency response beyond a lag of 90 deg by a dead time, as a factor
 MOTION_WORDS = {"yaw": "turn", "heading": "turn", "surge": "straight", "forward": "straight"}  # to one of the motions
 HALF_POWER = np.sqrt(0.5)  # -3 dB
 EQUAL_STEPS = 1e-13  # of the longest time, by which two steps of time may differ and still count as equal
 STATE_WORDS = {"u": "surge speed", "v": "sway speed", "r": "yaw rate"}
 LARGE_PART = 0.2  # participation of a state in a motion, as a part of the largest one, from which it is named
+MAIN_PART = 0.5  # the same, from which a pole is named after it
 Z95 = 1.96  # half the width of a 95 % interval in standard errors
 STATIC = 1e-6  # poles below this part of the largest one are integrators, which have no corner frequency
 
@@ -145,7 +147,8 @@ class LinearModel:
     speed : float
         Forward speed through the water [m/s].
     states, inputs : tuple of str
-        Names of the n states (velocities and shafts) and m inputs.
+        Names of the n states and m inputs. The states are the velocities, and those on which these depend, such as
+        those of shafts. States of sensors, such as the filter of a compass, are not among them.
     A : Array (n, n)
         Derivatives of the rates by the states [1/s, if both have the same unit].
     B : Array (n, m)
@@ -259,15 +262,35 @@ class LinearModel:
         return self.pole_errors * np.square(self.time_constants)
 
     @property
+    def participation(self) -> Array:
+        """Participation factors (n, n) of the states in the poles, with a row for each pole in the order of `poles`.
+
+        They are the products of the left and right eigenvectors of a pole by state, as absolute values (Perez-Arriaga,
+        Verghese and Schweppe 1982). Those of poles that coincide are not unique.
+        """
+        _, right = self._modes
+        return np.abs(np.linalg.pinv(right) * right.T)
+
+    @property
+    def mainly(self) -> tuple[str, ...]:
+        """Names of the states that take most part in each pole (n,), such as ``u`` or ``r, v``, the largest part first.
+
+        They are those whose participation is more than half of the largest one.
+        """
+        found = []
+        for share in self.participation:
+            order = np.argsort(-share, kind="stable")
+            found.append(", ".join(self.states[k] for k in order if share[k] > MAIN_PART * share.max()))
+        return tuple(found)
+
+    @property
     def course_pole(self) -> int | None:
         """Index in `poles` of the least stable pole of sway and yaw; None if there is none.
 
-        A pole belongs to sway and yaw if these states have more than half of its participation factors. These are the
-        products of its left and right eigenvectors by state (Perez-Arriaga, Verghese and Schweppe 1982).
+        A pole belongs to sway and yaw if these states have more than half of its participation factors.
         """
-        poles, right = self._modes
+        poles, share = self.poles, self.participation
         of = [k for k, name in enumerate(self.states) if name in ("v", "r")]
-        share = np.abs(np.linalg.pinv(right) * right.T)
         found = np.flatnonzero(share[:, of].sum(axis=1) > 0.5 * share.sum(axis=1))
         return int(found[np.argmax(poles.real[found])]) if found.size else None
 
@@ -285,9 +308,7 @@ class LinearModel:
         """
         if self.stable:
             return "stable"
-        _, right = self._modes
-        share = np.abs(np.linalg.pinv(right) * right.T)
-        found = []
+        share, found = self.participation, []
         for k, (pole, error) in enumerate(zip(self.poles, self.pole_errors, strict=True)):
             if pole.real < 0.0 or pole.imag < 0.0:  # of a pair, the pole with the positive imaginary part is described
                 continue
@@ -491,13 +512,16 @@ class LinearModel:
     def frequencies(self) -> Array:
         """Frequencies (300,) [Hz] of a response, from a decade below the slowest pole to one above the fastest.
 
-        Integrators do not count. A dead time counts as a pole with the same time constant.
+        Integrators do not count. A dead time counts as a pole with the same time constant for the lowest frequency. The
+        highest one is at least three times that at which a dead time and the fastest pole together lag by 90 deg.
         """
-        size = np.abs(self.poles)
-        corners = [*size[size > STATIC * size.max(initial=0.0)], *(1.0 / d for d in self.delays.values() if d > 0.0)]
-        corners = corners or [1.0]
-        low, high = min(corners) / DECADE, max(corners) * DECADE
-        return np.geomspace(low, high, FREQUENCIES) / (2.0 * np.pi)
+        size, delays = np.abs(self.poles), np.array([d for d in self.delays.values() if d > 0.0])
+        poles = size[size > STATIC * size.max(initial=0.0)]
+        corners = np.concatenate([poles, 1.0 / delays]) if poles.size or delays.size else np.ones(1)
+        fastest = poles.max() if poles.size else corners.max()
+        # Beyond the pole p, its lag is 90 deg - p / w. A dead time d, whose lag is w d, makes it 90 deg at sqrt(p / d).
+        high = max(DECADE * fastest, LAGS * np.sqrt(fastest / delays.min(initial=np.inf)))
+        return np.geomspace(corners.min() / DECADE, high, FREQUENCIES) / (2.0 * np.pi)
 
     @property
     def _modes(self) -> tuple[Complex, Complex]:
@@ -537,8 +561,9 @@ class LinearModel:
             lines.append(words)
         if words := self.outside:
             lines.append(f"outside the fitted data: {words}")
-        for pole, constant, error in zip(self.poles, self.time_constants, self.time_constant_errors, strict=True):
-            lines.append(f"pole {pole_text(pole)} 1/s, {time_text(constant, error)}")
+        constants, errors = self.time_constants, self.time_constant_errors
+        for pole, constant, error, names in zip(self.poles, constants, errors, self.mainly, strict=True):
+            lines.append(f"pole {pole_text(pole)} 1/s, {time_text(constant, error)}, mainly {names}")
         return "\n".join(lines)
 
 
@@ -603,9 +628,9 @@ def linearise(
     """Linearise a fitted model about straight motion at a forward speed in still water.
 
     The operating point is found first: the inputs, the sway speed and the shafts for which speed and yaw rate (zero)
-    stay. If one thruster is weaker, the inputs differ. Disturbance forces and sensor errors are left out. Delayed
-    copies of an input count as the input itself. Time, work of the thrusters, place and heading are no inputs: they are
-    constant. The derivatives by the heading are in `LinearModel.by_heading`, not in A.
+    stay. If one thruster is weaker, the inputs differ. Disturbance forces, sensor errors and states of sensors are left
+    out. Delayed copies of an input count as the input itself. Time, work of the thrusters, place and heading are no
+    inputs: they are constant. The derivatives by the heading are in `LinearModel.by_heading`, not in A.
 
     Parameters
     ----------

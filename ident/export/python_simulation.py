@@ -108,8 +108,9 @@ class Simulation:
     hold : "zero" or "linear", optional
         Physical inputs between their samples: constant from the start of a step, or on a straight line to the value
         that is reached at its end. By default the hold of the fit, HOLDS. st.simulate has the same option and the same
-        default. To repeat it with samples u[k] every dt: for "zero" call step(u[k]) for k = 0, 1, ...; for "linear"
-        create Simulation(dt, inputs=u[0]), and call step(u[k]) for k = 1, 2, ...
+        default, but the inputs before its start are its first ones, and not zero. To repeat it with samples u[k] every
+        dt, create Simulation(dt, inputs=u[0]). Then call step(u[k]), for "zero" with k = 0, 1, ..., and for "linear"
+        with k = 1, 2, ...
     t, work : float
         Time [s] and work at the start; zero by default, as at the start of a log. TIME is that of the end of the data,
         after a change such as that of a payload.

@@ -1,4 +1,4 @@
-"""Rates of the dynamic states of a model in still water, and their derivatives by states, inputs and parameters."""
+"""Rates of the motion of a model in still water, and their derivatives by states, inputs and parameters."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from seatrial.ident.engine import VectorisedModel
-from seatrial.ident.export.conditions import COMPUTED, POSE
+from seatrial.ident.export.conditions import COMPUTED, POSE, moving_states
 from seatrial.ident.model import Model
 from seatrial.ident.numerics import Array
 
@@ -16,15 +16,16 @@ DIFFERENCE_STEP = 1e-5  # step of the central differences, in the unit of each s
 
 
 class Rates:
-    """Rates of the dynamic states of a model for many rows of states and inputs, in still water.
+    """Rates of the states of the motion of a model for many rows of states and inputs, in still water.
 
-    The current and the states that are held are zero. Delayed copies of an input have its value. Time, work, position
-    and heading have constant values (`seatrial.ident.export.conditions`).
+    States on which no velocity depends, such as the filter of a compass, are left out (`moving_states`). The current
+    and the states that are held are zero. Delayed copies of an input have its value. Time, work, position and heading
+    have constant values (`seatrial.ident.export.conditions`).
 
     Attributes
     ----------
     names : tuple of str
-        Names of the n dynamic states.
+        Names of the n dynamic states: the velocities, and the states on which these depend.
     inputs : tuple of str
         Names of the m inputs, without their delayed copies, the time and the work.
     delayed : frozenset of str
@@ -42,7 +43,7 @@ class Rates:
 
         ``conditions`` are the values of time, work, position and heading by name; a missing one is zero.
         """
-        self.names = tuple(s.name for s in model.states if s.name not in (*POSE, *held))
+        self.names = tuple(n for n in moving_states(model) if n not in held)
         self.inputs = tuple(i.name for i in model.inputs if not i.tap and i.name not in COMPUTED)
         self.delayed = frozenset(i.tap_of for i in model.inputs if i.tap)
         self.parameters = tuple(n for n in model.values if n not in CURRENT)

@@ -25,7 +25,7 @@ class SteadyMotion:
     Attributes
     ----------
     states : tuple of str
-        Names of the n states (velocities and shafts).
+        Names of the n states: the velocities, and those on which these depend, as of shafts.
     x : Array (n_inputs, n)
         The states, NaN for inputs at which no stable steady motion is found.
     sd : Array (n_inputs, n)

@@ -1,6 +1,7 @@
 from .bode import FREQUENCY as FREQUENCY
 from .bode import frequency_axis as frequency_axis
 from .bode import gain_traces as gain_traces
+from .bode import phase_axis as phase_axis
 from .bode import phase_traces as phase_traces
 from .check_page import write_check_page as write_check_page
 from .design_page import write_design_page as write_design_page

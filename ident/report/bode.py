@@ -2,20 +2,51 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from seatrial.ident.numerics import Array
-from seatrial.ident.report.drawing import MODEL, Z95, Trace, band, line_trace
+from seatrial.ident.report.drawing import MODEL, Z95, Trace, axis_limits, band, line_trace
 
 DECIBEL = 20.0 / np.log(10.0)  # of a gain, for its natural logarithm
 FREQUENCY = "frequency [Hz]"
+ANGLES, TICKS = (
+    (45.0, 90.0, 180.0, 360.0),
+    7,
+)  # distances of the ticks of a phase [deg], and their largest number less 1
 
 
 def frequency_axis() -> dict[str, Any]:
     """Return the entries of the Plotly layout of a logarithmic axis of frequencies, with ticks at its decades."""
     return {"type": "log", "dtick": 1, "minor": {"ticks": "inside"}, "hoverformat": ".3~g"}
+
+
+def phase_axis(phases: Sequence[Array], errors: Sequence[Array | None] = ()) -> dict[str, Any]:
+    """Return the entries of the Plotly layout of an axis of phases in degrees: at most eight ticks, at round angles.
+
+    The distance of the ticks is 45, 90, 180 or 360 deg, or a multiple of 360 deg. Bands that are more than twice as
+    high as all lines together are cut off.
+
+    Parameters
+    ----------
+    phases
+        Phases (n,) [rad] of the lines.
+    errors
+        Standard errors (n,) [rad] of the lines in the same order. None, and a missing one: the line has no band.
+    """
+    shown = [np.degrees(phase) for phase in phases]
+    halves = [np.zeros(1) if sd is None else np.degrees(Z95 * np.nan_to_num(sd)) for sd in errors]
+    ends = [middle + side * half for middle, half in zip(shown, halves, strict=False) for side in (-1.0, 1.0)]
+    every = np.concatenate([*shown, *ends])
+    every = every[np.isfinite(every)]
+    least, most = axis_limits(shown, ends) or (every.min(initial=0.0), every.max(initial=0.0))
+    span = float(most - least)
+    whole = 360.0 * np.ceil(span / (360.0 * TICKS))
+    step = next((d for d in ANGLES if span <= TICKS * d), float(whole))
+    margin = 0.05 * max(span, step)
+    return {"tick0": 0, "dtick": step, "range": [float(least) - margin, float(most) + margin]}
 
 
 def gain_traces(

@@ -284,6 +284,20 @@ class ParameterRow(Part, frozen=True, kw_only=True):
     start: Annotated[float | None, Meta(description="initial value of the search")] = None
     flag: Annotated[str | None, Meta(description="what is wrong with the estimate")] = None
     record: Annotated[str | None, Meta(description="name of the record; null: shared by all")] = None
+    positive: Annotated[
+        bool, Meta(description="true: the quantity cannot be negative, and its 95 % interval in tables ends at zero")
+    ] = False
+
+    def interval(self, reach: float) -> tuple[float, float] | None:
+        """Return the value ± ``reach`` standard errors; None without one.
+
+        The interval of a quantity that cannot be negative ends at zero: this part contains the true value as often as
+        the whole interval.
+        """
+        if self.se is None:
+            return None
+        low, high = self.value - reach * self.se, self.value + reach * self.se
+        return (max(low, 0.0) if self.positive else low), high
 
     @property
     def origin_in_table(self) -> str:
@@ -391,7 +405,10 @@ class InputTrace(Part, frozen=True, kw_only=True):
     name: Annotated[str, Meta(description="name of the input")]
     unit: Annotated[str, Meta(description="unit of the values, SI and radians; empty: none")]
     t: Annotated[Array, Meta(description="[s]")]
-    value: Annotated[Array, Meta(description="values of the input at `t`")]
+    value: Annotated[
+        Array,
+        Meta(description="values of the input at `t`; of an averaged input its mean from there to the next time"),
+    ]
 
     def __post_init__(self) -> None:
         """Raise ValueError if times and values of the input differ in length."""
@@ -779,6 +796,12 @@ class OperatingPoint(Part, frozen=True, kw_only=True):
     states: Annotated[
         dict[str, float], Meta(description="states of the operating point by name; empty: result of an earlier version")
     ] = msgspec.field(default_factory=dict)
+    mainly: Annotated[
+        tuple[str, ...],
+        Meta(
+            description="states that take most part in each pole, such as `r, v`; empty: result of an earlier version"
+        ),
+    ] = ()
 
 
 class StepResponse(Part, frozen=True, kw_only=True):

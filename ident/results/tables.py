@@ -13,7 +13,7 @@ import numpy as np
 
 from seatrial.daq.errors import counted
 from seatrial.ident import validation
-from seatrial.ident.data import LoadedLog, Record
+from seatrial.ident.data import LoadedLog, Record, given_inputs
 from seatrial.ident.diagnosis import CommonErrorsFit, ModelUncertainty
 from seatrial.ident.estimation import (
     AT_BOUND,
@@ -149,6 +149,7 @@ def fit_summary(fit: Fit, start: Mapping[str, float], calibration: float | None 
                     )
                     or None,
                     record=fit.records[i] if p.per_record and p.free and len(names) > 1 else None,
+                    positive=p.transform == "log" or p.bounds[0] >= 0.0,
                 )
             )
     return FitSummary(
@@ -472,7 +473,7 @@ def record_inputs(model: Model, record: Record) -> tuple[InputTrace, ...]:
     """Return the inputs of a record over time as rows of a result: those of the model's inputs that reports show.
 
     Time, the work of the thrusters and the delayed copies of an input are not shown. Times count from the start of the
-    record.
+    record. An averaged input has its mean in the interval after each time.
 
     Parameters
     ----------
@@ -481,8 +482,9 @@ def record_inputs(model: Model, record: Record) -> tuple[InputTrace, ...]:
     record
         Record with the values of all inputs of the model.
     """
+    given = given_inputs(model, record)
     return tuple(
-        InputTrace(record=record.name, name=name, unit=unit, t=record.t, value=record.u[:, j])
+        InputTrace(record=record.name, name=name, unit=unit, t=record.t, value=given[:, j])
         for j, name, unit in shown_inputs(model)
     )
 

@@ -90,7 +90,7 @@ def dynamics_of(fitted: FittedModel) -> Dynamics | None:
             ]
             if _differ_by_heading(headings):
                 course = _worst_course(model, by_heading, known, conditions, ranges.get("u")) or course
-            else:  # for example a compass error depends on the heading, and no force does
+            else:  # for example a wind of nearly zero
                 headings = []
         if course is not None:
             lowest = _negative_sway_damping_from(model, linear, ranges.get("u"), conditions)
@@ -356,6 +356,7 @@ def _point(linear: LinearModel) -> OperatingPoint:
         stable=linear.stable,
         error=linear.pole_errors,
         states={name: float(value) for name, value in zip(linear.states, linear.x0, strict=True)},
+        mainly=linear.mainly,
     )
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from seatrial.ident.data import TIME_INPUT, WORK_INPUT
+from seatrial.ident.data import TIME_INPUT, WORK_INPUT, given_inputs
 from seatrial.ident.estimation import (
     ErrorScale,
     Fit,
@@ -102,7 +102,8 @@ def validity(fitted: FittedModel) -> dict[str, tuple[float, float]]:
 
     The inputs are those that reports show (`shown_inputs`), for example without delayed taps, and the time ``t`` and
     the ``work`` of the thrusters if the model needs them. The range of a state is from the 1 % to the 99 % quantile of
-    its filtered values, that of an input from its minimum to its maximum.
+    its filtered values, that of an input from its minimum to its maximum. An averaged
+    input has its mean in each row, which never exceeds the values that were commanded.
 
     Parameters
     ----------
@@ -121,9 +122,10 @@ def validity(fitted: FittedModel) -> dict[str, tuple[float, float]]:
         if state.name in ("u", "v", "r"):
             z = np.concatenate([v.run.x_filt[:, i] for v in views])
             found[state.name] = (float(np.percentile(z, 1)), float(np.percentile(z, 99)))
+    inputs = [given_inputs(fitted.model, v.record) for v in views]
     computed = [(j, i.name) for j, i in enumerate(fitted.model.inputs) if i.name in (TIME_INPUT, WORK_INPUT)]
     for j, name in [*((j, name) for j, name, _ in shown_inputs(fitted.model)), *computed]:
-        z = np.concatenate([v.record.u[:, j] for v in views])
+        z = np.concatenate([given[:, j] for given in inputs])
         # A yaw rate can be both input and state; the range of the state is kept.
         found.setdefault(name, (float(z.min()), float(z.max())))
     return found

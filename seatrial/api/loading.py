@@ -466,7 +466,8 @@ def simulate(
         Inputs between their samples: constant until the next sample, or on a straight line to it. None: as in the
         model, where commands are constant, and a measured shaft speed is linear. The ``Simulation`` of `export` has the
         same option. Its ``step`` gets the value at the end of the step if the input is linear, and the value at its
-        start if it is constant.
+        start if it is constant. Before the first time, the inputs are those at it; those of a ``Simulation`` are zero,
+        unless it gets them as ``inputs``.
 
     Returns
     -------

@@ -21,6 +21,7 @@ from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError, counted, warn
 from seatrial.daq.log import import_library
 from seatrial.ident.export import (
+    Bode,
     Inputs,
     LinearModel,
     conditions_text,
@@ -63,7 +64,8 @@ class Linearisation(Shown, LinearModel):
     speed : float
         Forward speed through the water [m/s].
     states, inputs : tuple of str
-        Names of the n states (velocities and shafts) and m inputs.
+        Names of the n states and m inputs. The states are the velocities, and those on which these depend, such as
+        those of shafts. States of sensors, such as the filter of a compass, are not among them.
     A : Array (n, n)
         Derivatives of the rates by the states [1/s, if both have the same unit].
     B : Array (n, m)
@@ -93,8 +95,8 @@ class Linearisation(Shown, LinearModel):
         """Return the poles as a ``pandas.DataFrame`` with a row for each, the slowest first.
 
         The columns are real, imaginary [1/s], time_constant [s], se (its standard error; NaN if unknown), frequency
-        [Hz] and damping (ratio, 1 for a real stable pole). An unstable pole has no time constant (NaN): it grows by a
-        factor of e in the time 1 / real.
+        [Hz], damping (ratio, 1 for a real stable pole) and mainly (the states that take most part in it). An unstable
+        pole has no time constant (NaN): it grows by a factor of e in the time 1 / real.
 
         Raises
         ------
@@ -111,6 +113,7 @@ class Linearisation(Shown, LinearModel):
             "se": np.where(grows, np.nan, self.time_constant_errors),
             "frequency": size / (2.0 * np.pi),
             "damping": damping,
+            "mainly": list(self.mainly),
         }
         frame = import_library("pandas").DataFrame(columns)
         frame.index.name = "pole"
@@ -244,12 +247,13 @@ class Linearisation(Shown, LinearModel):
             degrees_for,
             frequency_axis,
             gain_traces,
+            phase_axis,
             phase_traces,
             stacked,
         )
 
         f = None if frequency is None else np.asarray(frequency, dtype=float)
-        gain, phase = Panel("gain [dB]"), Panel("phase [deg]", y={"dtick": 90})
+        gain, phase, shown = Panel("gain [dB]"), Panel("phase [deg]"), list[Bode]()
         for name, chosen in self._chosen(inputs).items():
             for state, bode in self.bode(chosen, f).items():
                 if states and state not in states:
@@ -261,9 +265,11 @@ class Linearisation(Shown, LinearModel):
                 gain.traces += gain_traces(bode.frequency, factor * bode.gain, bode.gain_sd, words, POINTS, **style)
                 lines = phase_traces(bode.frequency, bode.phase, bode.phase_sd, words, POINTS, **style)
                 phase.traces += [{**trace, "showlegend": False} for trace in lines]
+                shown.append(bode)
         if not gain.traces:
             asked = ", ".join(states) or "no state"
             raise SeatrialError(f"{asked}: does not respond to these inputs; the states are {', '.join(self.states)}")
+        phase.y.update(phase_axis([b.phase for b in shown], [b.phase_sd for b in shown]))
         figure, height = stacked([gain, phase], FREQUENCY, panel_height=220)
         layout = _legend_below(figure["layout"], height)
         layout |= {"xaxis": layout["xaxis"] | frequency_axis()}
@@ -280,8 +286,10 @@ class Linearisation(Shown, LinearModel):
         """Return speed and stability, and the table of the poles."""
         at = ", ".join(f"{n} {number(v)}" for n, v in zip(self.inputs, self.u0, strict=True))
         rows = [
-            (pole_text(pole), _time_cell(constant, se), "" if constant < 0.0 else number(se, 2))
-            for pole, constant, se in zip(self.poles, self.time_constants, self.time_constant_errors, strict=True)
+            (pole_text(pole), _time_cell(constant, se), "" if constant < 0.0 else number(se, 2), names)
+            for pole, constant, se, names in zip(
+                self.poles, self.time_constants, self.time_constant_errors, self.mainly, strict=True
+            )
         ]
         answer = f"Linear model at {self.speed:g} m/s ({at}), {self.stability}."
         if self.conditions:
@@ -291,7 +299,7 @@ class Linearisation(Shown, LinearModel):
         if words := self.drift:
             answer += f" Operating point with {words}."
         notes = [f"The operating point is outside the fitted data: {self.outside}."] if self.outside else []
-        return Content(answer, notes, ("pole [1/s]", "time constant [s]", "s.e. [s]"), rows)
+        return Content(answer, notes, ("pole [1/s]", "time constant [s]", "s.e. [s]", "mainly"), rows)
 
 
 @dataclass(frozen=True, repr=False)
@@ -333,8 +341,8 @@ class Steady(Shown):
     def answer(self) -> str:
         """Largest steady speed and turn rate within the commands of the data, and the conditions, in sentences.
 
-        A speed or turn rate beyond those of the data is marked. A sentence says why a model that depends on heading or
-        place has no steady turn rate.
+        The number after ± is one standard error. A speed or turn rate beyond those of the data is marked. A sentence
+        says why a model that depends on heading or place has no steady turn rate.
         """
         words = {"u": ("speed", 1.0, "m/s"), "r": ("turn rate", np.degrees(1.0), "deg/s")}
         found = []
@@ -350,7 +358,7 @@ class Steady(Shown):
                     else (f"{number(left, 2)} left and {number(curve.mean - curve.command[k], 2)} right")
                 )
                 sd = factor * curve.sd[k]
-                error = "" if np.isnan(sd) else f" ± {number(1.96 * sd, 2)}"
+                error = "" if np.isnan(sd) else f" ± {number(sd, 2)}"
                 beyond = ""
                 if quantity == "u" and self.speeds is not None and value > self.speeds[1]:
                     beyond = f", beyond the speeds of the data (up to {number(self.speeds[1], 2)} m/s)"

@@ -41,7 +41,7 @@ class Statistics(NamedTuple):
     value, se : float
         Estimate, or value of a fixed parameter, and standard error (NaN if there is none).
     low, high : float
-        Ends of the 95 % interval; NaN without a standard error.
+        Ends of the 95 % interval; NaN without a standard error. That of a quantity that cannot be negative ends at 0.
     t : float
         Value divided by the standard error; NaN if the standard error is missing or zero.
     unit : str
@@ -157,12 +157,13 @@ def statistics(row: ParameterRow) -> Statistics:
     """Return estimate, standard error, 95 % interval and t statistic of a parameter in the table of a result.
 
     Standard error, interval and t statistic are NaN if the result has no standard error, as for a fixed parameter or
-    one at a bound. The interval is that of a normal distribution.
+    one at a bound. The interval is that of a normal distribution. That of a quantity that cannot be negative ends at
+    zero.
     """
     se = row.se if row.se is not None else math.nan
-    reach = NORMAL_95 * se
+    low, high = row.interval(NORMAL_95) or (math.nan, math.nan)
     return Statistics(
-        full_name(row), row.value, se, row.value - reach, row.value + reach, row.value / se if se > 0 else math.nan,
+        full_name(row), row.value, se, low, high, row.value / se if se > 0 else math.nan,
         row.unit, row.origin_in_table, row.free, in_python(row.flag or ""), row.meaning,
     )  # fmt: skip
 

@@ -734,7 +734,8 @@ def test_operating_point_outside_the_data_warns(fit: st.FittedVehicle, tmp_path:
 def test_linear_model_has_table_and_figures_with_errors(fit: st.FittedVehicle, tmp_path: Path) -> None:
     at, saved = fit.linearise(0.5), st.load(fit.save(tmp_path / "fit"))
     table = at.to_pandas()
-    assert list(table.columns) == ["real", "imaginary", "time_constant", "se", "frequency", "damping"]
+    assert list(table.columns) == ["real", "imaginary", "time_constant", "se", "frequency", "damping", "mainly"]
+    assert set(table["mainly"].str.split(", ").sum()) == set(at.states)
     np.testing.assert_allclose(table["time_constant"], -1.0 / table["real"])
     # The surge has the time constant m_u / (d_u + 2 d_uu u), and its standard error follows from their covariance.
     drag = fit.params["d_u"] + 2 * fit.params["d_uu"] * 0.5
@@ -880,6 +881,9 @@ def test_steady_motion_is_that_of_a_long_simulation(fit: st.FittedVehicle, tmp_p
     assert np.all(np.diff(steady.straight.value) > 0.0)
     assert "The largest steady turn rate is" in steady.answer
     assert " m/s, at a shaft speed of " in steady.answer
+    top = steady.straight.value.size - 1
+    value, error = steady.straight.value[top], steady.straight.sd[top]
+    assert f"speed is {value:.3g} ± {error:.2g} m/s" in steady.answer  # one standard error, as everywhere
     assert "not determined" not in steady.answer + steady._repr_html_()
     vague = replace(steady, curves=tuple(structs.replace(c, sd=0.6 * np.abs(c.value)) for c in steady.curves))
     assert "The largest steady turn rate is not determined: its standard error is more than half" in vague.answer

@@ -12,7 +12,7 @@ from seatrial.ident.model import THRUSTER_FORCE, drive_word, is_of_thruster
 from seatrial.ident.numerics import is_undetermined
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Canvas, Cell, Grid, Heading, Plot, Prose, Section, Table
-from seatrial.ident.report.bode import FREQUENCY, frequency_axis, gain_traces, phase_traces
+from seatrial.ident.report.bode import FREQUENCY, frequency_axis, gain_traces, phase_axis, phase_traces
 from seatrial.ident.results import (
     Dynamics,
     FrequencyResponse,
@@ -121,12 +121,14 @@ def _pole_blocks(dynamics: Dynamics, drive: str) -> list[Any]:
     A sentence on the operating points outside the fitted data follows, if there are any. If the model is unstable at a
     speed, there is one on the lowest such speed. There is also one on the least stable pole of sway and yaw at the
     speeds of the data, if it is unstable, or on a negative damping of sway. ``drive`` is what the inputs are, in words.
+    Each pole has the states that take most part in it, unless the result is of an earlier version.
     """
     points, course = dynamics.points, course_sentence(dynamics.course)
     if not points:
         return []
     rows: list[list[Cell | str]] = []
-    any_lost = False
+    any_lost = any_growing = False
+    named = all(p.mainly for p in points)
     for point in points:
         errors = np.full(point.real.size, np.nan) if point.error is None else point.error
         for k, (real, imaginary, error) in enumerate(zip(point.real, point.imaginary, errors, strict=True)):
@@ -137,10 +139,15 @@ def _pole_blocks(dynamics: Dynamics, drive: str) -> list[Any]:
             grows = f"unstable: doubles in {formatting.plain(float(DOUBLING / real), 2)} s" if real > 0.0 else ""
             if is_undetermined(float(real), float(error)):
                 any_lost, constant, grows = True, "not determined", "may be unstable" if real > 0.0 else ""
+            any_growing = any_growing or bool(grows)
             command = _inputs_in_words(point)
             head = [Cell(f"{point.speed:g} m/s", "num"), Cell(command, "num")] if k == 0 else ["", ""]
-            rows.append([*head, Cell(pole, "num"), Cell(constant, "num"), Cell(grows, "bad nowrap")])
-    columns = (("speed", "num"), (drive, "num"), ("pole [1/s]", "num"), ("time constant", "num"), ("stability", ""))
+            names = [Cell(point.mainly[k], "symbol")] if named else []
+            rows.append([*head, Cell(pole, "num"), Cell(constant, "num"), *names, Cell(grows, "bad nowrap")])
+    columns = [("speed", "num"), (drive, "num"), ("pole [1/s]", "num"), ("time constant", "num")]
+    columns += [("mainly", "")] if named else []
+    columns += [("stability", "")] if any_growing else []
+    rows = rows if any_growing else [row[:-1] for row in rows]
     blocks: list[Any] = [Heading("Poles on a straight course", "of the model linearised at each speed")]
     note = "Not determined: the standard error of the pole is more than half of its size."
     blocks.append(Table(columns, rows, note if any_lost else ""))
@@ -227,11 +234,12 @@ def _bode_plots(canvas: Canvas, response: FrequencyResponse) -> list[Plot]:
     f, name, plots = response.frequency, formatting.titled(response.quantity), []
     what = "both sides" if response.motion == "straight" else "left minus right side, halved"
     reference = f"gain [dB, 0 dB: 1 {unit}]"
-    for title, axis, traces in (
-        ("gain", reference, gain_traces(f, factor * response.gain, response.gain_sd, name, POINTS)),
-        ("phase", "phase [deg]", phase_traces(f, response.phase, response.phase_sd, name, POINTS)),
+    angles = phase_axis([response.phase], [response.phase_sd])
+    for title, axis, traces, yaxis in (
+        ("gain", reference, gain_traces(f, factor * response.gain, response.gain_sd, name, POINTS), {}),
+        ("phase", "phase [deg]", phase_traces(f, response.phase, response.phase_sd, name, POINTS), angles),
     ):
-        figure = drawing.single(traces, FREQUENCY, axis, xaxis=frequency_axis(), hovermode="closest")
+        figure = drawing.single(traces, FREQUENCY, axis, xaxis=frequency_axis(), yaxis=yaxis, hovermode="closest")
         plots.append(canvas.plot(figure, 260, f"Bode plot, {title} of {name}", f"{name}, {title} · {what}"))
     return plots
 

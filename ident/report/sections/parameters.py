@@ -30,6 +30,7 @@ from seatrial.ident.results import (
     SegmentInformation,
 )
 
+SMALLEST_T = 1e-3  # smaller t statistics are shown as zero
 MAX_NUMBERED = 14  # parameters; larger correlation matrices show their numbers on hover only
 
 
@@ -153,7 +154,8 @@ def _sname(row: ParameterRow) -> str:
 def _parameter_cells(row: ParameterRow, titles: Sequence[str], extra: Sequence[str]) -> list[Cell | str]:
     """Return the table cells of one parameter: value, standard error, 95 % interval, t, origin and others.
 
-    A missing standard error, interval or t is a dash. The interval is the value ± 1.96 standard errors.
+    A missing standard error, interval or t is a dash. The interval is the value ± 1.96 standard errors, and ends at
+    zero if the parameter cannot be negative.
 
     Parameters
     ----------
@@ -168,10 +170,11 @@ def _parameter_cells(row: ParameterRow, titles: Sequence[str], extra: Sequence[s
     value, se = formatting.scaled(factor, row.value, row.se)
     shown, error = formatting.pair(value, se)
     ends = "–"
-    if value is not None and se is not None and error:
-        low, high = (formatting.pair(value + k * drawing.Z95 * se, se)[0] for k in (-1.0, 1.0))
+    if se is not None and error and (interval := row.interval(drawing.Z95)):
+        low, high = (formatting.pair(factor * end, se)[0] if end else "0" for end in interval)
         ends = f"{low} to {high}"
-    t = "–" if value is None or not se else formatting.plain(value / se, 2)
+    ratio = 0.0 if value is None or not se else value / se
+    t = "–" if value is None or not se else formatting.plain(ratio if abs(ratio) > SMALLEST_T else 0.0, 2)
     cells: list[Cell | str] = [
         Cell(row.name, "symbol"),
         Cell(shown, "num"),

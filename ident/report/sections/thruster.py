@@ -10,7 +10,7 @@ from seatrial.ident.characterisation import newtons_per_watt
 from seatrial.ident.numerics import Array
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Canvas, Cell, Grid, Heading, Lines, Plot, Prose, Section, Table
-from seatrial.ident.report.bode import DECIBEL, FREQUENCY, frequency_axis, gain_traces, phase_traces
+from seatrial.ident.report.bode import DECIBEL, FREQUENCY, frequency_axis, gain_traces, phase_axis, phase_traces
 from seatrial.ident.results import ShaftResponse, SteadyBench, ThrusterResult, Trace
 
 STEPS, BEFORE_S, AFTER_S = 6, 0.5, 2.5  # number of enlarged steps, and time shown before and after each [s]
@@ -162,15 +162,16 @@ def _bode_plots(canvas: Canvas, response: ShaftResponse) -> list[Plot]:
     plots = []
     f, at, name = response.frequency, response.frequency_measured, "model"
     gain = DECIBEL * np.log(np.maximum(response.gain_measured, 1e-12))
-    for title, unit, traces, measured in (
-        ("Gain", "dB", gain_traces(f, response.gain, None, name, 600), gain),
-        ("Phase", "deg", phase_traces(f, response.phase, None, name, 600), np.degrees(response.phase_measured)),
+    measured_phase, angles = np.degrees(response.phase_measured), phase_axis([response.phase, response.phase_measured])
+    for title, unit, traces, measured, yaxis in (
+        ("Gain", "dB", gain_traces(f, response.gain, None, name, 600), gain, {}),
+        ("Phase", "deg", phase_traces(f, response.phase, None, name, 600), measured_phase, angles),
     ):
         if measured.size:
             marker = {"color": "#ffffff", "size": 6, "line": {"color": drawing.INK, "width": 1.2}}
             points = {"x": drawing.packed(at), "y": drawing.packed(measured)}
             traces.append({"type": "scatter", "mode": "markers", **points, "name": "measured", "marker": marker})
-        axes = {"xaxis": frequency_axis(), "hovermode": "closest"}
+        axes = {"xaxis": frequency_axis(), "yaxis": yaxis, "hovermode": "closest"}
         figure = drawing.single(traces, FREQUENCY, f"{title.lower()} [{unit}]", **axes)
         plots.append(canvas.plot(figure, 260, f"Bode plot, {title.lower()}", title))
     return plots

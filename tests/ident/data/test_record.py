@@ -15,6 +15,7 @@ from seatrial.ident.data.record import (
     _block_edges,
     block_mean,
     build_record,
+    given_inputs,
     held_lines,
     sample_and_hold,
 )
@@ -428,3 +429,23 @@ def test_row_of_a_sensor_has_all_its_outputs_at_the_same_time() -> None:
     t = record.t[whole]
     np.testing.assert_allclose(t, np.delete(np.arange(0, 10.01, 0.25), [10, 20]), atol=1e-9)
     np.testing.assert_allclose(pair[whole], np.column_stack([np.sin(t), np.cos(t)]))
+
+
+@pytest.mark.parametrize("hold", ["average", "zero"])
+def test_given_inputs_never_exceed_the_samples(hold: str) -> None:
+    """The line of an averaged input overshoots a step; what is shown as given does not."""
+    t = np.arange(0.0, 10.0, 0.27)
+    command = np.where(np.arange(t.size) % 8 < 4, 0.8, -0.5)
+    signals = {n: channel(10.0) for n in ("psi", "a", "b")} | {"w": Channel(t, command)}
+    held = model(hold)
+    record = build_record(held, signals, rate=5.0)
+    given = given_inputs(held, record)
+    assert given.shape == record.u.shape
+    assert (given.min(), given.max()) == pytest.approx((-0.5, 0.8), abs=1e-12)
+    if hold == "average":
+        assert record.u.max() > 0.9
+        assert np.sum(given[:-1, 0] * record.h[:-1]) == pytest.approx(
+            np.sum((record.u + record.u_next)[:-1, 0] * record.h[:-1]) / 2.0
+        )
+    else:
+        np.testing.assert_array_equal(given, record.u)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -9,13 +10,16 @@ import pytest
 
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.effects.registry import catalogue
-from seatrial.ident.export.conditions import chosen_conditions, conditions_of, conditions_text
+from seatrial.ident.engine import VectorisedModel
+from seatrial.ident.estimation.parameter_covariance import ParameterCovariance
+from seatrial.ident.export.conditions import chosen_conditions, conditions_of, conditions_text, moving_states
 from seatrial.ident.export.linearisation import linearise
 from seatrial.ident.export.steady_motion import steady_motion
 from seatrial.ident.model.structure import Model
 from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
-from seatrial.ident.workflows.dynamics import Drives
+from seatrial.ident.models.nomoto import nomoto_model
+from seatrial.ident.workflows.dynamics import Drives, steady_curves
 from tests.ident.export.test_linearisation import saved
 
 
@@ -74,3 +78,74 @@ def test_defaults_are_the_end_of_the_data() -> None:
         linearise(model, 0.7, conditions={"works": 1.0})
     with pytest.raises(SeatrialError, match="the condition t is nan: give a finite number"):
         linearise(model, 0.7, conditions={"t": float("nan")})
+
+
+@pytest.mark.parametrize("name", ["compass-filtered", "compass-motor"])
+def test_filter_of_a_compass_is_no_part_of_the_motion(name: str) -> None:
+    """A boat whose compass errs is linearised, turns and is controlled as the same boat with a compass that does not.
+
+    The states of the filter have rates that depend on the heading.
+    """
+    amplitudes = {"compass-filtered": {"dev_f1s": 0.2, "dev_f2c": -0.1}, "compass-motor": {"dev_ms": 0.1}}
+    model, plain = boat(name, **amplitudes[name]), boat()
+    added = {s.name for s in model.states} - {s.name for s in plain.states}
+    assert added
+    assert conditions_of(model) == ()
+    found, expected = linearise(model, 0.7), linearise(plain, 0.7)
+    assert found.states == expected.states == ("u", "v", "r")
+    np.testing.assert_array_equal(found.A, expected.A)
+    np.testing.assert_array_equal(found.by_heading, [0.0, 0.0, 0.0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        feedback = found.lqr({"u": 4.0, "r": 1.0, "psi": 4.0})
+    assert feedback.states == ("u", "v", "r", "psi")
+    assert np.isfinite(feedback({"u": 0.6, "v": 0.0, "r": 0.0, "psi": 0.1}, psi=0.3)).all()
+    u = np.array([[0.6, 0.1], [0.3, 0.3]])
+    np.testing.assert_array_equal(steady_motion(model, u).x, steady_motion(plain, u).x)
+    ranges = {"n_left": (-0.5, 1.0), "n_right": (-0.5, 1.0)}
+    turns = [c for c in steady_curves(model, ranges, ParameterCovariance((), np.zeros((0, 0)))) if c.motion == "turn"]
+    assert len(turns) == 2
+
+
+def test_gyro_filter_of_the_nomoto_model_is_no_part_of_the_motion() -> None:
+    assert moving_states(nomoto_model()) == ("u", "v", "r")
+
+
+@pytest.mark.parametrize(
+    ("name", "states", "depends"),
+    [
+        ("wind", (), ("psi",)),
+        ("towed-line", ("line_x", "line_y"), ()),
+        ("derating", ("heat_left", "heat_right"), ()),
+        ("waves", ("wave_X", "wave_X_rate", "wave_Y", "wave_Y_rate", "wave_N", "wave_N_rate"), ()),
+    ],
+)
+def test_states_and_conditions_of_forces_stay(name: str, states: tuple[str, ...], depends: tuple[str, ...]) -> None:
+    model = horizontal_model("shaft") + catalogue()[name]
+    assert moving_states(model) == ("u", "v", "r", *states)
+    assert conditions_of(model) == depends
+
+
+def test_states_that_are_left_out_change_no_velocity() -> None:
+    """For each effect of the boat: the rates of the velocities are the same with all other states moved."""
+    rng, kept = np.random.default_rng(0), 0
+    for name, effect in catalogue().items():
+        try:
+            model = with_disturbances(horizontal_model("command") + effect)
+        except ValueError:  # an effect of another model
+            continue
+        names = [s.name for s in model.states]
+        moving = set(moving_states(model)) | set(conditions_of(model))
+        x, u = rng.uniform(0.1, 0.6, len(names)), rng.uniform(0.1, 0.6, len(model.inputs))
+        p = {k: v if v else 0.1 for k, v in model.values.items()}
+        velocities = [names.index(n) for n in ("u", "v", "r")]
+        whole = VectorisedModel(model)
+        before, slope = (f(x[None], u[None], np.array(list(p.values())))[0] for f in (whole.rates, whole.rate_jacobian))
+        others = [j for j, n in enumerate(names) if n not in moving]
+        x[others] += rng.uniform(0.1, 0.3, len(others))
+        after = whole.rates(x[None], u[None], np.array(list(p.values())))[0]
+        np.testing.assert_allclose(after[velocities], before[velocities], rtol=0.0, atol=1e-13, err_msg=name)
+        # what acts on a velocity at once is kept
+        assert {n for j, n in enumerate(names) if slope[velocities][:, j].any()} <= moving, name
+        kept += 1
+    assert kept > 40

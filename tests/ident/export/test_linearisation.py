@@ -263,6 +263,36 @@ def test_lag_of_an_unstable_boat_is_that_beyond_its_unstable_pole() -> None:
     assert stable.no_lag_90.startswith("The state never lags by 90 deg up to")
 
 
+def test_poles_are_named_by_the_states_that_take_most_part() -> None:
+    """A boat without coupling has one state for each pole. A state is named by its own diagonal element."""
+    values = {"m_v": VALUES["m_u"], "T_n": 0.15, "d_r": 9.7 * 4.0, "d_v": 37.0}  # equal masses: no moment by sway
+    found = linearise(saved(horizontal_model("command"), values), 0.7)
+    assert sorted(found.mainly) == ["n_left", "n_right", "r", "u", "v"]
+    for pole, name in zip(found.poles, found.mainly, strict=True):
+        k = found.states.index(name)
+        assert pole.real == pytest.approx(found.A[k, k], rel=1e-3)
+    np.testing.assert_allclose(found.participation.sum(axis=1), 1.0, atol=1e-6)
+    assert f"1/s, time constant {found.time_constants[0]:.4g} s, mainly {found.mainly[0]}" in repr(found)
+    # a pair of complex poles belongs to both of its states, the larger part first
+    block = np.array([[-0.5, 0.0, 0.0], [0.0, -1.0, -2.0], [0.0, 1.5, -1.2]])
+    pair = replace(linearise(saved(horizontal_model("shaft")), 0.7), A=block)
+    assert pair.mainly[0] == "u"
+    assert {frozenset(names.split(", ")) for names in pair.mainly[1:]} == {frozenset({"v", "r"})}
+
+
+def test_frequencies_reach_beyond_the_lag_of_90_deg_and_no_farther_than_needed() -> None:
+    """A dead time of milliseconds does not extend them to frequencies of hundreds of hertz."""
+    for delay in (1e-4, 3e-3, 0.05, 0.4):
+        found = linearise(saved(horizontal_model("command"), {"tau_n": delay, "T_n": 0.15}), 0.7)
+        fastest = np.abs(found.poles).max() / (2.0 * np.pi)
+        shaft = found.bode("straight")["n_left"]
+        assert np.isfinite(shaft.lag_90)
+        highest = float(found.frequencies[-1])
+        assert highest > 2.0 * shaft.lag_90
+        assert highest == pytest.approx(max(10.0 * fastest, 3.0 * math.sqrt(fastest / (2.0 * np.pi * delay))))
+    assert float(linearise(saved(horizontal_model("command")), 0.7).frequencies[-1]) < 500.0
+
+
 def test_standard_errors_follow_from_those_of_the_estimates() -> None:
     """The surge has the time constant m_u / (d_u + 2 d_uu u) and the gain of a first-order lag."""
     sd_m, sd_tau = 1.5, 0.02

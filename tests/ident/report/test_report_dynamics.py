@@ -9,8 +9,10 @@ import msgspec
 import numpy as np
 import pytest
 
+from seatrial.api.tables import statistics
 from seatrial.ident.report import page
 from seatrial.ident.report.blocks import Budget, Canvas
+from seatrial.ident.report.bode import phase_axis
 from seatrial.ident.report.sections.dynamics import section
 from seatrial.ident.report.sections.runs import wide_band
 from seatrial.ident.results import (
@@ -118,6 +120,22 @@ def test_poles_are_in_words(shown: Page) -> None:
     assert "Taken as constant: t = 240 s." in words
 
 
+def test_poles_have_the_states_that_take_part() -> None:
+    """Results of an earlier version have no such column, and stable boats none of their stability."""
+    found = dynamics()
+    named = tuple(msgspec.structs.replace(p, mainly=("r, v", "n_left")) for p in found.points)
+
+    def words(points: tuple[OperatingPoint, ...]) -> str:
+        result = msgspec.structs.replace(loaded(KINDS["diagnosis"]()), dynamics=replaced(found, points=points))
+        return " ".join(Page(page.render(result)).words.split())
+
+    replaced = msgspec.structs.replace
+    assert "time constant mainly stability 0.5 m/s 0.250 −0.500 ± 2.00 j 2.00 s r, v" in words(named)
+    assert "r, v unstable: doubles in 6.9 s −2.00 0.500 s n_left" in words(named)
+    assert "time constant stability 0.5 m/s" in words(found.points)
+    assert "time constant mainly 0.5 m/s" in words(named[:1])
+
+
 def test_operating_points_outside_the_data_are_named() -> None:
     found = dynamics()
     points = tuple(
@@ -191,6 +209,42 @@ def test_table_has_interval_t_sname_and_origin() -> None:
     ]
     assert names[9:17] == ["y_left", "−0.15", "–", "–", "–", "m", "", "given"]
     assert names[24:] == ["m − X_u̇ / T", "estimated, at bound", "quadratic surge damping ⚠ at its bound"]
+
+
+def test_interval_of_a_quantity_that_cannot_be_negative_ends_at_zero() -> None:
+    """The interval of any other quantity stays as wide as it is."""
+    content = KINDS["diagnosis"]()
+    row = {"name": "T_n", "meaning": "lag", "unit": "s", "value": 0.5, "se": 0.4, "free": True}
+    content["fit"]["parameters"] = [row | {"positive": True}, row | {"name": "Y_uv"}]
+    found = loaded(content)
+    cells = re.findall(r"<td[^>]*>(.*?)</td>", page.render(found).split('id="parameters"')[1], re.DOTALL)
+    assert [c.strip() for c in cells if " to " in c][:2] == ["0 to 1.28", "−0.28 to 1.28"]
+    lowest = loaded(content | {"fit": content["fit"] | {"parameters": [row | {"value": 3e-18, "positive": True}]}})
+    cells = re.findall(r"<td[^>]*>(.*?)</td>", page.render(lowest).split('id="parameters"')[1], re.DOTALL)
+    assert [c.strip() for c in cells[1:5]] == ["0.00", "0.40", "0 to 0.78", "0"]
+    rows = [statistics(r) for r in found.fit.parameters]
+    assert [r.low for r in rows] == pytest.approx([0.0, 0.5 - 1.959964 * 0.4])
+    assert [r.high for r in rows] == pytest.approx(2 * [0.5 + 1.959964 * 0.4])
+    assert statistics(msgspec.structs.replace(found.fit.parameters[0], se=None)).low != 0.0  # NaN
+
+
+def test_phase_axis_has_few_ticks_at_round_angles() -> None:
+    """A dead time makes phases of many turns, and bands of an uncertain one are higher than the line."""
+    short = phase_axis([np.radians([0.0, -170.0])])
+    assert (short["dtick"], short["tick0"]) == (45.0, 0)
+    assert short["range"] == pytest.approx([-178.5, 8.5])
+    for turns in (0.3, 0.9, 2.0, 6.0, 30.0):
+        axis = phase_axis([np.linspace(0.1, -turns * 2.0 * np.pi, 50)])
+        low, high = axis["range"]
+        assert axis["dtick"] % 45.0 == 0.0
+        assert 2 <= np.floor(high / axis["dtick"]) - np.ceil(low / axis["dtick"]) + 1 <= 8
+        assert low < -360.0 * turns < 5.0 < high
+    phase = np.linspace(0.0, -np.pi, 50)
+    assert phase_axis([phase], [np.full(50, 0.1)])["range"][0] < np.degrees(-np.pi - 0.19)
+    low, high = phase_axis([phase], [np.linspace(0.0, 20.0, 50)])["range"]
+    assert -300.0 < low < -180.0
+    assert 0.0 < high < 120.0
+    assert phase_axis([phase], [np.full(50, np.nan)])["range"] == phase_axis([phase])["range"]
 
 
 def trace(**more: Any) -> Trace:

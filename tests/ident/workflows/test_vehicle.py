@@ -23,12 +23,13 @@ from seatrial.ident.estimation.prior_knowledge import (
 from seatrial.ident.models.catalogue import make_model
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.models.nomoto import nomoto_model
+from seatrial.ident.results.tables import record_inputs
 from seatrial.ident.workflows.model_inputs import choose_model, thrust_from, with_derived_signals
 from seatrial.ident.workflows.output import sensor_rates, validity
 from seatrial.ident.workflows.vehicle import _command_scale_warning
 from tests.ident.rolling import Fitted
 from tests.ident.rolling import sail as rolling_sail
-from tests.missions import boat_log, boat_with, rig_of
+from tests.missions import boat_log, boat_with, channels_of, rig_of, sail
 
 AHRS = ("psi", "r", "ax", "ay")
 GNSS = ("x", "y", "vx", "vy")
@@ -293,3 +294,23 @@ def test_warning_of_the_scale_of_commands_ends_with_either_scale_that_it_asks_fo
     (shafts,) = re.findall(r"the scale of the shaft speeds in the import map by ([\d.]+),", asked)
     assert not warning(of_command=float(commands))
     assert not warning(of_shaft=1.0 / float(shafts))
+
+
+def test_ranges_and_curves_of_commands_are_those_that_were_given() -> None:
+    """Commands act by their mean in a row; the line of such a row overshoots a step of the command by up to a third."""
+    channels = channels_of(sail(boat_with(None, 1), 30.0, 1)[0])
+    t = channels["psi"].t
+    square = {"n_cmd_left": (0.15, 1.7), "n_cmd_right": (-0.2, 2.3)}
+    steps = np.arange(t[0], t[-1], 0.07)
+    for name, (mean, period) in square.items():
+        channels[name] = Channel(steps, mean + 0.4 * np.sign(np.sin(2.0 * np.pi * steps / period + 0.1)))
+    model = horizontal_model("command", ("attitude", "position"))
+    assert {i.hold for i in model.inputs} == {"average"}
+    fitted = fit_nominal_model(model, [LogSegment("run", channels)], [])
+    (view,) = fitted.estimation
+    assert view.record.u.max() > 0.6
+    ranges = validity(fitted)
+    shown = {row.name: row.value for row in record_inputs(fitted.model, view.record)}
+    for name, (mean, _) in square.items():
+        assert ranges[name] == pytest.approx((mean - 0.4, mean + 0.4), abs=1e-9)
+        assert (shown[name].min(), shown[name].max()) == pytest.approx(ranges[name])
