@@ -128,6 +128,7 @@ WarningCode = Literal[
     "mass-implausible",
     "motion-not-excited",
     "nearly-converged",
+    "model-not-converged",
     "one-direction",
     "zero-unknown",
     "validation-run-failed",

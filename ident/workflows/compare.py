@@ -26,6 +26,7 @@ from seatrial.ident.estimation import (
     load_model,
     number_of_blocks,
     uncertainty_of,
+    unconverged_sentence,
 )
 from seatrial.ident.model import Model
 from seatrial.ident.parallel import Workers, run_many
@@ -408,7 +409,11 @@ def _result(
         command=made.command,
         logs=made.logs,
         answer="",
-        warnings=(*_warnings(models), *_warnings_of_effects(compared, letters, by_record[0])),
+        warnings=(
+            *_unconverged_warnings(compared, models),
+            *_warnings(models),
+            *_warnings_of_effects(compared, letters, by_record[0]),
+        ),
         notes=(*notes, *_notes_on_logs(models), *([chance] if verdicts else [])),
         horizons=horizons,
         models=tuple(models),
@@ -416,6 +421,14 @@ def _result(
         traces=tuple(_traces(compared, records, by_record, letters)),
     )
     return msgspec.structs.replace(result, answer=comparison_answer(result))
+
+
+def _unconverged_warnings(compared: Sequence[_Candidate], models: Sequence[ComparedModel]) -> Iterator[ResultWarning]:
+    """Yield a warning for each compared model whose fit did not converge. ``models`` are their rows, in this order."""
+    for c, m in zip(compared, models, strict=True):
+        if not c.saved.converged:
+            subject = f"the fit of {_subject(m, models)}" if len(models) > 1 else "the fit of the model"
+            yield ResultWarning(code="model-not-converged", text=f"{unconverged_sentence(subject)}.")
 
 
 def _warnings(models: Sequence[ComparedModel]) -> Iterator[ResultWarning]:

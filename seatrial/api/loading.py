@@ -702,11 +702,16 @@ def _export_file(out: Path, name: str) -> Path:
 def _structure(model: PathLike | Saved | FittedResult) -> tuple[Model, Mapping[str, tuple[float, float]]]:
     """Return a model with its estimates as the values of the parameters, and the ranges of its data by signal.
 
-    `model` is a file, a folder, a loaded or a fitted model. SeatrialError is raised if there is no model.toml.
+    `model` is a file, a folder, a loaded or a fitted model. SeatrialError is raised if there is no model.toml. A fit
+    that did not converge gives a `SeatrialWarning`.
     """
+    from seatrial.ident.estimation import warn_if_unconverged
+
     if isinstance(model, FittedResult):
         from seatrial.ident.workflows.output import validity
 
+        warn_if_unconverged(model.fitted.fit.converged)
         return model.fitted.fit.model, validity(model.fitted)
     saved = (model if isinstance(model, Saved) else load(model)).saved_model()
+    warn_if_unconverged(saved.converged)
     return saved.model, saved.validity

@@ -105,6 +105,24 @@ def errors(t: np.ndarray, e: np.ndarray) -> PredictionErrors:
     return PredictionErrors(t, e, np.cos(t))
 
 
+def test_a_model_that_did_not_converge_is_named_before_it_is_used(
+    models: list[Path], logs: list[Path], compared: ComparisonResult, tmp_path: Path
+) -> None:
+    assert "model-not-converged" not in {w.code for w in compared.warnings}
+    failed = tmp_path / "model.toml"
+    text = models[0].read_text(encoding="utf-8")
+    failed.write_text(text.replace("name =", "converged = false\nname =", 1), encoding="utf-8")
+    result = compare_models(CompareRequest([models[0], failed], logs[2:], (2.0,), names=("good", "failed")), "", Kept())
+    (warning,) = [w for w in result.warnings if w.code == "model-not-converged"]
+    assert warning.text.startswith("the fit of (b) did not converge, so its estimates")
+    assert "the fit of (b) did not converge" in " ".join(text_of(result).split())
+    t = np.arange(0.0, 2.0, 0.1)
+    inputs = {"n_left": 0.3 + 0 * t, "n_right": 0.3 + 0 * t}
+    with pytest.warns(SeatrialWarning, match="the fit of this model did not converge"):
+        st.simulate(failed, t, inputs)
+    st.simulate(models[0], t, inputs)  # pytest turns a warning into an error
+
+
 def test_a_comparison_says_what_differs_between_the_models(compared: ComparisonResult, models: list[Path]) -> None:
     reference, same = compared.models
     assert (reference.differences, same.differences) == (None, ())
