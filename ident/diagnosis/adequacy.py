@@ -167,7 +167,7 @@ def _strong_remaining_test_reasons(strong: Sequence[Score], n: int) -> list[str]
     best = max(strong, key=lambda s: s.criterion(n))
     return [
         f"with this effect the score tests still find {_finding_in_words(best)} "
-        f"(a gain of {best.criterion(n):.0f} in 2 ln L)"
+        f"(its expected ΔBIC is {best.criterion(n):.0f})"
     ]
 
 
@@ -198,12 +198,14 @@ def _alternatives_still_found(effect: Effect, remaining: Sequence[Score], n_adde
 def _remaining_alternative_reasons(alternatives: Sequence[str]) -> list[str]:
     """Return the reason for ambiguity that a declared alternative still passes its score test; [] without such a one.
 
-    ``alternatives`` are the names of these alternatives (`_alternatives_still_found`). The reason names the first.
+    ``alternatives`` are the names of these alternatives (`_alternatives_still_found`). The reason names all of them.
     """
     if not alternatives:
         return []
-    found = _titled(alternatives[0])
-    return [f"with this effect the score test of {found}, one of its alternatives, is still significant"]
+    found = " and of ".join(map(_titled, alternatives))
+    if len(alternatives) == 1:
+        return [f"with this effect the score test of {found}, one of its alternatives, is still significant"]
+    return [f"with this effect the score tests of {found}, its alternatives, are still significant"]
 
 
 def _titled(name: str) -> str:
@@ -411,7 +413,7 @@ def _competing_model_reasons(search_round: Round, policy: SearchPolicy) -> list[
 def _comparison_in_words(competitor: Refit, behind: float, policy: SearchPolicy) -> str:
     """Return a clause for reports that compares a competing model with the chosen effect.
 
-    ``behind`` is the criterion of the chosen effect less that of the competitor (gain in 2 ln L). If it is negative,
+    ``behind`` is the criterion (ΔBIC) of the chosen effect less that of the competitor. If it is negative,
     the competitor explains the estimation data better, but not the validation data (or not significantly better, if
     they support it too: `is_validated`), and the clause states both. Otherwise the clause states how much less it
     explains.
@@ -419,9 +421,9 @@ def _comparison_in_words(competitor: Refit, behind: float, policy: SearchPolicy)
     title = competitor.effect.title
     if behind < 0:
         better = "significantly better" if is_validated(competitor, policy) else "better"
-        gain = f"by {-behind:.0f} in 2 ln L"
+        gain = f"its ΔBIC is {-behind:.0f} better"
         return f"{title} explains the estimation data better ({gain}), but not the validation data {better}"
-    return f"{title} explains nearly as much ({behind:.0f} less in 2 ln L)"
+    return f"{title} explains nearly as much (its ΔBIC is {behind:.0f} worse)"
 
 
 def _untested_alternative_reasons(effect: Effect, untested: Collection[str]) -> list[str]:

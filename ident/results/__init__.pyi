@@ -76,6 +76,7 @@ from .comparison import ModelDifference as ModelDifference
 from .comparison import PredictionKind as PredictionKind
 from .diagnosis import GivenModel as GivenModel
 from .diagnosis import diagnosis_result as diagnosis_result
+from .diagnosis import with_model_of_design as with_model_of_design
 from .parts import CalibrationRow as CalibrationRow
 from .parts import Calibrations as Calibrations
 from .parts import CalibrationTable as CalibrationTable

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from math import isfinite
@@ -71,17 +72,18 @@ CHANCE_P = 1e-6  # larger p values of the best score test may occur by chance in
 
 
 class GivenModel(NamedTuple):
-    """Model that was given to a diagnosis.
+    """Model that was given to a diagnosis, and the file of the model that the diagnosis writes.
 
     Attributes
     ----------
-    path
-        File of the model.
+    diagnosed
+        File of the diagnosed model. It has the sizes of all effects that were fitted, which the model that was given
+        lacks.
     converged
-        Whether its fit converged.
+        Whether the fit of the model that was given converged.
     """
 
-    path: str
+    diagnosed: str
     converged: bool = True
 
 
@@ -114,7 +116,8 @@ def diagnosis_result(
     notes : sequence of str
         Sentences that precede the other notes of the result.
     given : GivenModel
-        Model that was given to the diagnosis. Its path replaces MODEL in the command of the recommended experiment.
+        Model that was given to the diagnosis. The file of the diagnosed model replaces MODEL in the command of the
+        recommended experiment, which takes the sizes of the effects from it.
     unused : sequence of UnusedSignal
         Signals of the logs that the model does not use.
     dynamics : Dynamics, optional
@@ -207,9 +210,18 @@ def diagnosis_result(
             for s in diagnosis.curves
         ),
         parameters_before_after=_parameter_change_rows(diagnosis),
-        recommended_experiment=None if recommended is None else recommended.replace("MODEL", given.path),
+        recommended_experiment=None if recommended is None else with_model_of_design(recommended, given.diagnosed),
         no_experiment=reason_without_experiment(diagnosis) if recommended is None else "",
     )
+
+
+def with_model_of_design(text: str, path: str, old: str = "MODEL") -> str:
+    """Return a recommended experiment with the file of the model, ``path``, in place of ``old`` in its commands.
+
+    Both are the names of files, which are quoted as a shell needs it.
+    """
+    command = "`seatrial mission design {} --discriminate "
+    return text.replace(command.format(shlex.quote(old)), command.format(shlex.quote(path)))
 
 
 def diagnosis_answer(
@@ -809,8 +821,8 @@ def alternative_notes(rounds: Sequence[parts.RoundRow], effects: Sequence[parts.
             if rivals:
                 best = max(rivals, key=lambda r: r.criterion)
                 found.append(
-                    f"In place of {effect.title}, the search also fitted {best.title} ('{best.name}'): it explains "
-                    f"{own - best.criterion:.0f} less in 2 ln L of the estimation data."
+                    f"In place of {effect.title}, the search also fitted {best.title} ('{best.name}'): its "
+                    f"ΔBIC on the estimation data is {own - best.criterion:.0f} worse."
                 )
     return found
 

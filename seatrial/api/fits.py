@@ -636,10 +636,16 @@ class FittedDiagnosis(DiagnosisFindings, MotionMethods, FittedResult):
         folder : path
             Folder for the files, which is returned. Existing files of these names are replaced.
         """
+        from msgspec import structs
+
+        from seatrial.ident.results import with_model_of_design
         from seatrial.ident.workflows.diagnose import DiagnosedModel, write_diagnosed_model
 
-        out = output_folder(folder)
-        write_diagnosed_model(DiagnosedModel(self.found, self.result, self.effects_file), out)
+        out, result = output_folder(folder), self.result
+        if advice := result.recommended_experiment:  # its command needs the model.toml of this folder
+            advice = with_model_of_design(advice, str(out / "model.toml"), "model.toml")
+            result = structs.replace(result, recommended_experiment=advice)
+        write_diagnosed_model(DiagnosedModel(self.found, result, self.effects_file), out)
         return out
 
 
@@ -785,8 +791,6 @@ def diagnose(
     >>> found.effects
     {'mismatch': 'identified'}
     """
-    from msgspec import structs
-
     from seatrial.ident.estimation import EstimationOptions
     from seatrial.ident.workflows.diagnose import DiagnosisRequest, diagnose_model
 
@@ -807,12 +811,8 @@ def diagnose(
         )
         command = python_call(diagnose, {"model": model, "logs": logs, "validate": validate, **options})
         done: DiagnosedModel = diagnose_model(request, command, messages)
-        result, advice = done.result, done.result.recommended_experiment
-        if isinstance(model, FittedResult) and advice:
-            # The file of a fitted model was temporary. The user saves the model to run the command.
-            result = structs.replace(result, recommended_experiment=advice.replace(str(path), "model.toml"))
-    warn_of_result(result, messages)
-    return FittedDiagnosis(result, done.found.after, done.found, done.effects_file)
+    warn_of_result(done.result, messages)
+    return FittedDiagnosis(done.result, done.found.after, done.found, done.effects_file)
 
 
 def refuse_log(model: object) -> None:

@@ -111,7 +111,7 @@ def _channel_dumbbell(name: str, row: ErrorComparison, ratio: float, scale: floa
 
 
 def _criterion_in_words(criterion: float) -> str:
-    """Return by how much the criterion (Delta BIC) of a competing model is worse, as text: ``12 worse``.
+    """Return by how much the criterion (ΔBIC) of a competing model is worse, as text: ``12 worse``.
 
     ``criterion`` is that of the added effect minus that of the competing model. If it is negative, the text is ``12
     better, but worse on the validation data``.
@@ -145,7 +145,7 @@ def effect_card(effect: EffectRow, horizon: float) -> EffectCard:
         ("Look for", effect.causes),
         ("Source", effect.source),
         ("Shown by", effect.experiment),
-        ("Competing models, Δ BIC", ", ".join(alternatives)),
+        ("Fitted in its place, ΔBIC", ", ".join(alternatives)),
         ("Attribution", attribution_words(effect)),
     )
     return EffectCard(
@@ -198,7 +198,9 @@ def attribution_words(effect: EffectRow) -> str:
         )
     if effect.attribution == "ambiguous":
         alternatives = [between_runs_title(formatting.titled(name)) for name in effect.not_excluded]
-        reasons = [*effect.reasons, *([f"not excluded: {', '.join(alternatives)}"] if alternatives else [])]
+        # An effect with a far worse ΔBIC in this place may still be there beside this effect, by its score test.
+        rule = "not excluded, by ΔBIC or by the tests with this effect in the model"
+        reasons = [*effect.reasons, *([f"{rule}: {', '.join(alternatives)}"] if alternatives else [])]
         return "ambiguous; " + "; ".join(reasons) + odds
     return {
         "identified": "identified: the effect keeps its size beside the candidates that remain, and no competing model "

@@ -56,7 +56,9 @@ def section(canvas: Canvas, result: DiagnosisResult) -> Section:
     blocks += _detectable_blocks(result.detectable)
     lead = (
         "Each round tests all candidates (effects that the model may lack) on the residuals by score tests, and refits "
-        "the model with the best of them. The validation data decide whether an effect is added."
+        "the model with the best of them. Their ΔBIC is the gain 2 Δln L less df ln n. The validation data decide "
+        "whether an effect is added: their likelihood has to rise with t above 2, or with t above 1 if t over "
+        "estimation and validation data together is above 3."
     )
     return Section("search", "Search for missing effects", blocks, lead if found else "")
 
@@ -193,7 +195,7 @@ def _refits_table(row: RoundRow, chosen: str | None) -> list[Any]:
         ("effect parameters", ""),
         ("gain 2 Δln L", "num"),
         ("df", "num"),
-        ("criterion", "num"),
+        ("ΔBIC", "num"),
         ("Δln L on validation data", "num"),
         ("t", "num"),
         ("outcome", ""),

@@ -104,7 +104,7 @@ def test_remaining_score_makes_an_effect_ambiguous_above_a_threshold(worth: floa
     assert found.attribution == attribution
     if found.reasons:
         assert found.reasons == (
-            "with this effect the score tests still find that N depends on u and r (a gain of 21 in 2 ln L)",
+            "with this effect the score tests still find that N depends on u and r (its expected ΔBIC is 21)",
         )
 
 
@@ -125,6 +125,17 @@ def test_effect_that_keeps_its_size_stays_identified_despite_remaining_scores() 
         "with this effect the score test of a constant or speed-dependent yaw moment ('yaw-bias'), one of its "
         "alternatives, is still significant",
     )
+
+
+def test_every_alternative_that_is_not_excluded_has_its_reason() -> None:
+    """An alternative with a far worse ΔBIC in place of the effect is not excluded if its score test still passes."""
+    sag = refit("derating", 700.0, alternatives=("battery-sag", "fouling"))
+    rounds = (one_round(sag, refit("battery-sag", 80.0), refit("fouling", 20.0)), one_round(refit("wind", 140.0)))
+    found, _ = attributions_of(*rounds, left=(score("fouling", 9.0), score("battery-sag", 8.0)))
+    assert found.not_excluded == ("battery-sag", "fouling")
+    (reason,) = [r for r in found.reasons if "its alternatives, are still significant" in r]
+    assert "('fouling') and of" in reason
+    assert "('battery-sag')" in reason
 
 
 def test_effect_that_keeps_its_size_stays_identified_despite_a_small_curve() -> None:
@@ -172,13 +183,13 @@ def test_competing_models_with_a_close_criterion_are_listed() -> None:
     )
     assert found.attribution == "ambiguous"
     assert found.not_excluded == ("filter-lag", "lag")
-    assert found.reasons == ("filter lag explains nearly as much (5 less in 2 ln L)",)
+    assert found.reasons == ("filter lag explains nearly as much (its ΔBIC is 5 worse)",)
 
 
 def test_competing_model_that_fits_better_but_fails_validation_is_reported() -> None:
     for t, better in ((1.0, "better"), (5.0, "significantly better")):
         (found,) = attributions_of(one_round(refit("pendulum", 400.0), refit("compass", 439.0, t=t)))
-        gain = "compass explains the estimation data better (by 39 in 2 ln L)"
+        gain = "compass explains the estimation data better (its ΔBIC is 39 better)"
         assert found.reasons == (f"{gain}, but not the validation data {better}",)
 
 
@@ -407,7 +418,8 @@ def test_caveat_is_shown_below_the_answer(tmp_path: Path) -> None:
     write_report(loaded(result), tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert page.count("The name is uncertain: a lag explains nearly as much.") == 1
-    assert "ambiguous; a lag explains nearly as much; not excluded: lag" in page
+    rule = "not excluded, by ΔBIC or by the tests with this effect in the model"
+    assert f"ambiguous; a lag explains nearly as much; {rule}: lag"
     console = Console(width=80, record=True, file=StringIO())
     print_result(loaded(result), console)
     assert "The name is uncertain: a lag explains nearly as much." in console.export_text()
