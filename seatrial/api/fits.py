@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.api import plots, tables
-from seatrial.api.arguments import as_path, check_values, output_folder, shortened
+from seatrial.api.arguments import as_path, check_switches, check_values, output_folder, shortened
 from seatrial.api.calls import python_call
 from seatrial.api.figures import Figure
 from seatrial.api.findings import DiagnosisFindings
@@ -90,7 +90,8 @@ class FitOptions(TypedDict, total=False):
     priors : dict of str to (mean, standard deviation)
         Priors of parameters by name.
     effects : sequence of str
-        Names of effects of the catalogue to add to the model with free parameters.
+        Names of effects of the catalogue to add to the model with free parameters. As for all lists of names, one name
+        may be given as text.
     per_log : sequence of str
         Names of parameters of these effects that have a value of their own in each log, such as ``["F_wx", "F_wy"]``
         of a wind that differs between the days of the logs.
@@ -720,12 +721,17 @@ def vehicle_request(
 
     given = known_options(options, FitOptions)
     _check_parameters(given)
+    if not isinstance(model, str | Path):
+        raise SeatrialError(
+            f"model: {shortened(model)} is no name of a model; give a name, such as 'horizontal:command', the path of "
+            "a model.toml, or FILE.py:NAME of your own"
+        )
     progress = given.pop("progress", False)
     estimation = {n: given.pop(n) for n in ("outlier_model", "reml", "mean_order", "horizon") if n in given}
     if "thruster" in given:
         given["thruster"] = model_file(as_path(given["thruster"], "thruster"))
     how = replace(EstimationOptions(reml=True, mean_order=2), **estimation)
-    return VehicleRequest(logs, validation, Path(), how, model, window=window, **given), progress
+    return VehicleRequest(logs, validation, Path(), how, str(model), window=window, **given), progress
 
 
 def _check_parameters(given: Mapping[str, Any]) -> None:
@@ -747,6 +753,8 @@ def _check_parameters(given: Mapping[str, Any]) -> None:
                 raise SeatrialError(f"priors: {name}: {text}")
             if not all(isinstance(x, Real) for x in (value if option == "priors" else [value])):
                 raise SeatrialError(f"{option}: {name}: {value!r} is no number; give a dict, such as {example}")
+            if not all(map(math.isfinite, value if option == "priors" else [value])):
+                raise SeatrialError(f"{option}: {name}: {shortened(value)} is not finite; give finite numbers")
             if option == "priors" and not 0.0 < value[1] < math.inf:
                 known = f"fixed={{{name!r}: {value[0]:g}}}"
                 raise SeatrialError(
@@ -928,6 +936,7 @@ def known_options(given: Mapping[str, Any], options: type) -> dict[str, Any]:
             hint = f"did you mean {similar!r}? The options are" if similar else "the options are"
             raise SeatrialError(f"there is no option {name!r}; {hint} {', '.join(known)}")
     check_values(given)
+    check_switches(given, options)
     return {n: [v] if n in LISTS and isinstance(v, str) else v for n, v in given.items()}
 
 
