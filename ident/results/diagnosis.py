@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Sequence
 from dataclasses import replace
-from math import isfinite
+from math import degrees, isfinite
 from typing import NamedTuple, cast
 
 import msgspec
@@ -492,8 +492,9 @@ def _is_size_undetermined(effect: Effect, diagnosis: Diagnosis) -> bool:
 def in_words(effect: Effect, fitted: FittedModel) -> str:
     """Return the estimates of an effect as a clause for reports, by the effect's own function ``Effect.in_words``.
 
-    The text is empty if the effect has no such function. It gets the estimates of all parameters of the model, in
-    their units. Of a per-record parameter, the estimate of the first record is used.
+    The function gets the estimates of all parameters of the model, in their units. Of a per-record parameter, the
+    estimate of the first record is used. Parameters of the effect at their bounds are named, because their values are
+    no estimates. The text is empty if the effect has no such function and no parameter at its bound.
 
     Parameters
     ----------
@@ -502,9 +503,22 @@ def in_words(effect: Effect, fitted: FittedModel) -> str:
     fitted : FittedModel
         Fitted model, whose estimates are used.
     """
-    if effect.in_words is None:
-        return ""
-    return effect.in_words({p.name: fitted.fit.estimate(p.name) for p in fitted.fit.model.parameters})
+    words = ""
+    if effect.in_words is not None:
+        words = effect.in_words({p.name: fitted.fit.estimate(p.name) for p in fitted.fit.model.parameters})
+    if not (effect.parameters and fitted.fit.flags):
+        return words
+    stuck = [_named_value(p) for p in effect_parameter_rows(effect, fitted) if p.at_bound]
+    if not stuck:
+        return words
+    limit = "is at the limit of this parameter" if len(stuck) == 1 else "are at the limits of these parameters"
+    return "; ".join(filter(None, [words, f"{' and '.join(stuck)} {limit}, and so no estimate"]))
+
+
+def _named_value(p: parts.EffectParameter) -> str:
+    """Return name, value and unit of a parameter for a sentence, an angle in degrees: ``k_heat = 0.9``."""
+    value, unit = (degrees(p.value), "deg") if p.unit == "rad" else (p.value, p.unit)
+    return f"{p.name} = {value:.3g} {unit}".rstrip()
 
 
 def _resemblance_clause(titles: Sequence[str]) -> str:
@@ -922,5 +936,12 @@ def _notes(diagnosis: Diagnosis, given: GivenModel) -> list[str]:
         notes += assumed_noise_notes(diagnosis.after.fit.model)
     else:
         notes.append(f"No effect was added. {_model_for_use(diagnosis, given)}")
-    notes += [f"Parameter {name}: {flag}" for name, flag in diagnosis.after.fit.flags]
-    return notes
+    return notes + _flag_notes(diagnosis.after.fit.flags)
+
+
+def _flag_notes(flags: Sequence[tuple[str, str]]) -> list[str]:
+    """Return one note for each flag of parameters (`Fit.flags`), with the names of all parameters that have it."""
+    named: dict[str, list[str]] = {}
+    for name, flag in flags:
+        named.setdefault(flag, []).append(name)
+    return [f"Parameter{'s' * (len(names) > 1)} {', '.join(names)}: {flag}" for flag, names in named.items()]

@@ -258,6 +258,9 @@ class EffectParameter(Part, frozen=True, kw_only=True):
         float | None,
         Meta(description="standard error; null: the parameter is fixed, at a bound or not informed by the data"),
     ]
+    at_bound: Annotated[
+        bool, Meta(description="whether the value is a bound of the parameter, and so no estimate of its size")
+    ] = False
 
 
 class ParameterRow(Part, frozen=True, kw_only=True):

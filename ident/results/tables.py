@@ -700,17 +700,24 @@ def effect_parameter_rows(effect: Effect, fitted: FittedModel) -> tuple[EffectPa
         Fitted model, whose estimates are reported: as ratios to the thrust if the thrust was not given.
     """
     reported, rows = ReportedEstimates(fitted.fit), []
+    stuck = {name for name, flag in fitted.fit.flags if flag == AT_BOUND}
     for p in effect.parameters:
         runs = fitted.fit.records if p.per_record else ("",)
-        found = [(f", in {run}" if len(runs) > 1 else "", *reported.estimate(p, i)) for i, run in enumerate(runs)]
+        own = [replace(p, segment=i).full_name if p.per_record else p.full_name for i in range(len(runs))]
+        found = [
+            (f", in {run}" if len(runs) > 1 else "", *reported.estimate(p, i), own[i] in stuck)
+            for i, run in enumerate(runs)
+        ]
         if effect.kind is EffectKind.BETWEEN_RUNS and p.per_record:
             k = reported.factor(p.unit)
             differences = run_differences(fitted.fit, p.name)
-            found = [(f", {d.record} against {runs[0]}", k * d.value, k * d.error) for d in differences]
+            found = [(f", {d.record} against {runs[0]}", k * d.value, k * d.error, False) for d in differences]
         name, unit = reported.scale.name(p.name, p.unit), reported.scale.unit(p.unit)
         rows += [
-            EffectParameter(name=name, meaning=p.meaning + where, unit=unit, value=value, se=finite(error))
-            for where, value, error in found
+            EffectParameter(
+                name=name, meaning=p.meaning + where, unit=unit, value=value, se=finite(error), at_bound=at_bound
+            )
+            for where, value, error, at_bound in found
         ]
     return tuple(rows)
 

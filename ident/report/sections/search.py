@@ -211,11 +211,7 @@ def _refit_cells(row: RefitRow, chosen: str | None) -> list[Cell | str]:
     statistic. ``chosen`` is the name of the effect that was added in the round and not removed again, None if there is
     none. A refit with the outcome "added" and another name is shown as removed again.
     """
-    parameters = []
-    for p in row.parameters:
-        factor, unit = formatting.degrees_for(p.unit)
-        value, se = formatting.scaled(factor, p.value, p.se)
-        parameters.append(f"{p.name} = {formatting.with_error(value, se, unit)}")
+    parameters = [f"{p.name} = {formatting.estimate_of_effect(p)}" for p in row.parameters]
     more = [f"and {len(parameters) - 3} more"] if len(parameters) > 3 else []
     won = bool(chosen) and row.name == chosen
     title = row.title or row.name

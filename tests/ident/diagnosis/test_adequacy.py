@@ -26,6 +26,8 @@ from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.numerics import Array
 from seatrial.ident.report.page import write_report
 from seatrial.ident.report.terminal import print_result
+from seatrial.ident.results.diagnosis import in_words
+from seatrial.ident.results.tables import effect_parameter_rows
 from seatrial.ident.validation.prediction_errors import PredictionChange
 from tests.ident.pages import loaded
 from tests.ident.report_example import diagnosis
@@ -419,7 +421,7 @@ def test_caveat_is_shown_below_the_answer(tmp_path: Path) -> None:
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert page.count("The name is uncertain: a lag explains nearly as much.") == 1
     rule = "not excluded, by ΔBIC or by the tests with this effect in the model"
-    assert f"ambiguous; a lag explains nearly as much; {rule}: lag"
+    assert f"ambiguous; a lag explains nearly as much; {rule}: lag" in page
     console = Console(width=80, record=True, file=StringIO())
     print_result(loaded(result), console)
     assert "The name is uncertain: a lag explains nearly as much." in console.export_text()
@@ -446,6 +448,23 @@ def test_effect_whose_parameters_are_at_bounds_or_undetermined_is_ambiguous(
     (found,) = attributions_of(one_round(refit("hump", 800.0, fit=fit, parameters=HUMP)))
     assert found.attribution == ("ambiguous" if reason else "identified")
     assert found.reasons == ((reason,) if reason else ())
+
+
+def test_parameter_at_its_bound_is_no_finding_in_words() -> None:
+    """A share of 0.9 that is the bound of the search is told as a limit, not as an estimate."""
+    effect = catalogue()["derating"]
+    model = SimpleNamespace(parameters=effect.parameters, values={}, inputs=())
+    fit = a_fit(("k_heat", "tau_heat"), [0.9, 16.5], np.diag([np.nan, 1.4**2]), model)
+    fit.parameters, fit.records = effect.parameters, ("run1",)
+    told = in_words(effect, SimpleNamespace(fit=fit))  # type: ignore[arg-type]
+    assert told.endswith("it comes back in the same time")
+    fit.flags = (("k_heat", AT_BOUND),)
+    told = in_words(effect, SimpleNamespace(fit=fit))  # type: ignore[arg-type]
+    assert told.endswith("; k_heat = 0.9 is at the limit of this parameter, and so no estimate")
+    silent = in_words(replace(effect, in_words=None), SimpleNamespace(fit=fit))  # type: ignore[arg-type]
+    assert silent == "k_heat = 0.9 is at the limit of this parameter, and so no estimate"
+    rows = effect_parameter_rows(effect, SimpleNamespace(fit=fit))  # type: ignore[arg-type]
+    assert [row.at_bound for row in rows] == [True, False]
 
 
 def test_caveat_has_no_newtons_if_the_thrust_is_unknown() -> None:

@@ -267,7 +267,7 @@ def test_headline_says_that_the_size_of_an_effect_is_not_determined(
     error: float, change: PredictionChange, said: bool
 ) -> None:
     walk = Effect("walk", "propeller walk", {}, (Parameter("k", 0.0), Parameter("x_walk", -0.8)))
-    fit = type("Fit", (), {"estimate": lambda _, name: {"k": (0.006, error)}[name]})()
+    fit = type("Fit", (), {"estimate": lambda _, name: {"k": (0.006, error)}[name], "flags": ()})()
     chosen = Refit(walk, blank(fit=fit), 90.0, 1, 82.0, 30.0, 4.0)
     found = Diagnosis(
         blank(), blank(fit=fit, cross_validated=False), (Round((), (), (chosen,), chosen),), (), (),
