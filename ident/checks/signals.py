@@ -469,7 +469,14 @@ def check_smoothing(c: Channels, known_noise: Collection[str] = ()) -> Iterator[
         Signals whose noise the user has given to the fit, as the warning advises. They are not listed.
     """
     smooth = [name for name in smoothed(c) if name not in known_noise]
-    if smooth:
+    if smooth and estimated(c) and not {"x", "y"} & set(known_noise):
+        text = "a filter has smoothed the signal: it lacks the noise of a sensor, and its errors last for seconds"
+        advice = (
+            "the position has so little noise that it is a navigation filter's output too, so a fit estimates these "
+            "errors as states; nothing has to be done"
+        )
+        yield Finding("warning", "channel-smoothed", "noise", ", ".join(smooth), text, advice)
+    elif smooth:
         text = "a filter has smoothed the signal: it lacks the noise of a sensor, and its errors last for seconds"
         advice = (
             "a fit takes at least the noise of a usual sensor; if the data sheet states the "

@@ -25,7 +25,7 @@ from seatrial.ident.estimation import (
     run_differences,
 )
 from seatrial.ident.model import Effect, EffectKind, Model, ModelKind, Parameter, ParameterOrigin, segment_name
-from seatrial.ident.models import force_power
+from seatrial.ident.models import ESTIMATOR_ERROR, SENSORS_WITH_CORRELATED_ERRORS, force_power
 from seatrial.ident.results.parts import (
     CalibrationRow,
     Calibrations,
@@ -201,6 +201,8 @@ def _flag_text(flag: str | None, p: Parameter, value: float, reported: ReportedE
     shown = f"{reported.factor(p.unit) * bound:.3g} {reported.scale.unit(p.unit) if bound else ''}".rstrip()
     begin = f"{AT_BOUND} {shown}, the {'lowest' if at_low else 'highest'} possible value"
     if p.name in reported.fit.model.noises:
+        if at_low and _has_lasting_error(reported.fit.model, p.name):
+            return f"{begin}: the errors of this signal last, and are states of the model. Nothing has to be done"
         why = "the data show less noise than this" if at_low else "the data show more noise than this"
         return f"{begin}: {why}. If the noise of the sensor is known, give it (--fix {p.name}=VALUE)"
     if at_low and bound == 0.0:
@@ -209,6 +211,13 @@ def _flag_text(flag: str | None, p: Parameter, value: float, reported: ReportedE
         f"{begin}: the best estimate is beyond it. Check the logs (`seatrial check`), or fix it if it is known (--fix "
         f"{p.name}=VALUE)"
     )
+
+
+def _has_lasting_error(model: Model, noise: str) -> bool:
+    """Return whether a noise is that of a sensor whose correlated errors are states of the model."""
+    if ESTIMATOR_ERROR not in {e.name for e in model.effects}:
+        return False
+    return any(o.noise == noise for s in model.sensors if s.name in SENSORS_WITH_CORRELATED_ERRORS for o in s.outputs)
 
 
 def _wider_than_prior(p: Parameter, estimate: tuple[float, float], reported: ReportedEstimates) -> str:

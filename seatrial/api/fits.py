@@ -84,11 +84,11 @@ class FitOptions(TypedDict, total=False):
         File or folder with the thrust from a bench test: model.toml of a thruster model, or of a static curve from
         command to thrust. Without it the thrust is estimated or unknown.
     fixed : dict of str to float
-        Values of parameters, by name, that are known and not estimated.
+        Values of parameters, by name, that are known and not estimated, in SI units and radians.
     initial : dict of str to float
-        Initial values of parameters, by name, for the search of the maximum of the likelihood.
+        Initial values of parameters, by name, for the search of the maximum of the likelihood, in SI units and radians.
     priors : dict of str to (mean, standard deviation)
-        Priors of parameters by name.
+        Priors of parameters by name, in SI units and radians.
     effects : sequence of str
         Names of effects of the catalogue to add to the model with free parameters. As for all lists of names, one name
         may be given as text.
