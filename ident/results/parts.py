@@ -146,6 +146,7 @@ WarningCode = Literal[
     "navigated-fitted-log",
     "compared-on-validation-log",
     "compared-in-blocks",
+    "compared-samples-limited",
     "effect-estimated-on-compared-log",
     "command-scale",
     "boat-moves",

@@ -62,7 +62,13 @@ from seatrial.ident.workflows.compared_predictions import (
     predict_record,
     widened,
 )
-from seatrial.ident.workflows.comparison_errors import at_common_samples, calibration_at, channel_rows, ratio_row
+from seatrial.ident.workflows.comparison_errors import (
+    at_common_samples,
+    calibration_at,
+    channel_rows,
+    limited_samples,
+    ratio_row,
+)
 from seatrial.ident.workflows.comparison_likelihood import (
     information_criteria,
     log_score,
@@ -411,6 +417,7 @@ def _result(
         answer="",
         warnings=(
             *_unconverged_warnings(compared, models),
+            *_limited_warnings(predicted, letters),
             *_warnings(models),
             *_warnings_of_effects(compared, letters, by_record[0]),
         ),
@@ -429,6 +436,19 @@ def _unconverged_warnings(compared: Sequence[_Candidate], models: Sequence[Compa
         if not c.saved.converged:
             subject = f"the fit of {_subject(m, models)}" if len(models) > 1 else "the fit of the model"
             yield ResultWarning(code="model-not-converged", text=f"{unconverged_sentence(subject)}.")
+
+
+def _limited_warnings(
+    predicted: Sequence[Mapping[str, PredictedRecord]], letters: Sequence[str]
+) -> Iterator[ResultWarning]:
+    """Yield a warning if a model predicts so few samples that the comparison leaves out many of the others."""
+    one_step = [{record: part.errors[ONE_STEP] for record, part in by.items()} for by in predicted]
+    if len(predicted) > 1 and (limited := limited_samples(one_step, letters)):
+        yield ResultWarning(
+            code="compared-samples-limited",
+            text="Only samples that all models predict are compared, so that another model changes the numbers of the "
+            f"others. One step ahead they are limited: {'; '.join(limited)}.",
+        )
 
 
 def _warnings(models: Sequence[ComparedModel]) -> Iterator[ResultWarning]:

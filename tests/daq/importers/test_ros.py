@@ -423,6 +423,20 @@ def test_a_bag_without_metadata_or_with_a_truncated_file_is_read(bag: Path) -> N
         assert "is cut off" in tables["/imu/data"].remark
 
 
+def test_a_bag_with_metadata_and_a_truncated_file_is_recovered_too(bag: Path) -> None:
+    (part,) = [file for file in bag.iterdir() if file.suffix in (".mcap", ".db3")]
+    if part.suffix == ".mcap":
+        part.write_bytes(part.read_bytes()[:-40])
+        tables = {table.topic: table for table in read_bag(bag, SourceOptions())}
+        assert len(tables["/imu/data"]) == N
+        assert f"{part.name} is cut off: " in tables["/imu/data"].remark
+        assert "without metadata.yaml" not in tables["/imu/data"].remark
+        return
+    part.write_bytes(part.read_bytes()[:3000])
+    with pytest.raises(SeatrialError, match=r"cannot be read as a ROS bag: .*[^.]; check that the bag is complete"):
+        read_bag(bag, SourceOptions())
+
+
 def test_a_bag_that_was_not_closed_names_the_remedy(tmp_path: Path) -> None:
     path = tmp_path / "run.bag.active"
     path.write_bytes(b"#ROSBAG V2.0\n")

@@ -42,6 +42,7 @@ from seatrial.ident.results.result_file import read_result
 from seatrial.ident.validation.prediction_errors import PredictionErrors
 from seatrial.ident.workflows.compare import (
     CompareRequest,
+    _limited_warnings,
     block_of_comparison,
     compare_models,
     comparison_answer,
@@ -49,7 +50,7 @@ from seatrial.ident.workflows.compare import (
     records_of_same_time,
 )
 from seatrial.ident.workflows.compared_predictions import ONE_STEP, SIMULATION, PredictedRecord
-from seatrial.ident.workflows.comparison_errors import at_common_samples, calibration_at, channel_rows
+from seatrial.ident.workflows.comparison_errors import at_common_samples, calibration_at, channel_rows, limited_samples
 from seatrial.ident.workflows.comparison_likelihood import (
     _is_nested,
     _n_estimates,
@@ -376,6 +377,21 @@ def test_errors_are_compared_at_the_samples_that_all_models_predict() -> None:
     np.testing.assert_array_equal(b["run"]["r"].e, 2.0 + t[4:])
     assert a["run"]["x"].t.size == 10  # only the first model predicts x at all
     assert "r" not in a["other"]
+
+
+def test_model_that_limits_the_common_samples_is_named() -> None:
+    """A third model that predicts few samples changes the numbers of the first two."""
+    t = np.arange(100.0)
+    whole = {"run": {"r": errors(t, t), "x": errors(t, t)}}
+    few = {"run": {"r": errors(t[::12], t[::12])}}
+    assert limited_samples([whole, whole], "ab") == []
+    assert limited_samples([whole, whole, few], "abc") == ["r 9 of 100 samples, by (c)"]
+    assert limited_samples([few, whole], "ab") == ["r 9 of 100 samples, by (a)"]
+    nearly = {"run": {"r": errors(t[5:], t[5:])}}
+    assert limited_samples([whole, nearly], "ab") == []
+    parts = [{"run": PredictedRecord(t, {}, t, {ONE_STEP: own["run"]}, {})} for own in (whole, whole, few)]
+    (warning,) = _limited_warnings(parts, labels(3))
+    assert warning.text.endswith("One step ahead they are limited: r 9 of 100 samples, by (c).")
 
 
 def test_rows_name_the_best_model_and_those_not_distinguishable_from_it() -> None:
