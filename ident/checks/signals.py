@@ -126,7 +126,8 @@ def check_ranges(c: Channels) -> Iterator[Finding]:
             # microseconds of a servo output, 0 without a pulse
             pulses = float(np.median(value)) > 700.0 and value.min() >= 0.0 and float(value.max()) < 2600.0
             unit = "a pulse width in us" if pulses else "percent" if top <= 110.0 else "rev/min, or a wrong offset"
-            fix = "scale = 0.0025, offset = -3.75" if pulses else f"scale = {0.01 if top <= 110.0 else 1.0 / top:.3g}"
+            fix = "scale = 0.0025, offset = -3.75" if pulses else f"scale = {1.0 / top:.3g}"
+            fix = 'unit = "%"' if unit == "percent" else fix
             guess = (
                 ""
                 if pulses or top <= 110.0
