@@ -166,8 +166,8 @@ def _strong_remaining_test_reasons(strong: Sequence[Score], n: int) -> list[str]
         return []
     best = max(strong, key=lambda s: s.criterion(n))
     return [
-        f"with this effect the score tests still find {_finding_in_words(best)} "
-        f"(its expected ΔBIC is {best.criterion(n):.0f})"
+        f"with this effect the score tests still find {_finding_in_words(best)}, with an expected ΔBIC of "
+        f"{best.criterion(n):.0f}"
     ]
 
 
@@ -336,13 +336,13 @@ def _distance_from_zero(fit: Fit, sizes: Sequence[int]) -> float:
 def _finding_in_words(score: Score) -> str:
     """Return what a score test finds, as a text for reports.
 
-    For a parametric effect, the text is its name. For a fitted function of one or two variables, it is "that X depends
-    on u" or "that X depends on u and v". It is "that X follows u" for a force with a first-order lag, and "that X
-    oscillates after u" for a force with a second-order response.
+    For a parametric effect, the text is its title with its name in brackets. For a fitted function of one or two
+    variables, it is "that X depends on u" or "that X depends on u and v". It is "that X follows u" for a force with a
+    first-order lag, and "that X oscillates after u" for a force with a second-order response.
     """
     curve = score.curve
     if curve is None:
-        return score.name
+        return _titled(score.name) if score.name in catalogue() else score.name
     if score.kind is EffectKind.LAGGED:
         return f"that {curve.force} follows {curve.variable}"
     if score.kind is EffectKind.RESONANT:

@@ -283,7 +283,8 @@ def duration(seconds: float | None) -> str:
 def estimate_of_effect(row: EffectParameter) -> str:
     """Return the estimate of a parameter of an effect with its standard error; a value at its bound is marked."""
     factor, unit = degrees_for(row.unit)
-    text = with_error(*scaled(factor, row.value, row.se), unit)
+    value, se = scaled(factor, row.value, row.se)
+    text = with_error(value, se, unit)
     return f"{text} (at its limit)" if row.at_bound else text
 
 

@@ -810,11 +810,14 @@ def _blocks_note(evaluation: DiagnosisEvaluation) -> list[str]:
 
 
 def _remaining_names(diagnosis: Diagnosis) -> str:
-    """Return the names of the best four candidates that still pass the score test, separated by commas.
+    """Return the titles of the best four candidates that still pass the score test, separated by commas.
 
     They are fewer if fewer pass; the text is empty if none passes.
     """
-    return ", ".join(between_runs_title(s.name) for s in diagnosis.remaining[:4])
+    known = catalogue()
+    return ", ".join(
+        known[s.name].title if s.name in known else between_runs_title(s.name) for s in diagnosis.remaining[:4]
+    )
 
 
 def alternative_notes(rounds: Sequence[parts.RoundRow], effects: Sequence[parts.EffectRow]) -> list[str]:

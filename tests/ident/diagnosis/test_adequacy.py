@@ -106,7 +106,7 @@ def test_remaining_score_makes_an_effect_ambiguous_above_a_threshold(worth: floa
     assert found.attribution == attribution
     if found.reasons:
         assert found.reasons == (
-            "with this effect the score tests still find that N depends on u and r (its expected ΔBIC is 21)",
+            "with this effect the score tests still find that N depends on u and r, with an expected ΔBIC of 21",
         )
 
 
@@ -389,14 +389,16 @@ def test_small_alternative_of_a_strong_effect_is_ambiguous_as_a_correction_of_it
         ("psi(n_diff)", "that the error of psi depends on n_diff"),
         ("F(t)", "that F depends on t"),
         ("n_dot(slip)", "that n_dot depends on slip"),
-        ("lag", "lag"),
+        ("lag", "a first-order thrust lag behind the shaft ('lag')"),
     ],
 )
 def test_remaining_score_is_described_in_words(name: str, description: str) -> None:
     (found,) = attributions_of(
         one_round(refit("lever-arm", 500.0)), left=(score(name, DEFAULT_POLICY.max_remaining_criterion + 1),)
     )
-    assert found.reasons[0].startswith(f"with this effect the score tests still find {description} (")
+    assert found.reasons[0].startswith(
+        f"with this effect the score tests still find {description}, with an expected ΔBIC of "
+    )
 
 
 def test_two_effects_without_remaining_scores_are_both_identified() -> None:
