@@ -29,6 +29,7 @@ from seatrial.ident.report.sections.comparison import (
 from seatrial.ident.report.sections.parameters import interval, segment_in_words
 from seatrial.ident.report.sections.predictions import by_role, error_words, horizons
 from seatrial.ident.results import (
+    NOT_WEIGHED,
     CampaignErrors,
     CampaignsResult,
     ComparedChannel,
@@ -532,6 +533,8 @@ def print_result(result: Result, console: Console) -> None:
             "(--no-score-tests, in Python score_tests=False, leaves them out)."
         )
         print_prose(console, Text(text, style="dim"))
+    if isinstance(result, VehicleResult) and NOT_WEIGHED in result.notes:
+        print_prose(console, Text(NOT_WEIGHED, style="dim"))
     for note in result.notes if isinstance(result, FleetResult | CampaignsResult) else ():
         console.print()
         print_prose(console, Text(note, style="dim"))

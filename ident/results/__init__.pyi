@@ -1,3 +1,4 @@
+from .answers import NOT_WEIGHED as NOT_WEIGHED
 from .answers import check_warnings as check_warnings
 from .answers import course_sentence as course_sentence
 from .answers import curve_notes as curve_notes

@@ -84,6 +84,10 @@ MOST_ADDED = 2.0  # largest plausible mass in surge, as a multiple of the weighe
 FULL_SPEED = 0.95  # of full speed; a thrust that was measured up to this speed is not called extrapolated
 SHORT_BENCH_S = 20.0  # as SHORT_DATA_S, of a thruster: some held commands of 4 s, forward and in reverse
 NOMOTO_LAG = "T"  # time constant of the yaw rate in Nomoto's model, fixed at zero without a prior
+NOT_WEIGHED = (
+    "The mass in surge, m_u, was not compared with a weighed mass, because none was given: give --mass, or mass in "
+    "[geometry] of the import map. With it, a wrong thrust is found."
+)
 LIFT = "Y_uv"  # parameter of the hull lift: damping of sway per forward speed
 LEAST_PULL = 0.03  # difference of the inputs of both sides on a straight course, relative to their mean, to report
 SAME_WEATHER = timedelta(hours=3)  # between the starts of logs, up to which one value of the wind is plausible
@@ -445,10 +449,7 @@ def mass_notes(fit: Fit, weighed: float | None) -> list[str]:
     if not _has_mass_to_weigh(fit) or mass_warnings(fit, weighed):
         return []
     if weighed is None:
-        return [
-            "The mass in surge, m_u, was not compared with a weighed mass, because none was given: give --mass, or "
-            "mass in [geometry] of the import map. With it, a wrong thrust is found."
-        ]
+        return [NOT_WEIGHED]
     mass, error = fit.estimate("m_u")
     ratio = f"The mass in surge, m_u, is {mass / weighed:.2f} times the weighed mass of {weighed:g} kg"
     if mass < weighed:

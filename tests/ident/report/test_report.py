@@ -19,7 +19,7 @@ from rich.console import Console
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.sections.answer import effect_card
 from seatrial.ident.report.terminal import print_result
-from seatrial.ident.results import VehicleResult
+from seatrial.ident.results import NOT_WEIGHED, VehicleResult
 from tests.ident.pages import HOSTILE, KINDS, Page, loaded, numbers, printed, shortened, written
 
 MEGABYTE = 1_000_000
@@ -132,6 +132,15 @@ def test_importance_is_the_change_over_the_horizon(
     (effect, *_) = loaded(small | {"effects": [small["effects"][0] | {"prediction": change}]}).effects
     card = effect_card(effect, 10.0)
     assert f"{card.importance} {card.importance_words}".startswith(shown)
+
+
+def test_terminal_says_that_the_mass_was_not_compared_with_a_weighed_one() -> None:
+    bench = shortened(KINDS["thruster"]())
+    fit = {name: bench[name] for name in bench if name in VehicleResult.__struct_fields__} | {"kind": "vehicle"}
+    for notes in ([], [NOT_WEIGHED]):
+        shown = Console(width=100, record=True, file=io.StringIO())
+        print_result(loaded(fit | {"notes": notes}), shown)
+        assert (NOT_WEIGHED in " ".join(shown.export_text().split())) == bool(notes)
 
 
 def test_value_at_a_bound_is_marked_in_the_card_and_on_the_terminal(small: dict[str, Any]) -> None:
