@@ -49,9 +49,13 @@ class TimeLeft:
         """Store the number of parts. The time counts from here on."""
         self._total, self._began = total, time.monotonic()
 
-    def text(self, done: int) -> str:
-        """Return the time left after ``done`` parts as text: ``40 s to go``."""
-        seconds = (time.monotonic() - self._began) / max(done, 1) * max(self._total - done, 0)
+    def text(self, done: int, least: float = 0.0) -> str:
+        """Return the time left after ``done`` parts as text: ``40 s to go``.
+
+        With more than ``total`` parts, their number is at least ``least``.
+        """
+        total = max(self._total, least)
+        seconds = (time.monotonic() - self._began) / max(done, 1) * max(total - done, 0)
         return f"{duration_text(seconds)} to go"
 
 

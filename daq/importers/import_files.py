@@ -236,12 +236,15 @@ def _read_source(path: Path, source: Source) -> _SourceFile:
 def _remarks_by_topic(tables: Sequence[Table]) -> list[str]:
     """Return the remarks of tables as lines for the user. A remark that several tables share is one line.
 
-    Each line begins with the topics of its tables, if they have topics. The lines are in the order of the tables.
+    Each line begins with the topics of its tables, if they have topics. A remark that all of several tables share is
+    about the file, and its line has no topics. The lines are in the order of the tables.
     """
     topics: dict[str, list[str]] = {}
     for table in tables:
         topics.setdefault(table.full_remark.removeprefix(f"{table.topic}: "), []).append(table.topic)
-    return [": ".join(part for part in (", ".join(names), text) if part) for text, names in topics.items()]
+    shared = len(tables) if len(tables) > 1 else 0
+    named = [("" if len(names) == shared else ", ".join(names), text) for text, names in topics.items()]
+    return [": ".join(filter(None, line)) for line in named]
 
 
 def held_lines(held: Sequence[Held]) -> list[str]:

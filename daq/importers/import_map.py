@@ -10,7 +10,9 @@ from datetime import UTC, datetime
 from itertools import zip_longest
 from pathlib import Path
 
+from seatrial.daq.checks import MASS_ADVICE, mass_problem
 from seatrial.daq.config import TomlTable, parse_toml, read_text
+from seatrial.daq.errors import warn
 from seatrial.daq.importers.table import SourceOptions, TextStyle
 from seatrial.daq.importers.units import UNITS
 from seatrial.daq.rig import NAME
@@ -325,7 +327,8 @@ def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, fl
     The result is empty if `table` is None. Raise SeatrialError if a number is impossible, a key is unknown, or the
     number of an uncertainty is missing. [geometry] may also have `lever_arm_m`, the position of the antenna in body
     axes [m], whose three numbers have the names `ANTENNA`. c1, length, mass and standard uncertainties must be
-    positive, the size of c2 less than c1, y_left less than y_right, and both at most `length` from the middle.
+    positive, the size of c2 less than c1, y_left less than y_right, and both at most `length` from the middle. A mass
+    that is unusual for the length gives a warning.
     """
     if table is None:
         return {}
@@ -352,6 +355,8 @@ def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, fl
         raise table.error(
             "y_left", "must be less than y_right, because positions are positive to starboard; correct one of them"
         )
+    if problem := mass_problem(found):
+        warn(f"{table.source}: {problem}; {MASS_ADVICE}")
     if "length" in names and table.has("lever_arm_m"):
         found |= dict(zip(ANTENNA, table.numbers("lever_arm_m", length=3), strict=True))
     table.done()

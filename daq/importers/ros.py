@@ -105,7 +105,8 @@ def read_bag(path: Path, options: SourceOptions) -> list[Table]:
         raise
     except Exception as error:  # rosbags raises many kinds of errors for a damaged file or another format
         raise SeatrialError(
-            f"{path}: cannot be read as a ROS bag: {' '.join(str(error).split())}; check that the bag is complete"
+            f"{path}: cannot be read as a ROS bag: {' '.join(str(error).split()).rstrip('.')}; check that the bag is "
+            "complete"
         ) from error
     times = message_times({topic: collected.times for topic, collected in topics.items()})
     asked = [(topic, collected) for topic, collected in topics.items() if not options.topics or topic in options.topics]
@@ -119,24 +120,28 @@ def read_bag(path: Path, options: SourceOptions) -> list[Table]:
 def _readable_files(path: Path) -> Iterator[tuple[list[Path], str]]:
     """Yield the readable files of a ROS bag, and a remark about repairs. Temporary copies are deleted at the end.
 
-    A folder without metadata.yaml is read file by file. A .mcap that was cut off is recovered to a temporary file. A
-    .db3 with a SQLite log beside it, which an interrupted recorder leaves, is completed in a temporary copy. Files of a
-    folder without metadata.yaml are in the order of their numbers. One of several .mcap that was cut off and has no
-    readable message is left out with a remark. A folder with metadata.yaml is yielded as a folder; only its .db3 are
-    completed. Raise SeatrialError if nothing is readable, or for a bag of ROS 1 that was not closed (.bag.active).
+    A folder without metadata.yaml is read file by file, and so is one with a .mcap that was cut off. Such a .mcap is
+    recovered to a temporary file. A .db3 with a SQLite log beside it, which an interrupted recorder leaves, is
+    completed in a temporary copy. Files that are read one by one are in the order of their numbers. One of several
+    .mcap that was cut off and has no readable message is left out with a remark. Any other folder with metadata.yaml is
+    yielded as a folder; only its .db3 are completed. Raise SeatrialError if nothing is readable, or for a bag of ROS 1
+    that was not closed (.bag.active).
     """
     if path.name.endswith(".bag.active"):
         raise SeatrialError(
             f"{path}: this bag was not closed; repair it by `rosbag reindex {path.name}`, then rename it to {path.stem}"
         )
     parts, remarks = [path], []
-    if path.is_dir() and not (path / "metadata.yaml").exists():
+    described = (path / "metadata.yaml").exists()
+    cut = described and any(not _has_end(file) for file in path.glob("*.mcap") if file.is_file())
+    if path.is_dir() and (cut or not described):
         parts = sorted((file for file in path.iterdir() if file.suffix in BAG_ENDINGS), key=_split_number)
         if not parts:
             raise SeatrialError(
                 f"{path}: is not the folder of a ROS bag (no metadata.yaml, .mcap or .db3 in it); give that folder"
             )
-        remarks.append(f"without metadata.yaml: read from {counted(len(parts), 'file')}")
+        if not cut:
+            remarks.append(f"without metadata.yaml: read from {counted(len(parts), 'file')}")
     with tempfile.TemporaryDirectory() as folder:
         readable: list[Path] = []
         if path.is_dir() and parts == [path]:

@@ -14,6 +14,7 @@ from seatrial.daq.importers.text_table import TextTable, wide_encoding
 _HEAD_BYTES = 65536
 _UNWRITTEN = re.compile(rb"\0{64,}")  # blocks of a card that a power cut left empty, also in text
 LABVIEW, FLYSIGHT = b"LabVIEW Measurement", b"$FLYS"
+BAG_DESCRIPTION = b"rosbag2_bagfile_information"  # first key of the metadata.yaml of a bag of ROS 2
 
 
 class SourceKind(NamedTuple):
@@ -38,7 +39,7 @@ def source_kind(path: Path) -> SourceKind:
     Any folder is "ros", and any text of no known format is "csv"; whether it is a table shows only when it is read. A
     text may contain blocks of at least 64 zero bytes in up to half of its first 65536 bytes, or have two bytes per
     character (UTF-16). Any other file with zero bytes is of an unknown kind. A DataFlash log that was converted to text
-    is refused.
+    is refused, and so is the metadata.yaml of a bag.
 
     Parameters
     ----------
@@ -90,6 +91,8 @@ def source_kind(path: Path) -> SourceKind:
         from seatrial.daq.importers.flysight import read_flysight
 
         return SourceKind("flysight", read_flysight)
+    if head.lstrip().startswith(BAG_DESCRIPTION):
+        raise SeatrialError(f"{path}: describes a bag of ROS 2; give the folder of the bag, {path.parent}")
     if head.startswith(b"FMT,"):
         raise SeatrialError(f"{path}: is a DataFlash log that was converted to text; import the original .BIN file")
     written = _UNWRITTEN.sub(b"", head)

@@ -16,6 +16,7 @@ from .recovery import recover_log as recover_log
 from .schema import NODE_TOPICS as NODE_TOPICS
 from .segments import bag_of_ros as bag_of_ros
 from .segments import first_segment_of as first_segment_of
+from .segments import first_segments as first_segments
 from .segments import is_log as is_log
 from .segments import log_file as log_file
 from .segments import segment_path as segment_path

@@ -124,21 +124,24 @@ def _attitude_velocity_delay(
     delays of the yaw rate and of the surge speed behind the thrust, None if unknown. ``turned``, ``moved``: names of
     the sensors of both, for the finding.
     """
+    translation = "position" if moved == "x" else VELOCITY  # what the log has
     if not _is_well_estimated(attitude) or not _is_well_estimated(velocity):
-        text = f"the delay between {ATTITUDE} and {VELOCITY} is not known: the thrust explains too little of them"
+        text = f"the delay between {ATTITUDE} and {translation} is not known: the thrust explains too little of them"
         yield Finding(UNKNOWN, "delay-unknown", "late", turned, text)
         return
     assert attitude is not None
     assert velocity is not None
     lag, half = attitude.lag - velocity.lag, _half_interval(attitude, velocity)
-    late, ahead, where = (ATTITUDE, VELOCITY, turned) if lag > 0.0 else (VELOCITY, ATTITUDE, moved)
+    late, ahead, where = (ATTITUDE, translation, turned) if lag > 0.0 else (translation, ATTITUDE, moved)
     level = _level_of_delay(abs(lag), half)
-    come = "may come" if level == UNKNOWN else "comes" if late == VELOCITY else "come"
+    come = "may come" if level == UNKNOWN else "come" if late == ATTITUDE else "comes"
     text = (
         f"{late} {come} {abs(lag):.2f} s after {ahead}, compared by their response to the thrust "
         f"({delay_interval(abs(lag), half)})"
     )
     if level == OK:
+        if abs(lag) + half >= DELAY_WARNING:
+            text += f"; the log does not exclude a delay of up to {abs(lag) + half:.2f} s"
         yield Finding(level, "sensors-in-time", "late", turned, text)
         return
     advice = f"check filters, output rate and time stamps of {late}"

@@ -189,8 +189,9 @@ def _thruster_faults(found: ThrustResponse, yaw: Array, surge: Array) -> Iterato
             "sides",
             " and ".join(found.names),
             "left and right are swapped: the boat turns against its thrust difference",
-            "exchange the plugs, the nodes in the rig file, the columns in the import map, or y_left and y_right "
-            "(--fix); or correct the signs of both thrusters, or of heading and yaw rate (clockwise)",
+            "exchange the plugs, the nodes in the rig file, or the columns in the import map (for a fit alone: --fix "
+            "y_left=POSITIVE --fix y_right=NEGATIVE); or correct the signs of both thrusters, or of heading and yaw "
+            "rate (clockwise)",
         )
         return
     most = np.minimum(_relative_upper_bounds(found.yaw), _relative_upper_bounds(found.surge))

@@ -126,7 +126,8 @@ def check_ranges(c: Channels) -> Iterator[Finding]:
             # microseconds of a servo output, 0 without a pulse
             pulses = float(np.median(value)) > 700.0 and value.min() >= 0.0 and float(value.max()) < 2600.0
             unit = "a pulse width in us" if pulses else "percent" if top <= 110.0 else "rev/min, or a wrong offset"
-            fix = "scale = 0.0025, offset = -3.75" if pulses else f"scale = {0.01 if top <= 110.0 else 1.0 / top:.3g}"
+            fix = "scale = 0.0025, offset = -3.75" if pulses else f"scale = {1.0 / top:.3g}"
+            fix = 'unit = "%"' if unit == "percent" else fix
             guess = (
                 ""
                 if pulses or top <= 110.0
@@ -469,7 +470,14 @@ def check_smoothing(c: Channels, known_noise: Collection[str] = ()) -> Iterator[
         Signals whose noise the user has given to the fit, as the warning advises. They are not listed.
     """
     smooth = [name for name in smoothed(c) if name not in known_noise]
-    if smooth:
+    if smooth and estimated(c) and not {"x", "y"} & set(known_noise):
+        text = "a filter has smoothed the signal: it lacks the noise of a sensor, and its errors last for seconds"
+        advice = (
+            "the position has so little noise that it is a navigation filter's output too, so a fit estimates these "
+            "errors as states; nothing has to be done"
+        )
+        yield Finding("warning", "channel-smoothed", "noise", ", ".join(smooth), text, advice)
+    elif smooth:
         text = "a filter has smoothed the signal: it lacks the noise of a sensor, and its errors last for seconds"
         advice = (
             "a fit takes at least the noise of a usual sensor; if the data sheet states the "

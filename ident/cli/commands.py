@@ -398,10 +398,10 @@ def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, as_js
 def fleet(logs: tuple[Path, ...], out: Path, workers: Any, force: bool, as_json: bool, **how: Any) -> None:
     """Fit one model of the boat to each of LOGS separately, and compare the estimates of the logs.
 
-    A log that fails, also one that is missing or cannot be read, does not end the others. The results in the folder
-    --out are fits.parquet, with a row for each log and parameter, and result.json, with the differences between the
-    logs. An interrupted run continues there, and only logs without a fit are fitted. The exit status is 1 if a log has
-    no fit or its fit did not converge.
+    A folder stands for all logs in it. A log that fails, also one that is missing or cannot be read, does not end the
+    others. The results in the folder --out are fits.parquet, with a row for each log and parameter, and result.json,
+    with the differences between the logs. An interrupted run continues there, and only logs without a fit are fitted.
+    The exit status is 1 if a log has no fit or its fit did not converge.
 
     \b
     Example:

@@ -527,11 +527,11 @@ MODEL_OPTIONS = (
         show_default=True,
         help="horizontal:shaft, horizontal:command (held commands; shafts are states), horizontal:force, "
         "horizontal:general (each also with :no-current, or :random-walk-current), nomoto (no sideslip; the yaw rate "
-        "follows the difference of the sides; :sampled if the times of the outputs are uncertain, which is chosen "
-        "automatically for an autopilot's outputs; and the same two options for the current), "
-        "kinematic:shaft|force (measured attitude; :yaw adds the yaw equation; and the same two options for the "
-        "current), surge:force|shaft:position|speed|both, yaw:rate|both, FILE.py:NAME for your own, or a model.toml, "
-        "whose structure and effects are fitted again.",
+        "follows the difference of the sides, without a lag unless --prior T=0.5:0.5 frees it; :sampled if the times "
+        "of the outputs are uncertain, which is chosen automatically for an autopilot's outputs; and the same two "
+        "options for the current), kinematic:shaft|force (measured attitude; :yaw adds the yaw equation; and the same "
+        "two options for the current), surge:force|shaft:position|speed|both, yaw:rate|both, FILE.py:NAME for your "
+        "own, or a model.toml, whose structure and effects are fitted again.",
     ),
     click.option(
         "--thruster",
@@ -543,20 +543,20 @@ MODEL_OPTIONS = (
         "fixed",
         multiple=True,
         callback=parse_values,
-        help="NAME=VALUE: fix a known parameter; may be repeated.",
+        help="NAME=VALUE: fix a known parameter, in SI units and radians; may be repeated.",
     ),
     click.option(
         "--initial",
         multiple=True,
         callback=parse_values,
-        help="NAME=VALUE: initial value of a parameter; may be repeated.",
+        help="NAME=VALUE: initial value of a parameter, in SI units and radians; may be repeated.",
     ),
     click.option(
         "--prior",
         "priors",
         multiple=True,
         callback=parse_priors,
-        help="NAME=MEAN:SD: prior of a parameter (mean, standard deviation); may be repeated.",
+        help="NAME=MEAN:SD: prior of a parameter (mean, standard deviation), in SI units and radians; may be repeated.",
     ),
     click.option(
         "--effect",

@@ -166,8 +166,8 @@ def _strong_remaining_test_reasons(strong: Sequence[Score], n: int) -> list[str]
         return []
     best = max(strong, key=lambda s: s.criterion(n))
     return [
-        f"with this effect the score tests still find {_finding_in_words(best)} "
-        f"(a gain of {best.criterion(n):.0f} in 2 ln L)"
+        f"with this effect the score tests still find {_finding_in_words(best)}, with an expected ΔBIC of "
+        f"{best.criterion(n):.0f}"
     ]
 
 
@@ -201,12 +201,14 @@ def _alternatives_still_found(effect: Effect, remaining: Sequence[Score], n_adde
 def _remaining_alternative_reasons(alternatives: Sequence[str]) -> list[str]:
     """Return the reason for ambiguity that a declared alternative still passes its score test; [] without such a one.
 
-    ``alternatives`` are the names of these alternatives (`_alternatives_still_found`). The reason names the first.
+    ``alternatives`` are the names of these alternatives (`_alternatives_still_found`). The reason names all of them.
     """
     if not alternatives:
         return []
-    found = _titled(alternatives[0])
-    return [f"with this effect the score test of {found}, one of its alternatives, is still significant"]
+    found = " and of ".join(map(_titled, alternatives))
+    if len(alternatives) == 1:
+        return [f"with this effect the score test of {found}, one of its alternatives, is still significant"]
+    return [f"with this effect the score tests of {found}, its alternatives, are still significant"]
 
 
 def _titled(name: str) -> str:
@@ -337,13 +339,13 @@ def _distance_from_zero(fit: Fit, sizes: Sequence[int]) -> float:
 def _finding_in_words(score: Score) -> str:
     """Return what a score test finds, as a text for reports.
 
-    For a parametric effect, the text is its name. For a fitted function of one or two variables, it is "that X depends
-    on u" or "that X depends on u and v". It is "that X follows u" for a force with a first-order lag, and "that X
-    oscillates after u" for a force with a second-order response.
+    For a parametric effect, the text is its title with its name in brackets. For a fitted function of one or two
+    variables, it is "that X depends on u" or "that X depends on u and v". It is "that X follows u" for a force with a
+    first-order lag, and "that X oscillates after u" for a force with a second-order response.
     """
     curve = score.curve
     if curve is None:
-        return score.name
+        return _titled(score.name) if score.name in catalogue() else score.name
     if score.kind is EffectKind.LAGGED:
         return f"that {curve.force} follows {curve.variable}"
     if score.kind is EffectKind.RESONANT:
@@ -414,7 +416,7 @@ def _competing_model_reasons(search_round: Round, policy: SearchPolicy) -> list[
 def _comparison_in_words(competitor: Refit, behind: float, policy: SearchPolicy) -> str:
     """Return a clause for reports that compares a competing model with the chosen effect.
 
-    ``behind`` is the criterion of the chosen effect less that of the competitor (gain in 2 ln L). If it is negative,
+    ``behind`` is the criterion (ΔBIC) of the chosen effect less that of the competitor. If it is negative,
     the competitor explains the estimation data better, but not the validation data (or not significantly better, if
     they support it too: `is_validated`), and the clause states both. Otherwise the clause states how much less it
     explains.
@@ -422,9 +424,9 @@ def _comparison_in_words(competitor: Refit, behind: float, policy: SearchPolicy)
     title = competitor.effect.title
     if behind < 0:
         better = "significantly better" if is_validated(competitor, policy) else "better"
-        gain = f"by {-behind:.0f} in 2 ln L"
+        gain = f"its ΔBIC is {-behind:.0f} better"
         return f"{title} explains the estimation data better ({gain}), but not the validation data {better}"
-    return f"{title} explains nearly as much ({behind:.0f} less in 2 ln L)"
+    return f"{title} explains nearly as much (its ΔBIC is {behind:.0f} worse)"
 
 
 def _untested_alternative_reasons(effect: Effect, untested: Collection[str]) -> list[str]:

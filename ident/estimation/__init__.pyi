@@ -58,6 +58,8 @@ from .model_file import leaves_validity as leaves_validity
 from .model_file import load_model as load_model
 from .model_file import model_file as model_file
 from .model_file import save_model as save_model
+from .model_file import unconverged_sentence as unconverged_sentence
+from .model_file import warn_if_unconverged as warn_if_unconverged
 from .model_file import warn_of_run_means as warn_of_run_means
 from .output_error import predict_ahead as predict_ahead
 from .output_error import simulate as simulate

@@ -480,6 +480,23 @@ def warn_of_run_means(model: Model) -> None:
         )
 
 
+def unconverged_sentence(subject: str) -> str:
+    """Return the warning about the use of a model whose fit did not converge, as one sentence without a full stop.
+
+    ``subject`` names the fit, for example ``the fit of this model``.
+    """
+    return (
+        f"{subject} did not converge, so its estimates, errors and motion may be far from those of the boat: fit it "
+        "again with other initial values or priors, or with fewer free parameters"
+    )
+
+
+def warn_if_unconverged(converged: bool) -> None:
+    """Warn that a model is used whose fit did not converge, if ``converged`` is False."""
+    if not converged:
+        warn(unconverged_sentence("the fit of this model"))
+
+
 def load_model(path: Path) -> SavedModel:
     """Read a fitted model from a model.toml.
 

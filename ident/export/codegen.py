@@ -25,7 +25,7 @@ from scipy.linalg import solve_continuous_lyapunov
 
 from seatrial.ident.data import TIME_INPUT, WORK_INPUT, WORK_UNIT
 from seatrial.ident.engine import VectorisedModel
-from seatrial.ident.estimation import ReportedUnits, SavedModel, reported_units
+from seatrial.ident.estimation import ReportedUnits, SavedModel, reported_units, unconverged_sentence
 from seatrial.ident.export.conditions import late_values
 from seatrial.ident.export.history import TIME, WORK, History, history_of
 from seatrial.ident.model import Input, Model, Parameter, ParameterRole, Signals, State
@@ -406,9 +406,14 @@ def equivalent_noise(whole: Model, kept: Model) -> EquivalentNoise:
 
 
 def provenance_lines(content: Content, target: str) -> list[str]:
-    """Return the first lines of a header: the target, an unknown scale, command and logs of the fit, and effects."""
+    """Return the first lines of a header.
+
+    They are the target, a fit that did not converge, an unknown scale, command and logs of the fit, and effects.
+    """
     made, scale = content.saved.provenance, content.reported.scale
     lines = [f"{content.model.name}: fitted model, exported to {target} by seatrial.", *scale.caveats]
+    if not content.saved.converged:
+        lines.insert(1, f"WARNING: {unconverged_sentence('the fit of this model')}.")
     if scale.caveats:
         terms = ["T = c1 + c2 is the full forward thrust of one thruster."] * scale.relative
         terms += ["y_arm is the arm of the thrusters."] * scale.relative_yaw

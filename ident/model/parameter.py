@@ -152,6 +152,8 @@ class Parameter:
             raise ValueError(
                 f"parameter {self.name}: {self.value} is not positive; this parameter needs a value above 0"
             )
+        if math.isnan(self.value):
+            raise ValueError(f"parameter {self.name}: the value is not a number (nan); give a finite number")
         nearest = min(max(self.value, low), high)
         if 0 < abs(self.value - nearest) <= ROUNDING * abs(nearest):
             object.__setattr__(self, "value", nearest)

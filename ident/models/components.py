@@ -121,10 +121,10 @@ def antenna(x: float = 0.0, y: float = 0.0, z: float | None = None) -> Effect:
     places += [] if z is None else [("z", z, "antenna below the origin")]
     return Effect(
         ANTENNA,
-        "the antenna position from the rig file",
+        "the antenna position that was given",
         {"output": _shift_level if z is None else _shift_tilted},
         parameters=tuple(
-            Parameter(f"antenna_{axis}", value, "m", f"{meaning}, from the rig file", free=False, step=0.01)
+            Parameter(f"antenna_{axis}", value, "m", f"{meaning}, as given", free=False, step=0.01)
             for axis, value, meaning in places
         ),
         place="sensor",

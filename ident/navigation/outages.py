@@ -85,7 +85,7 @@ class Outage:
     allowed : float or None
         95 % radius of this distance [m], with the measurement noise of the fix; None without such a fix.
     inside : bool or None
-        Whether the fix is inside the 95 % ellipse that includes its measurement noise; None without such a fix.
+        Whether ``error`` is at most ``allowed``; None without such a fix.
     widest : float
         95 % radius of the best estimate [m] at the row within the outage at which its variance is largest.
     predicted, best : OutageErrors or None
@@ -215,9 +215,9 @@ class _OutageEvaluator:
         compared = last if not is_open else int(withheld[-1]) if withheld.size else None
         error, allowed, inside = None, None, None
         if compared is not None:
-            distance, within = self._distances_from_fixes(self.predicted, np.array([compared]))
-            error, inside = float(distance[0]), bool(within[0])
+            error = float(np.hypot(*(self.predicted[0][compared] - n.fixes[compared])))
             allowed = ellipse(self.predicted[1][compared] + np.diag(n.fix_variance)).radius
+            inside = error <= allowed
         inner = self.best[1][first : last + 1]
         widest = inner[int(np.argmax(np.trace(inner, axis1=1, axis2=2)))]
         north, east = self.predicted[0][last].tolist()

@@ -44,7 +44,8 @@ class Workers:
     Raises
     ------
     SeatrialError
-        If there is an address, but the backend is neither Dask's nor Ray's.
+        If there is an address, but the backend is neither Dask's nor Ray's, or if the number of processes is neither a
+        whole number above zero nor -1.
     """
 
     jobs: int | None = None
@@ -52,7 +53,10 @@ class Workers:
     scheduler: str = ""
 
     def __post_init__(self) -> None:
-        """Raise SeatrialError for a name of no backend, and for the address of a scheduler without a cluster."""
+        """Raise SeatrialError for a name of no backend, an address without a cluster, and no number of processes."""
+        wrong = isinstance(self.jobs, bool) or not isinstance(self.jobs, int) or self.jobs == 0 or self.jobs < -1
+        if self.jobs is not None and wrong:
+            raise SeatrialError(f"--jobs {self.jobs!r}: give a number of processes, or -1 for one for each core")
         if self.backend not in (None, *BACKENDS):
             raise SeatrialError(f"--backend {self.backend}: there is no such backend; use {', '.join(BACKENDS)}")
         if self.scheduler and self.backend not in ("dask", "ray"):

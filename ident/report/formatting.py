@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import math
 import re
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from seatrial.ident.results import EffectParameter
 
 SUPER = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 DEGREES = 180.0 / math.pi
@@ -274,6 +278,14 @@ def duration(seconds: float | None) -> str:
     hours, minutes = divmod(minutes, 60)
     parts = ((hours, "h"), (minutes, "min"), (rest, "s"))
     return " ".join(f"{n} {unit}" for n, unit in parts if n) or f"{seconds:.1f} s"
+
+
+def estimate_of_effect(row: EffectParameter) -> str:
+    """Return the estimate of a parameter of an effect with its standard error; a value at its bound is marked."""
+    factor, unit = degrees_for(row.unit)
+    value, se = scaled(factor, row.value, row.se)
+    text = with_error(value, se, unit)
+    return f"{text} (at its limit)" if row.at_bound else text
 
 
 def scaled(factor: float, *values: float | None) -> list[float | None]:

@@ -29,6 +29,7 @@ from seatrial.ident.report.sections.comparison import (
 from seatrial.ident.report.sections.parameters import interval, segment_in_words
 from seatrial.ident.report.sections.predictions import by_role, error_words, horizons
 from seatrial.ident.results import (
+    NOT_WEIGHED,
     CampaignErrors,
     CampaignsResult,
     ComparedChannel,
@@ -126,12 +127,12 @@ def noise_table(result: NoiseResult) -> Table:
 def outage_table(result: NavigationResult) -> Table:
     """Return the table of up to eight GNSS outages, the largest predicted position error first.
 
-    An outage is red if the fix that it is compared with is outside the predicted 95 % region. The title has the number
+    An outage is red if its error is larger than the allowed one. The title has the number
     of all outages if some are left out.
     """
     found = result.outages
     shown = sorted(found, key=lambda o: -o.at_end.radius)[:MAX_OUTAGES]
-    worst = "" if len(shown) == len(found) else f" ({len(shown)} worst of {len(found)})"
+    worst = "" if len(shown) == len(found) else f" (the {len(shown)} most uncertain of {len(found)})"
     table = titled_table(f"GNSS outages{worst}")
     table.add_column("", no_wrap=True, overflow="ellipsis")
     for title in ("from [s]", "for [s]", "95 % radius [m]", "error [m]", "allowed [m]"):
@@ -532,6 +533,8 @@ def print_result(result: Result, console: Console) -> None:
             "(--no-score-tests, in Python score_tests=False, leaves them out)."
         )
         print_prose(console, Text(text, style="dim"))
+    if isinstance(result, VehicleResult) and NOT_WEIGHED in result.notes:
+        print_prose(console, Text(NOT_WEIGHED, style="dim"))
     for note in result.notes if isinstance(result, FleetResult | CampaignsResult) else ():
         console.print()
         print_prose(console, Text(note, style="dim"))
@@ -595,6 +598,8 @@ def _parameters_table(fit: FitSummary, added: Sequence[EffectRow], requested: Se
         name = Text(row.name, style="bold green" if row.name in effect_names or row.name in requested else "bold")
         flag, record = (row.flag, row.record) if isinstance(row, ParameterRow) else (None, None)
         words = row.meaning + (f", {record}" if record else "")
+        if isinstance(row, EffectParameter) and row.at_bound:
+            words = f"⚠ at its limit: {words}"
         if flag and len(flag) > LONGEST_FLAG:
             sentences.append(f"⚠ {row.name}: {flag}")
             words = f"⚠ {words}"

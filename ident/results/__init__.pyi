@@ -1,3 +1,4 @@
+from .answers import NOT_WEIGHED as NOT_WEIGHED
 from .answers import check_warnings as check_warnings
 from .answers import course_sentence as course_sentence
 from .answers import curve_notes as curve_notes
@@ -76,6 +77,7 @@ from .comparison import ModelDifference as ModelDifference
 from .comparison import PredictionKind as PredictionKind
 from .diagnosis import GivenModel as GivenModel
 from .diagnosis import diagnosis_result as diagnosis_result
+from .diagnosis import with_model_of_design as with_model_of_design
 from .parts import CalibrationRow as CalibrationRow
 from .parts import Calibrations as Calibrations
 from .parts import CalibrationTable as CalibrationTable

@@ -83,6 +83,11 @@ USUAL_ADDED = 1.3  # usual largest mass in surge of a slender hull, as a multipl
 MOST_ADDED = 2.0  # largest plausible mass in surge, as a multiple of the weighed mass, whatever its standard error is
 FULL_SPEED = 0.95  # of full speed; a thrust that was measured up to this speed is not called extrapolated
 SHORT_BENCH_S = 20.0  # as SHORT_DATA_S, of a thruster: some held commands of 4 s, forward and in reverse
+NOMOTO_LAG = "T"  # time constant of the yaw rate in Nomoto's model, fixed at zero without a prior
+NOT_WEIGHED = (
+    "The mass in surge, m_u, was not compared with a weighed mass, because none was given: give --mass, or mass in "
+    "[geometry] of the import map. With it, a wrong thrust is found."
+)
 LIFT = "Y_uv"  # parameter of the hull lift: damping of sway per forward speed
 LEAST_PULL = 0.03  # difference of the inputs of both sides on a straight course, relative to their mean, to report
 SAME_WEATHER = timedelta(hours=3)  # between the starts of logs, up to which one value of the wind is plausible
@@ -414,7 +419,10 @@ def mass_warnings(fit: Fit, weighed: float | None) -> list[ResultWarning]:
     mass, error = fit.estimate("m_u")
     least = mass - 2.0 * error if np.isfinite(error) else -np.inf
     found = f"The estimated mass in surge, m_u, is {plus_minus(mass, error)} kg, and the boat weighs {weighed:g} kg"
-    cause = "All masses are in proportion to the given thrust: check it first (its unit, and the thrust at full speed)"
+    cause = (
+        "Check the weighed mass (kilograms of the whole boat as it ran), and the given thrust, to which all masses are "
+        "in proportion (its unit, and the thrust at full speed)"
+    )
     if mass + 2.0 * np.nan_to_num(error) < weighed:
         text = f"{found}: m_u contains the added mass of the water too and cannot be smaller. {cause}."
     elif mass > MOST_ADDED * weighed or least > PLAUSIBLE_MASS_RATIO * weighed:
@@ -435,10 +443,13 @@ def _has_mass_to_weigh(fit: Fit) -> bool:
 def mass_notes(fit: Fit, weighed: float | None) -> list[str]:
     """Return a note that compares the estimated mass in surge with the weighed mass of the boat [kg], or an empty list.
 
-    The list is empty where `mass_warnings` warns, and where there is nothing to compare.
+    Without a weighed mass, the note says that nothing was compared. The list is empty where `mass_warnings` warns, and
+    if the fit has no mass in surge in kilograms.
     """
-    if weighed is None or not _has_mass_to_weigh(fit) or mass_warnings(fit, weighed):
+    if not _has_mass_to_weigh(fit) or mass_warnings(fit, weighed):
         return []
+    if weighed is None:
+        return [NOT_WEIGHED]
     mass, error = fit.estimate("m_u")
     ratio = f"The mass in surge, m_u, is {mass / weighed:.2f} times the weighed mass of {weighed:g} kg"
     if mass < weighed:
@@ -726,11 +737,17 @@ def not_converged(fit: Fit) -> str | None:
     """
     if fit.converged:
         return None
+    begin = f"The fit did not converge: it {fit.message}. Do not use its estimates or errors. "
+    if NOMOTO_LAG in fit.model.values and not fit.model.parameter(NOMOTO_LAG).free:
+        return (
+            f"{begin}The yaw rate of this model has no time constant, since T is fixed at zero: free it by --prior "
+            "T=0.5:0.5. If that does not help, look for a stuck or missing signal (seatrial check LOG), and give "
+            "--initial or --prior."
+        )
     simpler = ", such as --model nomoto for a boat that does not slide sideways" if "m_v" in fit.model.values else ""
     return (
-        f"The fit did not converge: it {fit.message}. Do not use its estimates or errors. First look for a stuck or "
-        "missing signal (seatrial check LOG); then give --initial or --prior, or use a model with fewer free "
-        f"parameters{simpler}."
+        f"{begin}First look for a stuck or missing signal (seatrial check LOG); then give --initial or --prior, or use "
+        f"a model with fewer free parameters{simpler}."
     )
 
 

@@ -413,7 +413,7 @@ class WithheldErrors(Part, frozen=True, kw_only=True):
 
     rms: Annotated[float, Meta(description="[m]")]
     largest: Annotated[float, Meta(description="[m]")]
-    inside: Annotated[float, Meta(description="share inside the 95 % regions, which include the noise of the fix")]
+    inside: Annotated[float, Meta(description="share inside the 95 % ellipses, which include the noise of the fix")]
     n: Annotated[int, Meta(description="number of fixes")]
 
 
@@ -437,7 +437,7 @@ class GnssOutage(Part, frozen=True, kw_only=True):
     allowed: Annotated[
         float | None, Meta(description="95 % limit of that distance, including the noise of the fix [m]")
     ]
-    inside: Annotated[bool | None, Meta(description="whether the fix is inside the 95 % region")]
+    inside: Annotated[bool | None, Meta(description="whether `error` is at most `allowed`; null without a fix")]
     widest: Annotated[float, Meta(description="largest 95 % radius of the best estimate [m]")]
     predicted: Annotated[
         WithheldErrors | None, Meta(description="errors at withheld fixes, predicted without later fixes")

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import replace
-from math import isfinite
+from math import degrees, isfinite
 from typing import NamedTuple, cast
 
 import msgspec
@@ -71,17 +72,18 @@ CHANCE_P = 1e-6  # larger p values of the best score test may occur by chance in
 
 
 class GivenModel(NamedTuple):
-    """Model that was given to a diagnosis.
+    """Model that was given to a diagnosis, and the file of the model that the diagnosis writes.
 
     Attributes
     ----------
-    path
-        File of the model.
+    diagnosed
+        File of the diagnosed model. It has the sizes of all effects that were fitted, which the model that was given
+        lacks.
     converged
-        Whether its fit converged.
+        Whether the fit of the model that was given converged.
     """
 
-    path: str
+    diagnosed: str
     converged: bool = True
 
 
@@ -114,7 +116,8 @@ def diagnosis_result(
     notes : sequence of str
         Sentences that precede the other notes of the result.
     given : GivenModel
-        Model that was given to the diagnosis. Its path replaces MODEL in the command of the recommended experiment.
+        Model that was given to the diagnosis. The file of the diagnosed model replaces MODEL in the command of the
+        recommended experiment, which takes the sizes of the effects from it.
     unused : sequence of UnusedSignal
         Signals of the logs that the model does not use.
     dynamics : Dynamics, optional
@@ -207,9 +210,18 @@ def diagnosis_result(
             for s in diagnosis.curves
         ),
         parameters_before_after=_parameter_change_rows(diagnosis),
-        recommended_experiment=None if recommended is None else recommended.replace("MODEL", given.path),
+        recommended_experiment=None if recommended is None else with_model_of_design(recommended, given.diagnosed),
         no_experiment=reason_without_experiment(diagnosis) if recommended is None else "",
     )
+
+
+def with_model_of_design(text: str, path: str, old: str = "MODEL") -> str:
+    """Return a recommended experiment with the file of the model, ``path``, in place of ``old`` in its commands.
+
+    Both are the names of files, which are quoted as a shell needs it.
+    """
+    command = "`seatrial mission design {} --discriminate "
+    return text.replace(command.format(shlex.quote(old)), command.format(shlex.quote(path)))
 
 
 def diagnosis_answer(
@@ -480,8 +492,9 @@ def _is_size_undetermined(effect: Effect, diagnosis: Diagnosis) -> bool:
 def in_words(effect: Effect, fitted: FittedModel) -> str:
     """Return the estimates of an effect as a clause for reports, by the effect's own function ``Effect.in_words``.
 
-    The text is empty if the effect has no such function. It gets the estimates of all parameters of the model, in
-    their units. Of a per-record parameter, the estimate of the first record is used.
+    The function gets the estimates of all parameters of the model, in their units. Of a per-record parameter, the
+    estimate of the first record is used. Parameters of the effect at their bounds are named, because their values are
+    no estimates. The text is empty if the effect has no such function and no parameter at its bound.
 
     Parameters
     ----------
@@ -490,9 +503,22 @@ def in_words(effect: Effect, fitted: FittedModel) -> str:
     fitted : FittedModel
         Fitted model, whose estimates are used.
     """
-    if effect.in_words is None:
-        return ""
-    return effect.in_words({p.name: fitted.fit.estimate(p.name) for p in fitted.fit.model.parameters})
+    words = ""
+    if effect.in_words is not None:
+        words = effect.in_words({p.name: fitted.fit.estimate(p.name) for p in fitted.fit.model.parameters})
+    if not (effect.parameters and fitted.fit.flags):
+        return words
+    stuck = [_named_value(p) for p in effect_parameter_rows(effect, fitted) if p.at_bound]
+    if not stuck:
+        return words
+    limit = "is at the limit of this parameter" if len(stuck) == 1 else "are at the limits of these parameters"
+    return "; ".join(filter(None, [words, f"{' and '.join(stuck)} {limit}, and so no estimate"]))
+
+
+def _named_value(p: parts.EffectParameter) -> str:
+    """Return name, value and unit of a parameter for a sentence, an angle in degrees: ``k_heat = 0.9``."""
+    value, unit = (degrees(p.value), "deg") if p.unit == "rad" else (p.value, p.unit)
+    return f"{p.name} = {value:.3g} {unit}".rstrip()
 
 
 def _resemblance_clause(titles: Sequence[str]) -> str:
@@ -784,11 +810,14 @@ def _blocks_note(evaluation: DiagnosisEvaluation) -> list[str]:
 
 
 def _remaining_names(diagnosis: Diagnosis) -> str:
-    """Return the names of the best four candidates that still pass the score test, separated by commas.
+    """Return the titles of the best four candidates that still pass the score test, separated by commas.
 
     They are fewer if fewer pass; the text is empty if none passes.
     """
-    return ", ".join(between_runs_title(s.name) for s in diagnosis.remaining[:4])
+    known = catalogue()
+    return ", ".join(
+        known[s.name].title if s.name in known else between_runs_title(s.name) for s in diagnosis.remaining[:4]
+    )
 
 
 def alternative_notes(rounds: Sequence[parts.RoundRow], effects: Sequence[parts.EffectRow]) -> list[str]:
@@ -809,8 +838,8 @@ def alternative_notes(rounds: Sequence[parts.RoundRow], effects: Sequence[parts.
             if rivals:
                 best = max(rivals, key=lambda r: r.criterion)
                 found.append(
-                    f"In place of {effect.title}, the search also fitted {best.title} ('{best.name}'): it explains "
-                    f"{own - best.criterion:.0f} less in 2 ln L of the estimation data."
+                    f"In place of {effect.title}, the search also fitted {best.title} ('{best.name}'): its "
+                    f"ΔBIC on the estimation data is {own - best.criterion:.0f} worse."
                 )
     return found
 
@@ -910,5 +939,12 @@ def _notes(diagnosis: Diagnosis, given: GivenModel) -> list[str]:
         notes += assumed_noise_notes(diagnosis.after.fit.model)
     else:
         notes.append(f"No effect was added. {_model_for_use(diagnosis, given)}")
-    notes += [f"Parameter {name}: {flag}" for name, flag in diagnosis.after.fit.flags]
-    return notes
+    return notes + _flag_notes(diagnosis.after.fit.flags)
+
+
+def _flag_notes(flags: Sequence[tuple[str, str]]) -> list[str]:
+    """Return one note for each flag of parameters (`Fit.flags`), with the names of all parameters that have it."""
+    named: dict[str, list[str]] = {}
+    for name, flag in flags:
+        named.setdefault(flag, []).append(name)
+    return [f"Parameter{'s' * (len(names) > 1)} {', '.join(names)}: {flag}" for flag, names in named.items()]

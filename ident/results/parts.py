@@ -128,6 +128,7 @@ WarningCode = Literal[
     "mass-implausible",
     "motion-not-excited",
     "nearly-converged",
+    "model-not-converged",
     "one-direction",
     "zero-unknown",
     "validation-run-failed",
@@ -145,6 +146,7 @@ WarningCode = Literal[
     "navigated-fitted-log",
     "compared-on-validation-log",
     "compared-in-blocks",
+    "compared-samples-limited",
     "effect-estimated-on-compared-log",
     "command-scale",
     "boat-moves",
@@ -257,6 +259,9 @@ class EffectParameter(Part, frozen=True, kw_only=True):
         float | None,
         Meta(description="standard error; null: the parameter is fixed, at a bound or not informed by the data"),
     ]
+    at_bound: Annotated[
+        bool, Meta(description="whether the value is a bound of the parameter, and so no estimate of its size")
+    ] = False
 
 
 class ParameterRow(Part, frozen=True, kw_only=True):

@@ -25,7 +25,7 @@ from seatrial.ident.estimation import (
     run_differences,
 )
 from seatrial.ident.model import Effect, EffectKind, Model, ModelKind, Parameter, ParameterOrigin, segment_name
-from seatrial.ident.models import force_power
+from seatrial.ident.models import ESTIMATOR_ERROR, SENSORS_WITH_CORRELATED_ERRORS, force_power
 from seatrial.ident.results.parts import (
     CalibrationRow,
     Calibrations,
@@ -202,6 +202,8 @@ def _flag_text(flag: str | None, p: Parameter, value: float, reported: ReportedE
     shown = f"{reported.factor(p.unit) * bound:.3g} {reported.scale.unit(p.unit) if bound else ''}".rstrip()
     begin = f"{AT_BOUND} {shown}, the {'lowest' if at_low else 'highest'} possible value"
     if p.name in reported.fit.model.noises:
+        if at_low and _has_lasting_error(reported.fit.model, p.name):
+            return f"{begin}: the errors of this signal last, and are states of the model. Nothing has to be done"
         why = "the data show less noise than this" if at_low else "the data show more noise than this"
         return f"{begin}: {why}. If the noise of the sensor is known, give it (--fix {p.name}=VALUE)"
     if at_low and bound == 0.0:
@@ -210,6 +212,13 @@ def _flag_text(flag: str | None, p: Parameter, value: float, reported: ReportedE
         f"{begin}: the best estimate is beyond it. Check the logs (`seatrial check`), or fix it if it is known (--fix "
         f"{p.name}=VALUE)"
     )
+
+
+def _has_lasting_error(model: Model, noise: str) -> bool:
+    """Return whether a noise is that of a sensor whose correlated errors are states of the model."""
+    if ESTIMATOR_ERROR not in {e.name for e in model.effects}:
+        return False
+    return any(o.noise == noise for s in model.sensors if s.name in SENSORS_WITH_CORRELATED_ERRORS for o in s.outputs)
 
 
 def _wider_than_prior(p: Parameter, estimate: tuple[float, float], reported: ReportedEstimates) -> str:
@@ -702,17 +711,24 @@ def effect_parameter_rows(effect: Effect, fitted: FittedModel) -> tuple[EffectPa
         Fitted model, whose estimates are reported: as ratios to the thrust if the thrust was not given.
     """
     reported, rows = ReportedEstimates(fitted.fit), []
+    stuck = {name for name, flag in fitted.fit.flags if flag == AT_BOUND}
     for p in effect.parameters:
         runs = fitted.fit.records if p.per_record else ("",)
-        found = [(f", in {run}" if len(runs) > 1 else "", *reported.estimate(p, i)) for i, run in enumerate(runs)]
+        own = [replace(p, segment=i).full_name if p.per_record else p.full_name for i in range(len(runs))]
+        found = [
+            (f", in {run}" if len(runs) > 1 else "", *reported.estimate(p, i), own[i] in stuck)
+            for i, run in enumerate(runs)
+        ]
         if effect.kind is EffectKind.BETWEEN_RUNS and p.per_record:
             k = reported.factor(p.unit)
             differences = run_differences(fitted.fit, p.name)
-            found = [(f", {d.record} against {runs[0]}", k * d.value, k * d.error) for d in differences]
+            found = [(f", {d.record} against {runs[0]}", k * d.value, k * d.error, False) for d in differences]
         name, unit = reported.scale.name(p.name, p.unit), reported.scale.unit(p.unit)
         rows += [
-            EffectParameter(name=name, meaning=p.meaning + where, unit=unit, value=value, se=finite(error))
-            for where, value, error in found
+            EffectParameter(
+                name=name, meaning=p.meaning + where, unit=unit, value=value, se=finite(error), at_bound=at_bound
+            )
+            for where, value, error, at_bound in found
         ]
     return tuple(rows)
 

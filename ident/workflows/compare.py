@@ -26,6 +26,7 @@ from seatrial.ident.estimation import (
     load_model,
     number_of_blocks,
     uncertainty_of,
+    unconverged_sentence,
 )
 from seatrial.ident.model import Model
 from seatrial.ident.parallel import Workers, run_many
@@ -61,7 +62,13 @@ from seatrial.ident.workflows.compared_predictions import (
     predict_record,
     widened,
 )
-from seatrial.ident.workflows.comparison_errors import at_common_samples, calibration_at, channel_rows, ratio_row
+from seatrial.ident.workflows.comparison_errors import (
+    at_common_samples,
+    calibration_at,
+    channel_rows,
+    limited_samples,
+    ratio_row,
+)
 from seatrial.ident.workflows.comparison_likelihood import (
     information_criteria,
     log_score,
@@ -408,7 +415,12 @@ def _result(
         command=made.command,
         logs=made.logs,
         answer="",
-        warnings=(*_warnings(models), *_warnings_of_effects(compared, letters, by_record[0])),
+        warnings=(
+            *_unconverged_warnings(compared, models),
+            *_limited_warnings(predicted, letters),
+            *_warnings(models),
+            *_warnings_of_effects(compared, letters, by_record[0]),
+        ),
         notes=(*notes, *_notes_on_logs(models), *([chance] if verdicts else [])),
         horizons=horizons,
         models=tuple(models),
@@ -416,6 +428,27 @@ def _result(
         traces=tuple(_traces(compared, records, by_record, letters)),
     )
     return msgspec.structs.replace(result, answer=comparison_answer(result))
+
+
+def _unconverged_warnings(compared: Sequence[_Candidate], models: Sequence[ComparedModel]) -> Iterator[ResultWarning]:
+    """Yield a warning for each compared model whose fit did not converge. ``models`` are their rows, in this order."""
+    for c, m in zip(compared, models, strict=True):
+        if not c.saved.converged:
+            subject = f"the fit of {_subject(m, models)}" if len(models) > 1 else "the fit of the model"
+            yield ResultWarning(code="model-not-converged", text=f"{unconverged_sentence(subject)}.")
+
+
+def _limited_warnings(
+    predicted: Sequence[Mapping[str, PredictedRecord]], letters: Sequence[str]
+) -> Iterator[ResultWarning]:
+    """Yield a warning if a model predicts so few samples that the comparison leaves out many of the others."""
+    one_step = [{record: part.errors[ONE_STEP] for record, part in by.items()} for by in predicted]
+    if len(predicted) > 1 and (limited := limited_samples(one_step, letters)):
+        yield ResultWarning(
+            code="compared-samples-limited",
+            text="Only samples that all models predict are compared, so that another model changes the numbers of the "
+            f"others. One step ahead they are limited: {'; '.join(limited)}.",
+        )
 
 
 def _warnings(models: Sequence[ComparedModel]) -> Iterator[ResultWarning]:

@@ -19,6 +19,7 @@ from seatrial.ident.validation import (
 from seatrial.ident.workflows.compared_predictions import SIMULATION, Kind, PredictedRecord
 
 VERDICTS: Mapping[str, ComparisonVerdict] = {"fell": "better", "rose": "worse", "unchanged": "indistinguishable"}
+MOST_SAMPLES_LOST = 0.1  # share of the samples of a channel that a comparison may leave out without a word
 ErrorsByRecord = Mapping[str, Mapping[str, PredictionErrors]]
 
 
@@ -45,6 +46,36 @@ def at_common_samples(models: Sequence[ErrorsByRecord]) -> list[dict[str, dict[s
                     at = np.searchsorted(e.t, t)
                     if t.size:
                         found[k][record][name] = PredictionErrors(t, e.e[at], e.about[at])
+    return found
+
+
+def limited_samples(models: Sequence[ErrorsByRecord], labels: Sequence[str]) -> list[str]:
+    """Return for each channel with a loss of samples how many are compared, of how many, and which model limits them.
+
+    A loss is at least a tenth of the samples that the model with most samples of the channel predicts. The limiting
+    model is the one without which most samples would be common; of equal ones that with the fewest samples.
+
+    Parameters
+    ----------
+    models : sequence of mapping
+        Errors of each model by record and channel, as for `at_common_samples`.
+    labels : sequence of str
+        Labels of the models.
+    """
+
+    def count(some: Sequence[ErrorsByRecord], name: str) -> int:
+        """Return the number of samples of a channel in all records of the first of some models that predicts it."""
+        return max((sum(by[name].t.size for by in m.values() if name in by) for m in some), default=0)
+
+    common, found = at_common_samples(models), []
+    for name in dict.fromkeys(n for model in models for by in model.values() for n in by):
+        owners = [k for k, m in enumerate(models) if any(name in by for by in m.values())]
+        n, most = count(common, name), max(count([models[k]], name) for k in owners)
+        if n > (1.0 - MOST_SAMPLES_LOST) * most:
+            continue
+        without = {k: count(at_common_samples([models[j] for j in owners if j != k]), name) for k in owners}
+        limiting = max(owners, key=lambda k: (without[k], -count([models[k]], name)))
+        found.append(f"{name} {n} of {most} samples, by ({labels[limiting]})")
     return found
 
 

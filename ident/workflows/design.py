@@ -203,8 +203,8 @@ def make_design(
             task,
             evaluations=request.evaluations,
             progress=lambda n, merit, number, of: reporter.progress(
-                f"design: {n} of at most {request.evaluations} simulations, search {number} of {of}, "
-                f"{search_state(merit, f'{request.criterion} {merit:.2f}')} ({left.text(n)})"
+                f"design: {n} of about {request.evaluations} simulations, search {number} of {of}, "
+                f"{search_state(merit, f'{request.criterion} {merit:.2f}')} ({left.text(n, n * of / number)})"
             ),
         )
     reporter.progress("design: baseline signals")
@@ -554,7 +554,8 @@ def _discrimination_design(
         evaluations=total,
         progress=lambda n, merit, number, of: reporter.progress(
             f"design: {n} of about {total} comparisons, search {number} of {of}, "
-            f"{search_state(merit, f'separation of the two effects (T) {_separation_text(merit)}')} ({left.text(n)})"
+            f"{search_state(merit, f'separation of the two effects (T) {_separation_text(merit)}')} "
+            f"({left.text(n, n * of / number)})"
         ),
         phase=lambda words: reporter.progress(f"design: {words}"),
     )

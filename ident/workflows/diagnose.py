@@ -229,7 +229,7 @@ def diagnose_model(request: DiagnosisRequest, command: str, reporter: Reporter) 
         notes=[*floors, *considered_notes(found.after.fit.model), *found.after.outlier_notes],
         unused=unused,
         dynamics=dynamics_of(found.after),
-        given=GivenModel(str(request.model), saved.converged),
+        given=GivenModel(str(request.out / "model.toml"), saved.converged),
     )
     return DiagnosedModel(found, result, effects_file or saved.effects_file)
 

@@ -9,7 +9,14 @@ from pathlib import Path
 from typing import Literal
 
 from seatrial.daq.errors import SeatrialError, warn
-from seatrial.ident.estimation import ThrustScale, load_model, model_file, thrust_scale_of, warn_of_run_means
+from seatrial.ident.estimation import (
+    ThrustScale,
+    load_model,
+    model_file,
+    thrust_scale_of,
+    warn_if_unconverged,
+    warn_of_run_means,
+)
 from seatrial.ident.export import export, file_name, prefix
 
 MODULES = ("python", "casadi")  # targets whose files are Python modules
@@ -76,14 +83,15 @@ def export_model(request: ExportRequest) -> ExportedModel:
     Warns
     -----
     SeatrialWarning
-        If thrust or arms of the model were not given (Gazebo and VRX have checks of their own), if ``request.name`` is
-        not a valid name and another one is used, if parameters of effects differ between the fitted runs, and as
-        `seatrial.ident.export.export`.
+        If the fit of a model did not converge, if thrust or arms of the model were not given (Gazebo and VRX have
+        checks of their own), if ``request.name`` is not a valid name and another one is used, if parameters of effects
+        differ between the fitted runs, and as `seatrial.ident.export.export`.
     """
     _check_options(request)
     saved = load_model(request.model)
     warn_of_run_means(saved.model)
     thrusters = {name: load_model(model_file(path)) for name, path in request.thrusters.items()}
+    warn_if_unconverged(all(m.converged for m in (saved, *thrusters.values())))
     try:
         content = export(
             saved,

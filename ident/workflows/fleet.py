@@ -25,7 +25,7 @@ import msgspec
 import numpy as np
 
 from seatrial.daq.errors import SeatrialError, counted, first_names
-from seatrial.daq.log import open_log
+from seatrial.daq.log import first_segments, open_log
 from seatrial.ident.estimation import LEAST_OWN, ReportedEstimates, between_log_variance, load_model
 from seatrial.ident.models import accepting_code, code_digest, is_own_model
 from seatrial.ident.numerics import Array, chi2_sf
@@ -89,7 +89,8 @@ class FleetRequest:
     Attributes
     ----------
     logs
-        Logs, to each of which the model is fitted. A log that occurs twice, also as a copy, is fitted once.
+        Logs, to each of which the model is fitted. A folder stands for all logs in it, and a log that occurs twice,
+        also as a copy, is fitted once.
     vehicle
         Options of each fit. Its logs and its folder are not used.
     out
@@ -170,13 +171,21 @@ def fit_fleet(request: FleetRequest, command: str, reporter: Reporter) -> FleetF
         ``request.out`` is a file, if a library is missing, or if a cluster cannot be used.
     """
     code = checked_code(request.vehicle)
-    logs = hashed_logs(request.logs, reporter)
+    logs = hashed_logs(with_logs_of_folders(request.logs), reporter)
     rows = fit_logs(logs, request, code, reporter)
     path = "" if request.out is None else str(request.out / TABLE)
     result = fleet_result(rows, len(logs), request.vehicle, path, command)
     if request.out is not None:
         write_result(result, request.out / "result.json")
     return FleetFits(result, rows)
+
+
+def with_logs_of_folders(paths: Sequence[Path]) -> list[Path]:
+    """Return the paths with the logs of each folder, sorted by name, in place of the folder.
+
+    A folder without a log stays, so that the fit of this path names what it is.
+    """
+    return [log for path in paths for log in (path.is_dir() and first_segments(path)) or [path]]
 
 
 def checked_code(vehicle: VehicleRequest) -> frozenset[str]:

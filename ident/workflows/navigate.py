@@ -12,7 +12,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from seatrial.daq.errors import SeatrialError, counted, first_names
+from seatrial.daq.errors import SeatrialError, first_names
 from seatrial.daq.files import new_file
 from seatrial.ident.data import (
     WHOLE,
@@ -378,13 +378,13 @@ def _withheld_errors(found: OutageErrors | None) -> WithheldErrors | None:
 
 
 def navigation_answer(found: Sequence[Outage], done: Sequence[Navigation]) -> str:
-    """Return the answer of `seatrial ident navigate`: the worst GNSS outage, or else the accuracy of the position.
+    """Return the answer of `seatrial ident navigate`: the GNSS outages, or else the accuracy of the position.
 
     The accuracy is the median over time of the standard deviation of the position, for the record in which it is
     largest.
 
-    The worst outage is the one with the largest predicted position error at its end. The time before the first fix of a
-    record has a sentence of its own.
+    The most uncertain outage is the one with the largest predicted position error at its end. The outage that was
+    farthest off is named too if it is another one. The time before the first fix of a record has a sentence of its own.
 
     Parameters
     ----------
@@ -405,22 +405,27 @@ def navigation_answer(found: Sequence[Outage], done: Sequence[Navigation]) -> st
     found = [o for o in found if not o.leading]
     if not found:
         return "; ".join(late) + "."
-    worst = max(found, key=lambda o: o.at_end.radius)
-    many = counted(len(found), "GNSS outage")
+    uncertain = max(found, key=lambda o: o.at_end.radius)
     words = (
-        f"{many}, the worst of {worst.duration:.0f} s: at its end the position may be "
-        f"{format_number(worst.at_end.radius)} m off (95 %)"
+        f"1 GNSS outage, of {uncertain.duration:.0f} s: at its end"
+        if len(found) == 1
+        else f"{len(found)} GNSS outages; at the end of the most uncertain one, {uncertain.duration:.0f} s long,"
     )
+    words += f" the position may be {format_number(uncertain.at_end.radius)} m off (95 %)"
     judged = [o for o in found if o.error is not None]
-    if worst.error is not None:
+    if uncertain.error is not None:
         # An outage without an end is compared with its last withheld fix, which may be long before its end.
-        words += f"; compared with the {'last withheld fix' if worst.open else 'first fix after it'}, it was "
-        words += f"{format_number(worst.error)} m off"
+        words += f"; compared with the {'last withheld fix' if uncertain.open else 'first fix after it'}, it was "
+        words += f"{format_number(uncertain.error)} m off"
         if len(judged) == 1:
-            words += f", {'inside' if worst.inside else 'outside'} the predicted 95 % region of position and fix"
+            words += f", {'within' if uncertain.inside else 'beyond'} the 95 % radius of position and fix"
     if len(judged) > 1:
+        farthest = max(judged, key=lambda o: o.error or 0.0)
+        if farthest is not uncertain:
+            off, allowed = (format_number(x or 0.0) for x in (farthest.error, farthest.allowed))
+            words += f". Farthest off was another one, {farthest.duration:.0f} s long: {off} m, allowed {allowed} m"
         inside = sum(bool(o.inside) for o in judged)
-        words += f". At {inside} of {len(judged)} outages the fix is inside the predicted 95 % region"
+        words += f". At {inside} of {len(judged)} outages the fix is within the 95 % radius"
     return ". ".join([words, *late]) + "."
 
 
@@ -428,9 +433,9 @@ def _navigation_notes(parts: Sequence[tuple[Navigation, float, list[Outage]]], k
     """Return the notes of the result of `seatrial ident navigate`.
 
     They are about missing sensors, innovations that are larger than the model predicts (over 30 samples of a channel
-    with a standard deviation above 1.5 times the predicted one), fixes outside the predicted 95 % region at the end of
-    an outage, and missing standard errors of the parameters. ``parts``: navigation, log time [s] of its first row, and
-    outages of each record. ``known``: covariance of the parameters.
+    with a standard deviation above 1.5 times the predicted one), fixes beyond the 95 % radius at the end of an outage,
+    and missing standard errors of the parameters. ``parts``: navigation, log time [s] of its first row, and outages of
+    each record. ``known``: covariance of the parameters.
     """
     notes = []
     for done, t0, found in parts:
@@ -453,7 +458,7 @@ def _navigation_notes(parts: Sequence[tuple[Navigation, float, list[Outage]]], k
         outside = [o for o in found if o.inside is False]
         notes += [
             f"{name}: at the end of the outage, at {o.end + t0:.0f} s, the prediction is "
-            f"{format_number(float(o.error or 0.0))} m off, outside its 95 % region of "
+            f"{format_number(float(o.error or 0.0))} m off, more than the 95 % radius of "
             f"{format_number(float(o.allowed or 0.0))} m. Check wind, current and load of this run."
             for o in outside
         ]

@@ -10,6 +10,8 @@ from numbers import Real
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
+import numpy as np
+
 from seatrial.daq.errors import SeatrialError, names_hint
 
 P = ParamSpec("P")
@@ -123,6 +125,17 @@ def as_intervals(name: str, value: object) -> tuple[tuple[float, float], ...]:
             raise SeatrialError(f"{name} ({begin:g}, {end:g}): the end is not a time after the beginning; {advice}")
         found.append((begin, end))
     return tuple(found)
+
+
+def check_switches(given: Mapping[str, Any], options: type) -> None:
+    """Raise SeatrialError if an option that switches something on or off is neither True nor False.
+
+    Python would count any text as true, also ``"no"``. ``options`` is the `TypedDict` with the types of the options.
+    """
+    for name, value in given.items():
+        kind = options.__annotations__[name]
+        if getattr(kind, "__forward_arg__", kind) in ("bool", bool) and not isinstance(value, bool | np.bool_):
+            raise SeatrialError(f"{name} {shortened(value)}: give True or False")
 
 
 def _items(value: object) -> list[Any] | None:

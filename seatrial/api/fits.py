@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.api import plots, tables
-from seatrial.api.arguments import as_path, check_values, output_folder, shortened
+from seatrial.api.arguments import as_path, check_switches, check_values, output_folder, shortened
 from seatrial.api.calls import python_call
 from seatrial.api.figures import Figure
 from seatrial.api.findings import DiagnosisFindings
@@ -84,13 +84,14 @@ class FitOptions(TypedDict, total=False):
         File or folder with the thrust from a bench test: model.toml of a thruster model, or of a static curve from
         command to thrust. Without it the thrust is estimated or unknown.
     fixed : dict of str to float
-        Values of parameters, by name, that are known and not estimated.
+        Values of parameters, by name, that are known and not estimated, in SI units and radians.
     initial : dict of str to float
-        Initial values of parameters, by name, for the search of the maximum of the likelihood.
+        Initial values of parameters, by name, for the search of the maximum of the likelihood, in SI units and radians.
     priors : dict of str to (mean, standard deviation)
-        Priors of parameters by name.
+        Priors of parameters by name, in SI units and radians.
     effects : sequence of str
-        Names of effects of the catalogue to add to the model with free parameters.
+        Names of effects of the catalogue to add to the model with free parameters. As for all lists of names, one name
+        may be given as text.
     per_log : sequence of str
         Names of parameters of these effects that have a value of their own in each log, such as ``["F_wx", "F_wy"]``
         of a wind that differs between the days of the logs.
@@ -636,10 +637,16 @@ class FittedDiagnosis(DiagnosisFindings, MotionMethods, FittedResult):
         folder : path
             Folder for the files, which is returned. Existing files of these names are replaced.
         """
+        from msgspec import structs
+
+        from seatrial.ident.results import with_model_of_design
         from seatrial.ident.workflows.diagnose import DiagnosedModel, write_diagnosed_model
 
-        out = output_folder(folder)
-        write_diagnosed_model(DiagnosedModel(self.found, self.result, self.effects_file), out)
+        out, result = output_folder(folder), self.result
+        if advice := result.recommended_experiment:  # its command needs the model.toml of this folder
+            advice = with_model_of_design(advice, str(out / "model.toml"), "model.toml")
+            result = structs.replace(result, recommended_experiment=advice)
+        write_diagnosed_model(DiagnosedModel(self.found, result, self.effects_file), out)
         return out
 
 
@@ -714,12 +721,17 @@ def vehicle_request(
 
     given = known_options(options, FitOptions)
     _check_parameters(given)
+    if not isinstance(model, str | Path):
+        raise SeatrialError(
+            f"model: {shortened(model)} is no name of a model; give a name, such as 'horizontal:command', the path of "
+            "a model.toml, or FILE.py:NAME of your own"
+        )
     progress = given.pop("progress", False)
     estimation = {n: given.pop(n) for n in ("outlier_model", "reml", "mean_order", "horizon") if n in given}
     if "thruster" in given:
         given["thruster"] = model_file(as_path(given["thruster"], "thruster"))
     how = replace(EstimationOptions(reml=True, mean_order=2), **estimation)
-    return VehicleRequest(logs, validation, Path(), how, model, window=window, **given), progress
+    return VehicleRequest(logs, validation, Path(), how, str(model), window=window, **given), progress
 
 
 def _check_parameters(given: Mapping[str, Any]) -> None:
@@ -741,6 +753,8 @@ def _check_parameters(given: Mapping[str, Any]) -> None:
                 raise SeatrialError(f"priors: {name}: {text}")
             if not all(isinstance(x, Real) for x in (value if option == "priors" else [value])):
                 raise SeatrialError(f"{option}: {name}: {value!r} is no number; give a dict, such as {example}")
+            if not all(map(math.isfinite, value if option == "priors" else [value])):
+                raise SeatrialError(f"{option}: {name}: {shortened(value)} is not finite; give finite numbers")
             if option == "priors" and not 0.0 < value[1] < math.inf:
                 known = f"fixed={{{name!r}: {value[0]:g}}}"
                 raise SeatrialError(
@@ -785,8 +799,6 @@ def diagnose(
     >>> found.effects
     {'mismatch': 'identified'}
     """
-    from msgspec import structs
-
     from seatrial.ident.estimation import EstimationOptions
     from seatrial.ident.workflows.diagnose import DiagnosisRequest, diagnose_model
 
@@ -807,12 +819,8 @@ def diagnose(
         )
         command = python_call(diagnose, {"model": model, "logs": logs, "validate": validate, **options})
         done: DiagnosedModel = diagnose_model(request, command, messages)
-        result, advice = done.result, done.result.recommended_experiment
-        if isinstance(model, FittedResult) and advice:
-            # The file of a fitted model was temporary. The user saves the model to run the command.
-            result = structs.replace(result, recommended_experiment=advice.replace(str(path), "model.toml"))
-    warn_of_result(result, messages)
-    return FittedDiagnosis(result, done.found.after, done.found, done.effects_file)
+    warn_of_result(done.result, messages)
+    return FittedDiagnosis(done.result, done.found.after, done.found, done.effects_file)
 
 
 def refuse_log(model: object) -> None:
@@ -928,6 +936,7 @@ def known_options(given: Mapping[str, Any], options: type) -> dict[str, Any]:
             hint = f"did you mean {similar!r}? The options are" if similar else "the options are"
             raise SeatrialError(f"there is no option {name!r}; {hint} {', '.join(known)}")
     check_values(given)
+    check_switches(given, options)
     return {n: [v] if n in LISTS and isinstance(v, str) else v for n, v in given.items()}
 
 

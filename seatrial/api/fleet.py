@@ -121,7 +121,8 @@ def fit_many(
     Parameters
     ----------
     logs : path, `Log` or sequence of them
-        Logs, to each of which the model is fitted. All windows of `Log` have to be the same.
+        Logs, to each of which the model is fitted. A folder stands for all logs in it. All windows of `Log` have to be
+        the same.
     model : str
         Name of the structure, as in `fit`.
     out : path, optional

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from seatrial.ident.model import Model, Parameter
 
 MODEL, RESULT, ESTIMATES = "model.toml", "result.json", "fits.parquet"
-EXPORTED = (".py", ".h", ".yaml", ".fmu", ".sdf")  # endings of exported files
+ENDING_OF_FILES = re.compile(r"\.[A-Za-z]\w{0,4}")  # .txt, not that of a folder as boat.2 or run.2026-05-01
 NEED_LOGS = ("residuals", "predict", "simulate", "plot_residuals", "fitted")  # attributes of a fit of this process
 SHORTEST_STEP = 1e-5  # s between two times of a simulation; closer ones would be one row
 FARTHEST = 10.0  # largest input of a simulation, as a multiple of the largest one in the fitted data
@@ -686,14 +687,14 @@ def _export_file(out: Path, name: str) -> Path:
     """Return the path of an exported file: `out` itself if it has the ending of the file, otherwise `name` in it.
 
     An existing folder is always a folder, also with such an ending. SeatrialError is raised if `out` is an existing
-    file with another ending, or has the ending of another format.
+    file with another ending, or has an ending of letters as files have, such as .txt.
     """
     ending = Path(name).suffix
     if out.is_dir():
         return out / name
     if out.suffix == ending:
         return out
-    if out.exists() or out.suffix in EXPORTED:
+    if out.exists() or ENDING_OF_FILES.fullmatch(out.suffix):
         raise SeatrialError(
             f"{out}: is not the name of a folder, nor of a file with the ending {ending} of this format"
         )
@@ -703,11 +704,16 @@ def _export_file(out: Path, name: str) -> Path:
 def _structure(model: PathLike | Saved | FittedResult) -> tuple[Model, Mapping[str, tuple[float, float]]]:
     """Return a model with its estimates as the values of the parameters, and the ranges of its data by signal.
 
-    `model` is a file, a folder, a loaded or a fitted model. SeatrialError is raised if there is no model.toml.
+    `model` is a file, a folder, a loaded or a fitted model. SeatrialError is raised if there is no model.toml. A fit
+    that did not converge gives a `SeatrialWarning`.
     """
+    from seatrial.ident.estimation import warn_if_unconverged
+
     if isinstance(model, FittedResult):
         from seatrial.ident.workflows.output import validity
 
+        warn_if_unconverged(model.fitted.fit.converged)
         return model.fitted.fit.model, validity(model.fitted)
     saved = (model if isinstance(model, Saved) else load(model)).saved_model()
+    warn_if_unconverged(saved.converged)
     return saved.model, saved.validity

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import html
 import importlib.util
 import inspect
 import io
@@ -132,8 +133,10 @@ def fit(fit_page: Page) -> st.FittedVehicle:
 
 @pytest.fixture(scope="module")
 def found(logs: list[Path], fit: st.FittedVehicle) -> st.FittedDiagnosis:
-    """Diagnose the fit as the page does."""
-    with without_warnings():
+    """Diagnose the fit as the page does, and recommend a mission, whatever was found."""
+    mission = "`seatrial mission design MODEL --discriminate mismatch,yaw-bias` generates the mission."
+    with without_warnings(), pytest.MonkeyPatch.context() as patch:
+        patch.setattr("seatrial.ident.results.diagnosis.recommended_experiment", lambda diagnosis: mission)
         return st.diagnose(fit, logs[0], validate=logs[1], max_effects=1)
 
 
@@ -325,6 +328,17 @@ def test_a_diagnosis_without_a_recommended_experiment_says_why(found: st.FittedD
     assert "No experiment is recommended: no candidate passed." in replace(found, result=result).summary()
     advised = structs.replace(result, recommended_experiment="Turn on the spot.", no_experiment="")
     assert "Turn on the spot." in replace(found, result=advised).summary()
+
+
+def test_the_recommended_mission_is_designed_for_the_diagnosed_model(found: st.FittedDiagnosis, tmp_path: Path) -> None:
+    """Only the model.toml of the diagnosis has the sizes of the effects that were tried."""
+    mission = "`seatrial mission design {} --discriminate mismatch,yaw-bias` generates the mission."
+    assert found.recommended_experiment == mission.format("model.toml")
+    folder = found.save(tmp_path / "my diagnosis")
+    assert (folder / "model.toml").is_file()
+    command = mission.format(f"'{folder}/model.toml'")
+    assert st.load(folder / "result.json").result.recommended_experiment == command  # type: ignore[union-attr]
+    assert f"'{folder}/model.toml' --discriminate" in html.unescape((folder / "report.html").read_text("utf-8"))
 
 
 def test_the_covariance_has_a_table_with_names(fit: st.FittedVehicle, tmp_path: Path) -> None:
@@ -1454,6 +1468,22 @@ def test_a_malformed_gnss_outage_gives_a_one_line_error(
         (lambda logs, fit: st.fit(logs[0], priors=["c1"]), 'priors: give a dict, such as {"c1": (6.85, 0.3)}, not'),
         (lambda logs, fit: st.fit(logs[0], fixed={"c1": "6.85"}), "fixed: c1: '6.85' is no number; give a dict, such"),
         (lambda logs, fit: st.fit(logs[0], priors={"c1": (6.85, "a")}), "priors: c1: (6.85, 'a') is no number"),
+        (lambda logs, fit: st.fit(logs[0], priors={"c1": (np.nan, 1.0)}), "priors: c1: (nan, 1.0) is not finite; give"),
+        (lambda logs, fit: st.fit(logs[0], fixed={"c1": np.nan}), "fixed: c1: nan is not finite; give finite numbers"),
+        (lambda logs, fit: st.fit(logs[0], model=3), "model: 3 is no name of a model; give a name, such as 'horizont"),
+        (lambda logs, fit: st.fit_many(logs, model=None), "model: None is no name of a model; give a name, such as"),
+        (lambda logs, fit: st.fit(logs[0], score_tests="no"), "score_tests 'no': give True or False"),
+        (lambda logs, fit: st.fit(logs[0], progress=1), "progress 1: give True or False"),
+        (lambda logs, fit: st.diagnose(fit, logs[0], despite_faults="yes"), "despite_faults 'yes': give True or False"),
+        (
+            lambda logs, fit: st.fit_many(logs, jobs=0),
+            "jobs 0: give a number of processes, or -1 for one for each core",
+        ),
+        (lambda logs, fit: st.fit_many(logs, jobs="2"), "jobs '2': give a number of processes, or -1 for one for each"),
+        (
+            lambda logs, fit: st.export(fit, "boat.txt", "ros2"),
+            "boat.txt: is not the name of a folder, nor of a file with the ending .yaml of this format",
+        ),
         (lambda logs, fit: st.fit(logs[0], rate=1000), "rate 1000: give a number from 1 to 200, in Hz"),
         (lambda logs, fit: st.diagnose(fit, logs[0], rate=0.5), "rate 0.5: give a number from 1 to 200, in Hz"),
         (lambda logs, fit: st.navigate(fit, logs[0], rate="10"), "rate '10': give a number from 1 to 200, in Hz"),

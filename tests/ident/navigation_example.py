@@ -90,7 +90,8 @@ def navigation(seed: int = 4) -> NavigationResult:
     content = {
         "format": "seatrial-result 3",
         "kind": "navigation",
-        "answer": "2 GNSS outages, the worst of 30 s: at its end the position may be 1.2 m off (95 %).",
+        "answer": "2 GNSS outages; at the end of the most uncertain one, 30 s long, the position may be 1.2 m off "
+        "(95 %).",
         "created": "2026-02-03T04:05:06+00:00",
         "seatrial": "0.1.0",
         "command": "seatrial ident navigate model.toml lake.mcap --gnss-outage 60:90",

@@ -552,7 +552,7 @@ async function listFindings() {
   const found = await ask("check", { log: page.log });
   const lines = found === null ? [make("li", { className: "quiet" }, "The checks follow when the recording has ended.")]
     : found.map((f) => make("li", { className: f.level }, make("b", {}, f.level), ` ${f.where} ${f.check}: ${f.text} `, make("em", {}, f.advice)));
-  $("findings").replaceChildren(...(lines.length ? lines : [make("li", { className: "quiet" }, "No check applies to this log.")]));
+  $("findings").replaceChildren(...(lines.length ? lines : [make("li", { className: "quiet" }, "These checks are about devices, and the log names none. `seatrial check` also checks signals and motion.")]));
 }
 
 // ---- the log as it is now

@@ -111,7 +111,7 @@ def _channel_dumbbell(name: str, row: ErrorComparison, ratio: float, scale: floa
 
 
 def _criterion_in_words(criterion: float) -> str:
-    """Return by how much the criterion (Delta BIC) of a competing model is worse, as text: ``12 worse``.
+    """Return by how much the criterion (ΔBIC) of a competing model is worse, as text: ``12 worse``.
 
     ``criterion`` is that of the added effect minus that of the competing model. If it is negative, the text is ``12
     better, but worse on the validation data``.
@@ -135,9 +135,7 @@ def effect_card(effect: EffectRow, horizon: float) -> EffectCard:
     """
     parameters = []
     for row in effect.parameters:
-        factor, unit = formatting.degrees_for(row.unit)
-        value, se = formatting.scaled(factor, row.value, row.se)
-        parameters.append((row.name, formatting.with_error(value, se, unit), row.meaning))
+        parameters.append((row.name, formatting.estimate_of_effect(row), row.meaning))
     alternatives = [f"{row.name} ({_criterion_in_words(row.criterion_behind)})" for row in effect.alternatives]
     facts = (
         ("In words", effect.in_words),
@@ -145,7 +143,7 @@ def effect_card(effect: EffectRow, horizon: float) -> EffectCard:
         ("Look for", effect.causes),
         ("Source", effect.source),
         ("Shown by", effect.experiment),
-        ("Competing models, Δ BIC", ", ".join(alternatives)),
+        ("Fitted in its place, ΔBIC", ", ".join(alternatives)),
         ("Attribution", attribution_words(effect)),
     )
     return EffectCard(
@@ -162,7 +160,8 @@ def effect_card(effect: EffectRow, horizon: float) -> EffectCard:
 def _importance_in_words(change: PredictionChangeRow | None, horizon: float) -> tuple[str, str]:
     """Return how an effect changes the prediction error, as two texts: percentage, and words after it.
 
-    The sign of the percentages is that of the answer of the report. Both texts are empty if ``change`` is None.
+    As in the answer of the report, the percentages of an error that is smaller or larger have no sign, and those of an
+    insignificant change have one. Both texts are empty if ``change`` is None.
 
     Parameters
     ----------
@@ -176,11 +175,21 @@ def _importance_in_words(change: PredictionChangeRow | None, horizon: float) -> 
     error = f"prediction error {horizon:g} s ahead with this effect"
     shift = 100 * (change.ratio - 1)
     ends = None if change.low is None or change.high is None else [100 * (r - 1) for r in (change.low, change.high)]
-    within = "" if ends is None else f"95 %: {ends[0]:+.0f} to {ends[1]:+.0f} %"
+    within = ""
+    if ends is not None and change.verdict == "unchanged":
+        within = f"95 %: {_signed(ends[0])} to {_signed(ends[1])} %"
+    elif ends is not None:
+        least, most = sorted(map(abs, ends))
+        within = f"95 %: {least:.0f} to {most:.0f} %"
     if change.verdict == "unchanged":
         reason = "not significant" if ends is not None else "the data are too short for an interval"
-        return f"{shift:+.0f} %", f"change of the {error}, {reason}{f' ({within})' if within else ''}"
+        return f"{_signed(shift)} %", f"change of the {error}, {reason}{f' ({within})' if within else ''}"
     return f"{abs(shift):.0f} %", f"{'smaller' if shift < 0.0 else 'larger'} {error}{f' ({within})' if within else ''}"
+
+
+def _signed(percent: float) -> str:
+    """Return a percentage without decimals, with its sign: a plus or a true minus sign."""
+    return f"{percent:+.0f}".replace("-", "\N{MINUS SIGN}")
 
 
 def attribution_words(effect: EffectRow) -> str:
@@ -198,7 +207,9 @@ def attribution_words(effect: EffectRow) -> str:
         )
     if effect.attribution == "ambiguous":
         alternatives = [between_runs_title(formatting.titled(name)) for name in effect.not_excluded]
-        reasons = [*effect.reasons, *([f"not excluded: {', '.join(alternatives)}"] if alternatives else [])]
+        # An effect with a far worse ΔBIC in this place may still be there beside this effect, by its score test.
+        rule = "not excluded, by ΔBIC or by the tests with this effect in the model"
+        reasons = [*effect.reasons, *([f"{rule}: {', '.join(alternatives)}"] if alternatives else [])]
         return "ambiguous; " + "; ".join(reasons) + odds
     return {
         "identified": "identified: the effect keeps its size beside the candidates that remain, and no competing model "

@@ -42,7 +42,8 @@ def outages_section(result: NavigationResult) -> Section:
     lead = (
         "95 % radius: radius of the circle that contains the position at the end of the outage with 95 % probability, "
         "predicted without GNSS. Error: distance of this prediction from the first fix after the outage. Allowed: 95 % "
-        "of these distances should be smaller, with the noise of the fix included."
+        "of these distances should be smaller, with the noise of the fix included. Inside: the error is at most the "
+        "allowed one."
     )
     if withheld:
         lead += " RMS errors: for outages with GNSS fixes withheld on purpose, distances from all withheld fixes."
@@ -53,7 +54,7 @@ def _outage_cells(o: GnssOutage, withheld: bool) -> list[Cell | str]:
     """Return the table cells of one GNSS outage; ``withheld`` adds two cells of RMS errors at withheld fixes.
 
     They are record, start, duration, 95 % radius of the position at the end, distance of a fix from it, 95 % limit of
-    that distance, and whether the fix is inside the 95 % region. The fix is the next one, or the last withheld one if
+    that distance, and whether the distance is within it. The fix is the next one, or the last withheld one if
     no fix follows. An unknown value is a dash.
     """
     verdict = {True: Cell("✓ inside", "good"), False: Cell("✗ outside", "bad"), None: Cell("–")}[o.inside]

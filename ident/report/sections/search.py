@@ -56,7 +56,9 @@ def section(canvas: Canvas, result: DiagnosisResult) -> Section:
     blocks += _detectable_blocks(result.detectable)
     lead = (
         "Each round tests all candidates (effects that the model may lack) on the residuals by score tests, and refits "
-        "the model with the best of them. The validation data decide whether an effect is added."
+        "the model with the best of them. Their ΔBIC is the gain 2 Δln L less df ln n. The validation data decide "
+        "whether an effect is added: their likelihood has to rise with t above 2, or with t above 1 if t over "
+        "estimation and validation data together is above 3."
     )
     return Section("search", "Search for missing effects", blocks, lead if found else "")
 
@@ -193,7 +195,7 @@ def _refits_table(row: RoundRow, chosen: str | None) -> list[Any]:
         ("effect parameters", ""),
         ("gain 2 Δln L", "num"),
         ("df", "num"),
-        ("criterion", "num"),
+        ("ΔBIC", "num"),
         ("Δln L on validation data", "num"),
         ("t", "num"),
         ("outcome", ""),
@@ -209,11 +211,7 @@ def _refit_cells(row: RefitRow, chosen: str | None) -> list[Cell | str]:
     statistic. ``chosen`` is the name of the effect that was added in the round and not removed again, None if there is
     none. A refit with the outcome "added" and another name is shown as removed again.
     """
-    parameters = []
-    for p in row.parameters:
-        factor, unit = formatting.degrees_for(p.unit)
-        value, se = formatting.scaled(factor, p.value, p.se)
-        parameters.append(f"{p.name} = {formatting.with_error(value, se, unit)}")
+    parameters = [f"{p.name} = {formatting.estimate_of_effect(p)}" for p in row.parameters]
     more = [f"and {len(parameters) - 3} more"] if len(parameters) > 3 else []
     won = bool(chosen) and row.name == chosen
     title = row.title or row.name

@@ -477,6 +477,17 @@ def shuffled(n: int = 400) -> str:
     return "t,cmd,heading\n" + "".join(f"{0.1 * k:.1f},0,{k % 90}\n" for k in order)
 
 
+def test_a_mass_in_grams_is_named_at_the_import_and_in_the_check(folder: Path) -> None:
+    csv_map, files = write(folder)
+    text = csv_map.read_text()
+    csv_map.write_text(text.replace("[csv]", "[geometry]\nlength = 1.5\nmass = 17400.0\n[csv]"))
+    problem = "mass = 17400 kg, but boats of length = 1.5 m weigh 1.7 to 510 kg"
+    with pytest.warns(SeatrialWarning, match=rf"map\.toml: {problem}; correct mass \[kg\] or length"):
+        (out,) = import_files(csv_map, files)
+    (found,) = [f for f in findings(out) if f.code == "mass-of-length"]
+    assert (found.level, found.text) == ("warning", problem)
+
+
 def test_shuffled_rows_are_a_fault(folder: Path) -> None:
     csv_map, files = write(folder, shuffled(), csv='time_order = "drop"')
     with pytest.raises(SeatrialError, match=r"\d+ rows of 400 left out, because times repeat .* sort the rows"):

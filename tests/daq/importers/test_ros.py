@@ -22,6 +22,7 @@ from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from seatrial.daq.importers.guess import guess_map
 from seatrial.daq.importers.import_files import import_files
 from seatrial.daq.importers.ros import _TopicMessages, read_bag
+from seatrial.daq.importers.sources import source_kind
 from seatrial.daq.importers.table import SourceOptions
 from seatrial.daq.log.reader import Log, open_log
 from seatrial.daq.samples import Ahrs, Gnss, Scalar
@@ -421,6 +422,25 @@ def test_a_bag_without_metadata_or_with_a_truncated_file_is_read(bag: Path) -> N
         tables = {table.topic: table for table in read_bag(part, SourceOptions())}
         assert len(tables["/imu/data"]) == N
         assert "is cut off" in tables["/imu/data"].remark
+
+
+def test_a_bag_with_metadata_and_a_truncated_file_is_recovered_too(bag: Path) -> None:
+    (part,) = [file for file in bag.iterdir() if file.suffix in (".mcap", ".db3")]
+    if part.suffix == ".mcap":
+        part.write_bytes(part.read_bytes()[:-40])
+        tables = {table.topic: table for table in read_bag(bag, SourceOptions())}
+        assert len(tables["/imu/data"]) == N
+        assert f"{part.name} is cut off: " in tables["/imu/data"].remark
+        assert "without metadata.yaml" not in tables["/imu/data"].remark
+        return
+    part.write_bytes(part.read_bytes()[:3000])
+    with pytest.raises(SeatrialError, match=r"cannot be read as a ROS bag: .*[^.]; check that the bag is complete"):
+        read_bag(bag, SourceOptions())
+
+
+def test_the_description_of_a_bag_names_its_folder(bag: Path) -> None:
+    with pytest.raises(SeatrialError, match=rf"metadata\.yaml: describes a bag of ROS 2; give the folder .*{bag.name}"):
+        source_kind(bag / "metadata.yaml")
 
 
 def test_a_bag_that_was_not_closed_names_the_remedy(tmp_path: Path) -> None:

@@ -85,6 +85,18 @@ def test_smoothed_signal_is_reported_and_its_noise_has_a_lower_bound(run: dict[s
     assert with_noise_floors(horizontal_model(), [])[1] == []
 
 
+def test_advice_on_a_smoothed_signal_is_what_the_fit_does(run: dict[str, Channel]) -> None:
+    """Beside the position of an estimator, the lasting errors of the heading are states, and its noise has no floor."""
+    ekf = run | {"psi": filtered(run["psi"])}
+    for channels, states in ((ekf, False), (ekf | {n: filtered(run[n]) for n in ("x", "y")}, True)):
+        (finding,) = [f for f in check_signals(channels, SIDES) if f.code == "channel-smoothed"]
+        log = LoadedLog(LogSegment("run", channels), {}, {}, None)
+        model, _ = with_noise_floors(with_estimator_errors(horizontal_model(), [log])[0], [log])
+        assert (model.parameter("e_psi").bounds[0] < 0.001) is states
+        assert ("a fit estimates these errors as states" in finding.advice) is states
+        assert ("a fit takes at least the noise of a usual sensor" in finding.advice) is not states
+
+
 def test_noise_that_the_user_gave_is_not_reported_as_smoothed(run: dict[str, Channel]) -> None:
     ekf = run | {n: filtered(run[n]) for n in ("psi", "r")}
     log = LoadedLog(LogSegment("run", ekf), {"path": "run"}, {}, None, device_faults=[])

@@ -45,5 +45,5 @@ def test_advice_on_the_scale_is_the_same_for_both_sides() -> None:
     assert advice.startswith("set scale = 0.001 for all thrusters in the import map, a guess from the largest number")
     percent = {name: Channel(t, 100.0 * np.cos(t)) for name in speeds}
     assert {f.advice for f in check_ranges(percent)} == {
-        "set scale = 0.01 for all thrusters in the import map, or correct rpm_max in the rig file"
+        'set unit = "%" for all thrusters in the import map, or correct rpm_max in the rig file'
     }

@@ -24,6 +24,7 @@ from seatrial.ident.experiment_design.prior import prior_from_fit
 from seatrial.ident.experiment_design.problem import COAST_S, REST_S, DesignLimits
 from seatrial.ident.model.structure import Model
 from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.reporter import QUIET, TimeLeft
 from seatrial.ident.workflows.design import (
     DesignRequest,
     hypotheses,
@@ -111,7 +112,7 @@ def test_progress_counts_all_simulations_and_has_the_time_to_go(duration: float,
     reporter: Any = SimpleNamespace(progress=lines.append, warning=lines.append)
     request = DesignRequest(duration=duration, steps=steps, evaluations=900)
     make_design("horizontal:shaft:no-current", request, tmp_path / "m.toml", "", reporter)
-    pattern = r"design: (\d+) of at most 900 simulations, search (\d+) of (\d+), D [-\d.]+ \((\d+) (s|min) to go\)"
+    pattern = r"design: (\d+) of about 900 simulations, search (\d+) of (\d+), D [-\d.]+ \((\d+) (s|min) to go\)"
     found = [match for line in lines if (match := re.fullmatch(pattern, line))]
     counts = [int(match[1]) for match in found]
     assert len(counts) > 5
@@ -122,6 +123,18 @@ def test_progress_counts_all_simulations_and_has_the_time_to_go(duration: float,
     assert {match[3] for match in found} == {str(many)}
     assert searches == sorted(searches)
     assert set(searches) == set(range(1, many + 1))
+
+
+def test_progress_with_few_simulations_counts_the_searches_that_follow(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each search makes at least one batch, so that the first one may exceed --evaluations."""
+    asked = list[tuple[float, float]]()
+    monkeypatch.setattr(TimeLeft, "text", lambda _, done, least=0.0: asked.append((done, least)) or "")
+    request = DesignRequest(duration=40.0, steps=8, evaluations=60)
+    make_design("horizontal:shaft:no-current", request, tmp_path / "m.toml", "", QUIET)
+    first = next(done for done, _ in asked if done > 60)
+    assert (first, 5 * first) in asked
 
 
 def test_progress_has_no_criterion_while_a_limit_is_violated(tmp_path: Path) -> None:

@@ -26,6 +26,8 @@ from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.numerics import Array
 from seatrial.ident.report.page import write_report
 from seatrial.ident.report.terminal import print_result
+from seatrial.ident.results.diagnosis import in_words
+from seatrial.ident.results.tables import effect_parameter_rows
 from seatrial.ident.validation.prediction_errors import PredictionChange
 from tests.ident.pages import loaded
 from tests.ident.report_example import diagnosis
@@ -104,7 +106,7 @@ def test_remaining_score_makes_an_effect_ambiguous_above_a_threshold(worth: floa
     assert found.attribution == attribution
     if found.reasons:
         assert found.reasons == (
-            "with this effect the score tests still find that N depends on u and r (a gain of 21 in 2 ln L)",
+            "with this effect the score tests still find that N depends on u and r, with an expected ΔBIC of 21",
         )
 
 
@@ -125,6 +127,17 @@ def test_effect_that_keeps_its_size_stays_identified_despite_remaining_scores() 
         "with this effect the score test of a constant or speed-dependent yaw moment ('yaw-bias'), one of its "
         "alternatives, is still significant",
     )
+
+
+def test_every_alternative_that_is_not_excluded_has_its_reason() -> None:
+    """An alternative with a far worse ΔBIC in place of the effect is not excluded if its score test still passes."""
+    sag = refit("derating", 700.0, alternatives=("battery-sag", "fouling"))
+    rounds = (one_round(sag, refit("battery-sag", 80.0), refit("fouling", 20.0)), one_round(refit("wind", 140.0)))
+    found, _ = attributions_of(*rounds, left=(score("fouling", 9.0), score("battery-sag", 8.0)))
+    assert found.not_excluded == ("battery-sag", "fouling")
+    (reason,) = [r for r in found.reasons if "its alternatives, are still significant" in r]
+    assert "('fouling') and of" in reason
+    assert "('battery-sag')" in reason
 
 
 def test_effect_that_keeps_its_size_stays_identified_despite_a_small_curve() -> None:
@@ -181,13 +194,13 @@ def test_competing_models_with_a_close_criterion_are_listed() -> None:
     )
     assert found.attribution == "ambiguous"
     assert found.not_excluded == ("filter-lag", "lag")
-    assert found.reasons == ("filter lag explains nearly as much (5 less in 2 ln L)",)
+    assert found.reasons == ("filter lag explains nearly as much (its ΔBIC is 5 worse)",)
 
 
 def test_competing_model_that_fits_better_but_fails_validation_is_reported() -> None:
     for t, better in ((1.0, "better"), (5.0, "significantly better")):
         (found,) = attributions_of(one_round(refit("pendulum", 400.0), refit("compass", 439.0, t=t)))
-        gain = "compass explains the estimation data better (by 39 in 2 ln L)"
+        gain = "compass explains the estimation data better (its ΔBIC is 39 better)"
         assert found.reasons == (f"{gain}, but not the validation data {better}",)
 
 
@@ -385,14 +398,16 @@ def test_small_alternative_of_a_strong_effect_is_ambiguous_as_a_correction_of_it
         ("psi(n_diff)", "that the error of psi depends on n_diff"),
         ("F(t)", "that F depends on t"),
         ("n_dot(slip)", "that n_dot depends on slip"),
-        ("lag", "lag"),
+        ("lag", "a first-order thrust lag behind the shaft ('lag')"),
     ],
 )
 def test_remaining_score_is_described_in_words(name: str, description: str) -> None:
     (found,) = attributions_of(
         one_round(refit("lever-arm", 500.0)), left=(score(name, DEFAULT_POLICY.max_remaining_criterion + 1),)
     )
-    assert found.reasons[0].startswith(f"with this effect the score tests still find {description} (")
+    assert found.reasons[0].startswith(
+        f"with this effect the score tests still find {description}, with an expected ΔBIC of "
+    )
 
 
 def test_two_effects_without_remaining_scores_are_both_identified() -> None:
@@ -416,7 +431,8 @@ def test_caveat_is_shown_below_the_answer(tmp_path: Path) -> None:
     write_report(loaded(result), tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert page.count("The name is uncertain: a lag explains nearly as much.") == 1
-    assert "ambiguous; a lag explains nearly as much; not excluded: lag" in page
+    rule = "not excluded, by ΔBIC or by the tests with this effect in the model"
+    assert f"ambiguous; a lag explains nearly as much; {rule}: lag" in page
     console = Console(width=80, record=True, file=StringIO())
     print_result(loaded(result), console)
     assert "The name is uncertain: a lag explains nearly as much." in console.export_text()
@@ -443,6 +459,23 @@ def test_effect_whose_parameters_are_at_bounds_or_undetermined_is_ambiguous(
     (found,) = attributions_of(one_round(refit("hump", 800.0, fit=fit, parameters=HUMP)))
     assert found.attribution == ("ambiguous" if reason else "identified")
     assert found.reasons == ((reason,) if reason else ())
+
+
+def test_parameter_at_its_bound_is_no_finding_in_words() -> None:
+    """A share of 0.9 that is the bound of the search is told as a limit, not as an estimate."""
+    effect = catalogue()["derating"]
+    model = SimpleNamespace(parameters=effect.parameters, values={}, inputs=())
+    fit = a_fit(("k_heat", "tau_heat"), [0.9, 16.5], np.diag([np.nan, 1.4**2]), model)
+    fit.parameters, fit.records = effect.parameters, ("run1",)
+    told = in_words(effect, SimpleNamespace(fit=fit))  # type: ignore[arg-type]
+    assert told.endswith("it comes back in the same time")
+    fit.flags = (("k_heat", AT_BOUND),)
+    told = in_words(effect, SimpleNamespace(fit=fit))  # type: ignore[arg-type]
+    assert told.endswith("; k_heat = 0.9 is at the limit of this parameter, and so no estimate")
+    silent = in_words(replace(effect, in_words=None), SimpleNamespace(fit=fit))  # type: ignore[arg-type]
+    assert silent == "k_heat = 0.9 is at the limit of this parameter, and so no estimate"
+    rows = effect_parameter_rows(effect, SimpleNamespace(fit=fit))  # type: ignore[arg-type]
+    assert [row.at_bound for row in rows] == [True, False]
 
 
 def test_caveat_has_no_newtons_if_the_thrust_is_unknown() -> None:

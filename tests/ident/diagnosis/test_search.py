@@ -267,7 +267,7 @@ def test_headline_says_that_the_size_of_an_effect_is_not_determined(
     error: float, change: PredictionChange, said: bool
 ) -> None:
     walk = Effect("walk", "propeller walk", {}, (Parameter("k", 0.0), Parameter("x_walk", -0.8)))
-    fit = type("Fit", (), {"estimate": lambda _, name: {"k": (0.006, error)}[name]})()
+    fit = type("Fit", (), {"estimate": lambda _, name: {"k": (0.006, error)}[name], "flags": ()})()
     chosen = Refit(walk, blank(fit=fit), 90.0, 1, 82.0, 30.0, 4.0)
     found = Diagnosis(
         blank(), blank(fit=fit, cross_validated=False), (Round((), (), (chosen,), chosen),), (), (),
@@ -299,7 +299,7 @@ def test_search_that_reached_its_limit_names_the_untried_candidates(monkeypatch:
     found = Diagnosis(after, after, (Round((), (), (chosen,), chosen),), (score,), (), untried_scores=(score,))
     caveat = (
         "The search ended when it had added 1 effect: it had reached --max-effects; give a larger number to try "
-        "the other candidates: wind."
+        "the other candidates: steady wind."
     )
     assert diagnosis_caveat(found) == caveat  # The caveat is also shown on the screen.
     assert caveat not in _notes(found, GivenModel("model.toml"))
@@ -317,8 +317,8 @@ def test_caveat_of_a_certain_name_has_the_candidates_that_still_pass() -> None:
     weight = EffectImportance("hump", 900.0, 1.3, 50.0, 5.0)
     found = Diagnosis(after, after, rounds, left, (), attributions=certain, importances=(weight,))
     assert diagnosis_caveat(found) == (
-        "A part of the residuals stays unexplained: 1 other candidate still passes the score test (wind). It was not "
-        "added: no candidate that passed could be fitted."
+        "A part of the residuals stays unexplained: 1 other candidate still passes the score test (steady wind). It "
+        "was not added: no candidate that passed could be fitted."
     )
     assert diagnosis_caveat(replace(found, remaining=())) is None
     doubted = replace(found, attributions=(EffectAttribution("hump", "ambiguous", ("a lag resembles it",)),))

@@ -318,6 +318,19 @@ def test_export_of_an_unknown_thrust_prints_one_warning(tmp_path: Path) -> None:
     assert "--fix c1=VALUE" in line
 
 
+def test_export_of_a_model_that_did_not_converge_says_so_on_the_screen_and_in_the_file(tmp_path: Path) -> None:
+    text = blocks(ROOT / "docs/formats/model.md", "toml")[0] + KNOWN_SCALE
+    for target in ("python", "c", "casadi", "ros2"):
+        source, words = tmp_path / "model.toml", ["export", str(tmp_path / "model.toml"), "--to", target]
+        source.write_text(text, encoding="utf-8")
+        assert "did not converge" not in CliRunner().invoke(ident, words, catch_exceptions=False).stdout
+        source.write_text(text.replace("name =", "converged = false\nname =", 1), encoding="utf-8")
+        with pytest.warns(SeatrialWarning, match="the fit of this model did not converge") as found:
+            done = CliRunner().invoke(ident, words, catch_exceptions=False)
+        assert len(found) == 1
+        assert any("WARNING: the fit of this model did not converge" in line for line in done.stdout.splitlines()[:4])
+
+
 def test_offsets_of_a_measured_attitude_are_omitted_like_all_others() -> None:
     model = with_disturbances(kinematic_model(yaw=True))
     assert collect_content(saved(model)).states == ("x", "y", "u", "v", "r")

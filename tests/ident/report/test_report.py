@@ -19,7 +19,7 @@ from rich.console import Console
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.sections.answer import effect_card
 from seatrial.ident.report.terminal import print_result
-from seatrial.ident.results import VehicleResult
+from seatrial.ident.results import NOT_WEIGHED, VehicleResult
 from tests.ident.pages import HOSTILE, KINDS, Page, loaded, numbers, printed, shortened, written
 
 MEGABYTE = 1_000_000
@@ -100,20 +100,20 @@ def test_answer_and_its_figures_come_first(diagnosis: dict[str, Any], page: Page
     assert f"{np.degrees(row['before']):.2f} → {np.degrees(row['after']):.2f} deg" in first
     assert "f_i -= k_J |n_i| (u - y_i r)" in first
     assert "6.08 ± 0.27 kg/s" in first
-    assert "42 % smaller prediction error 10 s ahead with this effect (95 %: -50 to -34 %)" in first
+    assert "42 % smaller prediction error 10 s ahead with this effect (95 %: 34 to 50 %)" in first
     assert "In wordsthe thrust falls by 6.1 N" in first
 
 
 @pytest.mark.parametrize(
     ("ratio", "low", "high", "verdict", "shown"),
     [
-        (0.25, 0.2, 0.5, "fell", "75 % smaller prediction error 10 s ahead with this effect (95 %: -80 to -50 %)"),
+        (0.25, 0.2, 0.5, "fell", "75 % smaller prediction error 10 s ahead with this effect (95 %: 50 to 80 %)"),
         (
             0.98,
             0.9,
             1.1,
             "unchanged",
-            "-2 % change of the prediction error 10 s ahead with this effect, not significant",
+            "\N{MINUS SIGN}2 % change of the prediction error 10 s ahead with this effect, not significant",
         ),
         (1.25, 1.1, 1.4, "rose", "25 % larger prediction error 10 s ahead with this effect"),
         (
@@ -121,7 +121,7 @@ def test_answer_and_its_figures_come_first(diagnosis: dict[str, Any], page: Page
             None,
             None,
             "unchanged",
-            "-50 % change of the prediction error 10 s ahead with this effect, the data are",
+            "\N{MINUS SIGN}50 % change of the prediction error 10 s ahead with this effect, the data are",
         ),
     ],
 )
@@ -132,6 +132,26 @@ def test_importance_is_the_change_over_the_horizon(
     (effect, *_) = loaded(small | {"effects": [small["effects"][0] | {"prediction": change}]}).effects
     card = effect_card(effect, 10.0)
     assert f"{card.importance} {card.importance_words}".startswith(shown)
+
+
+def test_terminal_says_that_the_mass_was_not_compared_with_a_weighed_one() -> None:
+    bench = shortened(KINDS["thruster"]())
+    fit = {name: bench[name] for name in bench if name in VehicleResult.__struct_fields__} | {"kind": "vehicle"}
+    for notes in ([], [NOT_WEIGHED]):
+        shown = Console(width=100, record=True, file=io.StringIO())
+        print_result(loaded(fit | {"notes": notes}), shown)
+        assert (NOT_WEIGHED in " ".join(shown.export_text().split())) == bool(notes)
+
+
+def test_value_at_a_bound_is_marked_in_the_card_and_on_the_terminal(small: dict[str, Any]) -> None:
+    parameter = {"name": "k_heat", "meaning": "lost share", "unit": "", "value": 0.9, "se": None, "at_bound": True}
+    result = loaded(small | {"effects": [small["effects"][0] | {"parameters": [parameter]}]})
+    ((name, value, _),) = effect_card(result.effects[0], 10.0).parameters
+    assert (name, value) == ("k_heat", "0.9 (at its limit)")
+    console = Console(width=100, record=True, file=io.StringIO())
+    print_result(result, console)
+    (line,) = [row for row in console.export_text().splitlines() if row.strip().startswith("k_heat")]
+    assert "⚠ at its limit: lost share" in line
 
 
 def test_figures_are_json_with_valid_arrays(page: Page) -> None:

@@ -10,8 +10,10 @@ import pytest
 import seatrial as st
 from seatrial.api.messages import in_python
 from seatrial.daq.errors import SeatrialWarning
-from seatrial.ident.estimation import AT_BOUND
-from seatrial.ident.results.tables import fit_summary
+from seatrial.ident.estimation import AT_BOUND, ReportedEstimates
+from seatrial.ident.models import estimator_error
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.results.tables import _flag_text, fit_summary
 from tests.missions import boat_log, boat_with
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
@@ -54,6 +56,16 @@ def test_a_noise_at_its_bound_names_the_bound(fitted: st.FittedVehicle) -> None:
     flag = flag_at(fitted, "e_psi", (0.01, np.inf), 0.01)
     assert flag.startswith("at its bound 0.01 rad, the lowest possible value: the data show less noise than this. ")
     assert flag.endswith("(--fix e_psi=VALUE)")
+
+
+def test_a_noise_beside_lasting_errors_needs_nothing(fitted: st.FittedVehicle) -> None:
+    with_states = horizontal_model() + estimator_error([s.name for s in horizontal_model().sensors])
+    p = replace(with_states.parameter("e_psi"), bounds=(0.0002, np.inf), value=0.0002)
+    flag = _flag_text(AT_BOUND, p, 0.0002, ReportedEstimates(replace(fitted.fitted.fit, model=with_states)))
+    assert flag == (
+        "at its bound 0.0002 rad, the lowest possible value: the errors of this signal last, and are states of the "
+        "model. Nothing has to be done"
+    )
 
 
 def test_an_upper_bound_is_called_the_highest_value(fitted: st.FittedVehicle) -> None:

@@ -52,8 +52,8 @@ def test_an_alternative_that_explains_less_is_named(
     found = SimpleNamespace(name=effect, title="the one", not_excluded=not_excluded)
     notes = alternative_notes(rounds, [found])  # type: ignore[list-item]
     expected = (
-        f"In place of the one, the search also fitted the other ('{rival}'): it explains {152.4 - criterion:.0f} less "
-        "in 2 ln L of the estimation data."
+        f"In place of the one, the search also fitted the other ('{rival}'): its ΔBIC on the estimation data "
+        f"is {152.4 - criterion:.0f} worse."
     )
     assert notes == ([expected] if noted else [])
     both: Any = [found, SimpleNamespace(name=rival, title="the other", not_excluded=())]

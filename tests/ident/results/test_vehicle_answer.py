@@ -24,6 +24,7 @@ from seatrial.ident.model.outlier_density import with_outlier_model
 from seatrial.ident.model.parameter import Parameter, ParameterOrigin
 from seatrial.ident.model.structure import ModelKind
 from seatrial.ident.models import horizontal_model
+from seatrial.ident.models.nomoto import nomoto_model
 from seatrial.ident.results.answers import (
     NAMES,
     candidate_sentence,
@@ -430,6 +431,18 @@ def test_fit_that_did_not_converge_has_no_other_answer() -> None:
     assert answer.startswith(
         "The fit did not converge: it stopped after 60 iterations; its estimates can still move by 36 standard errors. "
     )
+
+
+def test_advice_on_a_turn_rate_without_a_lag_names_its_time_constant() -> None:
+    """T of Nomoto's model is zero without a prior, and no boat answers at once."""
+    failed = SimpleNamespace(converged=False, message="stopped after 60 iterations", model=nomoto_model())
+    answer = not_converged(failed)  # type: ignore[arg-type]
+    assert answer is not None
+    assert "T is fixed at zero: free it by --prior T=0.5:0.5" in answer
+    freed = nomoto_model().replace_parameters(replace(nomoto_model().parameter("T"), free=True))
+    answer = not_converged(SimpleNamespace(**vars(failed) | {"model": freed}))  # type: ignore[arg-type]
+    assert answer is not None
+    assert "--prior T" not in answer
 
 
 def test_answer_states_that_the_fit_stopped_close_to_its_maximum() -> None:

@@ -42,6 +42,7 @@ from seatrial.ident.results.result_file import read_result
 from seatrial.ident.validation.prediction_errors import PredictionErrors
 from seatrial.ident.workflows.compare import (
     CompareRequest,
+    _limited_warnings,
     block_of_comparison,
     compare_models,
     comparison_answer,
@@ -49,7 +50,7 @@ from seatrial.ident.workflows.compare import (
     records_of_same_time,
 )
 from seatrial.ident.workflows.compared_predictions import ONE_STEP, SIMULATION, PredictedRecord
-from seatrial.ident.workflows.comparison_errors import at_common_samples, calibration_at, channel_rows
+from seatrial.ident.workflows.comparison_errors import at_common_samples, calibration_at, channel_rows, limited_samples
 from seatrial.ident.workflows.comparison_likelihood import (
     _is_nested,
     _n_estimates,
@@ -103,6 +104,24 @@ def run(*words: object, status: int = 0) -> None:
 
 def errors(t: np.ndarray, e: np.ndarray) -> PredictionErrors:
     return PredictionErrors(t, e, np.cos(t))
+
+
+def test_a_model_that_did_not_converge_is_named_before_it_is_used(
+    models: list[Path], logs: list[Path], compared: ComparisonResult, tmp_path: Path
+) -> None:
+    assert "model-not-converged" not in {w.code for w in compared.warnings}
+    failed = tmp_path / "model.toml"
+    text = models[0].read_text(encoding="utf-8")
+    failed.write_text(text.replace("name =", "converged = false\nname =", 1), encoding="utf-8")
+    result = compare_models(CompareRequest([models[0], failed], logs[2:], (2.0,), names=("good", "failed")), "", Kept())
+    (warning,) = [w for w in result.warnings if w.code == "model-not-converged"]
+    assert warning.text.startswith("the fit of (b) did not converge, so its estimates")
+    assert "the fit of (b) did not converge" in " ".join(text_of(result).split())
+    t = np.arange(0.0, 2.0, 0.1)
+    inputs = {"n_left": 0.3 + 0 * t, "n_right": 0.3 + 0 * t}
+    with pytest.warns(SeatrialWarning, match="the fit of this model did not converge"):
+        st.simulate(failed, t, inputs)
+    st.simulate(models[0], t, inputs)  # pytest turns a warning into an error
 
 
 def test_a_comparison_says_what_differs_between_the_models(compared: ComparisonResult, models: list[Path]) -> None:
@@ -358,6 +377,21 @@ def test_errors_are_compared_at_the_samples_that_all_models_predict() -> None:
     np.testing.assert_array_equal(b["run"]["r"].e, 2.0 + t[4:])
     assert a["run"]["x"].t.size == 10  # only the first model predicts x at all
     assert "r" not in a["other"]
+
+
+def test_model_that_limits_the_common_samples_is_named() -> None:
+    """A third model that predicts few samples changes the numbers of the first two."""
+    t = np.arange(100.0)
+    whole = {"run": {"r": errors(t, t), "x": errors(t, t)}}
+    few = {"run": {"r": errors(t[::12], t[::12])}}
+    assert limited_samples([whole, whole], "ab") == []
+    assert limited_samples([whole, whole, few], "abc") == ["r 9 of 100 samples, by (c)"]
+    assert limited_samples([few, whole], "ab") == ["r 9 of 100 samples, by (a)"]
+    nearly = {"run": {"r": errors(t[5:], t[5:])}}
+    assert limited_samples([whole, nearly], "ab") == []
+    parts = [{"run": PredictedRecord(t, {}, t, {ONE_STEP: own["run"]}, {})} for own in (whole, whole, few)]
+    (warning,) = _limited_warnings(parts, labels(3))
+    assert warning.text.endswith("One step ahead they are limited: r 9 of 100 samples, by (c).")
 
 
 def test_rows_name_the_best_model_and_those_not_distinguishable_from_it() -> None:

@@ -76,6 +76,13 @@ def test_two_processes_give_the_numbers_of_one(logs: list[Path], alone: fleet.Fl
     assert alone.result.fitted == 4
 
 
+def test_a_folder_stands_for_its_logs(logs: list[Path], alone: fleet.FleetFits, tmp_path: Path) -> None:
+    folder = fit_fleet(FleetRequest([logs[0].parent], VEHICLE, None, Workers(1)), "", Kept())
+    assert same(folder.table).equals(same(alone.table))
+    (failed,) = fit_fleet(FleetRequest([tmp_path], VEHICLE, None, Workers(1)), "", Kept()).result.failed
+    assert "is a folder without a log (*.mcap) in it" in failed.reason
+
+
 @pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")
 def test_rows_equal_the_result_of_a_single_fit(logs: list[Path]) -> None:
     single = st.fit(logs[1], score_tests=False, fixed={"c2": 1.1}, priors={"c1": (40.0, 2.0)})
@@ -131,9 +138,10 @@ def test_failed_log_is_a_row_with_its_reason(
     broken, copy = tmp_path / "broken.mcap", tmp_path / "copy.mcap"
     broken.write_bytes(b"no log")
     shutil.copy(logs[0], copy)
-    missing = tmp_path / "missing.mcap"
+    missing, empty = tmp_path / "missing.mcap", tmp_path / "empty"
+    empty.mkdir()
     words = ("--jobs", "2", *QUICK, "--out", tmp_path / "fleet")
-    run("ident", "fleet", logs[0], broken, missing, tmp_path, copy, logs[1], *words, status=1)
+    run("ident", "fleet", logs[0], broken, missing, empty, copy, logs[1], *words, status=1)
     shown = capsys.readouterr()
     assert "copy.mcap: is a copy of" in shown.err
     assert "fitted to 2 of 5 logs, 3 failed." in shown.out
@@ -142,7 +150,7 @@ def test_failed_log_is_a_row_with_its_reason(
     assert ["log", "reason"] in heads
     assert ["parameter", "logs"] in [line[:2] for line in heads]
     rows = [r for r in pyarrow.parquet.read_table(tmp_path / "fleet/fits.parquet").to_pylist() if r["error"]]
-    assert {(r["log"], r["parameter"]) for r in rows} == {(str(x), None) for x in (broken, missing, tmp_path)}
+    assert {(r["log"], r["parameter"]) for r in rows} == {(str(x), None) for x in (broken, missing, empty)}
     assert not any("\n" in r["error"] for r in rows)
     reasons = {r["log"]: r["error"] for r in rows}
     assert reasons[str(missing)] == "cannot be read: No such file or directory; check its path and permissions"

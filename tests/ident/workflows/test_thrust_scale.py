@@ -235,6 +235,10 @@ def test_weighed_mass_says_nothing_about_ratios_and_within_the_errors(
     for mass, error, n_warned in ((18.6, 0.9, 1), (18.6, 2.0, 0), (16.0, 0.4, 1), (15.0, 0.3, 0), (15.0, np.nan, 0)):
         estimate = SimpleNamespace(model=model, estimate=lambda _, m=mass, e=error: (m, e))
         assert len(mass_warnings(cast("Fit", estimate), 10.0)) == n_warned, (mass, error)
+    for weighed in (17400.0, 1.0):  # a mass in grams, and one with a lost digit
+        estimate = SimpleNamespace(model=model, estimate=lambda _: (17.0, 0.5))
+        (warning,) = mass_warnings(cast("Fit", estimate), weighed)
+        assert "Check the weighed mass (kilograms of the whole boat as it ran), and the given thrust" in warning.text
     above_twice = SimpleNamespace(model=model, estimate=lambda _: (20.5, np.nan))
     assert [w.code for w in mass_warnings(cast("Fit", above_twice), 10.0)] == ["mass-implausible"]
 
@@ -247,7 +251,7 @@ def test_weighed_mass_says_nothing_about_ratios_and_within_the_errors(
         (1.0, 8.0, "The mass in surge, m_u, is 1.50 times the weighed mass of 8 kg", False),
         (0.6, 12.5, "The mass in surge, m_u, is 0.96 times the weighed mass of 12.5 kg. With the added mass", False),
         (0.2, 13.0, "", False),  # There is a warning.
-        (0.2, None, "", False),
+        (0.2, None, "The mass in surge, m_u, was not compared with a weighed mass, because none was given", False),
     ],
 )
 def test_weighed_mass_is_compared_in_a_note(
