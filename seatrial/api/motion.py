@@ -604,15 +604,16 @@ def _estimates(
 ) -> tuple[Model, Mapping[str, tuple[float, float]], ParameterCovariance]:
     """Return the structure of a model with its estimates, the ranges of its data by signal, and its covariance.
 
-    A model whose effects differ between runs gives a `SeatrialWarning`.
+    A model whose effects differ between runs, or whose fit did not converge, gives a `SeatrialWarning`.
     """
-    from seatrial.ident.estimation import load_model, warn_of_run_means
+    from seatrial.ident.estimation import load_model, warn_if_unconverged, warn_of_run_means
     from seatrial.ident.workflows.dynamics import covariance_of
     from seatrial.ident.workflows.output import validity
 
     if isinstance(model, FittedResult):
         fit = model.fitted.fit
         warn_of_run_means(fit.model)
+        warn_if_unconverged(fit.converged)
         return fit.model, validity(model.fitted), covariance_of(fit)
     if isinstance(model, Saved):
         saved = model.saved_model()
@@ -620,4 +621,5 @@ def _estimates(
         with model_path(model) as path:
             saved = load_model(path)
     warn_of_run_means(saved.model)
+    warn_if_unconverged(saved.converged)
     return saved.model, saved.validity, saved.covariance()

@@ -121,6 +121,9 @@ def test_a_model_that_did_not_converge_is_named_before_it_is_used(
     inputs = {"n_left": 0.3 + 0 * t, "n_right": 0.3 + 0 * t}
     with pytest.warns(SeatrialWarning, match="the fit of this model did not converge"):
         st.simulate(failed, t, inputs)
+    for use in (lambda model: st.linearise(model, 0.5), st.steady):
+        with pytest.warns(SeatrialWarning, match="the fit of this model did not converge"):
+            use(failed)
     st.simulate(models[0], t, inputs)  # pytest turns a warning into an error
 
 
