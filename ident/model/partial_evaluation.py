@@ -24,13 +24,13 @@ class _Run:
 
     Attributes
     ----------
-    begun
+    start
         Signals before the first stage.
     after
         Signals after each place, in the order of the places; at least one place.
     """
 
-    begun: Signals
+    start: Signals
     after: Sequence[Signals]
 
     def agrees(self, s: Signals, parts: str = "xup") -> bool:
@@ -40,22 +40,22 @@ class _Run:
         """
         for part in parts:
             given = vars(getattr(s, part))
-            for name, value in vars(getattr(self.begun, part)).items():
+            for name, value in vars(getattr(self.start, part)).items():
                 other = given.get(name)
                 if value is not other and not np.array_equal(value, other):
                     return False
         return True
 
-    def continued(self, place: int, begun: Signals) -> Signals:
+    def continued(self, place: int, start: Signals) -> Signals:
         """Return new signals after the place with the index ``place``, or after the last recorded place.
 
-        ``begun`` are the signals of a larger model before its first stage. Its further states, inputs and parameters
+        ``start`` are the signals of a larger model before its first stage. Its further states, inputs and parameters
         are among the result.
         """
         s = _copy(self.after[min(place, len(self.after) - 1)])
         for part in "xup":
-            larger = vars(getattr(begun, part))
-            setattr(s, part, type(getattr(begun, part))(**(larger | vars(getattr(s, part)))))
+            larger = vars(getattr(start, part))
+            setattr(s, part, type(getattr(start, part))(**(larger | vars(getattr(s, part)))))
         return s
 
 
@@ -84,7 +84,7 @@ class RecordedEvaluation:
         self._model = model
         self._repeated: list[_Run] = []  # evaluations by `Signals.again`
         self._computed: dict[str, Any] = {}  # results of `Signals.once`
-        s = model.begun(x, u, p)
+        s = model.initial_signals(x, u, p)
 
         def again(x: Values, u: Values, p: Values) -> Signals:
             """Run the model again up to the time derivatives (`Signals.again`), and record it."""
@@ -128,13 +128,13 @@ class RecordedEvaluation:
         """
         if larger.effects[:-1] != self._model.effects or larger.stages != self._model.stages:
             raise ValueError(f"model {larger.name} is not the recorded model {self._model.name} with one more effect")
-        begun, hooks = larger.begun(x, u, p), larger.effects[-1].hooks
+        start, hooks = larger.initial_signals(x, u, p), larger.effects[-1].hooks
         if PARAMETERS in hooks:  # every signal may differ
-            larger.run_stages(begun, until_output=until_output)
-            return begun
+            larger.run_stages(start, until_output=until_output)
+            return start
         places = larger.places
         first = min((places.index(place) for place in hooks if place in places), default=len(places) - 1)
-        s = self._run.continued(first, begun)
+        s = self._run.continued(first, start)
 
         def again(x: Values, u: Values, p: Values) -> Signals:
             """Run the larger model again up to the time derivatives (`Signals.again`)."""
@@ -159,9 +159,9 @@ class RecordedEvaluation:
 
         With ``until_output``, the stage ``output`` does not run.
         """
-        begun, after = _protected_copy(s), list[Signals]()
+        start, after = _protected_copy(s), list[Signals]()
         self._model.run_stages(s, until_output=until_output, after_each=lambda: after.append(_protected_copy(s)))
-        return _Run(begun, after)
+        return _Run(start, after)
 
 
 def _copy(s: Signals) -> Signals:

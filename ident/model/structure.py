@@ -744,7 +744,7 @@ class Model:
         ValueError
             If the number of values is wrong.
         """
-        s = self.begun(x, u, p)
+        s = self.initial_signals(x, u, p)
         self.run_stages(s)
         return s
 
@@ -754,11 +754,11 @@ class Model:
         The arguments are those of `signals`, which takes longer. The derivative of a state is missing if the stage
         ``output`` computes it.
         """
-        s = self.begun(x, u, p)
+        s = self.initial_signals(x, u, p)
         self.run_stages(s, until_output=True)
         return s.rate
 
-    def begun(self, x: Any, u: Any, p: Any) -> Signals:
+    def initial_signals(self, x: Any, u: Any, p: Any) -> Signals:
         """Return the signals before the first stage, with the parameters changed by the hooks of the effects.
 
         The arguments are those of `signals`.
