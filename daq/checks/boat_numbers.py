@@ -8,8 +8,9 @@ from seatrial.daq.checks.findings import WARNING, Finding
 
 # Mass over length cubed [kg/m3]. The displacement of a hull is C L B T times the density of water. Slender catamarans
 # have about 2 (a WAM-V of 4.9 m: 250 kg), small survey boats 5 to 14, tugs 20, and a box as wide and a third as deep as
-# it is long has 300. A mass in grams or in tonnes, or a length in feet or centimetres of a usual hull, is outside.
-LEAST_DENSITY, MOST_DENSITY = 0.5, 150.0
+# it is long has 300. A compact vehicle under water, such as a ROV of 0.46 m and 11 kg, has 120. A mass in grams or in
+# tonnes, or a length in centimetres, is outside.
+LEAST_DENSITY, MOST_DENSITY = 0.5, 500.0
 
 
 def mass_problem(vehicle: Mapping[str, float]) -> str:

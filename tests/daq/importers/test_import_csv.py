@@ -481,7 +481,7 @@ def test_a_mass_in_grams_is_named_at_the_import_and_in_the_check(folder: Path) -
     csv_map, files = write(folder)
     text = csv_map.read_text()
     csv_map.write_text(text.replace("[csv]", "[geometry]\nlength = 1.5\nmass = 17400.0\n[csv]"))
-    problem = "mass = 17400 kg, but boats of length = 1.5 m weigh 1.7 to 510 kg"
+    problem = "mass = 17400 kg, but boats of length = 1.5 m weigh 1.7 to 1700 kg"
     with pytest.warns(SeatrialWarning, match=rf"map\.toml: {problem}; correct mass \[kg\] or length"):
         (out,) = import_files(csv_map, files)
     (found,) = [f for f in findings(out) if f.code == "mass-of-length"]
