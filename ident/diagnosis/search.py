@@ -235,11 +235,11 @@ def diagnose(
     if given := given_common_errors(before.fit.model, policy):
         search.keep_common_errors(CommonErrorsFit(given, before))
     base, current, passed, weights, removed = search.run(before, max_effects)
-    unaffected, beside = frozenset[str](), frozenset[str]()
-    if search.common_errors is not None:
-        unaffected, beside = search.unaffected_by(current, passed)
     gone = {r.effect.name for r in removed}
     kept = [r for r in search.rounds if r.chosen is None or r.chosen.effect.name not in gone]
+    unaffected, beside = frozenset[str](), frozenset[str]()
+    if search.common_errors is not None and any(r.chosen is not None for r in kept):
+        unaffected, beside = search.unaffected_by(current, passed)
     order = [w.effect for w in weights]
     # The size of an effect is judged by standard errors that include what the model still lacks.
     uncertainty = search.uncertainty(passed, current.fit)
