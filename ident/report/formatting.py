@@ -11,6 +11,7 @@ if TYPE_CHECKING:
 
 SUPER = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 DEGREES = 180.0 / math.pi
+LONGEST_FLAG = 48  # characters of a flag in the table of parameters; a longer one stands below it
 STANDARD_GRAVITY = 9.80665  # m/s2 (CGPM 1901)
 GRAMS_PER_NEWTON = 1000.0 / STANDARD_GRAVITY  # as data sheets of thrusters give their thrust
 _RADIANS = re.compile(r"^(\(?)rad(\^?2|²)?(?![A-Za-z])")

@@ -57,7 +57,6 @@ from seatrial.ident.results import (
 )
 
 MAX_OUTAGES, MAX_SEGMENTS, MAX_NOISE_CHANNELS = 8, 24, 12  # largest numbers of rows of a table
-LONGEST_FLAG = 48  # characters of a flag in the table of parameters; a longer one stands below it
 WIDEST_INTERVALS = 72  # characters of a line of the table of the 95 % intervals
 WIDEST_TEXT = 100  # characters of a line of texts in the table of what differs between models
 MAX_PARAMETERS, MAX_CANDIDATES, MAX_ERROR_CHANNELS = 9, 6, 8
@@ -600,7 +599,7 @@ def _parameters_table(fit: FitSummary, added: Sequence[EffectRow], requested: Se
         words = row.meaning + (f", {record}" if record else "")
         if isinstance(row, EffectParameter) and row.at_bound:
             words = f"⚠ at its limit: {words}"
-        if flag and len(flag) > LONGEST_FLAG:
+        if flag and len(flag) > formatting.LONGEST_FLAG:
             sentences.append(f"⚠ {row.name}: {flag}")
             words = f"⚠ {words}"
         elif flag:

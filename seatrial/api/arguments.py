@@ -25,7 +25,10 @@ ABOVE_ZERO = {
     "duration": ("a time", "s"),
     "mass": ("a mass", "kg"),
     "inertia": ("an inertia", "kg m2"),
+    "max_speed": ("a speed", "m/s"),
 }
+# Options with a range: smallest and largest value, as those of the command, and the unit in words
+WITHIN = {"energy": (1e-6, 1.0, " (full power)"), "current": (0.0, 2.0, " m/s")}
 PATHS = ("effects_file",)  # options that are the path of a file
 
 
@@ -102,6 +105,24 @@ def check_above_zero(name: str, value: object) -> None:
         raise SeatrialError(f"{name} {shown}: give {what} above zero, in {unit}")
 
 
+def check_within(name: str, value: object) -> None:
+    """Raise SeatrialError if the option ``name`` of `WITHIN` is no number in its range, the limits of the command."""
+    low, high, unit = WITHIN[name]
+    if isinstance(value, bool) or not isinstance(value, Real) or not low <= float(value) <= high:
+        raise SeatrialError(f"{name} {shortened(value)}: give a number from {low:g} to {high:g}{unit}")
+
+
+def as_sides(name: str, value: object) -> tuple[float, float]:
+    """Return the argument ``name`` as the sides (north, east) [m] of an area.
+
+    SeatrialError is raised for anything but two finite numbers above zero.
+    """
+    sides = _items(value) or []
+    if len(sides) != 2 or not all(_is_number(side) and 0.0 < float(side) < math.inf for side in sides):
+        raise SeatrialError(f"{name} {shortened(value)}: give its sides to north and east in m, such as (60.0, 40.0)")
+    return float(sides[0]), float(sides[1])
+
+
 def as_intervals(name: str, value: object) -> tuple[tuple[float, float], ...]:
     """Return the argument ``name`` as intervals of time (from, to) [s]. One pair of numbers is one interval.
 
@@ -159,14 +180,17 @@ def check_values(given: Mapping[str, Any]) -> None:
     Raises
     ------
     SeatrialError
-        If ``horizon``, ``mass``, ``duration`` or ``inertia`` is no number above zero, ``rate`` no number from 1 to
-        200, ``max_effects`` no whole number of at least 1, or a path neither text nor a Path.
+        If ``horizon``, ``mass``, ``duration``, ``inertia`` or ``max_speed`` is no number above zero, if ``energy``,
+        ``current`` or ``rate`` is no number in its range, ``max_effects`` no whole number of at least 1, or a path
+        neither text nor a Path.
     """
     for name, value in given.items():
         if value is None:
             continue
         if name in ABOVE_ZERO:
             check_above_zero(name, value)
+        elif name in WITHIN:
+            check_within(name, value)
         elif name == "rate":
             check_rate(value)
         elif name in PATHS:

@@ -199,6 +199,14 @@ class FitReport(Shown):
         return tables.warning_texts(self.result)
 
     @property
+    def notes(self) -> list[str]:
+        """Notes of the fit: assumptions and choices that the computation made, such as how sensors are modelled.
+
+        One text for each; the report has them under *Notes*.
+        """
+        return tables.note_texts(self.result)
+
+    @property
     def converged(self) -> bool:
         """Whether the search for the maximum of the likelihood converged. Otherwise do not use the estimates.
 

@@ -178,6 +178,14 @@ class Saved(MotionMethods, Shown):
         return [] if self.result is None else tables.warning_texts(self.result)
 
     @property
+    def notes(self) -> list[str]:
+        """Notes of the loaded result: assumptions and choices of the computation, such as how sensors are modelled.
+
+        One text for each; the report has them under *Notes*. The list is empty without a result.
+        """
+        return [] if self.result is None else tables.note_texts(self.result)
+
+    @property
     def converged(self) -> bool:
         """Whether the search for the maximum of the likelihood converged, of the loaded result of a fit or diagnosis.
 

@@ -30,7 +30,9 @@ ARGUMENTS = {
     "--thrust-curve": "thrust_curve", "--thrust-input": "thrust_input", "--source-only": "source_only=True",
     "--mass": "mass", "--inertia": "inertia", "--backend": "backend", "--scheduler": "scheduler", "--out": "out",
     "--from": "start of st.open_log", "--to": "end of st.open_log", "--out-dir": "out_dir",
-    "-o": "out", "--jobs": "jobs",
+    "-o": "out", "--jobs": "jobs", "--n-max": "n_max", "--max-speed": "max_speed", "--area": "area",
+    "--energy": "energy", "--current": "current", "--evaluations": "evaluations", "--duration": "duration",
+    "--discriminate": "between",
 }  # fmt: skip
 
 # An option with the value of a parameter, such as --fix y_left=-0.3, --initial NAME=VALUE or --prior c1=40:2

@@ -13,7 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.api import tables
-from seatrial.api.arguments import as_intervals, as_path, check_number, check_rate, named_arguments, output_folder
+from seatrial.api.arguments import (
+    as_intervals,
+    as_path,
+    as_sides,
+    check_number,
+    check_rate,
+    named_arguments,
+    output_folder,
+)
 from seatrial.api.calls import python_call
 from seatrial.api.fits import (
     FittedDiagnosis,
@@ -89,6 +97,14 @@ class DesignOptions(TypedDict, total=False):
     between : tuple of two str
         Names of two effects that the mission distinguishes; empty for a design by the criterion. The search usually
         takes 2 to 10 minutes.
+    area : tuple of two float
+        Sides (north, east) [m] of the area for the whole track, which begins with a heading of north.
+    max_speed : float
+        Largest speed through the water [m/s].
+    energy : float
+        Largest mean of ``|n|^3`` over time and thrusters, 0 to 1 (full power).
+    current : float
+        Largest current [m/s], from any direction, in which the track has to keep to area and speed.
     n_max : float
         Largest magnitude of a command, 0 to 1 (full command).
     slew : float
@@ -111,6 +127,10 @@ class DesignOptions(TypedDict, total=False):
     criterion: Literal["D", "A", "E", "Ds"]
     chosen: tuple[str, ...]
     between: tuple[str, ...]
+    area: tuple[float, float]
+    max_speed: float
+    energy: float
+    current: float
     n_max: float
     slew: float
     shortest: float
@@ -144,6 +164,11 @@ class WrittenResult(Shown):
     def warnings(self) -> list[str]:
         """Warnings of the result, one sentence each. The list is empty if the result has no warning."""
         return tables.warning_texts(self.result)
+
+    @property
+    def notes(self) -> list[str]:
+        """Notes of the result, one text for each: assumptions and choices that the computation made."""
+        return tables.note_texts(self.result)
 
     def _content(self) -> Content:
         """Return answer and warnings."""
@@ -439,8 +464,8 @@ def design(
     force : bool
         Whether existing files are replaced. If false, an existing file is an error.
     **options
-        `DesignOptions`, which ``help(st.DesignOptions)`` describes: duration, steps, criterion, chosen, between, n_max,
-        slew, shortest, rates, evaluations, seed, progress.
+        `DesignOptions`, which ``help(st.DesignOptions)`` describes: duration, steps, criterion, chosen, between, area,
+        max_speed, energy, current, n_max, slew, shortest, rates, evaluations, seed, progress.
 
     Returns
     -------
@@ -454,18 +479,21 @@ def design(
 
     Examples
     --------
-    >>> st.design(fit, "next.toml", duration=300.0).answer
+    >>> st.design(fit, "next.toml", duration=300.0, area=(60.0, 40.0)).answer
     """
     from contextlib import nullcontext
 
     from seatrial.api.loading import Saved
+    from seatrial.ident.experiment_design import DesignLimits
     from seatrial.ident.workflows.design import DesignRequest, make_design
 
     given, file = known_options(options, DesignOptions), as_path(out, "out")
     reporter = Messages(given.pop("progress", False))
+    area, speed, energy, current = (given.pop(name, None) for name in ("area", "max_speed", "energy", "current"))
+    limits = DesignLimits(None if area is None else as_sides("area", area), speed, energy, current or 0.0)
     fitted = isinstance(model, FittedVehicle | FittedDiagnosis | Saved) or Path(str(model)).exists()
     with errors_of_users(), model_path(model) if fitted else nullcontext(Path(str(model))) as source:
-        request = DesignRequest(**given)
+        request = DesignRequest(**given, limits=limits)
         command = python_call(design, {"model": model, "out": out, "force": force, **options})
         found = make_design(str(source), request, file, command, reporter, force)
     warn_of_result(found, reporter)

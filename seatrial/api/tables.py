@@ -181,6 +181,11 @@ def warning_texts(result: Result) -> list[str]:
     return [in_python(w.text) for w in result.warnings]
 
 
+def note_texts(result: Result) -> list[str]:
+    """Return the notes of a result in the words of the Python interface; empty if there are none."""
+    return [in_python(text) for text in result.notes]
+
+
 def summary(result: FitResult) -> str:
     """Return the result of a fit as text: its conclusion, a table of the estimates, fixed parameters and warnings.
 

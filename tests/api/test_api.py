@@ -35,6 +35,7 @@ from seatrial.daq.checks import Finding
 from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
 from seatrial.daq.log import bag_of_ros
 from seatrial.ident.estimation.model_file import load_model
+from seatrial.ident.experiment_design.problem import DesignLimits
 from seatrial.ident.results import read_result
 from seatrial.mocks.plant.bench import draw_bench
 from tests.missions import bench_log, boat_log, boat_with
@@ -215,6 +216,27 @@ def test_every_public_name_is_documented(name: str) -> None:
         assert len(text) > 30
     methods = [m for n, m in inspect.getmembers(thing, inspect.isfunction) if not n.startswith("_")]
     assert all(inspect.getdoc(m) for m in methods)
+
+
+def test_notes_say_how_thrust_and_sensors_are_modelled(fit: st.FittedVehicle, tmp_path: Path) -> None:
+    assert "thrust from the measured shaft speeds" in fit.notes
+    assert not [note for note in fit.notes if "--fix" in note]  # in the words of Python
+    assert st.load(fit.save(tmp_path / "fit")).notes == fit.notes
+
+
+def test_limits_of_a_design_reach_the_search(
+    fit: st.FittedVehicle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = []
+
+    def stop(_source: str, request: Any, *_: Any) -> None:
+        seen.append(request.limits)
+        raise SeatrialError("stopped, see --max-speed and --area")
+
+    monkeypatch.setattr("seatrial.ident.workflows.design.make_design", stop)
+    with pytest.raises(SeatrialError, match="stopped, see max_speed and area"):
+        st.design(fit, tmp_path / "x.toml", area=(60, 40), max_speed=1.5, energy=0.3, current=0.2)
+    assert seen == [DesignLimits((60.0, 40.0), 1.5, 0.3, 0.2)]
 
 
 @pytest.mark.parametrize("function", [st.fit, st.diagnose, st.thruster, st.design, st.export])
@@ -1562,6 +1584,10 @@ def test_a_malformed_gnss_outage_gives_a_one_line_error(
         (lambda logs, fit: st.load(logs[0].parent), "contains neither model.toml nor result.json"),
         (lambda logs, fit: st.thruster(logs[0], stroke=2), "there is no option 'stroke'"),
         (lambda logs, fit: st.design("boat", "x.toml"), "boat"),
+        (lambda logs, fit: st.design(fit, "x.toml", area=60.0), "area 60.0: give its sides to north and east in m, s"),
+        (lambda logs, fit: st.design(fit, "x.toml", max_speed=0), "max_speed 0: give a speed above zero, in m/s"),
+        (lambda logs, fit: st.design(fit, "x.toml", energy=2.0), "energy 2.0: give a number from 1e-06 to 1 (full p"),
+        (lambda logs, fit: st.design(fit, "x.toml", current="1"), "current '1': give a number from 0 to 2 m/s"),
         (lambda logs, fit: st.open_log(logs[0], 500.0), "no data are left from 500 s on"),
         (lambda logs, fit: st.fit(logs[0], effects="umbilical"), "did you mean towed-line (a line or umbilical that"),
         (lambda logs, fit: st.fit(logs[0], effects="towed"), "did you mean towed-line (a line or"),

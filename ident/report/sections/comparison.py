@@ -268,10 +268,10 @@ def errors_section(result: ComparisonResult) -> Section:
     lead = (
         "Root mean square of the difference of measured and predicted values, at the samples that all models predict. "
         "The fit is 1 − error / standard deviation of the measured values. ▼ and ▲: the error is smaller or larger "
-        f"than that of ({reference}), and the 95 % interval of the ratio excludes 1. The intervals are by a jackknife "
-        "over blocks of time that are longer than the errors are correlated. Fewer than four blocks give no interval "
-        "and no verdict: the errors of a simulation accumulate, so that a short log is one block or two. "
-        + ABOUT_INSIDE
+        f"than that of ({reference}) by more than 0.5 %, and the 95 % interval of the ratio excludes 1. The intervals "
+        "are by a jackknife over blocks of time that are longer than the errors are correlated. Fewer than four blocks "
+        "give no interval and no verdict: the errors of a simulation accumulate, so that a short log is one block or "
+        "two. " + ABOUT_INSIDE
     )
     return Section("errors", "Prediction errors", tabbed(tabs), lead)
 

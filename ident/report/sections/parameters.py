@@ -43,7 +43,7 @@ def parameters_section(
     """Return the section of estimates: facts and table of the fit, changes by effects, and correlation.
 
     The table has columns for the share of the prior and the record only if a parameter has such an entry. A problem of
-    an estimate follows its meaning.
+    an estimate follows its meaning; a long text about it is below the table.
 
     Parameters
     ----------
@@ -62,15 +62,16 @@ def parameters_section(
         error = "± s.e. (statistical only)" if fit.scale.statistical_only else "± s.e."
         columns = [("parameter", ""), ("value", "num"), (error, "num"), ("95 %", "num"), ("t", "num"), ("unit", "")]
         columns += [("SNAME", "")] if any(map(_sname, table)) else []
-        columns += [("origin", ""), ("meaning", "")]
+        columns += [("origin", "")]
         extra = (("prior_share", "from prior", "num"), ("record", "record", ""))
         used = [item for item in extra if any(getattr(row, item[0]) is not None for row in table)]
-        columns += [(title, style) for _, title, style in used]
-        blocks.append(
-            Table(
-                columns, [_parameter_cells(row, [t for t, _ in columns], [key for key, _, _ in used]) for row in table]
-            )
-        )
+        columns += [*((title, style) for _, title, style in used), ("meaning", "")]
+        titles, keys = [t for t, _ in columns], [key for key, _, _ in used]
+        blocks.append(Table(columns, [_parameter_cells(row, titles, keys) for row in table]))
+        for row in table:
+            if row.flag and len(row.flag) > formatting.LONGEST_FLAG:
+                where = f", {row.record}" if row.record else ""
+                blocks.append(Prose(f"⚠ {row.name}{where}: {row.flag}"))
     blocks += (
         common_errors_blocks(common_errors) + _change_blocks(changes) + _correlation_blocks(canvas, fit.correlation)
     )
@@ -185,12 +186,13 @@ def _parameter_cells(row: ParameterRow, titles: Sequence[str], extra: Sequence[s
     ]
     cells += [Cell(_sname(row), "nowrap")] if "SNAME" in titles else []
     cells.append(Cell(row.origin_in_table, "nowrap quiet" if row.free else "nowrap"))
-    cells.append(Cell(f"{row.meaning} ⚠ {row.flag}", "wide bad") if row.flag else Cell(row.meaning, "wide"))
+    flag = row.flag or ""
+    problem = f" ⚠ {flag if len(flag) <= formatting.LONGEST_FLAG else 'see below'}" if flag else ""
     more: dict[str, Cell | str] = {
         "prior_share": Cell(formatting.percent(row.prior_share), "num"),
         "record": row.record or Cell("all", "quiet"),
     }
-    return cells + [more[key] for key in extra]
+    return [*cells, *(more[key] for key in extra), Cell(row.meaning + problem, "wide bad" if flag else "wide")]
 
 
 def _change_blocks(table: Sequence[ParameterChange]) -> list[Any]:

@@ -92,7 +92,7 @@ def errors_section(errors: Errors, seconds: float, caveat: str = "") -> Section:
     tabs = [(f"{role} data", table(horizons(data, seconds))) for role, data in roles]
     lead = "Root mean square of the difference of measured and predicted values."
     if has_before:
-        lead += " ▼ and ▲: the error fell or rose; the 95 % interval of the ratio excludes 1."
+        lead += " ▼ and ▲: the error fell or rose by more than 0.5 %, and the 95 % interval of the ratio excludes 1."
     lead = f"{lead} {caveat}".rstrip()
     return Section("errors", "Error before and after" if has_before else "Prediction error", tabbed(tabs), lead)
 
