@@ -185,7 +185,7 @@ def _parameter_cells(row: ParameterRow, titles: Sequence[str], extra: Sequence[s
         Cell(unit, "nowrap"),
     ]
     cells += [Cell(_sname(row), "nowrap")] if "SNAME" in titles else []
-    cells.append(Cell(row.origin_in_table, "nowrap quiet" if row.free else "nowrap"))
+    cells.append(Cell(row.origin_in_table, "quiet" if row.free else ""))
     flag = row.flag or ""
     problem = f" ⚠ {flag if len(flag) <= formatting.LONGEST_FLAG else 'see below'}" if flag else ""
     more: dict[str, Cell | str] = {
