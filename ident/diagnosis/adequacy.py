@@ -533,7 +533,10 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
         if search_round.chosen is None or search_round.chosen.effect.name not in by_name:
             if not diagnosis.effects and search_round.refits and search_round.refits[0].effect.experiment:
                 e = search_round.refits[0].effect
-                lines.append(f"To test whether {e.title} is present: {e.experiment}.")
+                lines.append(
+                    f"To test whether {e.title} is present, which came closest in a round of the search and was not "
+                    f"added: {e.experiment}."
+                )
             continue
         effect = search_round.chosen.effect
         attribution = by_name[effect.name]

@@ -62,7 +62,7 @@ def conditions_of(model: Model) -> tuple[str, ...]:
 
 
 def _dependence(model: Model) -> Dependence:
-    """Return what the motion of a model depends on. That of the last models is remembered."""
+    """Return what the motion of a model depends on. The results for the last models are stored."""
     parts = (model.states, model.inputs, model.parameters)
     equations = tuple(tuple(v.name for v in part) for part in parts)
     functions = (*model.stages, *model.effects)
