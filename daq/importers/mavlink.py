@@ -123,9 +123,9 @@ def is_tlog(head: bytes) -> bool:
 
 
 def _mavlink_device(rig: Rig | None) -> Device | None:
-    """Return the MAVLink device (autopilot) of a rig. The result is None if no rig is given.
+    """Return the MAVLink device (autopilot) of a rig, or None if no rig is given.
 
-    SeatrialError is raised if the rig has no such device or has several.
+    SeatrialError is raised if the rig has no MAVLink device or more than one.
     """
     if rig is None:
         return None

@@ -57,7 +57,7 @@ def _doubted(found: EffectAttribution, reason: str) -> EffectAttribution:
 
 
 def _mass_in_surge(fit: Fit) -> float | None:
-    """Return the estimated mass in surge [kg]. It is None if the model has no such mass in kilograms."""
+    """Return the estimated mass in surge [kg], or None if the model has no mass in surge in kilograms."""
     if "m_u" not in fit.names or thrust_scale_of(fit.model).relative:
         return None
     return fit.estimate("m_u")[0]

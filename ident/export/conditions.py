@@ -62,7 +62,7 @@ def conditions_of(model: Model) -> tuple[str, ...]:
 
 
 def _dependence(model: Model) -> Dependence:
-    """Return what the motion of a model depends on. The results for the last models are stored."""
+    """Return the states and conditions on which the motion of a model depends. The last results are stored."""
     parts = (model.states, model.inputs, model.parameters)
     equations = tuple(tuple(v.name for v in part) for part in parts)
     functions = (*model.stages, *model.effects)
@@ -80,7 +80,7 @@ _known: deque[tuple[tuple[tuple[str, ...], ...], tuple[object, ...], Dependence]
 
 
 def _found_dependence(model: Model) -> Dependence:
-    """Return what the motion of a model depends on, from the symbols in its rates."""
+    """Find the states and conditions on which the motion of a model depends, by the symbols in its rates."""
     import casadi as ca  # imported here, because reports only need the texts
 
     parts = (("x", model.states), ("u", model.inputs), ("p", model.parameters))

@@ -609,9 +609,10 @@ def pole_text(pole: complex) -> str:
 
 
 def time_text(constant: float, error: float) -> str:
-    """Return a time constant [s] as text, such as ``time constant 2.1 s``; of an unstable pole how fast it grows.
+    """Return a time constant [s] as text, such as ``time constant 2.1 s``.
 
-    The standard error ``error`` [s] decides whether it is determined.
+    For an unstable pole, the text is the time in which the motion grows by a factor of e. The text says that the
+    constant is not determined if its standard error ``error`` [s] is too large.
     """
     if is_undetermined(constant, error):
         return "time constant not determined"

@@ -164,7 +164,7 @@ class Parameter:
 
     @property
     def exact(self) -> bool:
-        """Whether the value is treated as exact: the parameter is neither free (estimated) nor considered."""
+        """Whether the parameter has an exact value: it is neither free (estimated) nor considered (uncertain)."""
         return not (self.free or self.considered)
 
     @property

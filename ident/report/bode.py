@@ -12,10 +12,8 @@ from seatrial.ident.report.drawing import MODEL, Z95, Trace, axis_limits, band, 
 
 DECIBEL = 20.0 / np.log(10.0)  # of a gain, for its natural logarithm
 FREQUENCY = "frequency [Hz]"
-ANGLES, TICKS = (
-    (45.0, 90.0, 180.0, 360.0),
-    7,
-)  # distances of the ticks of a phase [deg], and their largest number less 1
+ANGLES = (45.0, 90.0, 180.0, 360.0)  # distances of the ticks of a phase [deg]
+INTERVALS = 7  # largest number of intervals between the ticks of a phase
 
 
 def frequency_axis() -> dict[str, Any]:
@@ -43,8 +41,8 @@ def phase_axis(phases: Sequence[Array], errors: Sequence[Array | None] = ()) -> 
     every = every[np.isfinite(every)]
     least, most = axis_limits(shown, ends) or (every.min(initial=0.0), every.max(initial=0.0))
     span = float(most - least)
-    whole = 360.0 * np.ceil(span / (360.0 * TICKS))
-    step = next((d for d in ANGLES if span <= TICKS * d), float(whole))
+    whole = 360.0 * np.ceil(span / (360.0 * INTERVALS))
+    step = next((d for d in ANGLES if span <= INTERVALS * d), float(whole))
     margin = 0.05 * max(span, step)
     return {"tick0": 0, "dtick": step, "range": [float(least) - margin, float(most) + margin]}
 

@@ -399,7 +399,7 @@ def evaluated_tables(result: ComparisonResult) -> list[Table]:
 
 
 def intervals_table(result: ComparisonResult) -> Table:
-    """Return a table with a sentence for each model, which says what its 95 % intervals contain."""
+    """Return a table that describes the 95 % intervals of each model in one sentence."""
     table = titled_table("95 % intervals")
     table.show_header = False
     table.padding = (0, 1, 0, 0)

@@ -102,8 +102,8 @@ def validity(fitted: FittedModel) -> dict[str, tuple[float, float]]:
 
     The inputs are those that reports show (`shown_inputs`), for example without delayed taps, and the time ``t`` and
     the ``work`` of the thrusters if the model needs them. The range of a state is from the 1 % to the 99 % quantile of
-    its filtered values, that of an input from its minimum to its maximum. An averaged
-    input has its mean in each row, which never exceeds the values that were commanded.
+    its filtered values, that of an input from its minimum to its maximum. An averaged input has its mean in each row,
+    which never exceeds the values that were commanded.
 
     Parameters
     ----------

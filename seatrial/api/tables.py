@@ -337,7 +337,7 @@ def _verdict(p: float | None, level: float, passed: str, failed: str) -> str:
 
 
 def _or_nan(value: float | None) -> float:
-    """Return a number as it is. The result is NaN if the number is None."""
+    """Replace None by NaN; a number is returned unchanged."""
     return math.nan if value is None else value
 
 

@@ -72,7 +72,7 @@ def _outage_cells(o: GnssOutage, withheld: bool) -> list[Cell | str]:
 
 
 def _metres_cell(value: float | None) -> Cell:
-    """Return the table cell of a length [m] with its unit; a dash for None."""
+    """Return the table cell of a length [m] with its unit. The cell has a dash if the length is None."""
     return Cell("–" if value is None else f"{formatting.plain(value)} m", "num")
 
 
