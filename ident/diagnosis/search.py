@@ -1064,7 +1064,7 @@ class _Search:
             for _, start, _ in added:
                 model = model + start
             if beside:
-                begin = self._shifted_estimates(current, added)
+                model, begin = self._with_held_noise(model), self._shifted_estimates(current, added)
                 with quick_compilation(self.n):
                     fitted = fit_and_evaluate(model, self.records, (), settings=self.rough, start=begin)
         except FIT_ERRORS:
@@ -1441,7 +1441,7 @@ class _Search:
                     untested.append(found)
 
     def _refit(self, current: FittedModel, effect: Effect, score: Score) -> Refit | UntestedCandidate:
-        """Refit the current model with one effect by a rough search, in which `_with_held_noise` may fix parameters.
+        """Refit the current model with one effect by a rough search, in which the noise of the sensors may be held.
 
         If every fit fails, the result is an ``UntestedCandidate`` with the reason of the first failure. The initial
         values of `_with_initial_values`, which use the score of the effect, are tried in turn until a fit loses less
@@ -1457,7 +1457,9 @@ class _Search:
         settings = replace(self.rough, tolerance=max(self.rough.tolerance, ROUGH_SHARE * score.lm / 2))
         for attempt, start in enumerate(_with_initial_values(effect, score)):
             try:
-                model = self._with_held_noise(current.fit.model + start, effect)
+                model = current.fit.model + start
+                # A sensor effect that explains much makes the noise of its sensor smaller.
+                model = model if effect.place == "sensor" else self._with_held_noise(model)
                 of_records = _record_steps(effect, score, len(self.records)) if attempt == 0 else {}
                 begin = self._shifted_estimates(current, [(effect, start, score)], of_records)
                 fitted = fit_and_evaluate(
@@ -1486,18 +1488,18 @@ class _Search:
                 break
         return UntestedCandidate(effect, reason) if best is None else best
 
-    def _with_held_noise(self, model: Model, effect: Effect) -> Model:
-        """Return a model with an added effect in which the noise of all sensors keeps its values in a rough search.
+    def _with_held_noise(self, model: Model) -> Model:
+        """Return a model with added effects in which the noise of all sensors keeps its values in a rough search.
 
-        These are the measurement noise of the outputs and the walk of the biases. The model is returned as it is
-        without common errors, and for an effect of a sensor.
+        These are the measurement noise of the outputs and the walk of the biases. Without common errors, the model is
+        returned as it is.
 
         Notes
         -----
         An effect of the boat changes the noise of its sensors by little, so that the gain is smaller by some tenths of
         a per cent (by 2 % if the effect explains most of the residual). The search takes two thirds of the time.
         """
-        if self.common_errors is None or effect.place == "sensor":
+        if self.common_errors is None:
             return model
         walks = {r.state for r in sensor_errors_of(model)}
         held = {o.noise for o in model.outputs} | {s.noise for s in model.states if s.name in walks}

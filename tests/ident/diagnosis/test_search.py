@@ -660,17 +660,16 @@ def test_rough_refits_beside_common_errors_hold_the_noise_of_the_sensors(monkeyp
     nominal = with_disturbances(horizontal_model())
     model = nominal + wind
     mine = a_search()
-    assert mine._with_held_noise(model, wind) is model  # only beside the common errors
+    assert mine._with_held_noise(model) is model  # only beside the common errors
     mine.common_errors = CommonErrorsFit((), blank())
-    assert mine._with_held_noise(model, compass) is model
-    held = mine._with_held_noise(model, wind)
+    held = mine._with_held_noise(model)
     assert set(model.free) - set(held.free) == {"e_psi", "e_r", "e_a", "e_xy", "e_vxy"}
     walking = replace(
         nominal,
         parameters=(*nominal.parameters, Parameter("q_psi", 1e-4, transform="log")),
         states=tuple(replace(s, noise="q_psi") if s.name == "bias_psi" else s for s in nominal.states),
     )
-    assert "q_psi" not in mine._with_held_noise(walking + wind, wind).free
+    assert "q_psi" not in mine._with_held_noise(walking + wind).free
 
     exact: list[Any] = []
 
@@ -684,6 +683,14 @@ def test_rough_refits_beside_common_errors_hold_the_noise_of_the_sensors(monkeyp
     with pytest.raises(ValueError, match="enough"):
         mine._fit_exactly(blank(fit=blank(model=nominal)), rough)
     assert exact[0].free == model.free
+
+    mine.n = 1000
+    # The rough fit with an effect of a sensor estimates the noise of the sensors.
+    for effect, of_sensor in ((wind, False), (compass, True)):
+        exact.clear()
+        tried = mine._refit(blank(fit=blank(model=nominal)), effect, Score(effect.name, 60.0, 1, 60.0, {}, {}))
+        assert isinstance(tried, UntestedCandidate)
+        assert ("e_psi" in exact[0].free) is of_sensor
 
 
 def test_removal_fits_again_if_common_errors_came_after_an_effect(monkeypatch: pytest.MonkeyPatch) -> None:
