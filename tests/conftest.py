@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from tests.stalls import StallWatch, run_repeated, summarise
 
@@ -34,6 +35,10 @@ for library in ("OPENBLAS", "OMP", "MKL"):
 # Hundreds of tests start a process, which takes a second of CPU if Python may not keep compiled files.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
+
+# The time of an example depends on the machine and on the other workers, and says nothing about the code.
+settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("any machine")
 
 # Code that the tests run is not registered as the user's own (seatrial.ident.models.user_code).
 os.environ["SEATRIAL_KNOWN_CODE"] = str(Path(tempfile.mkdtemp(prefix="seatrial-tests-")) / "known-code")

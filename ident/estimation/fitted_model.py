@@ -66,13 +66,15 @@ class FittedModel:
     fit
         Fit to the estimation data.
     estimation, validation
-        Evaluation of the fitted model on each record of the estimation data and of the validation data. The validation
-        records may also be cut into blocks in time (`validated_in_blocks`).
+        Evaluation of the fitted model on each record of the estimation data and of the validation data.
     failed
         Validation runs that could not be evaluated; they are not in ``validation``.
     cross_validated
         Whether ``validation`` contains blocks in time of the estimation records, because there are no validation runs.
         Each block is evaluated with the estimates from the other blocks.
+    in_blocks
+        Whether ``validation`` contains blocks in time of records, of the estimation data (``cross_validated``) or of
+        the validation data (`validated_in_blocks`).
     """
 
     model: Model
@@ -81,6 +83,7 @@ class FittedModel:
     validation: tuple[RecordEvaluation, ...]
     failed: tuple[FailedRun, ...] = ()
     cross_validated: bool = False
+    in_blocks: bool = False
 
     @property
     def records(self) -> list[Record]:
@@ -382,7 +385,7 @@ def cross_validated(fitted: FittedModel, blocks: TimeBlocks) -> FittedModel:
     full_fit, blocks = fitted.fit, _with_initial_states_of_effects(fitted, blocks)
     values = leave_one_block_out(full_fit.model, blocks, full_fit.record_values, full_fit.parameters)
     views = tuple(_evaluation_of(full_fit.model, r, v) for r, v in zip(blocks.records, values, strict=True))
-    return replace(fitted, validation=views, cross_validated=True)
+    return replace(fitted, validation=views, cross_validated=True, in_blocks=True)
 
 
 def cut_into_blocks(records: Sequence[Record], views: Sequence[RecordEvaluation], block: float) -> TimeBlocks:
@@ -547,10 +550,10 @@ def validated_in_blocks(fitted: FittedModel) -> FittedModel:
     ValueError
         If a block cannot be evaluated.
     """
-    if fitted.cross_validated or not fitted.validation:
+    if fitted.in_blocks or not fitted.validation:
         return fitted
     model = fitted.fit.model
-    return replace(fitted, validation=evaluated_in_blocks(model, fitted.validation, model.block))
+    return replace(fitted, validation=evaluated_in_blocks(model, fitted.validation, model.block), in_blocks=True)
 
 
 def evaluated_in_blocks(model: Model, views: Sequence[RecordEvaluation], block: float) -> tuple[RecordEvaluation, ...]:

@@ -234,14 +234,16 @@ def _whiteness_sentence(
 ) -> str:
     """Return the sentence on the residuals: whether they are white, and whether they are uncorrelated with the inputs.
 
-    Each of both is tested at 1 % over all channels: the significance level is divided by the number of tests
-    (Bonferroni). If only measured inputs such as the heading are correlated, the sentence names sensor noise as a
-    possible cause. Without ``residuals`` it states that there are too few samples. In these two cases ``searchable``
-    has no effect. Otherwise it adds the advice to run `seatrial ident diagnose`: for hidden effects if both tests pass,
-    for missing effects if one fails. Channels with too few samples for the tests are named only if both tests pass.
+    Only the residuals of the estimation data count. Each of both is tested at 1 % over all channels: the significance
+    level is divided by the number of tests (Bonferroni). If only measured inputs such as the heading are correlated,
+    the sentence names sensor noise as a possible cause. Without ``residuals`` it states that there are too few samples.
+    In these two cases ``searchable`` has no effect. Otherwise it adds the advice to run `seatrial ident diagnose`: for
+    hidden effects if both tests pass, for missing effects if one fails. Channels with too few samples for the tests are
+    named only if both tests pass.
     """
+    residuals = [r for r in residuals if r.role == "estimation"]
     tests = [p for r in residuals for p in (r.ljung_box_p, r.periodogram_p)]
-    pairs = [c for c in cross if c.p is not None]
+    pairs = [c for c in cross if c.p is not None and c.role == "estimation"]
     significant = [c for c in pairs if c.p is not None and c.p * len(pairs) < LEVEL]
     correlated_inputs = {c.input for c in significant}
     coloured = any(p is not None and p * len(tests) < LEVEL for p in tests)

@@ -307,7 +307,7 @@ def _notes(first: Sequence[str], evaluation: PredictionEvaluation, calibration: 
     The order is: ``first`` (given sentences), channels with outliers, and prediction intervals that are too narrow or
     too wide.
     """
-    outliers = outlier_lines(evaluation.residuals, evaluation.model)
+    outliers = outlier_lines(evaluation.estimation_residuals, evaluation.model)
     return (*first, *outliers, *calibration_notes(calibration, evaluation.horizon))
 
 

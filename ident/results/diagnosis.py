@@ -158,7 +158,7 @@ def diagnosis_result(
             *alternative_notes(rounds, effects),
             *refit_error_notes(rounds, effects),
             *_blocks_note(evaluation),
-            *outlier_lines(after.residuals, after.model),
+            *outlier_lines(after.estimation_residuals, after.model),
             *calibration_notes(calibration, after.horizon),
         ),
         fit=fit_summary(diagnosis.after.fit, diagnosis.before.model.values),

@@ -445,6 +445,7 @@ class ResidualTests(WhitenessTests, frozen=True, kw_only=True):
     Times count from the start of the record.
     """
 
+    role: Annotated[Role, Meta(description="`estimation` or `validation`")] = "estimation"
     record: Annotated[str, Meta(description="name of the record")]
     channel: Annotated[str, Meta(description="name of the measured channel")]
     unit: Annotated[str, Meta(description="unit of the values, SI and radians; empty: none")]
@@ -472,6 +473,7 @@ class CorrelationTest(Part, frozen=True, kw_only=True):
 class CrossCorrelationRow(CorrelationTest, frozen=True, kw_only=True):
     """Correlation of the residuals (innovations) of a channel in a record with an input of the model."""
 
+    role: Annotated[Role, Meta(description="`estimation` or `validation`")] = "estimation"
     record: Annotated[str, Meta(description="name of the record")]
     channel: Annotated[str, Meta(description="name of the measured channel")]
     input: Annotated[str, Meta(description="name of the input")]
@@ -709,10 +711,8 @@ class FitResult(Result, frozen=True, kw_only=True):
     traces: Annotated[tuple[Trace, ...], Meta(description="one for each record and channel")]
     track: Annotated[tuple[Track, ...], Meta(description="one for each record with positions")]
     inputs: Annotated[tuple[InputTrace, ...], Meta(description="one for each record and input")]
-    residuals: Annotated[tuple[ResidualTests, ...], Meta(description="one for each estimation record and channel")]
-    cross: Annotated[
-        tuple[CrossCorrelationRow, ...], Meta(description="one for each estimation record, channel and input")
-    ]
+    residuals: Annotated[tuple[ResidualTests, ...], Meta(description="one for each record and channel")]
+    cross: Annotated[tuple[CrossCorrelationRow, ...], Meta(description="one for each record, channel and input")]
     unused_signals: Annotated[
         tuple[UnusedSignal, ...], Meta(description="signals of the logs that the model does not use, with the reason")
     ] = ()

@@ -538,6 +538,7 @@ def residual_row(r: ChannelResiduals, after: ChannelResiduals | None = None) -> 
     """
     return ResidualTests(
         **msgspec.structs.asdict(_whiteness_tests(r)),
+        role=r.role,
         record=r.record,
         channel=r.channel,
         unit=r.unit,
@@ -600,6 +601,7 @@ def cross_rows(r: ChannelResiduals, after: ChannelResiduals | None = None) -> li
     }
     return [
         CrossCorrelationRow(
+            role=r.role,
             record=r.record,
             channel=r.channel,
             input=c.input,

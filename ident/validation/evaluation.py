@@ -44,6 +44,7 @@ from seatrial.ident.validation.whiteness import (
 
 FEWEST = 60  # smallest number of samples of a channel for residual tests
 
+Role = Literal["estimation", "validation"]
 T = TypeVar("T")
 
 
@@ -115,6 +116,8 @@ class ChannelResiduals:
 
     Attributes
     ----------
+    role
+        Role of the record, ``estimation`` or ``validation``.
     record, channel, unit
         Names of record and channel, and the unit of the channel.
     t : Array (n,)
@@ -127,6 +130,7 @@ class ChannelResiduals:
         Correlation of the innovations with each input that reports show (`shown_inputs`).
     """
 
+    role: Role
     record: str
     channel: str
     unit: str
@@ -179,8 +183,9 @@ class PredictionEvaluation:
     validation
         Evaluation of the validation data, None if there are no validation data.
     residuals
-        Residual analysis of the estimation data: one entry for each channel of each record. Channels of a record with
-        fewer than 60 samples, or with constant innovations, have no entry.
+        Residual analysis: one entry for each channel of each estimation record, then of each validation record.
+        Channels of a record with fewer than 60 samples, or with constant innovations, have no entry. Blocks in time of
+        records have none either.
     """
 
     model: Model
@@ -190,7 +195,12 @@ class PredictionEvaluation:
     residuals: tuple[ChannelResiduals, ...]
 
     @property
-    def headline_set(self) -> Literal["estimation", "validation"]:
+    def estimation_residuals(self) -> list[ChannelResiduals]:
+        """Residual analysis of the estimation data."""
+        return [r for r in self.residuals if r.role == "estimation"]
+
+    @property
+    def headline_set(self) -> Role:
         """Name of the set that headlines report: validation if validation data exist, else estimation."""
         return "estimation" if self.validation is None else "validation"
 
@@ -226,7 +236,7 @@ def evaluate(fitted: FittedModel, horizon: float | None = None) -> PredictionEva
     Returns
     -------
     PredictionEvaluation
-        Errors and calibration of all records, and residual tests of the estimation data.
+        Errors, calibration and residual tests of all records.
     """
     seconds, likelihood = horizon or fitted.model.horizon, Likelihood(fitted.model)
     estimated, validated = _evaluate_set(fitted, fitted.estimation, True, seconds, likelihood), None
@@ -234,13 +244,14 @@ def evaluate(fitted: FittedModel, horizon: float | None = None) -> PredictionEva
         validated = _evaluate_set(fitted, fitted.validation, False, seconds, likelihood)
         intervals = _intervals(validated, seconds)
         estimated, validated = _widened(estimated, intervals), _widened(validated, intervals)
-    return PredictionEvaluation(
-        fitted.model,
-        seconds,
-        estimated,
-        validated,
-        tuple(r for v in fitted.estimation for r in residual_tests(fitted.model, v.record, v.run.standardised)),
-    )
+    whole: dict[Role, tuple[RecordEvaluation, ...]] = {
+        "estimation": fitted.estimation,
+        "validation": () if fitted.in_blocks else fitted.validation,
+    }
+    tests = [
+        residual_tests(fitted.model, v.record, v.run.standardised, role) for role, views in whole.items() for v in views
+    ]
+    return PredictionEvaluation(fitted.model, seconds, estimated, validated, tuple(r for found in tests for r in found))
 
 
 def _evaluate_set(
@@ -331,7 +342,7 @@ def horizon_prediction(
     return HorizonPrediction(errors.t, np.where(np.isfinite(y), y, np.nan), sd)
 
 
-def residual_tests(model: Model, record: Record, eps: Array) -> list[ChannelResiduals]:
+def residual_tests(model: Model, record: Record, eps: Array, role: Role = "estimation") -> list[ChannelResiduals]:
     """Test the residuals of one record for whiteness and for correlation with the inputs, channel by channel.
 
     Parameters
@@ -342,6 +353,8 @@ def residual_tests(model: Model, record: Record, eps: Array) -> list[ChannelResi
         The record.
     eps : Array (n_rows, n_outputs)
         Standardised innovations, NaN for rows without a sample and for outliers; these are left out.
+    role
+        Role of the record.
 
     Returns
     -------
@@ -360,7 +373,7 @@ def residual_tests(model: Model, record: Record, eps: Array) -> list[ChannelResi
             cross_correlation(o.name, t, e, name, record.t, record.u[:, k], coefficients)
             for k, name, _ in shown_inputs(model)
         )
-        found.append(ChannelResiduals(record.name, o.name, o.unit, t, e, whiteness_test(o.name, t, e), inputs))
+        found.append(ChannelResiduals(role, record.name, o.name, o.unit, t, e, whiteness_test(o.name, t, e), inputs))
     return found
 
 

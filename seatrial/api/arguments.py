@@ -8,7 +8,7 @@ from functools import wraps
 from inspect import signature
 from numbers import Real
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, Literal, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from seatrial.daq.errors import SeatrialError, names_hint
 
 P = ParamSpec("P")
 R = TypeVar("R")
+Role = Literal["estimation", "validation"]  # role of the data of a fit
 
 LONGEST_VALUE = 60  # characters of a value that a message repeats
 RATES = (1.0, 200.0)  # smallest and largest rate of the rows [Hz], as those of --rate

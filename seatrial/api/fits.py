@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.api import plots, tables
-from seatrial.api.arguments import as_path, check_switches, check_values, output_folder, shortened
+from seatrial.api.arguments import Role, as_path, check_switches, check_values, output_folder, shortened
 from seatrial.api.calls import python_call
 from seatrial.api.figures import Figure
 from seatrial.api.findings import DiagnosisFindings
@@ -41,9 +41,6 @@ if TYPE_CHECKING:
     from seatrial.ident.workflows.vehicle_model import VehicleRequest
 
 Logs = PathLike | Log | Sequence[PathLike | Log]
-Role = Literal["estimation", "validation"]
-
-
 ARGUMENTS = ("validate", "model", "logs")  # arguments that are no options, for the hint about an unknown option
 LISTS = (
     "effects",
@@ -255,8 +252,8 @@ class FitReport(Shown):
         """
         return tables.frame(self.result)
 
-    def residual_tests(self) -> Any:
-        """Return the tests of the residuals of the estimation data as a ``pandas.DataFrame`` with a row for each test.
+    def residual_tests(self, on: Role = "estimation") -> Any:
+        """Return the tests of the residuals as a ``pandas.DataFrame`` with a row for each test.
 
         Each record and channel has the tests ``ljung-box`` and ``periodogram`` of whiteness, ``normality``, and a
         ``cross-correlation`` with each input. Of a diagnosis they are those of the model with the effects. The columns
@@ -272,12 +269,17 @@ class FitReport(Shown):
           by the number of correlations of the result for each of these;
         - verdict in words.
 
+        Parameters
+        ----------
+        on : ``estimation`` or ``validation``
+            Data whose residuals are tested.
+
         Raises
         ------
         SeatrialError
-            If pandas is not installed.
+            If pandas is not installed, or if there are no residual tests of validation data.
         """
-        return tables.residual_frame(self.result)
+        return tables.residual_frame(self.result, on)
 
     def errors_to_pandas(self) -> Any:
         """Return the RMS prediction errors as a ``pandas.DataFrame``, with those before and after a diagnosis.

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from seatrial.api import tables
-from seatrial.api.arguments import as_path, named_arguments, shortened
+from seatrial.api.arguments import Role, as_path, named_arguments, shortened
 from seatrial.api.findings import DiagnosisFindings
 from seatrial.api.fits import FittedResult, MotionMethods, known_options, model_path, unknown_attribute
 from seatrial.api.logs import Log, PathLike
@@ -221,16 +221,22 @@ class Saved(MotionMethods, Shown):
         if not hasattr(self.result, field):
             raise SeatrialError(f"{self.path}: no {RESULT} of a fit was loaded; load the folder that contains it")
 
-    def residual_tests(self) -> Any:
+    def residual_tests(self, on: Role = "estimation") -> Any:
         """Return the tests of the residuals as a ``pandas.DataFrame``, as `FittedVehicle.residual_tests`.
+
+        Parameters
+        ----------
+        on : ``estimation`` or ``validation``
+            Data whose residuals are tested.
 
         Raises
         ------
         SeatrialError
-            If no result of a fit was loaded, or if pandas is not installed.
+            If no result of a fit was loaded, if pandas is not installed, or if there are no residual tests of
+            validation data.
         """
         self._require_fit("residuals")
-        return tables.residual_frame(self.result)
+        return tables.residual_frame(self.result, on)
 
     def errors_to_pandas(self) -> Any:
         """Return the RMS prediction errors as a ``pandas.DataFrame``, as `FittedVehicle.errors_to_pandas`.

@@ -6,11 +6,12 @@ import math
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from seatrial.api.arguments import Role
 from seatrial.api.messages import in_python, with_texts_in_python
 from seatrial.api.shown import Content
 from seatrial.daq.errors import SeatrialError
@@ -257,17 +258,27 @@ def frame(result: FitResult) -> Any:
     return import_library("pandas").DataFrame(rows, columns=list(Statistics._fields)).set_index("name")
 
 
-def residual_tests(result: FitResult) -> list[ResidualTest]:
-    """Return the tests of the residuals of the estimation data; of a diagnosis, those of the model with the effects.
+def residual_tests(result: FitResult, on: Role = "estimation") -> list[ResidualTest]:
+    """Return the tests of the residuals; of a diagnosis, those of the model with the effects.
+
+    ``on`` is the role of the records, ``estimation`` or ``validation``. SeatrialError is raised for another word, and
+    if the result has no tests of validation data.
 
     Each channel of a record has three tests of its own, and one of the correlation with each input. One of the two
     whiteness tests fails below 0.5 %, so that white residuals fail one of them in 1 % of the cases, as in the report.
     Normality fails below 1 %, and a correlation below 1 % divided by the number of correlations, as in the answer.
     """
+    if on not in get_args(Role):
+        raise SeatrialError(f"on: {on!r} names no data; give 'estimation' or 'validation'")
+    if on == "validation" and not any(r.role == on for r in result.residuals):
+        raise SeatrialError(
+            "this result has no residual tests of validation data: it has no validation logs, or was validated in "
+            "blocks of time; fit again with logs as the argument `validate`"
+        )
     rows = []
-    for row in result.residuals:
+    for row in (r for r in result.residuals if r.role == on):
         rows += _tests_of_channel(row.record, row.channel, row.after or row, row.lags, row.frequency)
-    pairs = [(row, row.after or row) for row in result.cross]
+    pairs = [(row, row.after or row) for row in result.cross if row.role == on]
     number = sum(test.p is not None for _, test in pairs)
     return rows + [
         ResidualTest(
@@ -279,9 +290,9 @@ def residual_tests(result: FitResult) -> list[ResidualTest]:
     ]  # fmt: skip
 
 
-def residual_frame(result: FitResult) -> Any:
+def residual_frame(result: FitResult, on: Role = "estimation") -> Any:
     """Return the `residual_tests` of a fit as a ``pandas.DataFrame``; SeatrialError without pandas."""
-    return import_library("pandas").DataFrame(residual_tests(result), columns=list(ResidualTest._fields))
+    return import_library("pandas").DataFrame(residual_tests(result, on), columns=list(ResidualTest._fields))
 
 
 def error_rows(result: FitResult) -> list[ErrorRow]:

@@ -398,9 +398,21 @@ def test_residuals_are_standardised(fit: st.FittedVehicle) -> None:
 
 
 def test_the_residual_tests_are_a_table(fit: st.FittedVehicle, tmp_path: Path) -> None:
-    table = fit.residual_tests()
     result = fit.result
-    assert len(table) == 3 * len(result.residuals) + len(result.cross)
+    for role in ("estimation", "validation"):
+        table = fit.residual_tests(on=role)
+        channels, pairs = ([r for r in rows if r.role == role] for rows in (result.residuals, result.cross))
+        assert len(table) == 3 * len(channels) + len(pairs) > 0
+        assert set(table["record"]) == {log.name for log in result.logs if log.role == role}
+    assert list(table["p"][:2]) == [channels[0].ljung_box_p, channels[0].periodogram_p]
+    with pytest.raises(SeatrialError, match="on: 'test' names no data; give 'estimation' or 'validation'"):
+        fit.residual_tests(on="test")  # type: ignore[arg-type]
+    of_estimation_only = tuple(r for r in result.residuals if r.role == "estimation")
+    alone = replace(fit, result=structs.replace(result, residuals=of_estimation_only))
+    with pytest.raises(SeatrialError, match="no residual tests of validation data"):
+        alone.residual_tests(on="validation")
+    table = fit.residual_tests()
+    of_estimation = [c for c in result.cross if c.role == "estimation"]
     (row,) = [r for r in result.residuals if (r.record, r.channel) == ("run1", "r")]
     of = table.query("record == 'run1' and channel == 'r' and input == ''").set_index("test")
     assert list(of["p"]) == [row.ljung_box_p, row.periodogram_p, row.normal_p]
@@ -412,9 +424,9 @@ def test_the_residual_tests_are_a_table(fit: st.FittedVehicle, tmp_path: Path) -
     assert of.loc["normality", "statistic_is"] == "largest residual [standard deviations]"
     assert of["statistic_is"].nunique() == len(of)
     crossed = table.query("test == 'cross-correlation'").reset_index()
-    assert list(crossed["p"]) == [c.p for c in result.cross]
-    assert list(crossed["input"]) == [c.input for c in result.cross]
-    assert list(crossed["statistic"]) == [c.largest for c in result.cross]
+    assert list(crossed["p"]) == [c.p for c in of_estimation]
+    assert list(crossed["input"]) == [c.input for c in of_estimation]
+    assert list(crossed["statistic"]) == [c.largest for c in of_estimation]
     found = result.cross[0]
     assert crossed.loc[0, "lag"] == found.lags[np.argmax(np.abs(found.z))]
     again = st.load(fit.save(tmp_path / "fit")).residual_tests()
@@ -431,9 +443,9 @@ def test_residual_tests_have_the_verdicts_of_report_and_answer(
     """Each whiteness test fails below 0.5 %, and a correlation below 1 % over the number of correlations."""
     first = fit.result.residuals[0]
     spoiled = structs.replace(first, ljung_box_p=0.004, periodogram_p=0.006, normal_p=None, outliers=2)
-    pairs = len(fit.result.cross)
-    cross = [structs.replace(c, p=p / pairs) for c, p in zip(fit.result.cross, (0.009, 0.011), strict=False)]
-    cross += fit.result.cross[2:]
+    cross = [c for c in fit.result.cross if c.role == "estimation"]
+    pairs = len(cross)
+    cross[:2] = [structs.replace(c, p=p / pairs) for c, p in zip(cross, (0.009, 0.011), strict=False)]
     result = structs.replace(fit.result, residuals=(spoiled,), cross=tuple(cross))
     verdicts = list(replace(fit, result=result).residual_tests()["verdict"])
     assert verdicts[:5] == [
@@ -441,7 +453,7 @@ def test_residual_tests_have_the_verdicts_of_report_and_answer(
     ]  # fmt: skip
     for row in found.result.residuals:
         assert row.after is not None
-        tests = found.residual_tests().query("record == @row.record and channel == @row.channel")
+        tests = found.residual_tests(on=row.role).query("record == @row.record and channel == @row.channel")
         whiteness = tests[tests["test"].isin(["ljung-box", "periodogram"])]
         assert (whiteness["verdict"] == "white").all() == row.after.white
         assert whiteness["p"].iloc[0] == row.after.ljung_box_p
@@ -450,7 +462,7 @@ def test_residual_tests_have_the_verdicts_of_report_and_answer(
 def test_the_limit_of_a_residual_test_is_in_its_table(fit: st.FittedVehicle) -> None:
     table = fit.residual_tests()
     limits = table.groupby("test")["limit"].unique().map(list).to_dict()
-    pairs = sum(c.p is not None for c in fit.result.cross)
+    pairs = sum(c.p is not None and c.role == "estimation" for c in fit.result.cross)
     assert pairs > 1
     assert limits == {
         "ljung-box": [0.005], "periodogram": [0.005], "normality": [0.01], "cross-correlation": [0.01 / pairs]

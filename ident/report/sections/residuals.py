@@ -24,7 +24,7 @@ KOLMOGOROV_95 = 1.358
 
 
 def section(canvas: Canvas, result: FitResult) -> Section:
-    """Return the section of the residuals of a fit: one tab for each estimation record; empty without residuals.
+    """Return the section of the residuals of a fit: one tab for each record; empty without residuals.
 
     A tab has the table of whiteness tests, up to three plots for each channel, and the correlations with the inputs.
 
@@ -52,7 +52,7 @@ def section(canvas: Canvas, result: FitResult) -> Section:
         "One-step prediction errors divided by their predicted standard deviation. The residuals of a complete model "
         "are white: 95 % of the values are inside the grey bands. Each channel is tested alone, by both tests "
         "together at 1 % (Bonferroni): ✗ if either p is below 0.5 %. The sentence at the top of the page tests all "
-        "channels together."
+        "channels of the estimation data together."
     )
     compared = any(r.after is not None for r in result.residuals) or any(c.after is not None for c in result.cross)
     key = [Key([("before-dots", "before"), ("after-dots", "after the effects were added")])] if compared else []

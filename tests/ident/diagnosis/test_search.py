@@ -852,6 +852,7 @@ def test_payload_in_one_run_is_identified() -> None:
     for evaluated in (evaluation.before, evaluation.after):
         assert evaluated.validation is not None
         assert len(evaluated.validation.records) == len(validated_in_blocks(found.after).validation) > 4
+        assert {r.role for r in evaluated.residuals} == {"estimation"}
     assert "has separate parameters for each run" in _blocks_note(evaluation)[0]
 
 
