@@ -16,6 +16,7 @@ from .findings import worst_first as worst_first
 from .held_values import group_held_signals as group_held_signals
 from .held_values import held_signals as held_signals
 from .held_values import is_measured as is_measured
+from .held_values import is_sampled_slower as is_sampled_slower
 from .import_checks import too_many_rows_missing as too_many_rows_missing
 from .import_checks import unknown_times as unknown_times
 from .signal_names import advice_on_other_name as advice_on_other_name

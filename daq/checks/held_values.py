@@ -36,6 +36,7 @@ WITHIN = 0.95  # share of the changes of a coarse signal that are at the changes
 # often and rarely returns to a value. Interpolation would turn the steps of a command into ramps. Smallest number of
 # values, smallest share of different values, longest time between two values [s].
 FEWEST_LEVELS, LEAST_DIFFERENT, SLOWEST_INPUT_S = 50, 0.5, 1.05
+LEAST_ROWS_OF_COMMAND = 2.0  # rows of the table for each sample of a recorded command (hold "sampled")
 # Signals that one sensor measures at once: if one of them changes, the other one was measured too.
 TOGETHER = (("x", "y"), ("vx", "vy"), ("u", "v"), ("ax", "ay"), ("speed_x", "speed_y"))
 
@@ -138,6 +139,14 @@ def held_signals(t: FloatArray, signals: Mapping[str, FloatArray]) -> dict[str, 
             mean = _mean_rows_between_changes(sensor)
             found.update(dict.fromkeys(g, HeldValues(mean, _rows_of_measurement(sensor, mean))))
     return found
+
+
+def is_sampled_slower(held: HeldValues) -> bool:
+    """Return whether a recorded command was sampled clearly more slowly than the table: every second row or less often.
+
+    With fewer repeats, most of them are a command that did not change, which must not become a ramp.
+    """
+    return held.rows >= LEAST_ROWS_OF_COMMAND
 
 
 def is_measured(levels: FloatArray, interval: float) -> bool:

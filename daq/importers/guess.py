@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seatrial.daq.checks import group_held_signals, held_signals
+from seatrial.daq.checks import group_held_signals, held_signals, is_sampled_slower
 from seatrial.daq.errors import SeatrialError, first_names
 from seatrial.daq.importers.bench_table import COMMAND, bench_candidates
 from seatrial.daq.importers.clocks import DATES, Clock, clock_of, has_named_times, row_seconds
@@ -362,21 +362,26 @@ def _held_signal_comments(candidates: Sequence[Candidate], taken: Sequence[MapSi
 
     The comment has the names and the time between measurements. Only signals in `taken`, those chosen for the import
     map, are tested, if their rows have times. Inputs without a hold in the map are not tested, since their last value
-    holds anyway. `clocks` has the time column of each table, by the id of the table.
+    holds anyway, nor are commands that were sampled almost in each row. `clocks` has the time column of each table, by
+    the id of the table.
     """
     tables: dict[tuple[int, bytes], tuple[Column, dict[str, Column]]] = {}
+    sampled = set[str]()
     for candidate in candidates:
         t = row_seconds(candidate.table, clocks[id(candidate.table)])
         for signal in candidate.signals:
             holds = 'role = "input"' in signal.extra and "hold = " not in signal.extra
             if t is None or holds or not any(signal is chosen for chosen in taken):
                 continue
+            sampled |= {signal.name} if 'hold = "sampled"' in signal.extra else set()
             values = np.sum([candidate.table.numbers(column) for column in signal.columns], axis=0)
             known = np.isfinite(values) & np.isfinite(t)
             table = tables.setdefault((id(candidate.table), known.tobytes()), (t[known], {}))
             table[1][signal.name] = values[known]
     for t, signals in tables.values():
-        for names, held in group_held_signals(held_signals(t, signals)):
+        found = held_signals(t, signals)
+        left_out = {n: held for n, held in found.items() if n not in sampled or is_sampled_slower(held)}
+        for names, held in group_held_signals(left_out):
             yield (
                 f"{names}: held between measurements {held.rows * float(np.ptp(t)) / (len(t) - 1):.3g} s apart; "
                 'the import leaves the repeats out (if each row is a measurement, give the signal repeats = "keep")'

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from seatrial.daq.checks import held_signals, is_measured
+from seatrial.daq.checks import held_signals, is_measured, is_sampled_slower
 from seatrial.daq.errors import SeatrialError, counted
 from seatrial.daq.geometry import euler_angles, local_ned
 from seatrial.daq.importers.import_map import Signal, Source, TimeColumn
@@ -301,8 +301,8 @@ def _without_held(table: Sequence[SignalData], places: Sequence[int]) -> Iterato
     Yield for each of these signals its index, the signal without repeats, and the number of repeats. Signals are found
     by changes at regular intervals of at most 5 s (`held_signals`), those of one sensor, as x and y, together. The
     interval is that of the rows (median) times the rows per measurement. Other signals are not yielded, nor inputs
-    whose values look like commands instead of measurements. `table` has signals with the same times, and `places` the
-    index of each in the list of all signals.
+    whose values look like commands instead of measurements, nor commands that were sampled almost in each row. `table`
+    has signals with the same times, and `places` the index of each in the list of all signals.
     """
     t = table[0].t
     found = held_signals(t, {data.signal.name: data.values for data in table})
@@ -311,6 +311,8 @@ def _without_held(table: Sequence[SignalData], places: Sequence[int]) -> Iterato
             continue
         interval = held.rows * float(np.median(np.diff(t)))
         if data.signal.role == "input" and not is_measured(data.values[held.new], interval):
+            continue
+        if data.signal.hold == "sampled" and not is_sampled_slower(held):
             continue
         n_left_out = len(t) - int(held.new.sum())
         data = replace(data, t=t[held.new], values=data.values[held.new])

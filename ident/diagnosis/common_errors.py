@@ -4,8 +4,8 @@ A fix is 0.1 to 0.2 s old, shaft telemetry arrives late, a heading trails, an an
 given position, and no hull has exactly two drag terms for each axis. Each of these errors gains much likelihood, and
 hardly changes the prediction. If the search added them one by one, they would take all its rounds, and until the last
 of them is in the model they also distort the score tests of the effects that matter. So they are one group: the search
-adds them together if several are needed and no other parametric effect (waves left out) that passes its score test
-explains more. They do not count as effects found.
+adds them together if several are needed and no effect of the boat (parametric, waves left out) that passes its score
+test explains more. They do not count as effects found.
 
 The members are selected by stepwise regression in the normal equations of the score tests, without a refit. The forms
 of hull and thrust are then added in any case. The priors of the catalogue are part of these equations, so that members
@@ -220,6 +220,14 @@ def nested_in(candidates: Mapping[str, Effect], chosen: Iterable[Effect]) -> set
     chosen = [*chosen]
     names, inner = {e.name for e in chosen}, {m for e in chosen for m in e.nests}
     return {n for n, e in candidates.items() if n in inner or names & set(e.nests)}
+
+
+def is_error_of_motion_sensor(effect: Effect) -> bool:
+    """Return whether an effect is an error of a sensor that measures the motion, so that it does not change the motion.
+
+    An error of the measured shaft speeds, such as ``shaft-clip``, is none: the thrust follows from these speeds.
+    """
+    return effect.place == "sensor" and "thrust_loss" not in effect.hooks
 
 
 def with_common_errors(

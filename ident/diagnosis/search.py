@@ -45,6 +45,7 @@ from seatrial.ident.diagnosis.common_errors import (
     common_errors_for,
     fit_common_errors,
     given_common_errors,
+    is_error_of_motion_sensor,
     nested_in,
     prior_information,
     score_common_errors,
@@ -310,7 +311,7 @@ def assess_model(
 
     The score tests of the catalogue are used, without a search for effects. Common errors are those of every craft:
     timing and mounting of sensors, and hull form. They are added together if at least ``policy.min_common_errors`` of
-    them are needed, no other parametric candidate that passes its score test explains more than all of them, and the
+    them are needed, no parametric effect of the boat that passes its score test explains more than all of them, and the
     data support the fit with them.
 
     Parameters
@@ -829,8 +830,8 @@ class _Search:
         are updated.
 
         Common errors are small errors that every craft has: timing and mounting of its sensors, and hull form. They are
-        added together before a round, if no other parametric effect that passes explains more than all of them, and
-        under the other conditions of `add_common_errors`. If the model has them, an effect is tried only if the
+        added together before a round, if no parametric effect of the boat that passes explains more than all of them,
+        and under the other conditions of `add_common_errors`. If the model has them, an effect is tried only if the
         criterion of its score also exceeds ``policy.max_remaining_criterion``.
 
         In a later call, candidates whose last refit failed (`_failed_before`) are not tried again: the model with fewer
@@ -962,14 +963,14 @@ class _Search:
         return None
 
     def add_common_errors(self, current: FittedModel, passed: Sequence[Score]) -> FittedModel | None:
-        """Add the common errors to a model if no other parametric candidate explains more; return the fit with them.
+        """Add the common errors to a model if no effect of the boat explains more; return the fit with them.
 
-        Only candidates that pass their score tests are compared, without waves, which every boat has and which do not
-        change the prediction. None if ``common`` is empty or no model was scored, if fewer than
-        ``policy.min_common_errors`` of them are needed, if a single other candidate explains more, or if the fit with
-        them fails, is not supported by the data or predicts significantly worse. In the last case they are not tried
-        again (``common`` is empty). After a success ``common``, ``common_errors``, ``candidates`` and ``policy`` are
-        changed.
+        Only candidates that pass their score tests are compared, without errors of sensors and without waves, which
+        every boat has and which do not change the prediction. None if ``common`` is empty or no model was scored, if
+        fewer than ``policy.min_common_errors`` of them are needed, if a single effect of the boat explains more, or if
+        the fit with them fails, is not supported by the data or predicts significantly worse. In the last case they are
+        not tried again (``common`` is empty). After a success ``common``, ``common_errors``, ``candidates`` and
+        ``policy`` are changed.
 
         Parameters
         ----------
@@ -981,9 +982,10 @@ class _Search:
         if not self.common or self.equations is None:
             return None
         joint = score_common_errors(self.equations, self.common, self.n)
-        # `keep_common_errors` removes waves from the candidates, however much they explain.
-        beside = {*self.common, WAVES}
-        others = [s.criterion(self.n) for s in passed if not s.nonparametric and s.name not in beside]
+        # `keep_common_errors` removes waves from the candidates, however much they explain. An error of a sensor does
+        # not explain the motion of the boat; what the common errors leave of it is found in the next round.
+        behind = {n for n, e in self.candidates.items() if is_error_of_motion_sensor(e)} | {*self.common, WAVES}
+        others = [s.criterion(self.n) for s in passed if not s.nonparametric and s.name not in behind]
         if len(joint.names) < self.policy.min_common_errors or joint.criterion < max(others, default=0.0):
             return None
         common, self.common = self.common, {}

@@ -151,6 +151,23 @@ def test_the_hold_of_an_input_is_guessed_by_its_values(
     assert "the signal is 0.25 s late on average" in found.text
 
 
+def test_repeats_of_a_command_in_nearly_every_row_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The thrust of a joystick at 7.5 Hz in rows of 10 Hz: without its repeats, a rest would become a ramp."""
+    monkeypatch.chdir(tmp_path)
+    t = 0.1 * np.arange(1500)
+    force = np.cumsum(np.random.default_rng(3).normal(0.0, 4.0, 1500))[np.floor(7.5 * t).astype(int)]
+    force[700:703] = 0.0
+    text = "\n".join(f"{a:.1f},{f:.3f},{0.1 * a:.4f}" for a, f in zip(t, force, strict=True))
+    (tmp_path / "run.csv").write_text(f"time,left_force,yaw_rad\n{text}\n")
+    guessed = guess_map(tmp_path / "run.csv").text
+    assert 'name = "f_left", column = "left_force", unit = "N", role = "input", hold = "sampled"' in guessed
+    assert "held between measurements" not in guessed
+    (tmp_path / "map.toml").write_text(guessed)
+    (log,) = import_files(tmp_path / "map.toml", [tmp_path / "run.csv"])
+    assert len(values(log, "f_left")[0]) == 1500
+    assert not [f for f in findings(log) if f.code == "input-held"]
+
+
 @pytest.mark.parametrize(("scale", "is_wrapped"), [(1.0, True), (1.0 / 3000.0, True), (1.0, False)])
 def test_wrapped_speeds_are_not_taken_for_percent(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scale: float, is_wrapped: bool
