@@ -25,6 +25,7 @@ from seatrial.ident.models import (
 GNSS = {"x", "y", "vx", "vy"}
 ARMS = ("y_left", "y_right", "y_arm")  # positions of the thrusters to starboard
 LONGEST_ARM_M = 5.0  # m, of a boat of a lab; a larger number is probably in centimetres
+SHORTEST_SPAN_M = 0.01  # between the thrusters; with less, no thrust difference turns the boat
 
 
 def apply_rig_geometry(
@@ -233,8 +234,8 @@ def fix_parameters(model: Model, thruster: Path | None, given: Mapping[str, floa
     ------
     SeatrialError
         If the model lacks a parameter of ``given`` or cannot have this value of it, if the given thrust ahead or astern
-        is not positive, if the file of the bench test cannot be read or is not the model of a thruster, or if it has no
-        thrust coefficient or does not determine it.
+        is not positive, if both thrusters are at the same place, if the file of the bench test cannot be read or is not
+        the model of a thruster, or if it has no thrust coefficient or does not determine it.
     """
     known: dict[str, Parameter] = {}
     notes = []
@@ -264,6 +265,7 @@ def fix_parameters(model: Model, thruster: Path | None, given: Mapping[str, floa
             raise SeatrialError(f"--fix {name}={value:g}: {problem}") from problem
     model = model.replace_parameters(*known.values())
     _check_thrust(model)
+    _check_arms(model)
     for name in ARMS:
         if abs(value := model.values.get(name, 0.0)) > LONGEST_ARM_M:
             notes.append(f"{name} = {value:g} m is a long way from the middle of a boat: is it in centimetres?")
@@ -289,6 +291,18 @@ def _check_thrust(model: Model) -> None:
     raise SeatrialError(
         f"c2 = {c2.value:g} N {problem}; correct --fix, --prior, the rig file or [scale] of the import map (c1 is the "
         "mean of the thrust ahead and astern, c2 half their difference)"
+    )
+
+
+def _check_arms(model: Model) -> None:
+    """Raise SeatrialError if both thrusters are at the same place, so that no thrust difference can turn the boat."""
+    left, right = (model.values.get(f"y_{side}") for side in ("left", "right"))
+    if left is None or right is None or abs(left - right) >= SHORTEST_SPAN_M:
+        return
+    raise SeatrialError(
+        f"y_left = {left:g} m and y_right = {right:g} m: both thrusters are at the same place, and cannot turn the "
+        "boat; give both positions with --fix, in the rig file or in [geometry] of the import map (positive to "
+        "starboard, so that y_left is usually negative)"
     )
 
 

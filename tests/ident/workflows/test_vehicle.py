@@ -205,6 +205,16 @@ def test_given_thrust_that_is_not_positive_is_rejected() -> None:
     assert model.values["c1"] == 1.0
 
 
+def test_thrusters_at_one_place_are_rejected() -> None:
+    mapped, _ = apply_rig_geometry(horizontal_model(), None, {"y_left": -0.3, "y_right": 0.285})
+    with pytest.raises(
+        SeatrialError, match=r"^y_left = 0\.285 m and y_right = 0\.285 m: both thrusters are at the same"
+    ):
+        fix_parameters(mapped, None, {"y_left": 0.285})
+    model, _ = fix_parameters(mapped, None, {"y_left": 0.285, "y_right": -0.285})  # as on a boat with swapped columns
+    assert model.values["y_left"] == 0.285
+
+
 def test_range_of_a_state_is_not_that_of_an_input_with_the_same_name() -> None:
     """The range of the yaw rate of ``kinematic:shaft:yaw`` is 1 % to 99 % of the filtered state, not that of the
     gyro.
