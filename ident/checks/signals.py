@@ -474,7 +474,7 @@ def check_smoothing(c: Channels, known_noise: Collection[str] = ()) -> Iterator[
         text = "a filter has smoothed the signal: it lacks the noise of a sensor, and its errors last for seconds"
         advice = (
             "the position has so little noise that it is a navigation filter's output too, so a fit estimates these "
-            "errors as states; nothing has to be done"
+            "errors as states; a noise that you know can be given to it with --fix"
         )
         yield Finding("warning", "channel-smoothed", "noise", ", ".join(smooth), text, advice)
     elif smooth:

@@ -72,6 +72,7 @@ FINE_SHIFT_PERCENT = 2.0  # smaller changes are printed with one decimal
 FACTOR_FROM = 3.0  # larger ratios of errors are printed as a factor, not in per cent
 LEVEL = 0.01  # significance level of the whiteness tests
 MEASURED_INPUTS = {"phi", "theta", "psi", "p", "q", "r"}  # inputs that are sensor outputs and contain sensor noise
+LEAST_USEFUL_SCALE = 0.1  # ratio of actual to predicted errors, below which an interval does not tell the error
 WIDE_INTERVAL = 0.5  # a wider 95 % interval of the fit is replaced by the interval of time that causes it
 NO_DEAD_ZONE = 5e-4  # of full command: a smaller dead zone would be printed as 0.0 %
 RAMP_SHARE = 0.05  # share of the rows, smallest commands first, that may belong to a ramp
@@ -334,6 +335,12 @@ def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
                 if role == "validation" and channels is not table.one_step and verdict == "overconfident":
                     call = "predict" if channels is table.horizon else "simulate"
                     advice = f"The intervals of this result and of `{call}` in Python are already widened for this."
+                factors = [c.scale for c in channels.values() if c.verdict == verdict and c.scale is not None]
+                if min(factors, default=1.0) < LEAST_USEFUL_SCALE:
+                    advice += (
+                        " An interval more than ten times too wide does not tell the error: use the table of errors "
+                        "for these channels."
+                    )
                 notes.append(
                     f"On {role} data, the {words} are {size} than the model predicts, by these factors: "
                     f"{', '.join(wrong)}. {advice}"

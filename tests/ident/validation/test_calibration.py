@@ -82,7 +82,7 @@ def test_too_little_sensor_noise_is_overconfident_one_step_ahead() -> None:
     assert {n for n, c in found.items() if c.verdict == "overconfident"} >= {"x", "y", "psi"}
     assert found["x"].inside_95 < 0.85
     notes = calibration_notes(calibration_tables(judged), 10.0)
-    assert any("one step ahead, errors are larger than the model predicts" in line for line in notes)
+    assert any("errors one step ahead are larger than the model predicts" in line for line in notes)
 
 
 def test_too_little_process_noise_is_overconfident_over_the_horizon() -> None:
