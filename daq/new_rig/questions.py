@@ -426,9 +426,16 @@ def _thrusters(
     """
     drivers = drivers_of(devices)
     if not drivers:
-        if answers.thrusters:
+        given = {
+            "--thrusters": answers.thrusters,
+            "--nodes": answers.nodes,
+            "--position-m": answers.positions,
+            "--pole-pairs": answers.pole_pairs,
+            "--rpm-max": answers.rpm_max,
+        }
+        if options := [option for option, value in given.items() if value]:
             raise SeatrialError(
-                "--thrusters needs a device that drives them; add vesc, dronecan or mavlink to --devices"
+                f"{options[0]} needs a device that drives thrusters; add vesc, dronecan or mavlink to --devices"
             )
         return []
     driver = drivers[0]

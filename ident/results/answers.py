@@ -549,10 +549,13 @@ def thrust_ahead_warnings(fit: Fit) -> list[ResultWarning]:
     (c1, _), (c2, error) = fit.estimate("c1"), fit.estimate("c2")
     if not abs(c2) > max(UNEQUAL_THRUST * c1, 2.0 * error):
         return []
+    prior = known["c1"].prior
+    given_c1 = known["c1"].value if prior is None else prior[0]
     text = (
-        f"At full speed the thrust is {c1 + c2:.3g} N ahead and {c1 - c2:.3g} N astern by this fit; c1 = {c1:.3g} N, "
-        f"which was given, is the mean of both. If it was measured ahead only, multiply it by {c1 / (c1 + c2):.3f} and "
-        "fit again, or give the thrust astern too (c2 is half of ahead less astern)."
+        f"At full speed the thrust is {c1 + c2:.3g} N ahead and {c1 - c2:.3g} N astern by this fit; c1, which was "
+        f"given as {given_c1:.3g} N, is the mean of both. If {given_c1:.3g} N was measured ahead only, multiply it by "
+        f"{c1 / (c1 + c2):.3f} and fit again. If it is the mean, give the half difference too (--prior "
+        f"c2={c2:.3g}:{max(error, 0.1 * abs(c2)):.2g}), and this warning ends."
     )
     return [ResultWarning(code="thrust-ahead", text=text)]
 

@@ -518,7 +518,8 @@ def test_thrust_that_may_be_that_ahead_is_reported(
     found = thrust_ahead_warnings(fit)
     assert [w.code for w in found] == ["thrust-ahead"] * warned
     if warned and c2 > 0.0:
-        assert "is 7.77 N ahead and 5.91 N astern by this fit; c1 = 6.84 N, which was given" in found[0].text
+        assert "is 7.77 N ahead and 5.91 N astern by this fit; c1, which was given as 6.84 N, is the" in found[0].text
+        assert "give the half difference too (--prior c2=0.93:0.3)" in found[0].text
         assert "multiply it by 0.880" in found[0].text
 
 
