@@ -200,7 +200,8 @@ def guess_map(
     remarks += [line for table in tables for line in _not_measured_lines(table)]
     remarks += [line for table in tables for line in _length_lines(table, clocks[id(table)], main)]
     remarks += [f"# caveat: {line}" for line in _held_signal_comments(candidates, taken, clocks)]
-    text = "\n".join([*head, *remarks, "signal = [", *lines, *_unrecognised_lines(unrecognised), "]"])
+    closing = ["]", *_boat_lines(taken)]
+    text = "\n".join([*head, *remarks, "signal = [", *lines, *_unrecognised_lines(unrecognised), *closing])
     tops = {signal.name: signal.full for signal in taken if signal.full}
     return Guess(
         text + (f"\n# no fit: {problem}" if problem else "") + "\n",
@@ -208,6 +209,28 @@ def guess_map(
         tops,
         [column for _, column in unrecognised],
     )
+
+
+def _boat_lines(taken: Sequence[MapSignal]) -> list[str]:
+    """Return comment lines with the tables of a map for what no file has: geometry and thrust of the boat.
+
+    The numbers are examples. Without signals of a left and a right thruster there are no lines, and without commands or
+    shaft speeds of them none for the thrust.
+    """
+    inputs = {signal.name for signal in taken if 'role = "input"' in signal.extra}
+    pairs = [name for name in ("n", "n_cmd", "f") if {f"{name}_left", f"{name}_right"} <= inputs]
+    if not pairs:
+        return []
+    geometry = [
+        "# What no file has: give your numbers in place of these examples, and remove the #. Otherwise masses are",
+        "# ratios to the thrust, and the positions of the thrusters are built in.",
+        "# [geometry]",
+        "# y_left = -0.3   # thrusters to starboard of the middle [m]",
+        "# y_right = 0.3",
+        "# mass = 30.0     # weighed [kg]",
+    ]
+    thrust = ["# [scale]", "# c1 = 40.0       # thrust of one thruster at full command [N], mean of ahead and astern"]
+    return geometry + (thrust if pairs != ["f"] else [])
 
 
 def _by_own_times(table: Table) -> list[Table]:

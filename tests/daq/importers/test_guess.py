@@ -5,6 +5,7 @@ signals.
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -24,6 +25,7 @@ from seatrial.daq.importers import guess
 from seatrial.daq.importers.clocks import Clock, clock_of
 from seatrial.daq.importers.guess import Guess, guess_map, guess_maps, outputs
 from seatrial.daq.importers.import_files import import_files
+from seatrial.daq.importers.import_map import parse_import_map
 from seatrial.daq.importers.recognise import read_name
 from seatrial.daq.importers.sources import SourceKind
 from seatrial.daq.importers.table import Table, TextStyle
@@ -712,3 +714,22 @@ def test_a_column_that_is_not_recognised_has_the_unit_of_its_name(tmp_path: Path
     text = guess_map(tmp_path / "run.csv").text
     for column, unit in (("steering_deg", "deg"), ("tank (m)", "m"), ("lamp", "1")):
         assert f'# {{ name = "NAME", column = "{column}", unit = "{unit}" }},  # ' in text
+
+
+@pytest.mark.parametrize(
+    ("columns", "geometry", "scale"),
+    [("cmd_left,cmd_right", True, True), ("left_force,right_force", True, False), ("north,east", False, False)],
+)
+def test_a_guessed_map_has_examples_of_what_no_file_has(
+    tmp_path: Path, columns: str, geometry: bool, scale: bool
+) -> None:
+    rows = "\n".join(f"{0.1 * k:.1f},{0.01 * k:.3f},{k % 7},{0.3 * (k % 5):.1f}" for k in range(200))
+    (tmp_path / "run.csv").write_text(f"time,yaw_rad,{columns}\n{rows}\n")
+    guessed = guess_map(tmp_path / "run.csv").text
+    assert ("# y_left = -0.3" in guessed) is geometry
+    assert ("# [scale]" in guessed) is scale
+    if geometry:  # the examples are valid without the sign of a comment
+        map_text, examples = guessed.split("# [geometry]")
+        tables = re.sub("(?m)^# ", "", "# [geometry]" + examples)
+        found = parse_import_map(map_text + tables, tmp_path / "map.toml")
+        assert found.vehicle == {"y_left": -0.3, "y_right": 0.3, "mass": 30.0} | ({"c1": 40.0} if scale else {})
