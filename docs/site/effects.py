@@ -30,10 +30,11 @@ INTRODUCTION = """\
 <!-- written by: python docs/site/effects.py -->
 
 `seatrial ident diagnose` tests these effects against the residuals of a model, and adds those that explain them. Each
-effect has a name, for the options `--effect` and `--effects` and for `st.diagnose`, and a formula. X, Y and N are
-the forces and the moment in body axes, u, v and r the velocities through the water, psi is the heading, n a shaft speed
-(1: full speed ahead) and f the thrust of a thruster. An arrow means that the effect replaces the quantity on its left
-by the value on its right. A condition in brackets is 1 if it is true, and 0 otherwise.
+effect has a name, for the options `--effect` of `ident vehicle` and `--exclude` of `ident diagnose` and for Python, and
+a formula. X, Y and N are the forces and the moment in body axes, u, v and r the velocities through the water, psi is
+the heading, n a shaft speed (1: full speed ahead) and f the thrust of a thruster. An arrow means that the effect
+replaces the quantity on its left by the value on its right. A condition in brackets is 1 if it is true, and 0
+otherwise.
 
 A residual that no effect of the catalogue explains is described by a curve ([diagnosis](diagnosis.md)). You can
 [add an effect](../how-to/add-an-effect.md) of your own.

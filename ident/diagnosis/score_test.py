@@ -633,7 +633,11 @@ def _candidate_score(
             info, s = info - np.outer(shared, gain), s - gain * s.sum()
             by_block = by_block - np.outer(by_block.sum(axis=1), gain)
         center -= 1.0 / index.size
-    w, V, size = scaled_eigen(info)
+    # Of a difference, one run can have all information: its rest has none, and must not be divided by its size.
+    floor = 1e-12 * float(np.trace(info)) if is_difference else 0.0
+    if is_difference and not floor > 0.0:
+        return None
+    w, V, size = scaled_eigen(info, floor)
     keep = w > 1e-6
     z = (V.T @ (s / size))[keep]
     lm, df = float(np.sum(z * z / w[keep])), int(keep.sum())

@@ -649,7 +649,9 @@ def _candidates_table(result: DiagnosisResult) -> Table | None:
     if not found:
         return None
     every, removed = found[0].candidates, {row.name for row in result.removed_effects}
-    chosen = {row.chosen for row in found} - removed
+    chosen = {row.chosen for row in found if row.chosen} - removed
+    # An added curve has a longer name than its candidate: "unknown N(psi)" for "N(psi)".
+    chosen, removed = (names | {name.removeprefix("unknown ") for name in names} for names in (chosen, removed))
     shown = every[:MAX_CANDIDATES]
     passed = f"{found[0].passed} of {found[0].tested} candidates passed"
     title = f"First round: {passed}; the {len(shown)} best by score/df"

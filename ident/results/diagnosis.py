@@ -917,13 +917,14 @@ def _notes(diagnosis: Diagnosis, given: GivenModel) -> list[str]:
     notes = common_errors_notes(diagnosis.common_errors, "the effects")
     if diagnosis.remaining and not diagnosis.untried_scores:
         if diagnosis.effects:
+            curve = any(e.effect.kind.nonparametric for e in diagnosis.effects)
             notes.append(
-                "These candidates still pass the score test after the last effect, but no fit with them was accepted: "
-                f"{_remaining_names(diagnosis)}."
+                "These candidates still pass the score test after the last effect, but none of them was added: "
+                f"{_remaining_names(diagnosis)}.{' After a curve, no second curve is tried.' * curve}"
             )
         elif diagnosis.removed:
             notes.append(
-                "These candidates pass the score test of the model without effects, but no fit with them was accepted: "
+                "These candidates pass the score test of the model without effects, but none of them was added: "
                 f"{_remaining_names(diagnosis)}."
             )
     if diagnosis.effects and diagnosis.rounds[-1].chosen is None:
