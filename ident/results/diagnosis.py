@@ -917,10 +917,14 @@ def _notes(diagnosis: Diagnosis, given: GivenModel) -> list[str]:
     notes = common_errors_notes(diagnosis.common_errors, "the effects")
     if diagnosis.remaining and not diagnosis.untried_scores:
         if diagnosis.effects:
-            curve = any(e.effect.kind.nonparametric for e in diagnosis.effects)
+            has_curve = any(e.effect.kind.nonparametric for e in diagnosis.effects)
+            again = (
+                " After a curve, no second curve is tried: to try one, run `seatrial ident diagnose` with the model of "
+                "this diagnosis."
+            )
             notes.append(
                 "These candidates still pass the score test after the last effect, but none of them was added: "
-                f"{_remaining_names(diagnosis)}.{' After a curve, no second curve is tried.' * curve}"
+                f"{_remaining_names(diagnosis)}.{again * has_curve}"
             )
         elif diagnosis.removed:
             notes.append(

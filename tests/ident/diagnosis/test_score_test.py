@@ -389,3 +389,16 @@ def test_difference_needs_two_runs_that_show_it() -> None:
     for i, share in enumerate((1.0, 0.0)):
         normal.add(places[0].of_record(i), share * g[:, None], e, block_index(np.arange(200) * 0.1))
     assert score_tests(normal, no_priors(0), places) == []
+
+
+@pytest.mark.parametrize("share", [1e-3, 1e-7, 1e-9])
+def test_difference_of_a_run_that_hardly_shows_it_is_finite(share: float) -> None:
+    """Without the common part, the information of the other run is zero or a rounding error."""
+    columns = SensitivityColumns("d", np.zeros((1, 1, 1)), ("k",), kind=EffectKind.BETWEEN_RUNS, per_record=True)
+    places, total = assign_columns([columns], 0, 2)
+    normal = NormalEquations([str(k) for k in range(total)])
+    g, e = np.random.default_rng(6).normal(size=(2, 200))
+    for i, size in enumerate((1.0, share)):
+        normal.add(places[0].of_record(i), size * g[:, None], e, block_index(np.arange(200) * 0.1))
+    for score in score_tests(normal, no_priors(0), places):
+        assert np.isfinite([score.lm, score.lm_block, *score.step.values()]).all()
