@@ -212,10 +212,10 @@ def guess_map(
 
 
 def _boat_lines(taken: Sequence[MapSignal]) -> list[str]:
-    """Return comment lines with the tables of a map for what no file has: geometry and thrust of the boat.
+    """Return comment lines that show the tables ``[geometry]`` and ``[scale]`` of an import map with example numbers.
 
-    The numbers are examples. Without signals of a left and a right thruster there are no lines, and without commands or
-    shaft speeds of them none for the thrust.
+    A source has no geometry and no thrust of the boat, so that the user has to give them. The list is empty if the map
+    has no inputs of a left and a right thruster. It lacks ``[scale]`` if these inputs are forces.
     """
     inputs = {signal.name for signal in taken if 'role = "input"' in signal.extra}
     pairs = [name for name in ("n", "n_cmd", "f") if {f"{name}_left", f"{name}_right"} <= inputs]
@@ -396,7 +396,8 @@ def _held_signal_comments(candidates: Sequence[Candidate], taken: Sequence[MapSi
             holds = 'role = "input"' in signal.extra and "hold = " not in signal.extra
             if t is None or holds or not any(signal is chosen for chosen in taken):
                 continue
-            sampled |= {signal.name} if 'hold = "sampled"' in signal.extra else set()
+            if 'hold = "sampled"' in signal.extra:
+                sampled.add(signal.name)
             values = np.sum([candidate.table.numbers(column) for column in signal.columns], axis=0)
             known = np.isfinite(values) & np.isfinite(t)
             table = tables.setdefault((id(candidate.table), known.tobytes()), (t[known], {}))

@@ -9,6 +9,7 @@ from .fitted_model import FIT_ERRORS as FIT_ERRORS
 from .fitted_model import FailedRun as FailedRun
 from .fitted_model import FittedModel as FittedModel
 from .fitted_model import RecordEvaluation as RecordEvaluation
+from .fitted_model import Role as Role
 from .fitted_model import ValidationData as ValidationData
 from .fitted_model import cross_validated as cross_validated
 from .fitted_model import cut_into_blocks as cut_into_blocks

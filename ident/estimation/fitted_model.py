@@ -1,4 +1,4 @@
-"""A model fitted to estimation data and evaluated on validation data. A diagnosis compares such models."""
+"""Fit of a model to estimation data, with its evaluation on validation data. A diagnosis compares such fits."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
@@ -34,6 +34,7 @@ RESCALING_RATIO = 2.0  # priors are scaled again if estimated and assumed force 
 AS_LIKELY = 2.0  # a refit may lose this much ln L by its new priors; if it loses more, its search failed
 FIT_ERRORS = (ValueError, ArithmeticError, np.linalg.LinAlgError)  # raised if a model cannot be evaluated on a record
 
+Role = Literal["estimation", "validation"]  # role of a record in a fit
 TIME_STEP_S = 10.0  # between the times at which an effect is tried that begins in a run
 ValidationData = Sequence[Record] | TimeBlocks  # validation records, or blocks of the estimation records
 

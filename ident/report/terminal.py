@@ -619,7 +619,10 @@ def error_title(scale: ForceScale) -> str:
 
 
 def _profiles_table(found: Sequence[ProfileCurve]) -> Table | None:
-    """Return the table of the 95 % intervals by profile likelihood and by standard error; None without profiles."""
+    """Return the table that compares the 95 % intervals of the profile likelihood with those of the standard errors.
+
+    The result is None if there are no profiles.
+    """
     if not found:
         return None
     table = titled_table("Profile likelihood")

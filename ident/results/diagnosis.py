@@ -25,7 +25,7 @@ from seatrial.ident.diagnosis import (
     removal_reason,
 )
 from seatrial.ident.effects import catalogue
-from seatrial.ident.estimation import FittedModel, ParameterShift, ReportedEstimates, between_runs_title
+from seatrial.ident.estimation import FittedModel, ParameterShift, ReportedEstimates, Role, between_runs_title
 from seatrial.ident.model import Effect, EffectKind, Model, ModelKind
 from seatrial.ident.models import scale_priors, size_of
 from seatrial.ident.numerics import is_undetermined
@@ -657,7 +657,7 @@ def _refit_row(r: Refit) -> parts.RefitRow:
     )
 
 
-def _effect_rows(diagnosis: Diagnosis, role: parts.Role) -> tuple[parts.EffectRow, ...]:
+def _effect_rows(diagnosis: Diagnosis, role: Role) -> tuple[parts.EffectRow, ...]:
     """Return one table row for each added effect, the most important first.
 
     It has the attribution, the estimates in the final model, the competing models and the importance of the effect. The

@@ -12,11 +12,10 @@ import msgspec
 from msgspec import Meta
 
 from seatrial.ident.data import FrameOrigin
-from seatrial.ident.estimation import AT_BOUND, FailedRun
+from seatrial.ident.estimation import AT_BOUND, FailedRun, Role
 from seatrial.ident.numerics import Array
 
 FORMAT = "seatrial-result 3"
-Role = Literal["estimation", "validation"]
 Verdict = Literal["right", "overconfident", "underconfident", "insufficient_data"]
 
 
@@ -233,7 +232,7 @@ class ForceScale(Part, frozen=True, kw_only=True):
 
 
 class UnusedSignal(Part, frozen=True, kw_only=True):
-    """Signal of a log that the model uses neither as an input nor as an output."""
+    """Signal of a log that is neither an input nor an output of the model."""
 
     signal: Annotated[str, Meta(description="name of the signal")]
     logs: Annotated[tuple[str, ...], Meta(description="names of the logs that contain the signal")]

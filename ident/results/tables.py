@@ -22,6 +22,7 @@ from seatrial.ident.estimation import (
     HomogeneityTest,
     Profile,
     ReportedEstimates,
+    Role,
     run_differences,
 )
 from seatrial.ident.model import Effect, EffectKind, Model, ModelKind, Parameter, ParameterOrigin, segment_name
@@ -52,7 +53,6 @@ from seatrial.ident.results.parts import (
     Provenance,
     ResidualTests,
     ResultWarning,
-    Role,
     Trace,
     Track,
     WhitenessTests,
@@ -736,14 +736,15 @@ def effect_parameter_rows(effect: Effect, fitted: FittedModel) -> tuple[EffectPa
 
 
 def common_errors_row(found: CommonErrorsFit | None, fitted: FittedModel, role: Role) -> CommonErrorsRow | None:
-    """Return the table row of the common errors: their gain, and their estimates.
+    """Return the table row of the common errors with their gain and their estimates.
 
-    Common errors are small errors that every craft has: sensor timing, mounting, hull form.
+    Common errors are the small errors that every craft has. They concern the timing and mounting of sensors, and the
+    form of the hull.
 
     Parameters
     ----------
     found : CommonErrorsFit or None
-        Fit with the common errors. If it is None, because the model has none, the result is None.
+        Fit with the common errors. None if the model has no common errors; the result is then None.
     fitted : FittedModel
         Last fitted model, with the estimates of the common errors.
     role : Role
@@ -884,9 +885,9 @@ def name_probabilities(effects: Sequence[EffectRow]) -> str:
 
 
 def causes_sentence(effects: Sequence[EffectRow]) -> str:
-    """Return a sentence with what to look for on the craft and around it, by effect.
+    """Return a sentence that names the usual physical causes of each effect.
 
-    The text is empty if the catalogue has no such text for any of the effects.
+    The text is empty if the catalogue has no causes for these effects.
     """
     known = [f"{e.title}: {e.causes}" for e in effects if e.causes]
     return f"Look for the cause of {'; of '.join(known)}." if known else ""

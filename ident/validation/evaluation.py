@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Generic, Literal, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from seatrial.ident.estimation import (
     IntervalCalibration,
     Likelihood,
     RecordEvaluation,
+    Role,
     parameter_uncertainty,
 )
 from seatrial.ident.model import DisturbanceChannel, Model
@@ -44,7 +45,6 @@ from seatrial.ident.validation.whiteness import (
 
 FEWEST = 60  # smallest number of samples of a channel for residual tests
 
-Role = Literal["estimation", "validation"]
 T = TypeVar("T")
 
 

@@ -79,7 +79,7 @@ class ExportOptions(TypedDict, total=False):
 
 @dataclass(frozen=True, repr=False)
 class Saved(MotionMethods, Shown):
-    """Files of a fit in memory: its model, its result, or both. `load` returns this object.
+    """Saved fit, as `load` returns it: its model, its result, or both.
 
     Attributes
     ----------

@@ -348,7 +348,7 @@ def _verdict(p: float | None, level: float, passed: str, failed: str) -> str:
 
 
 def _or_nan(value: float | None) -> float:
-    """Replace None by NaN; a number is returned unchanged."""
+    """Return a number unchanged, and NaN for None."""
     return math.nan if value is None else value
 
 
