@@ -32,6 +32,7 @@ MIN_R2 = 0.6  # R2 below which two sensors have too little in common to compare 
 BLOCKS, STUDENT = 10, 2.26  # blocks of time of a jackknife, and the 97.5 % quantile of Student's t with 9 d.o.f.
 UNKNOWN_DELAY = 0.3  # s; a delay with a wider half 95 % interval is unknown
 SAME_SCALE = 0.15  # largest relative difference of scales that one wrong clock explains
+SAME_UNIT = (0.75, 1.33)  # change of a track over its measured velocity, outside of which the units differ
 MIN_YAW_RATE_SD = 0.02  # rad/s, standard deviation below which the boat has hardly turned
 MIN_VELOCITY_SD = 0.1  # m/s, standard deviation below which the boat has hardly moved
 
@@ -420,25 +421,45 @@ def position_and_velocity(c: Channels, found: Match | None) -> Iterator[Finding]
             "look for outliers and multipath, and check that both signals are from one receiver",
         )
         return
-    if not 0.75 < found.scale < 1.33:
-        # A velocity in knots that is taken as m/s is too large, and one in m/s that is converted from knots too small.
-        units = {
-            0.514: "are its numbers in knots and taken as m/s?",
-            0.278: "are its numbers in km/h and taken as m/s?",
-            1.944: "are its numbers in m/s and converted as knots?",
-            3.6: "are its numbers in m/s and converted as km/h?",
-        }
-        question = next((q for k, q in units.items() if abs(found.scale / k - 1.0) < 0.1), "is it in another unit?")
-        yield Finding(
-            "fault",
-            "velocity-unit",
-            "units",
-            where,
-            f"the position changes {found.scale:.3g} times as fast as the measured velocity, which is too "
-            f"{'large' if found.scale < 1.0 else 'small'}: {question}",
-            "correct the unit of the velocity or position in the import map, or check the rate of the time stamps",
-        )
+    if not SAME_UNIT[0] < found.scale < SAME_UNIT[1]:
+        yield velocity_unit_fault("the position", "the measured velocity", found.scale, where)
     yield from sensor_delay("position", _source_or_name(c["x"], "x"), "velocity", where, found)
+
+
+def velocity_unit_fault(track: str, velocity: str, scale: float, where: str) -> Finding:
+    """Return the fault ``velocity-unit``: a track moves faster or slower than a velocity says.
+
+    Parameters
+    ----------
+    track, velocity
+        Names of both in the text, with article, for example ``the position``.
+    scale
+        Change of the track per unit of time over the velocity.
+    where
+        Signal or device of the velocity.
+
+    Returns
+    -------
+    Finding
+        It asks for the unit that explains the factor to 10 %.
+    """
+    # A velocity in knots that is taken as m/s is too large, and one in m/s that is converted from knots too small.
+    units = {
+        0.514: "are its numbers in knots and taken as m/s?",
+        0.278: "are its numbers in km/h and taken as m/s?",
+        1.944: "are its numbers in m/s and converted as knots?",
+        3.6: "are its numbers in m/s and converted as km/h?",
+    }
+    question = next((q for k, q in units.items() if abs(scale / k - 1.0) < 0.1), "is it in another unit?")
+    return Finding(
+        "fault",
+        "velocity-unit",
+        "units",
+        where,
+        f"{track} changes {scale:.3g} times as fast as {velocity}, which is too "
+        f"{'large' if scale < 1.0 else 'small'}: {question}",
+        "correct the unit of the velocity or position in the import map, or check the rate of the time stamps",
+    )
 
 
 def delay_level(lag: float, half: float, fault_from: float = DELAY_FAULT) -> str:

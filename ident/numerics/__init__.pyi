@@ -12,6 +12,7 @@ from .distributions import noncentrality as noncentrality
 from .distributions import normal_cdf as normal_cdf
 from .distributions import normal_ppf as normal_ppf
 from .distributions import normality_p as normality_p
+from .distributions import signed_rank_z as signed_rank_z
 from .distributions import student_ppf as student_ppf
 from .linear_algebra import Array as Array
 from .linear_algebra import covariance_root as covariance_root

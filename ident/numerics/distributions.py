@@ -140,6 +140,30 @@ def normality_p(x: Array) -> float:
     return float(chi2_sf(z_skewness**2 + z_kurtosis**2, 2))
 
 
+def signed_rank_z(x: Array) -> float:
+    """Return Wilcoxon's signed-rank statistic of a sample as a standard normal variable.
+
+    Parameters
+    ----------
+    x : Array (n,)
+        Sample of at least one value. Its distribution is symmetric about zero under the null hypothesis.
+
+    Returns
+    -------
+    float
+        Positive if large values of the sample are positive.
+
+    Notes
+    -----
+    Values of equal size have ranks in the order of the sample. With few values the normal approximation is cautious:
+    it is at most 2.2 for six values.
+    """
+    n = x.size
+    rank = np.empty(n)
+    rank[np.argsort(np.abs(x), kind="stable")] = np.arange(1, n + 1)
+    return float((rank[x > 0.0].sum() - n * (n + 1) / 4.0) / np.sqrt(n * (n + 1) * (2 * n + 1) / 24.0))
+
+
 def is_undetermined(value: float, error: float) -> bool:
     """Return whether the data do not determine a value: its standard error is more than half of its size.
 

@@ -140,6 +140,8 @@ KINDS: dict[str, Kind] = {
     "vy negated": Kind(each(negated, "vy"), ("velocity-axes",), FULL),
     "velocity in knots": Kind(each(lambda v: v / 0.5144, "vx", "vy"), ("velocity-unit",), FULL),
     "u and v north and east": Kind(earth_fixed, ("velocity-earth-fixed",), BODY),
+    "u and v in km/h": Kind(each(lambda v: 3.6 * v, "u", "v"), ("velocity-unit",), BODY),
+    "u alone in knots": Kind(each(lambda u: u / 0.5144, "u"), ("velocity-unit",), BODY),
     "u and v swapped": Kind(swapped(("u", "v")), ("body-velocity-axes",), BODY),
     "v to port": Kind(each(negated, "v"), ("body-velocity-axes",), BODY),
     "heading negated": Kind(each(negated, "psi"), ("heading-sense",)),

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from seatrial.ident.checks.frames import Relation, _reversed_column, mirrored_signals
+from seatrial.ident.checks.frames import Relation, _reversed_column, check_frames, mirrored_signals
 from seatrial.ident.checks.log_checks import check_copies, check_signals
 from seatrial.ident.checks.sensors import sensor_matches
 from seatrial.ident.checks.signals import check_frozen, estimated, noise_floor, smoothed
@@ -59,6 +59,42 @@ def test_signals_that_cannot_be_distinguished_are_named_together() -> None:
 @pytest.fixture(scope="module")
 def run() -> dict[str, Channel]:
     return channels_of(sail(boat_with(None, 3), 120.0, 5)[0])
+
+
+def dashes(seed: int) -> dict[str, Channel]:
+    """Return positions, heading and body velocities of a boat that is fast in three of fifteen blocks of 10 s only.
+
+    It heads about east, turns little, and slips to port.
+    """
+    rng = np.random.default_rng(seed)
+    t = 0.1 * np.arange(1500)
+    fast = sum(np.exp(-0.5 * ((t - at) / 3.0) ** 2) for at in (25.0, 75.0, 125.0))
+    psi = 1.4 + 0.5 * np.sin(0.11 * t)
+    u, v = 0.02 + 2.0 * fast, -0.2 * fast
+    track = np.cumsum((u + 1j * v) * np.exp(1j * psi)) * 0.1
+    noise = 0.02 * rng.standard_normal((4, t.size))
+    signals = {"x": track.real, "y": track.imag, "u": u, "v": v}
+    return {n: Channel(t, x + e) for (n, x), e in zip(signals.items(), noise, strict=True)} | {"psi": Channel(t, psi)}
+
+
+@pytest.mark.parametrize(
+    ("wrong", "code", "text"),
+    [
+        ({}, None, ""),
+        ({"u": ("u", 3.6), "v": ("v", 3.6)}, "velocity-unit", "are its numbers in km/h and taken as m/s?"),
+        ({"u": ("u", 1 / 0.5144)}, "velocity-unit", "are its numbers in knots and taken as m/s?"),
+        ({"x": ("x", 100.0), "y": ("y", 100.0)}, "velocity-unit", "is it in another unit?"),
+        ({"u": ("v", 1.0), "v": ("u", 1.0)}, "body-velocity-axes", "the two are exchanged"),
+        ({"x": ("y", 1.0), "y": ("x", 1.0)}, "heading-offset", "or north and east are exchanged"),
+        ({"y": ("y", -1.0)}, "position-axes", "in x, y, the second sign is reversed"),
+    ],
+)
+def test_few_fast_dashes_show_units_and_axes(wrong: dict[str, tuple[str, float]], code: str | None, text: str) -> None:
+    run = dashes(4)
+    c = run | {name: replace(run[of], value=scale * run[of].value) for name, (of, scale) in wrong.items()}
+    found = list(check_frames(c, None, {}))
+    assert [f.code for f in found] == ([] if code is None else [code])
+    assert not found or found[0].text.endswith(text)
 
 
 def filtered(c: Channel, samples: int = 25) -> Channel:

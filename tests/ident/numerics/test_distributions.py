@@ -19,6 +19,7 @@ from seatrial.ident.numerics.distributions import (
     normal_cdf,
     normal_ppf,
     normality_p,
+    signed_rank_z,
     student_ppf,
 )
 
@@ -47,6 +48,13 @@ def test_normality_test_equals_that_of_scipy(kind: str, n: int) -> None:
     draw = {"normal": rng.normal, "skewed": rng.exponential, "flat": rng.uniform, "peaked": rng.laplace}[kind]
     x = draw(size=n)
     assert normality_p(x) == pytest.approx(stats.normaltest(x).pvalue, rel=1e-9)
+
+
+@pytest.mark.parametrize("shift", [-0.5, 0.0, 0.7])
+def test_signed_rank_statistic_equals_that_of_scipy(shift: float) -> None:
+    x = shift + np.random.default_rng(3).laplace(size=60)
+    expected = stats.wilcoxon(x, alternative="greater", method="asymptotic", correction=False).pvalue
+    assert normal_cdf(-signed_rank_z(x)) == pytest.approx(expected, rel=1e-9)
 
 
 def test_a_fit_does_not_import_scipy_stats() -> None:
