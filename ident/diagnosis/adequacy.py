@@ -95,63 +95,106 @@ def assess_alternatives(
         Attribution of each chosen effect, in the order of the rounds. A parametric effect is ambiguous if there is at
         least one reason. Each attribution also names the competing models that are not excluded.
     """
-    explained = {s.name for s in evidence.nominal if s.tolerance < policy.min_tolerance}
-    importance = {w.effect: w for w in evidence.importances}
-    chosen = [r.chosen for r in rounds if r.chosen is not None]
-    total = sum(max(c.criterion, 0.0) for c in chosen)
-    limit = max(policy.max_remaining_criterion, policy.max_remaining_share * total)
     found = []
     for search_round in rounds:
         if search_round.chosen is None:
             continue
-        if search_round.chosen.nonparametric:
-            close = tuple(q.effect.name for q in _competing_refits(search_round, policy))
-            found.append(EffectAttribution(search_round.chosen.effect.name, "nonparametric", (), close))
-            continue
-        # the remaining criterion has to be small compared with all effects and with this effect
-        own_limit = max(policy.max_remaining_criterion, search_round.chosen.criterion)
-        strong = [s for s in evidence.remaining if s.criterion(evidence.n) > min(limit, own_limit)]
-        fitted = search_round.chosen.fitted if evidence.after is None else evidence.after
-        # An effect that keeps its size beside the strongest remaining candidates is not there in their place.
-        remaining, unaffected = evidence.remaining, search_round.chosen.effect.name in evidence.unaffected
-        if unaffected:
-            strong, remaining = (
-                [],
-                [s for s in remaining if s.name in set(search_round.chosen.effect.alternatives) - evidence.beside],
-            )
-        still_found = _alternatives_still_found(search_round.chosen.effect, remaining, len(chosen))
-        reasons = [
-            *_strong_remaining_test_reasons(strong, evidence.n),
-            *_many_remaining_tests_reasons(remaining, len(evidence.nominal), policy),
-            *_remaining_alternative_reasons(still_found),
-            *_nonparametric_curve_reasons(chosen, search_round, unaffected, policy),
-        ]
-        reasons += [
-            *_form_correction_reasons(chosen, search_round.chosen, policy),
-            *_competing_model_reasons(search_round, policy),
-        ]
-        reasons += [
-            *_undetermined_size_reasons(search_round.chosen.effect, chosen, fitted, policy),
-            *_undetermined_position_reasons(search_round.chosen.effect, fitted, policy),
-            *_unusual_position_reasons(search_round.chosen.effect, fitted, policy),
-        ]
-        reasons += [
-            *_untested_alternative_reasons(search_round.chosen.effect, evidence.untested),
-            *_failed_candidate_reasons(search_round),
-            *_explained_by_parameters_reasons(search_round.chosen.effect, explained),
-        ]
-        reasons += [
-            *_no_better_prediction_reasons(search_round.chosen.effect.name, importance, policy),
-            *evidence.reservations,
-        ]
+        name = search_round.chosen.effect.name
         others = [q.effect.name for q in _competing_refits(search_round, policy)]
-        open_names = {*evidence.untested, *explained, *still_found}
+        if search_round.chosen.nonparametric:
+            found.append(EffectAttribution(name, "nonparametric", (), tuple(others)))
+            continue
+        remaining_reasons, still_found = _remaining_test_reasons(search_round, rounds, evidence, policy)
+        reasons = [*remaining_reasons, *_own_reasons(search_round, rounds, evidence, policy)]
+        open_names = {*evidence.untested, *_explained(evidence, policy), *still_found}
         others += [
             name for name in search_round.chosen.effect.alternatives if name in open_names and name not in others
         ]
-        name = search_round.chosen.effect.name
         found.append(EffectAttribution(name, "ambiguous" if reasons else "identified", tuple(reasons), tuple(others)))
     return tuple(found)
+
+
+def depends_on_remaining_tests(
+    rounds: Sequence[Round], evidence: AttributionEvidence, policy: SearchPolicy = DEFAULT_POLICY
+) -> bool:
+    """Return whether an effect is ambiguous only because score tests still pass on the last model.
+
+    A fit with the strongest remaining candidates can then show that the effect is identified
+    (``AttributionEvidence.unaffected``). The arguments are those of `assess_alternatives`.
+    """
+    return any(
+        r.chosen is not None
+        and not r.chosen.nonparametric
+        and not _own_reasons(r, rounds, evidence, policy)
+        and bool(_remaining_test_reasons(r, rounds, evidence, policy)[0])
+        for r in rounds
+    )
+
+
+def _chosen(rounds: Sequence[Round]) -> list[Refit]:
+    """Return the refit of the chosen effect of each round that has one."""
+    return [r.chosen for r in rounds if r.chosen is not None]
+
+
+def _explained(evidence: AttributionEvidence, policy: SearchPolicy) -> set[str]:
+    """Return the names of the effects that a change of the estimated parameters explains on the nominal model."""
+    return {s.name for s in evidence.nominal if s.tolerance < policy.min_tolerance}
+
+
+def _remaining_test_reasons(
+    search_round: Round, rounds: Sequence[Round], evidence: AttributionEvidence, policy: SearchPolicy
+) -> tuple[list[str], list[str]]:
+    """Return the reasons for ambiguity that score tests still pass, and the declared alternatives among these.
+
+    The effect is the chosen one of ``search_round``, which is parametric. ``rounds`` are all rounds. An effect that
+    keeps its size beside the strongest remaining candidates is not there in their place. Only its alternatives that
+    were not among these candidates are then a reason.
+    """
+    refit = search_round.chosen
+    assert refit is not None
+    chosen = _chosen(rounds)
+    total = sum(max(c.criterion, 0.0) for c in chosen)
+    limit = max(policy.max_remaining_criterion, policy.max_remaining_share * total)
+    # the remaining criterion has to be small compared with all effects and with this effect
+    own_limit = max(policy.max_remaining_criterion, refit.criterion)
+    strong = [s for s in evidence.remaining if s.criterion(evidence.n) > min(limit, own_limit)]
+    remaining, unaffected = evidence.remaining, refit.effect.name in evidence.unaffected
+    if unaffected:
+        strong = []
+        remaining = [s for s in remaining if s.name in set(refit.effect.alternatives) - evidence.beside]
+    still_found = _alternatives_still_found(refit.effect, remaining, len(chosen))
+    return [
+        *_strong_remaining_test_reasons(strong, evidence.n),
+        *_many_remaining_tests_reasons(remaining, len(evidence.nominal), policy),
+        *_remaining_alternative_reasons(still_found),
+        *_nonparametric_curve_reasons(chosen, search_round, unaffected, policy),
+    ], still_found
+
+
+def _own_reasons(
+    search_round: Round, rounds: Sequence[Round], evidence: AttributionEvidence, policy: SearchPolicy
+) -> list[str]:
+    """Return the reasons for ambiguity other than score tests that still pass; [] if there are none.
+
+    The arguments are those of `_remaining_test_reasons`.
+    """
+    refit = search_round.chosen
+    assert refit is not None
+    chosen, effect = _chosen(rounds), refit.effect
+    fitted = refit.fitted if evidence.after is None else evidence.after
+    importance = {w.effect: w for w in evidence.importances}
+    return [
+        *_form_correction_reasons(chosen, refit, policy),
+        *_competing_model_reasons(search_round, policy),
+        *_undetermined_size_reasons(effect, chosen, fitted, policy),
+        *_undetermined_position_reasons(effect, fitted, policy),
+        *_unusual_position_reasons(effect, fitted, policy),
+        *_untested_alternative_reasons(effect, evidence.untested),
+        *_failed_candidate_reasons(search_round),
+        *_explained_by_parameters_reasons(effect, _explained(evidence, policy)),
+        *_no_better_prediction_reasons(effect.name, importance, policy),
+        *evidence.reservations,
+    ]
 
 
 def _strong_remaining_test_reasons(strong: Sequence[Score], n: int) -> list[str]:

@@ -14,7 +14,11 @@ import pytest
 from numpy.typing import ArrayLike
 from rich.console import Console
 
-from seatrial.ident.diagnosis.adequacy import AttributionEvidence, assess_alternatives
+from seatrial.ident.diagnosis.adequacy import (
+    AttributionEvidence,
+    assess_alternatives,
+    depends_on_remaining_tests,
+)
 from seatrial.ident.diagnosis.findings import EffectAttribution, EffectImportance, Refit, Round, UntestedCandidate
 from seatrial.ident.diagnosis.policy import DEFAULT_POLICY
 from seatrial.ident.diagnosis.score_test import Score
@@ -127,6 +131,17 @@ def test_effect_that_keeps_its_size_stays_identified_despite_remaining_scores() 
         "with this effect the score test of a constant or speed-dependent yaw moment ('yaw-bias'), one of its "
         "alternatives, is still significant",
     )
+
+
+def test_a_fit_beside_remaining_candidates_is_needed_only_if_it_can_change_the_attribution() -> None:
+    left = tuple(score(f"other-{k}", 60.0) for k in range(9))
+    rounds = (one_round(refit("mismatch", 700.0)),)
+    for remaining, reservations, needed in (((), (), False), (left, (), True), (left, ("the fit failed",), False)):
+        evidence = AttributionEvidence(remaining, N, reservations=reservations)
+        assert depends_on_remaining_tests(rounds, evidence) is needed
+        unaffected = replace(evidence, unaffected=frozenset({"mismatch"}))
+        changed = [assess_alternatives(rounds, e)[0].attribution for e in (evidence, unaffected)]
+        assert (changed[0] != changed[1]) is needed
 
 
 def test_every_alternative_that_is_not_excluded_has_its_reason() -> None:
