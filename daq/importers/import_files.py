@@ -62,14 +62,15 @@ def import_files(
     if unknown := unknown_names_text(s.name for source in import_map.sources for s in source.signals):
         warn(f"{map_path}: {unknown}")
     groups = _files_of_logs(import_map, files)
-    pieces = import_map.pieces or (_WHOLE,)
-    if out is not None and len(groups) * len(pieces) > 1:
-        raise SeatrialError(
-            f"{out}: -o names one log, but this import makes {len(groups) * len(pieces)}; use --out-dir"
-        )
+    pieces_of = [_pieces_of_file(import_map, group) for _, group in groups]
+    if out is not None and (n_logs := sum(map(len, pieces_of))) > 1:
+        raise SeatrialError(f"{out}: -o names one log, but this import makes {n_logs}; use --out-dir")
+    for piece in import_map.pieces:
+        if not any(piece in pieces for pieces in pieces_of):
+            warn(f"{map_path}: [[log]] match = '{piece.match}' matches none of the given files; correct it")
     written: list[Path] = []
     spoiled: list[tuple[Path, RowsLeftOut]] = []
-    for stem, group in groups:
+    for (stem, group), pieces in zip(groups, pieces_of, strict=True):
         data = [_read_source(path, source) for path, source in group]
         shift = _shift_of_negative_times(data, [source for _, source in group], pieces)
         if shift:
@@ -101,6 +102,12 @@ def import_files(
             f"{spoiled[0][0]}: {spoiled[0][1].text}{rest}: the log is written, but too many rows are missing; {advice}"
         )
     return written
+
+
+def _pieces_of_file(import_map: ImportMap, group: Sequence[tuple[Path, Source]]) -> tuple[Piece, ...]:
+    """Return the pieces that the files of one log are cut into: the whole if no [[log]] table is for them."""
+    found = tuple(piece for piece in import_map.pieces if any(fnmatch(path.name, piece.match) for path, _ in group))
+    return found or (_WHOLE,)
 
 
 def _shift_of_negative_times(data: Sequence[_SourceFile], sources: Sequence[Source], pieces: Sequence[Piece]) -> float:

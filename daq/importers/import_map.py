@@ -191,11 +191,14 @@ class Piece:
         Name of the piece, which ends the name of its log.
     t_from, t_to : float
         First and last time, both included [s of the file's clock, before `TimeColumn.origin` is added].
+    match : str
+        Pattern of the names of the files that the piece is cut from, as ``run1*``.
     """
 
     name: str
     t_from: float  # s of the file's clock, before `origin` is added
     t_to: float  # s, likewise
+    match: str = "*"
 
 
 @dataclass(frozen=True)
@@ -291,8 +294,12 @@ def parse_import_map(text: str, path: Path) -> ImportMap:
                     f"one of them out, or rename one{_advice_on_name(signal.log_name)}",
                 )
     pieces = tuple(_piece_of_table(table) for table in root.tables("log"))
-    if len({piece.name for piece in pieces}) < len(pieces):
+    if len({(piece.name, piece.match) for piece in pieces}) < len(pieces):
         raise root.error("log", "two [[log]] tables have the same name; rename one")
+    if files and any(piece.match != "*" for piece in pieces):
+        raise root.error(
+            "log", "[[file]] tables merge all files into one log, so match in [[log]] means nothing; remove it"
+        )
     vehicle = _boat_numbers(root.table("geometry"), GEOMETRY) | _boat_numbers(root.table("scale"), SCALE)
     root.done()
     return ImportMap(name, path, text, bool(files), sources, pieces, vehicle)
@@ -596,15 +603,16 @@ def _signal_units(table: TomlTable, make: str, columns: Sequence[str], key: str)
 
 
 def _piece_of_table(table: TomlTable) -> Piece:
-    """Parse an interval of time that becomes a log, from a table [[log]] of an import map: name, t_from and t_to [s].
+    """Parse an interval of time that becomes a log, from a table [[log]] of an import map.
 
-    Without t_from or t_to the interval has no limit on that side. Raise SeatrialError if the name has other characters
+    The keys are name, t_from and t_to [s], and match. Without t_from or t_to the interval has no limit on that side,
+    and without match the piece is cut from every file. Raise SeatrialError if the name has other characters
     than letters, digits, _, - and ., or if t_to is not after t_from.
     """
     name = table.text("name")
     if not re.fullmatch(r"[A-Za-z0-9_.-]+", name):
         raise table.error("name", f"'{name}' becomes part of a file name; use letters, digits, _, - or .")
-    found = Piece(name, table.number("t_from", -1e18), table.number("t_to", 1e18))
+    found = Piece(name, table.number("t_from", -1e18), table.number("t_to", 1e18), table.text("match", "*"))
     if found.t_to <= found.t_from:
         raise table.error("t_to", "must be later than t_from; correct one of them")
     table.done()

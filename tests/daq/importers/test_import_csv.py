@@ -568,3 +568,19 @@ def test_rows_written_twice_are_not_counted_as_lost(folder: Path) -> None:
     (out,) = import_files(*write(folder, rows, csv='time_order = "drop"'))
     assert len(values(out, "psi")[0]) == 200
     assert not [f for f in findings(out) if f.code == "rows-left-out"]
+
+
+def test_an_interval_may_be_cut_from_some_of_the_files_only(folder: Path) -> None:
+    path, (first,) = write(folder, "t,cmd,heading\n0,0.1,0\n1,0.2,10\n2,0.3,20\n")
+    second, third = folder / "other.csv", folder / "third.csv"
+    for copy in (second, third):
+        copy.write_text(first.read_text())
+    text = path.read_text()
+    pieces = '[[log]]\nname = "a"\nmatch = "run*"\nt_to = 1\n[[log]]\nname = "a"\nmatch = "other.csv"\nt_from = 1\n'
+    path.write_text(text + pieces)
+    logs = import_files(path, [first, second, third], out_dir=folder / "logs")
+    assert [log.name for log in logs] == ["run_a.mcap", "other_a.mcap", "third.mcap"]
+    assert [values(log, "psi")[0] for log in logs] == [[0.0, 1.0], [1.0, 2.0], [0.0, 1.0, 2.0]]
+    with pytest.warns(SeatrialWarning, match=r"\[\[log\]\] match = 'other.csv' matches none of the given files"):
+        (one,) = import_files(path, [first], out=folder / "one.mcap")
+    assert values(one, "psi")[0] == [0.0, 1.0]
