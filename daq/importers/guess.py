@@ -234,7 +234,11 @@ def _boat_lines(taken: Sequence[MapSignal]) -> list[str]:
         "# y_right = 0.3",
         "# mass = 30.0     # weighed [kg]",
     ]
-    thrust = ["# [scale]", "# c1 = 40.0       # thrust of one thruster at full command [N], mean of ahead and astern"]
+    thrust = [
+        "# [scale]",
+        "# c1 = 40.0       # thrust of one thruster at full command [N], mean of ahead and astern;",
+        "#                 # if only the thrust ahead is known, give it as c1 and leave c2 out",
+    ]
     return geometry + (thrust if pairs != ["f"] else [])
 
 

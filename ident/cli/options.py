@@ -543,7 +543,9 @@ MODEL_OPTIONS = (
         "fixed",
         multiple=True,
         callback=parse_values,
-        help="NAME=VALUE: fix a known parameter, in SI units and radians; may be repeated.",
+        help="NAME=VALUE: fix a known parameter, in SI units and radians; may be repeated. The thrust of one thruster "
+        "at full command is c1 [N], the mean of ahead and astern; if only the thrust ahead is known, give it as c1 and "
+        "leave c2 out.",
     ),
     click.option(
         "--initial",

@@ -523,7 +523,8 @@ def scale_warnings(scale: ThrustScale) -> list[ResultWarning]:
             "The thrust was not given, and motion alone determines only ratios: masses, damping and forces are divided "
             "by T, the full forward thrust of one thruster (c1 + c2). For values in kg and N, multiply them by T, or "
             "give --thruster MODEL, --fix c1=..., --prior c1=MEAN:SD, or [scale] in the import map; c1 is the mean of "
-            "the thrust ahead and astern."
+            "the thrust ahead and astern at full command; if only the thrust ahead is known, give it as c1 and leave "
+            "c2 out."
         )
         warnings.append(ResultWarning(code="thrust-scale-unknown", text=text))
     if scale.relative_yaw:

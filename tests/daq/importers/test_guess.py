@@ -761,6 +761,7 @@ def test_a_guessed_map_has_examples_of_what_no_file_has(
     guessed = guess_map(tmp_path / "run.csv").text
     assert ("# y_left = -0.3" in guessed) is geometry
     assert ("# [scale]" in guessed) is scale
+    assert ("ahead is known, give it as c1 and leave c2 out" in guessed) is scale
     if geometry:  # the examples are valid without the sign of a comment
         map_text, examples = guessed.split("# [geometry]")
         tables = re.sub("(?m)^# ", "", "# [geometry]" + examples)
