@@ -20,7 +20,7 @@ import click
 from seatrial.daq.bounds import bounded
 from seatrial.daq.console import make_console
 from seatrial.daq.errors import SeatrialError, closest_file, closest_name, counted, printable
-from seatrial.daq.log import LOG
+from seatrial.daq.log import LOG, LOG_OR_BAG
 from seatrial.daq.options import Choice, ExistingPath, FiniteRange, json_option, output_option, print_json, view_option
 
 if TYPE_CHECKING:
@@ -174,24 +174,31 @@ def view(logs: tuple[Path, ...], port: int, show: Callable[[str], None]) -> None
 
 
 @click.command()
-@click.argument("log", type=LOG)
+@click.argument("log", type=LOG_OR_BAG)
 @json_option()
 @bounded("log")
 def info(log: Path, as_json: bool) -> None:
     """Show the content of a LOG with all its segments: topics and rates, health counters, events, warnings.
 
-    LOG may also be the folder of a single log. The longest gap of a topic has no lower limit. `seatrial check` judges
-    gaps: longer than 1 s and 10 sample intervals, they are missing sections.
+    LOG may also be the folder of a single log, or a bag of ROS 1 or ROS 2, whose topics are listed with their types,
+    numbers of messages and rates. A bag needs an import before other commands. The longest gap of a topic has no lower
+    limit. `seatrial check` judges gaps: longer than 1 s and 10 sample intervals, they are missing sections.
 
     \b
     Example:
       seatrial info logs/run.mcap
+      seatrial info bag_folder
     """
-    from seatrial.daq.log import open_log
-    from seatrial.daq.tools import log_content, show_log
+    from seatrial.daq.log import is_bag, open_log
+    from seatrial.daq.tools import bag_content, log_content, show_log
 
-    with open_log(log) as opened:
-        content = log_content(opened)
+    if is_bag(log):
+        from seatrial.daq.importers.ros import bag_receipts
+
+        content = bag_content(log, *bag_receipts(log))
+    else:
+        with open_log(log) as opened:
+            content = log_content(opened)
     if as_json:
         print_json(content)
     else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from typing import Protocol
@@ -16,6 +17,9 @@ class Reporter(Protocol):
     def progress(self, text: str) -> None:
         """Report the step of the computation that starts now, as a text without a full stop."""
 
+    def detail(self, text: str) -> None:
+        """Report how far the present step is, such as ``iteration 7``. It may be called many times per second."""
+
     def warning(self, text: str) -> None:
         """Report a problem that does not stop the computation, as a sentence."""
 
@@ -26,9 +30,41 @@ class Quiet:
     def progress(self, text: str) -> None:
         """Ignore the text."""
 
+    def detail(self, text: str) -> None:
+        """Ignore the text."""
+
     def warning(self, text: str) -> None:
         """Print ``seatrial: `` and the text in one line to the standard error stream."""
         print(f"seatrial: {text}", file=sys.stderr)
+
+
+class StepLines:
+    """Lines of a step of a computation, for reporters that print lines: the step, then its details now and then.
+
+    Attributes
+    ----------
+    SPACING_S
+        Least time [s] from the last line to a line with a detail.
+    """
+
+    SPACING_S = 30.0
+
+    def __init__(self) -> None:
+        """Begin without a step."""
+        self._step, self._printed = "", -math.inf
+
+    def start(self, step: str) -> str:
+        """Return the line of a step that starts now: its text."""
+        self._step, self._printed = step, time.monotonic()
+        return step
+
+    def detail(self, text: str) -> str:
+        """Return the line with a detail of the present step; "" if the last line is less than 30 s old."""
+        now = time.monotonic()
+        if now - self._printed < self.SPACING_S:
+            return ""
+        self._printed = now
+        return f"{self._step}: {text}" if self._step else text
 
 
 def duration_text(seconds: float) -> str:

@@ -29,6 +29,9 @@ from seatrial.daq.importers.recognise import (
     DRIVES,
     NAMES,
     OUTPUT,
+    PULSE_RANGE,
+    PULSE_REST,
+    PULSES,
     SET_POINTS,
     SETPOINT,
     SIDES,
@@ -39,9 +42,11 @@ from seatrial.daq.importers.recognise import (
     drive,
     message_candidates,
     named_commands,
+    pulse_keys,
     quantity,
     read_name,
     read_nested_name,
+    resting_pulse,
     unmeasured_parts,
     without_unit,
 )
@@ -189,7 +194,7 @@ def guess_map(
     benches = [c for t in tables if not t.kind for c in bench_candidates(t, row_seconds(t, clocks[id(t)]))]
     candidates = [c for t in tables for c in (*message_candidates(t), *_column_candidates(t, clocks, together))]
     candidates = benches or named_commands([*candidates, *outputs(tables)])
-    candidates = [_with_full_speed(c, full or {}) for c in candidates]
+    candidates = [_with_full_speed(c, full or {}) for c in _with_resting_pulses(candidates)]
     candidates = [_with_unit_caveats(_with_frame_key(c) if kind.name == "ros" else c) for c in candidates]
     main = _main_clock(candidates, clocks)
     taken, lines = _chosen_signals(candidates, clocks, main, max(len(files), 1))
@@ -229,7 +234,11 @@ def _boat_lines(taken: Sequence[MapSignal]) -> list[str]:
         "# y_right = 0.3",
         "# mass = 30.0     # weighed [kg]",
     ]
-    thrust = ["# [scale]", "# c1 = 40.0       # thrust of one thruster at full command [N], mean of ahead and astern"]
+    thrust = [
+        "# [scale]",
+        "# c1 = 40.0       # thrust of one thruster at full command [N], mean of ahead and astern;",
+        "#                 # if only the thrust ahead is known, give it as c1 and leave c2 out",
+    ]
     return geometry + (thrust if pairs != ["f"] else [])
 
 
@@ -287,6 +296,36 @@ def _with_full_speed(candidate: Candidate, full: Mapping[str, float]) -> Candida
     """Return a candidate whose signals with a guessed full speed have that of ``full``, where it has their name."""
     signals = (s._replace(full=full[s.name]) if s.full and s.name in full else s for s in candidate.signals)
     return candidate._replace(signals=tuple(signals))
+
+
+def _with_resting_pulses(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Scale pulses from the value at which their output rests in the source, and add a caveat about it.
+
+    An output that does not show its rest has that of the other side. Without either it is 1500 us. Candidates without
+    pulses, and those whose scale comes from parameters of the autopilot, stay as they are.
+    """
+    shown: dict[frozenset[str], list[tuple[float, float]]] = {}  # rest and share of each output, by quantity
+    for c in candidates:
+        outputs_of = [s for s in c.signals if s.extra.startswith(PULSES)]
+        rests = [resting_pulse(c.table.numbers(s.columns[0])) for s in outputs_of]
+        shown.setdefault(c.quantity, []).extend(rest for rest in rests if rest is not None)
+    found = []
+    for c in candidates:
+        signals, caveats = [], []
+        for signal in c.signals:
+            if not signal.extra.startswith(PULSES):
+                signals.append(signal)
+                continue
+            own = resting_pulse(c.table.numbers(signal.columns[0]))
+            rest, share = own or max(shown[c.quantity], key=lambda r: r[1], default=(PULSE_REST, 0.0))
+            signals.append(signal._replace(extra=signal.extra.replace(PULSES, pulse_keys(rest))))
+            whose = "" if own else " on the other side"
+            why = f" ({100.0 * share:.0f} % of the pulses{whose} have this value)" if share else ""
+            ends = f"{rest - PULSE_RANGE:.6g} and {rest + PULSE_RANGE:.6g}"
+            caveats.append(f"{rest:.6g} us is assumed to be rest{why}, {ends} us full astern and ahead")
+        caveat = "; ".join(part for part in (*dict.fromkeys(caveats), c.caveat) if part)
+        found.append(c._replace(signals=tuple(signals), caveat=caveat))
+    return found
 
 
 def _scale_remark(signal: MapSignal, n_files: int) -> str:

@@ -114,7 +114,22 @@ def _fix_row(lat: str, lon: str, unit: str, rank: int) -> Row:
 IMU_PARTS = ("orientation", "angular_velocity", "linear_acceleration")
 NOT_MEASURED = -1.0  # first covariance of a part of a ROS Imu that is not measured
 _Q = "q[1] q[2] q[3] q[0]"  # PX4 writes w first
-PULSES = 'scale = 0.0025, offset = -3.75, missing = 0, missing_is = 0, role = "input"'  # no pulse: the thruster stops
+PULSE_REST, PULSE_RANGE = 1500.0, 400.0  # us; usual pulse at rest, and from there to full command
+REST_WITHIN = 30.0  # us; the trim of an output is seldom farther from 1500 us
+LEAST_AT_REST = 0.1  # share of the pulses; a value that fewer have is no rest
+RIVAL_AT_REST = 0.25  # of the number of the most frequent value; with as many pulses of 1500 us the rest is not clear
+
+
+def pulse_keys(rest: float = PULSE_REST) -> str:
+    """Return the keys of an import map that convert pulses of an output [us] to commands, as TOML text.
+
+    The pulse ``rest`` becomes 0, and a pulse 400 us above it 1. No pulse (0) means that the thruster stops.
+    """
+    keys = f"scale = {1.0 / PULSE_RANGE:.9g}, offset = {-rest / PULSE_RANGE:.9g}, missing = 0, missing_is = 0, "
+    return keys + 'role = "input"'
+
+
+PULSES = pulse_keys()
 OUTPUT = f'{PULSES}, hold = "sampled"'  # an output that an autopilot reports at a fixed rate
 _UNWRAP = 'angle = "unwrap"'
 # Types of messages -> (group, rank, signals). For ROS the type without its package, for PX4 the name of the topic.
@@ -190,10 +205,9 @@ BODY_FRD = 3  # velocity_frame of PX4's vehicle_odometry; NED is 1
 KNOWN["vehicle_gps_position"] = KNOWN["sensor_gps"]
 CAVEATS = {
     "actuator_motors": "PX4's motors 1 and 2 are assumed to be right and left, as on its differential rovers",
-    "actuator_outputs": "outputs 1 and 2 are assumed to be right and left; 1500 us is rest, 1100 and 1900 us are full",
+    "actuator_outputs": "outputs 1 and 2 are assumed to be right and left",
     "TransformStamped": "a pose of /tf: the bag does not contain its source and its rate of new values",
-    "RCOut": "outputs 1 and 3 are assumed to be left and right (ArduPilot's default); 1500 us is rest, 1100 and 1900 "
-    "us are full",
+    "RCOut": "outputs 1 and 3 are assumed to be left and right (ArduPilot's default)",
 }
 SETPOINT = re.compile(
     r"(?i)setpoint|desired|target|goal|reference|cmd_vel|/cmd/|waypoint|groundtruth|ground_truth|_sp$"
@@ -577,6 +591,31 @@ def quantity(words: frozenset[str]) -> frozenset[str]:
     return frozenset(word.rstrip("0123456789") for word in words - SIDES) - {""}
 
 
+def resting_pulse(values: Column) -> tuple[float, float] | None:
+    """Return the pulse [us] at which an output rests, and the share of its pulses with this value; None if not shown.
+
+    Parameters
+    ----------
+    values
+        Pulses (n,) [us]; NaN without a value. Zeros (no pulse) are ignored.
+
+    Notes
+    -----
+    It is the most frequent value within 30 us of 1500 us, most of which is the dead band of usual motor controllers,
+    so that a boat does not cruise there. At least 10 % of the pulses must have it. It is not clear if the usual rest of
+    1500 us is another frequent value, as of an output that was disarmed for a time.
+    """
+    pulses = values[np.isfinite(values) & (values != 0.0)]
+    levels, counts = np.unique(pulses[np.abs(pulses - PULSE_REST) <= REST_WITHIN], return_counts=True)
+    if not levels.size:
+        return None
+    k = int(np.argmax(counts))
+    usual = int(counts[levels == PULSE_REST].sum())
+    if counts[k] < LEAST_AT_REST * pulses.size or (levels[k] != PULSE_REST and usual > RIVAL_AT_REST * counts[k]):
+        return None
+    return float(levels[k]), float(counts[k]) / pulses.size
+
+
 def drive(words: frozenset[str], values: Column, unit: str) -> tuple[str, MapSignal, str] | None:
     """Recognise a column of commands, shaft speeds or forces of a thruster.
 
@@ -594,9 +633,9 @@ def drive(words: frozenset[str], values: Column, unit: str) -> tuple[str, MapSig
     tuple or None
         Group ("force" or "drive"), signal without its columns, and caveat. The signal of a force is f_left, f_right or
         X. That of a command or shaft speed is n, n_left or n_right, converted to -1 .. 1. Its numbers are taken as this
-        command itself, as per cent, as pulses with rest at 1500 us and full forward at 1900 us, or else the largest
-        magnitude is 1 (`MapSignal.full`). The result is None if the column does not belong to a thruster, has a unit of
-        another quantity (such as W), or has no finite value.
+        command itself, as per cent, as pulses (`PULSES`), or else the largest magnitude is 1 (`MapSignal.full`). The
+        result is None if the column does not belong to a thruster, has a unit of another quantity (such as W), or has
+        no finite value.
     """
     drive_words = words & DRIVES
     if not drive_words or words & _NOT_DRIVES:
@@ -642,7 +681,7 @@ def drive(words: frozenset[str], values: Column, unit: str) -> tuple[str, MapSig
         return found("1", role, small if forces and not unit else "")
     pulses = np.min(good[good != 0.0], initial=top) > 700.0 and top < 2300.0 and "rpm" not in words
     if unit == "us" or (not unit and pulses):
-        return found("1", PULSES, "1500 us is assumed to be rest, 1900 us full forward")
+        return found("1", PULSES)
     if top <= 100.0 and not unit and not speed:
         return found("%", role, f"its numbers, up to {top:.3g}, are assumed to be per cent")
     return found("1", role, full=top)

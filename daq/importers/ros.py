@@ -65,42 +65,87 @@ def read_bag(path: Path, options: SourceOptions) -> list[Table]:
     SeatrialError
         If the bag cannot be read or lacks one of `topics`, or if the package rosbags is not installed.
     """
+    topics: dict[str, _TopicMessages] = {}
+    with _open_bag(path) as (reader, remark):
+        in_bag = {connection.topic for connection in reader.connections}
+        named = {topic.partition(":")[0] for topic in options.topics}
+        for topic in sorted(named - in_bag):
+            raise SeatrialError(
+                f"{path}: the bag has no topic {topic}; name one of its topics in the import map: "
+                f"{', '.join(sorted(in_bag)) or 'none'}"
+            )
+        wanted = [c for c in reader.connections if not named or c.topic in named or c.msgtype == CLOCK]
+        for connection, log_ns, data in reader.messages(connections=wanted):
+            try:
+                message = reader.deserialize(data, connection.msgtype)
+            except KeyError:  # neither the bag nor the library defines this type of message
+                continue
+            if isinstance(transforms := getattr(message, "transforms", None), list):
+                for transform in transforms:
+                    frames = transform.header.frame_id.strip("/"), transform.child_frame_id.strip("/")
+                    name = ":".join((connection.topic, *frames))
+                    topics.setdefault(name, _TopicMessages(TRANSFORM)).add(1e-9 * log_ns, transform)
+            else:
+                topics.setdefault(connection.topic, _TopicMessages(connection.msgtype)).add(1e-9 * log_ns, message)
+        for topic in sorted(name for name in options.topics - topics.keys() if ":" in name):
+            names = ", ".join(sorted(topics)) or "none"
+            raise SeatrialError(
+                f"{path}: the bag has no transform {topic}; name one of its topics in the import map: {names}"
+            )
+    times = message_times({topic: collected.times for topic, collected in topics.items()})
+    asked = [(topic, collected) for topic, collected in topics.items() if not options.topics or topic in options.topics]
+    tables = [table for topic, collected in asked if (table := collected.table(path, topic, times[topic])).columns]
+    for table in tables:
+        table.remark = "; ".join(part for part in (table.remark, remark) if part)
+    return tables
+
+
+def bag_receipts(path: Path) -> tuple[dict[tuple[str, str], Column], str]:
+    """Return when the recorder received the messages of each topic of a ROS bag, and a remark about repairs.
+
+    Parameters
+    ----------
+    path
+        A bag file, or the folder of a bag.
+
+    Returns
+    -------
+    dict
+        Receipts (n,) [s since 1970] by topic and type, as ("/imu", "sensor_msgs/msg/Imu"), in the order of the topics.
+        A topic without messages has none.
+    str
+        What was repaired or is missing, in one line; "" for a whole bag.
+
+    Raises
+    ------
+    SeatrialError
+        If the bag cannot be read, or if the package rosbags is not installed.
+    """
+    with _open_bag(path) as (reader, remark):
+        found: dict[tuple[str, str], list[int]] = {(c.topic, c.msgtype): [] for c in reader.connections}
+        for connection, log_ns, _ in reader.messages():
+            found[connection.topic, connection.msgtype].append(log_ns)
+    return {key: 1e-9 * np.array(found[key], float) for key in sorted(found)}, remark
+
+
+@contextlib.contextmanager
+def _open_bag(path: Path) -> Iterator[tuple[Any, str]]:
+    """Open a ROS bag; yield its reader of the library, and a remark about repairs.
+
+    Raise SeatrialError if the bag cannot be read, or if the package rosbags is not installed. Errors of the library in
+    the `with` block are raised as SeatrialError too.
+    """
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ModuleNotFoundError as error:
         raise SeatrialError(_ROSBAGS) from error
-    topics: dict[str, _TopicMessages] = {}
     try:
         with (
             _readable_files(path) as (parts, remark),
             AnyReader(parts, default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader,
         ):
-            in_bag = {connection.topic for connection in reader.connections}
-            named = {topic.partition(":")[0] for topic in options.topics}
-            for topic in sorted(named - in_bag):
-                raise SeatrialError(
-                    f"{path}: the bag has no topic {topic}; name one of its topics in the import map: "
-                    f"{', '.join(sorted(in_bag)) or 'none'}"
-                )
-            wanted = [c for c in reader.connections if not named or c.topic in named or c.msgtype == CLOCK]
-            for connection, log_ns, data in reader.messages(connections=wanted):
-                try:
-                    message = reader.deserialize(data, connection.msgtype)
-                except KeyError:  # neither the bag nor the library defines this type of message
-                    continue
-                if isinstance(transforms := getattr(message, "transforms", None), list):
-                    for transform in transforms:
-                        frames = transform.header.frame_id.strip("/"), transform.child_frame_id.strip("/")
-                        name = ":".join((connection.topic, *frames))
-                        topics.setdefault(name, _TopicMessages(TRANSFORM)).add(1e-9 * log_ns, transform)
-                else:
-                    topics.setdefault(connection.topic, _TopicMessages(connection.msgtype)).add(1e-9 * log_ns, message)
-            for topic in sorted(name for name in options.topics - topics.keys() if ":" in name):
-                names = ", ".join(sorted(topics)) or "none"
-                raise SeatrialError(
-                    f"{path}: the bag has no transform {topic}; name one of its topics in the import map: {names}"
-                )
+            yield reader, remark
     except SeatrialError:
         raise
     except Exception as error:  # rosbags raises many kinds of errors for a damaged file or another format
@@ -108,12 +153,6 @@ def read_bag(path: Path, options: SourceOptions) -> list[Table]:
             f"{path}: cannot be read as a ROS bag: {' '.join(str(error).split()).rstrip('.')}; check that the bag is "
             "complete"
         ) from error
-    times = message_times({topic: collected.times for topic, collected in topics.items()})
-    asked = [(topic, collected) for topic, collected in topics.items() if not options.topics or topic in options.topics]
-    tables = [table for topic, collected in asked if (table := collected.table(path, topic, times[topic])).columns]
-    for table in tables:
-        table.remark = "; ".join(part for part in (table.remark, remark) if part)
-    return tables
 
 
 @contextlib.contextmanager

@@ -1,5 +1,6 @@
 from . import schema as schema
 from .argument import LOG as LOG
+from .argument import LOG_OR_BAG as LOG_OR_BAG
 from .armed import armed_intervals as armed_intervals
 from .cdr import NANO as NANO
 from .cdr import cdr_layout as cdr_layout
@@ -17,6 +18,7 @@ from .schema import NODE_TOPICS as NODE_TOPICS
 from .segments import bag_of_ros as bag_of_ros
 from .segments import first_segment_of as first_segment_of
 from .segments import first_segments as first_segments
+from .segments import is_bag as is_bag
 from .segments import is_log as is_log
 from .segments import log_file as log_file
 from .segments import segment_path as segment_path

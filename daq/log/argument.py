@@ -1,4 +1,4 @@
-"""Type of the argument LOG of a command: a log as a file, or as a folder that contains exactly one log."""
+"""Types of the argument LOG of a command: a log, as a file or as the folder of exactly one log; or a bag of ROS too."""
 
 from __future__ import annotations
 
@@ -15,6 +15,11 @@ from seatrial.daq.options import ExistingPath
 class LogPath(ExistingPath):
     """Type of an argument that is an existing log: a file, or a folder with one log, whose segments count as one."""
 
+    def __init__(self, *, bags: bool = False) -> None:
+        """Make the type. With `bags`, a bag of ROS (`is_bag`) is accepted too, as a file or a folder."""
+        super().__init__()
+        self._bags = bags
+
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> Path:
         """Return the path of the log file to open, from the text of an argument LOG.
 
@@ -24,8 +29,11 @@ class LogPath(ExistingPath):
         path = Path(super().convert(value, param, ctx))
         if not path.is_dir():
             return path
-        from seatrial.daq.log.segments import log_file  # imported here, because it imports numpy and --help needs none
+        # imported here, because it imports numpy and --help needs none
+        from seatrial.daq.log.segments import is_bag, log_file
 
+        if self._bags and is_bag(path):
+            return path
         try:
             return log_file(path)
         except SeatrialError as error:
@@ -33,3 +41,4 @@ class LogPath(ExistingPath):
 
 
 LOG = LogPath()
+LOG_OR_BAG = LogPath(bags=True)

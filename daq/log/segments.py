@@ -27,6 +27,7 @@ ROS_PROFILE = b"\x04\x00\x00\x00ros2"  # profile in the header of a .mcap file o
 OWN_LIBRARY = b"\x08\x00\x00\x00seatrial"  # program in the header of a log, with its length
 HEADER_BYTES = 64  # of a .mcap file after its first bytes, in which both stand
 BAG = b"rosbag2_bagfile_information"  # first key of the metadata.yaml of a bag of ROS 2
+BAG_HEADS = (b"#ROSBAG V2.0", b"SQLite format 3\0")  # of a bag of ROS 1, and of a .db3 of ROS 2
 RESULT_FILES = ("model.toml", "result.json")  # files of a fit, by which its folder is recognised
 SHARED_METADATA = ("origin", "rig", "host")  # metadata that are equal in all segments of one log
 
@@ -274,8 +275,7 @@ def log_file(path: Path) -> Path:
     """
     if not path.is_dir():
         return path
-    bag = path / "metadata.yaml"
-    if bag.is_file() and BAG in bag.read_bytes():
+    if _describes_bag(path):
         raise SeatrialError(
             f"{path} is a bag of ROS 2; import it first with `seatrial import --guess {shlex.quote(str(path))}`"
         )
@@ -290,6 +290,26 @@ def log_file(path: Path) -> Path:
     return found[0]
 
 
+def is_bag(path: Path) -> bool:
+    """Return whether a path is a bag of ROS that is no log: of ROS 1 (.bag), or of ROS 2, a .db3 or the folder.
+
+    A .mcap file of ROS 2 is read as a log (`bag_of_ros` recognises it). The result is False if the path cannot be read.
+    """
+    if path.is_dir():
+        return _describes_bag(path) or (not first_segments(path) and any(path.glob("*.db3")))
+    try:
+        with path.open("rb") as file:
+            return file.read(max(map(len, BAG_HEADS))).startswith(BAG_HEADS)
+    except OSError:
+        return False
+
+
+def _describes_bag(folder: Path) -> bool:
+    """Return whether a folder has the metadata.yaml of a bag of ROS 2."""
+    description = folder / "metadata.yaml"
+    return description.is_file() and BAG in description.read_bytes()
+
+
 def bag_of_ros(path: Path) -> Path | None:
     """Return the bag of ROS 2 to which a .mcap file belongs: its folder, or the file itself without a metadata.yaml.
 
@@ -297,8 +317,7 @@ def bag_of_ros(path: Path) -> Path | None:
     profile of ROS 2 too, but names seatrial as the program that wrote it.
     """
     try:
-        bag = path.parent / "metadata.yaml"
-        if bag.is_file() and BAG in bag.read_bytes():
+        if _describes_bag(path.parent):
             return path.parent
         with path.open("rb") as file:
             head = file.read(len(MCAP0_MAGIC) + HEADER_BYTES)

@@ -8,6 +8,7 @@ from .discovery import identify_protocol as identify_protocol
 from .discovery import recognise_protocol as recognise_protocol
 from .export import export_log as export_log
 from .export import export_resampled as export_resampled
+from .info import bag_content as bag_content
 from .info import log_content as log_content
 from .info import show_log as show_log
 from .live_server import LiveServer as LiveServer

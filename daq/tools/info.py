@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import groupby
+from pathlib import Path
 
+import numpy as np
+import numpy.typing as npt
 from rich import box, markup
 from rich.console import Console
 from rich.table import Table
 
 from seatrial.daq.console import print_table
 from seatrial.daq.errors import SeatrialError, counted
-from seatrial.daq.log import Log, armed_intervals, first_sample, first_segment_of, schema
+from seatrial.daq.log import Log, armed_intervals, bag_of_ros, first_sample, first_segment_of, schema
 from seatrial.daq.samples import PortHealth, Scalar
 
+Array = npt.NDArray[np.float64]
 FIRST_EVENTS, LAST_EVENTS = 25, 15  # of many events only these are shown: the last events are about the end of the run
 _ABOUT = {  # texts of the metadata that are shown, with their names for the user
     "rig": "rig",
@@ -140,6 +145,8 @@ class LogContent:
         All events, in the order of the file.
     warnings
         Faults of the log.
+    import_command
+        Command that begins the import of a bag of ROS, by guessing its import map; None for other logs.
     """
 
     format: str
@@ -159,6 +166,7 @@ class LogContent:
     armed: Sequence[ArmedInterval]
     events: Sequence[Event]
     warnings: Sequence[str]
+    import_command: str | None = None
 
 
 def log_content(log: Log) -> LogContent:
@@ -179,6 +187,7 @@ def log_content(log: Log) -> LogContent:
         unreadable = [str(error)]
     first = first_segment_of(log.path) if log.metadata.get("segment", "0") != "0" else None
     types = log.types()
+    bag = None if log.metadata.get("format") else bag_of_ros(log.path)
     return LogContent(
         "seatrial-info 1",
         str(log.path),
@@ -197,7 +206,55 @@ def log_content(log: Log) -> LogContent:
         armed,
         events,
         [*unreadable, *steps, *log.warnings],
+        None if bag is None else _import_command(bag),
     )
+
+
+def bag_content(path: Path, receipts: Mapping[tuple[str, str], Array], remark: str) -> LogContent:
+    """Return the content of a bag of ROS that is no MCAP file: duration, and topics with rates.
+
+    Parameters
+    ----------
+    path
+        File or folder of the bag.
+    receipts
+        Times of receipt of the messages (n,) [s since 1970], by topic and type.
+    remark
+        What was repaired or is missing; "" for a whole bag.
+    """
+    files = [file for file in path.rglob("*") if file.is_file()] if path.is_dir() else [path]
+    every = np.concatenate([np.empty(0), *receipts.values()])
+    topics = []
+    for (topic, kind), t in receipts.items():
+        intervals = np.diff(np.sort(t))
+        span = float(intervals.sum())
+        rate, gap = ((t.size - 1) / span, float(intervals.max())) if span > 0 else (math.nan, math.nan)
+        topics.append(TopicContent(topic, kind, t.size, rate, gap))
+    return LogContent(
+        "seatrial-info 1",
+        str(path),
+        sum(file.stat().st_size for file in files),
+        sum(file.name != "metadata.yaml" for file in files),
+        not remark,
+        float(every.min()) if every.size else math.nan,
+        float(np.ptp(every)) if every.size else math.nan,
+        0,
+        every.size,
+        None,
+        {},
+        {},
+        topics,
+        {},
+        [],
+        [],
+        [remark] if remark else [],
+        _import_command(path),
+    )
+
+
+def _import_command(bag: Path) -> str:
+    """Return the command that guesses the import map of a bag of ROS."""
+    return f"seatrial import --guess {shlex.quote(str(bag))}"
 
 
 def _armed(log: Log) -> list[ArmedInterval]:
@@ -232,7 +289,8 @@ def show_log(content: LogContent, console: Console) -> None:
     console.print(f"[bold]{escape(content.path)}[/]  {_size_text(content.bytes)}{pieces}, {state}")
     if content.messages:
         begin = datetime.fromtimestamp(content.start, UTC).isoformat(sep=" ", timespec="milliseconds")
-        counts = f"{counted(content.samples, 'sample')} in {counted(content.messages, 'message')}"
+        samples = "" if content.import_command else f"{counted(content.samples, 'sample')} in "
+        counts = f"{samples}{counted(content.messages, 'message')}"
         console.print(f"from {begin}, {content.duration:.3f} s, {counts}")
     else:
         console.print("no messages")
@@ -259,6 +317,9 @@ def show_log(content: LogContent, console: Console) -> None:
     _print_events(content.events, console)
     for warning in content.warnings:
         console.print(f"[bold]warning:[/] {escape(warning)}")
+    if content.import_command:
+        command = escape(content.import_command)
+        console.print(f"a bag of ROS; `{command}` guesses the map that imports its topics as a log", soft_wrap=True)
 
 
 def _narrow_table(first: Sequence[str], numbers: Sequence[str], width: int) -> Table:

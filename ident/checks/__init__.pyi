@@ -15,5 +15,7 @@ from .shaft_gain import held_of_thrusters as held_of_thrusters
 from .shaft_sign import speed_over_command as speed_over_command
 from .shafts import check_shafts as check_shafts
 from .signals import ESTIMATED as ESTIMATED
+from .signals import FILTER_NOISE as FILTER_NOISE
 from .signals import estimated as estimated
+from .signals import filter_noise_options as filter_noise_options
 from .signals import smoothed as smoothed

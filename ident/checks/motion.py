@@ -3,9 +3,10 @@
 Theory of operation. Yaw rate and surge speed are regressed on the thrust of each thruster behind a first-order lag. The
 time constant of the lag is searched. There is no free delay: a boat that an autopilot steers oscillates, and with a
 free delay a thrust could explain the turn before it. The turning moment is regressed beside the sum of the thrusts,
-since the sum also turns an asymmetric boat. Without a gyro the yaw rate is taken from the heading, else from the course
-over ground. Standard errors are robust to correlated residuals (sums over blocks of time). An effect that explains too
-little of the motion (``SIGN_LIMITS``) has no sign. The checks find thrusters that are swapped, reversed or dead.
+since the sum also turns an asymmetric boat; in spins on the spot, where the sum is small, it is regressed alone.
+Without a gyro the yaw rate is taken from the heading, else from the course over ground. Standard errors are robust to
+correlated residuals (sums over blocks of time). An effect that explains too little of the motion (``SIGN_LIMITS``) has
+no sign. The checks find thrusters that are swapped, reversed or dead.
 """
 
 from __future__ import annotations
@@ -32,6 +33,11 @@ BLOCK_S, FEWEST_BLOCKS = 5.0, 6  # least duration and number of the blocks of re
 # straight runs of 90 mock boats the remaining thrust difference has a wrong sign with a share up to 0.26 at t = 3.
 SIGNIFICANT_T = 4.5
 SIGN_LIMITS = ((SIGNIFICANT_T, 0.05), (3.0, 0.3))
+# With thrusters in a fixed ratio, as in spins on the spot, the turning moment and the sum of the thrusts change
+# together. The moment is then the cause if its spread is this much larger: the sum of the thrusts turns an asymmetric
+# boat with at most the arm of a thruster, as if the other one had no thrust.
+SPIN_RATIO = 2.0
+ONE_SIDED = 0.95  # share of the turns to one side in a log without turns to the other side
 LEANING_T = 2.0  # enough for the sign of an effect that another, significant effect supports
 SURGE_T = 3.0  # t statistic of the surge effect of a working thruster; in a short log it may hardly turn the boat
 COURSE_HALF = 1.0  # s before and after, over which positions are differenced for a course
@@ -165,8 +171,35 @@ def _sides_unknown(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]
     else:
         difference = "thrust difference" if len(names) > 1 else "thrust"
         why, advice = f"the {difference} explains too little of the yaw rate", "check a log with turns to both sides"
+        rate = best_turn_rate(c, forces.edges)
+        if rate is not None and (inseparable := _inseparable_turns(forces, rate)):
+            why = inseparable
+            advice = "check a log with turns to both sides and straight parts, in which the thrust of each side changes"
     text = f"it is not known whether the thrusters are on the right sides: {why}"
     yield Finding(UNKNOWN, "thruster-sides-unknown", "sides", " and ".join(names), text, advice)
+
+
+def _inseparable_turns(forces: ThrusterForces, rate: Array) -> str:
+    """Return what was seen if the thrust difference explains the yaw rate (n,), but is not separable from the sum.
+
+    Sum and difference of the thrusts then change in a fixed ratio, so that the sum may be the cause of the turns. The
+    result is "" otherwise, and for a single thruster.
+    """
+    if len(forces.names) < 2:
+        return ""
+    moment, total = forces.f @ forces.side, forces.f.sum(axis=1)
+    effect = _thrust_effect(rate, moment[:, None], [], YAW_LAGS)
+    if not effect.sign[0] or (_independent_share(np.column_stack([moment, total])) > MIN_OWN_VARIATION).any():
+        return ""
+    known = rate[np.isfinite(rate)]
+    sides = np.clip(known, 0.0, None).sum(), -np.clip(known, None, 0.0).sum()
+    one_sided = max(sides) > ONE_SIDED * sum(sides)
+    turned = f", all to {'starboard' if sides[0] > sides[1] else 'port'}" if one_sided else ""
+    return (
+        f"the boat turns {'with' if effect.sign[0] > 0 else 'against'} the thrust difference, which explains "
+        f"{100.0 * effect.share[0]:.0f} % of the yaw rate{turned}; but the thrusts of both sides change in a fixed "
+        "ratio, so that their sum explains the turns too"
+    )
 
 
 def _thruster_faults(found: ThrustResponse, yaw: Array, surge: Array) -> Iterator[Finding]:
@@ -302,14 +335,15 @@ def turning_signs(c: Channels, sides: Mapping[str, float]) -> dict[str, int]:
 def _moment_sign(forces: ThrusterForces, rate: Array) -> int:
     """Return the sign of the effect of the turning moment on a yaw rate (n,), beside the sum of thrusts.
 
-    The result is +1 if the boat turns with the moment, -1 if it turns against the moment. It is 0 if the effect is not
-    significant, or if all thrusters are in the middle.
+    The sum is left out if it varies much less than the moment, as in spins on the spot (`SPIN_RATIO`). The result is +1
+    if the boat turns with the moment, -1 if it turns against the moment. It is 0 if the effect is not significant, or
+    if all thrusters are in the middle.
     """
     if not forces.side.any():
         return 0
-    return int(
-        _thrust_effect(rate, np.column_stack([forces.f @ forces.side, forces.f.sum(axis=1)]), [], YAW_LAGS).sign[0]
-    )
+    moment, total = forces.f @ forces.side, forces.f.sum(axis=1)
+    beside = [] if np.std(moment) > SPIN_RATIO * np.std(total) else [total]
+    return int(_thrust_effect(rate, np.column_stack([moment, *beside]), [], YAW_LAGS).sign[0])
 
 
 def turn_rate(c: Channels, edges: Array, name: str) -> Array | None:

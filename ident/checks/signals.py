@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from math import comb
+from types import MappingProxyType
 
 import numpy as np
 
@@ -38,6 +39,16 @@ UNSTEADY_VELOCITY, UNSTEADY_PLACE, TIMES_NOISE = 0.15, 0.5, 3.0
 # White noise (standard deviation in rad, rad/s, m/s2, m, m/s) below which a signal has no noise of a sensor.
 NO_NOISE = {"psi": 1e-4, "r": 1e-4, "ax": 1e-3, "ay": 1e-3, "x": 2e-3, "y": 2e-3, "vx": 1e-3, "vy": 1e-3, "u": 1e-3,
             "v": 1e-3}  # fmt: skip
+# Usual accuracy (standard deviation) of a navigation filter's output, as examples of what a user can give to a fit: the
+# noise parameter of each signal in the models of the boat, its size and unit.
+FILTER_NOISE = {
+    "psi": ("e_psi", 0.03, "rad"),
+    "r": ("e_r", 0.02, "rad/s"),
+    **dict.fromkeys(("ax", "ay"), ("e_a", 0.1, "m/s2")),
+    **dict.fromkeys(("x", "y"), ("e_xy", 0.3, "m")),
+    **dict.fromkeys(("vx", "vy"), ("e_vxy", 0.05, "m/s")),
+    **dict.fromkeys(("u", "v"), ("e_uv", 0.05, "m/s")),
+}
 ESTIMATED = 0.03  # m; a position with less white noise is the output of an estimator, not of a receiver
 FEWEST = 200  # samples
 # Least and largest step of a coarse resolution [m, m/s], for example 0.001 and 0.01 minutes, or 1 km/h and 1 m/s.
@@ -470,20 +481,37 @@ def check_smoothing(c: Channels, known_noise: Collection[str] = ()) -> Iterator[
         Signals whose noise the user has given to the fit, as the warning advises. They are not listed.
     """
     smooth = [name for name in smoothed(c) if name not in known_noise]
-    if smooth and estimated(c) and not {"x", "y"} & set(known_noise):
-        text = "a filter has smoothed the signal: it lacks the noise of a sensor, and its errors last for seconds"
+    if not smooth:
+        return
+    text = "a filter has smoothed the signal: it lacks the noise of a sensor, and its errors last for seconds"
+    if estimated(c) and not {"x", "y"} & set(known_noise):
         advice = (
             "the position has so little noise that it is a navigation filter's output too, so a fit estimates these "
-            "errors as states; a noise that you know can be given to it with --fix"
+            "errors as states. If its masses are uncertain or implausible, give it the accuracy of the filter's output "
+            "(standard deviation, by the data sheet or by experience) as white noise instead, for example "
+            f"{filter_noise_options(['x', *smooth])}"
         )
-        yield Finding("warning", "channel-smoothed", "noise", ", ".join(smooth), text, advice)
-    elif smooth:
-        text = "a filter has smoothed the signal: it lacks the noise of a sensor, and its errors last for seconds"
+    else:
         advice = (
-            "a fit takes at least the noise of a usual sensor; if the data sheet states the "
-            "accuracy of the filter's output, give it to the fit (for a heading of 1.1 deg --fix e_psi=0.02, in rad)"
+            "a fit takes at least the noise of a usual sensor; if the data sheet states the accuracy of the filter's "
+            f"output, give it to the fit, for example {filter_noise_options(smooth)}"
         )
-        yield Finding("warning", "channel-smoothed", "noise", ", ".join(smooth), text, advice)
+    yield Finding("warning", "channel-smoothed", "noise", ", ".join(smooth), text, advice)
+
+
+def filter_noise_options(names: Sequence[str], noises: Mapping[str, str] = MappingProxyType({})) -> str:
+    """Return the options of a fit that give the noise of signals, with usual sizes, followed by their units.
+
+    Parameters
+    ----------
+    names
+        Names of motion signals, such as ``psi``. Signals with a common noise, such as ``x`` and ``y``, have one option.
+    noises
+        Noise parameters of a model by signal, where they are not those of the models of the boat.
+    """
+    found = {noises.get(n, FILTER_NOISE[n][0]): FILTER_NOISE[n][1:] for n in names}
+    options = " ".join(f"--fix {name}={size:g}" for name, (size, _) in found.items())
+    return f"{options} (in {', '.join(unit for _, unit in found.values())})"
 
 
 def smoothed(c: Channels) -> tuple[str, ...]:

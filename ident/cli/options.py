@@ -18,7 +18,7 @@ from seatrial.daq.console import make_console
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import LOG
 from seatrial.daq.options import Choice, ExistingPath, FiniteRange, output_option, print_json
-from seatrial.ident.reporter import Reporter
+from seatrial.ident.reporter import Reporter, StepLines
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -543,7 +543,9 @@ MODEL_OPTIONS = (
         "fixed",
         multiple=True,
         callback=parse_values,
-        help="NAME=VALUE: fix a known parameter, in SI units and radians; may be repeated.",
+        help="NAME=VALUE: fix a known parameter, in SI units and radians; may be repeated. The thrust of one thruster "
+        "at full command is c1 [N], the mean of ahead and astern; if only the thrust ahead is known, give it as c1 and "
+        "leave c2 out.",
     ),
     click.option(
         "--initial",
@@ -663,11 +665,16 @@ class LineReporter:
 
     def __init__(self, err: bool = False) -> None:
         """Choose the stream: standard error if ``err``, otherwise standard output."""
-        self.err = err
+        self.err, self._lines = err, StepLines()
 
     def progress(self, text: str) -> None:
         """Print the text on a line, indented by two spaces."""
-        click.echo(f"  {text}", err=self.err)
+        click.echo(f"  {self._lines.start(text)}", err=self.err)
+
+    def detail(self, text: str) -> None:
+        """Print the step and the text on a line, if the last line of progress was printed at least 30 s ago."""
+        if line := self._lines.detail(text):
+            click.echo(f"  {line}", err=self.err)
 
     def warning(self, text: str) -> None:
         """Print the text on a line, indented by two spaces."""
@@ -708,11 +715,16 @@ class LiveLine:
 
     def __init__(self, console: Console, status: Status) -> None:
         """Store the console and its live line, which the caller starts and stops."""
-        self.console, self.status = console, status
+        self.console, self.status, self._step = console, status, ""
 
     def progress(self, text: str) -> None:
         """Replace the text of the live line."""
+        self._step = text
         self.status.update(text)
+
+    def detail(self, text: str) -> None:
+        """Show the text in the live line, after that of the present step."""
+        self.status.update(f"{self._step}: {text}" if self._step else text)
 
     def warning(self, text: str) -> None:
         """Print the text above the live line, where it stays."""

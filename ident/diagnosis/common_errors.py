@@ -14,7 +14,7 @@ of no use stay near zero.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -276,6 +276,7 @@ def fit_common_errors(
     *,
     found: Sequence[str] = (),
     policy: SearchPolicy = DEFAULT_POLICY,
+    detail: Callable[[str], None] | None = None,
 ) -> CommonErrorsFit | None:
     """Fit a model together with the selected common errors, and accept the fit if the data support it.
 
@@ -296,6 +297,8 @@ def fit_common_errors(
         Names of the effects that ``current`` has already.
     policy
         Thresholds of the comparison.
+    detail
+        Called with a text in each iteration of the fits.
 
     Returns
     -------
@@ -307,7 +310,7 @@ def fit_common_errors(
     for share in (1.0, 0.3, 0.0):
         try:
             model = with_common_errors(current.fit.model, effects, members.step, share, members.scan)
-            fitted = fit_and_evaluate(model, records, validation_data, settings=COMMON_SEARCH)
+            fitted = fit_and_evaluate(model, records, validation_data, settings=COMMON_SEARCH, detail=detail)
             compared = Comparison(current, fitted, policy)
             validated, t = compared.gain
             break

@@ -430,7 +430,7 @@ def _prepared_search(
     nominal = without_absent_sensors(full, records)
     reporter.progress(f"fitting {nominal.name} with disturbance forces to {counted(len(records), 'run')}")
     settings = COMMON_SEARCH if given_common_errors(nominal, policy) else None
-    before, validation_data = _first_fit(nominal, records, runs, settings)
+    before, validation_data = _first_fit(nominal, records, runs, settings, reporter)
     size, in_catalogue = size_of(before.fit.model), catalogue()
     # user-defined effects keep their priors
     scaled = {n: scale_priors(e, size) if in_catalogue.get(n) is e else e for n, e in candidates.items()}
@@ -520,15 +520,15 @@ def _short_data(
 
 
 def _first_fit(
-    full: Model, records: list[Record], runs: list[Record], settings: SearchSettings | None
+    full: Model, records: list[Record], runs: list[Record], settings: SearchSettings | None, reporter: Reporter
 ) -> tuple[FittedModel, ValidationData]:
     """Fit the nominal model (without effects) to the records; return the fit, and the data that validate it.
 
     These data are the validation runs. If no validation run can be evaluated, they are blocks in time of the estimation
     runs, and each block is predicted with the fit to the other blocks. ``settings`` are those of the fit; None for the
-    default settings.
+    default settings. ``reporter`` receives the iterations as details of its present step.
     """
-    fitted = fit_with_rescaling(full, records, runs, settings=settings)
+    fitted = fit_with_rescaling(full, records, runs, settings=settings, detail=reporter.detail)
     if fitted.validation:
         return fitted, runs
     blocks = cut_into_blocks(records, fitted.estimation, full.block)
@@ -769,6 +769,7 @@ class _Search:
             if known.fitted is fitted and known.tested == tested and known.policy == self.policy:
                 self.equations, self.scores = known.equations, known.scores
                 return known.scores, known.passing
+        self.reporter.detail(f"score tests of {counted(len(self.candidates), 'candidate')}")
         try:
             self.equations = score_equations(fitted, self.records, self.candidates | self.common)
             self.scores, passed = score_all(fitted, self.records, self.candidates, self.policy, self.equations)
@@ -997,8 +998,9 @@ class _Search:
         self.reporter.progress(f"fitting with {counted(len(joint.names), 'common error')}: {names}")
         before = [r.chosen.effect.name for r in self.rounds if r.chosen is not None]
         self.common_errors = fit_common_errors(
-            current, self.records, self.validation_data, joint, common, found=before, policy=self.policy
-        )
+            current, self.records, self.validation_data, joint, common, found=before, policy=self.policy,
+            detail=self.reporter.detail,
+        )  # fmt: skip
         if self.common_errors is None:
             return None
         self.keep_common_errors(self.common_errors)
@@ -1397,7 +1399,10 @@ class _Search:
             (again.with_values(_half_values(rough.effect)), {}),
         ):
             try:
-                fitted = fit_and_evaluate(begin, self.records, self.validation_data, settings=self.exact, start=values)
+                fitted = fit_and_evaluate(
+                    begin, self.records, self.validation_data, settings=self.exact, start=values,
+                    detail=self.reporter.detail,
+                )  # fmt: skip
                 compared = comparison(current, fitted, rough.effect, self.policy)
                 (gain, t), prediction = compared.gain, compared.prediction
             except FIT_ERRORS as problem:
@@ -1474,6 +1479,7 @@ class _Search:
                     settings=settings,
                     start=begin,
                     other_starts=times_of_change([effect], self.records),
+                    detail=self.reporter.detail,
                 )
                 gain = 2 * (fitted.fit.log_posterior - current.fit.log_posterior)
                 # Blocks in time take longer than the fit, and cannot help an effect that the estimation data reject.

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import itertools
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -164,7 +165,7 @@ def fit_nominal_model(
     settings
         Accuracy of the fit; None: the default.
     reporter
-        Receives a line of progress.
+        Receives a line of progress, and the iterations as its details.
 
     Returns
     -------
@@ -183,7 +184,7 @@ def fit_nominal_model(
     reporter.progress(f"fitting {full.name} to {counted(len(records), 'run')}")
     validation_data = without_unknown_noise(full, records, validation_data)
     full = without_absent_sensors(full, records)
-    fitted = fit_with_rescaling(full, records, validation_data, options, settings)
+    fitted = fit_with_rescaling(full, records, validation_data, options, settings, reporter.detail)
     return replace(fitted, failed=(*failed, *fitted.failed))
 
 
@@ -223,6 +224,7 @@ def fit_with_rescaling(
     validation_data: ValidationData,
     options: EstimationOptions | None = None,
     settings: SearchSettings | None = None,
+    detail: Callable[[str], None] | None = None,
 ) -> FittedModel:
     """Fit a model with disturbance forces and sensor offsets, and fit it again if its priors turn out to be wrong.
 
@@ -241,6 +243,8 @@ def fit_with_rescaling(
         Method, outliers and noise. None: prediction error, without outliers and REML.
     settings
         Accuracy of the fits; None: the default.
+    detail
+        Called with a text in each iteration of the searches, such as ``second fit: iteration 7``.
 
     Returns
     -------
@@ -254,7 +258,7 @@ def fit_with_rescaling(
     ValueError, ArithmeticError
         If the first fit fails, or if a second fit is needed and both of its attempts fail.
     """
-    fitted = fit_and_evaluate(full, records, validation_data, options, settings)
+    fitted = fit_and_evaluate(full, records, validation_data, options, settings, detail=detail)
     assumed, found, noise_revised = size_of(full), size_of(fitted.fit.model), without_contradicted_noise(full, fitted)
     again = noise_revised
     ratios = [found.of(unit) / assumed.of(unit) for unit in ("N", "N m")]
@@ -263,10 +267,11 @@ def fit_with_rescaling(
     if again is full:
         return fitted
     first, refits = fitted.fit, list[FittedModel]()
+    again_detail = None if detail is None else (lambda text: detail(f"second fit: {text}"))
     shared = {p.name: float(v) for p, v in zip(first.parameters, first.values, strict=True) if p.segment is None}
     for initial in (again, again.with_values(shared)):
         try:
-            refits.append(fit_and_evaluate(initial, records, validation_data, options, settings))
+            refits.append(fit_and_evaluate(initial, records, validation_data, options, settings, detail=again_detail))
         except FIT_ERRORS:
             if initial is not again and not refits:
                 raise
@@ -317,6 +322,7 @@ def fit_and_evaluate(
     settings: SearchSettings | None = None,
     start: Mapping[str, float] | None = None,
     other_starts: Sequence[Mapping[str, float]] = (),
+    detail: Callable[[str], None] | None = None,
 ) -> FittedModel:
     """Fit the model to the records, and evaluate the fit on the validation data.
 
@@ -341,6 +347,8 @@ def fit_and_evaluate(
     other_starts
         Further sets of initial values by full name, each in place of some of ``start``. The search begins at the set
         with the highest log-posterior (`fit`).
+    detail
+        Called with a text in each iteration of the search, such as ``start 2, iteration 7``, and before the evaluation.
 
     Raises
     ------
@@ -351,17 +359,24 @@ def fit_and_evaluate(
     model = options.with_mean_order(model)
     initial, rows = reset_collapsed_noise(model, records), [r.for_model(model) for r in records]
 
+    report, starts = detail or (lambda _: None), itertools.count(1)
+
     def fitted_from(replaced: Mapping[str, float]) -> Fit:
         """Fit the model to all records from its initial values, of which ``replaced`` (by parameter) replaces some.
 
         Options and settings are those of the caller. ValueError is raised if the model cannot be evaluated there.
         """
-        begin = {**(start or {}), **replaced}
-        return fit(initial, rows, options, settings, start=begin, other_starts=() if replaced else other_starts)
+        begin, number = {**(start or {}), **replaced}, next(starts)
+        label = f"start {number}, " if number > 1 else ""  # most models have a single start
+        return fit(
+            initial, rows, options, settings, start=begin, other_starts=() if replaced else other_starts,
+            progress=lambda iteration, _: report(f"{label}iteration {iteration + 1}"),
+        )  # fmt: skip
 
     full_fit = fitted_from({})
     if model.start_grid is not None and settings.robust_errors:
         full_fit = best_of_starts(full_fit, records, fitted_from)
+    report("evaluation")
     model = with_outliers(model) if options.outlier_model else model
     views = tuple(_evaluation_of(full_fit.model, r, full_fit.record_values[i]) for i, r in enumerate(records))
     if not isinstance(validation_data, TimeBlocks):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -327,7 +328,8 @@ def fit(
         Further sets of initial values by full name; each replaces some of ``start``. Names that are not estimated are
         ignored. The search begins at the set with the highest log-posterior.
     progress
-        Called in each iteration of Fisher scoring with its number and the log-posterior.
+        Called in each iteration of the search with its number and the log-posterior. In a refinement by L-BFGS-B, each
+        evaluation counts as an iteration.
 
     Returns
     -------
@@ -570,7 +572,16 @@ def _search_maximum(problem: Problem, settings: SearchSettings, progress: Iterat
         value=problem.value, start=start,
     )  # fmt: skip
     if settings.refine and abs(optimum.gain_left) > tolerance and optimum.iterations < max_iterations:
-        optimum = refine_lbfgsb(problem.value_and_gradient, optimum, problem.bounds, problem.evaluate, tolerance)
+        numbers = itertools.count(optimum.iterations)
+
+        def counted_value_and_gradient(at: Array) -> tuple[float, Array]:
+            """Return the objective and its gradient (n,), and report the evaluation as an iteration."""
+            found = problem.value_and_gradient(at)
+            if progress is not None:
+                progress(next(numbers), found[0])
+            return found
+
+        optimum = refine_lbfgsb(counted_value_and_gradient, optimum, problem.bounds, problem.evaluate, tolerance)
     return optimum
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from seatrial.daq.checks import FAULT
 from seatrial.daq.errors import first_names
 from seatrial.ident.characterisation import MOVING, Levels, Quadratic, ThrustCurve, TurningShaft, steady_thrust
+from seatrial.ident.checks import FILTER_NOISE, filter_noise_options
 from seatrial.ident.data import ORIGIN, Record
 from seatrial.ident.diagnosis import ModelUncertainty
 from seatrial.ident.effects import catalogue
@@ -34,6 +35,7 @@ from seatrial.ident.estimation import (
     unexcited_motion,
 )
 from seatrial.ident.model import Model, ModelKind, ParameterOrigin, drive_word
+from seatrial.ident.models import ESTIMATOR_ERROR
 from seatrial.ident.numerics import is_undetermined
 from seatrial.ident.results.parts import (
     Calibrations,
@@ -403,6 +405,13 @@ def estimation_warnings(
             "the estimate. Record a mission with turns, stops and "
             "changes of speed (seatrial mission generate --kind mixed)."
         )
+        if ESTIMATOR_ERROR in {effect.name for effect in fit.model.effects}:
+            noises = {o.name: o.noise for o in fit.model.outputs if o.noise and o.name in FILTER_NOISE}
+            text += (
+                " Or the errors of the navigation filter, which are states of this fit, explain the motion in place of "
+                "the boat: give the accuracy of the filter's output as white noise, by its data sheet or by "
+                f"experience, for example {filter_noise_options([*noises], noises)}."
+            )
         warnings.append(ResultWarning(code="motion-not-excited", text=text))
     least = least_yaw_inertia(fit, hull.get("length"))
     if least is not None and fit.estimate("m_r")[0] < least:
@@ -523,7 +532,8 @@ def scale_warnings(scale: ThrustScale) -> list[ResultWarning]:
             "The thrust was not given, and motion alone determines only ratios: masses, damping and forces are divided "
             "by T, the full forward thrust of one thruster (c1 + c2). For values in kg and N, multiply them by T, or "
             "give --thruster MODEL, --fix c1=..., --prior c1=MEAN:SD, or [scale] in the import map; c1 is the mean of "
-            "the thrust ahead and astern."
+            "the thrust ahead and astern at full command; if only the thrust ahead is known, give it as c1 and leave "
+            "c2 out."
         )
         warnings.append(ResultWarning(code="thrust-scale-unknown", text=text))
     if scale.relative_yaw:

@@ -306,6 +306,9 @@ class _Ignored:
     def progress(self, text: str) -> None:
         """Ignore the text."""
 
+    def detail(self, text: str) -> None:
+        """Ignore the text."""
+
     def warning(self, text: str) -> None:
         """Ignore the text."""
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import msgspec
 
 from seatrial.daq.errors import SeatrialError, warn
+from seatrial.ident.reporter import StepLines
 
 if TYPE_CHECKING:
     from seatrial.ident.results import Result
@@ -107,13 +108,18 @@ class Messages:
 
     def __init__(self, progress: bool) -> None:
         """Store whether to print a line for each step of the computation (``progress``)."""
-        self._progress = progress
+        self._progress, self._lines = progress, StepLines()
         self.issued: set[str] = set()  # texts of the warnings
 
     def progress(self, text: str) -> None:
         """Print the line `text` about a step of the computation to stderr, if progress is printed; else do nothing."""
         if self._progress:
-            print(in_python(text), file=sys.stderr, flush=True)
+            print(in_python(self._lines.start(text)), file=sys.stderr, flush=True)
+
+    def detail(self, text: str) -> None:
+        """Print how far the step is to stderr, if progress is printed and its last line is at least 30 s old."""
+        if self._progress and (line := self._lines.detail(text)):
+            print(in_python(line), file=sys.stderr, flush=True)
 
     def warning(self, text: str) -> None:
         """Issue a Python warning with this text and the category `SeatrialWarning`, which the user may filter."""

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 
 class Kept:
-    """Reporter that keeps the lines of progress and the warnings in order."""
+    """Reporter that keeps the lines of progress, their details and the warnings in order."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
+        self.details: list[str] = []
         self.warnings: list[str] = []
 
     def progress(self, text: str) -> None:
         self.lines.append(text)
+
+    def detail(self, text: str) -> None:
+        self.details.append(text)
 
     def warning(self, text: str) -> None:
         self.warnings.append(text)

@@ -26,7 +26,7 @@ from seatrial.daq.importers.clocks import Clock, clock_of
 from seatrial.daq.importers.guess import Guess, guess_map, guess_maps, outputs
 from seatrial.daq.importers.import_files import import_files
 from seatrial.daq.importers.import_map import parse_import_map
-from seatrial.daq.importers.recognise import read_name
+from seatrial.daq.importers.recognise import read_name, resting_pulse
 from seatrial.daq.importers.sources import SourceKind
 from seatrial.daq.importers.table import Table, TextStyle
 from seatrial.daq.importers.text_table import sniff_style
@@ -264,6 +264,39 @@ def test_no_pulse_is_a_thruster_at_rest(tmp_path: Path) -> None:
     t, n = values(tmp_path / "run.mcap", "n_left")
     assert len(t) == N
     np.testing.assert_allclose(n, np.where(TIME < 1.0, 1.0, 0.0), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "rests", "caveat"),
+    [
+        (1510.0, 1505.0, (1510.0, 1505.0), "1510 us is assumed to be rest (60 % of the pulses have this value), 1110"),
+        (1510.0, None, (1510.0, 1510.0), "1510 us is assumed to be rest (60 % of the pulses on the other side have"),
+        (1600.0, 1600.0, (1500.0, 1500.0), "1500 us is assumed to be rest, 1100 and 1900 us full astern and ahead"),
+        (None, None, (1500.0, 1500.0), "1500 us is assumed to be rest, 1100 and 1900 us full astern and ahead"),
+    ],
+)  # fmt: skip
+def test_pulses_are_scaled_from_the_value_at_which_the_output_rests(
+    guess_of: Guessing, left: float | None, right: float | None, rests: tuple[float, float], caveat: str
+) -> None:
+    """A trim beside 1500 us is found in the data. A boat may cruise at a constant pulse far from it."""
+    moving = 1500.0 + 300.0 * np.sin(TIME + 0.1)
+    pulses = {
+        f"pwm_{side}": moving if rest is None else np.where(np.arange(N) % 5 < 3, rest, moving)
+        for side, rest in (("left", left), ("right", right))
+    }
+    text = guess_of("matlab", Table(Path("x"), "", {"yaw": TIME, **pulses}, TIME)).text
+    found = {signal["name"]: signal for signal in tomllib.loads(text)["signal"]}
+    for name, rest in zip(("n_left", "n_right"), rests, strict=True):
+        assert found[name]["scale"] * rest + found[name]["offset"] == pytest.approx(0.0, abs=1e-6)
+        assert found[name]["scale"] == 1.0 / 400.0
+    assert f"# caveat: {caveat}" in text
+
+
+def test_the_rest_of_pulses_is_not_clear_beside_a_frequent_usual_rest() -> None:
+    pulses = np.concatenate([np.full(60, 1500.0), np.full(100, 1510.0), np.full(40, 1700.0), np.zeros(500)])
+    assert resting_pulse(pulses) is None
+    assert resting_pulse(pulses[60:]) == (1510.0, pytest.approx(100 / 140))
+    assert resting_pulse(np.append(np.full(9, 1510.0), np.full(100, 1700.0))) is None  # too few of all pulses
 
 
 @pytest.mark.parametrize("top", [800.0, 90.0, 0.9])
@@ -728,6 +761,7 @@ def test_a_guessed_map_has_examples_of_what_no_file_has(
     guessed = guess_map(tmp_path / "run.csv").text
     assert ("# y_left = -0.3" in guessed) is geometry
     assert ("# [scale]" in guessed) is scale
+    assert ("ahead is known, give it as c1 and leave c2 out" in guessed) is scale
     if geometry:  # the examples are valid without the sign of a comment
         map_text, examples = guessed.split("# [geometry]")
         tables = re.sub("(?m)^# ", "", "# [geometry]" + examples)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import math
 import os
 import shutil
@@ -15,9 +16,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from seatrial.daq import cli
 from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from seatrial.daq.importers.guess import guess_map
 from seatrial.daq.importers.import_files import import_files
@@ -291,17 +294,22 @@ def test_the_numbers_of_a_bag_do_not_become_python_objects() -> None:
     assert used < 1000 * 8 * 2.5 * len(topic.columns)  # Python objects with names take 5 kB a message
 
 
-def test_a_bag_of_ros_1_is_imported(tmp_path: Path) -> None:
+def bag_of_ros_1(path: Path) -> Path:
+    """Write a bag of ROS 1 with a topic of N speeds, and return its path."""
     from rosbags.rosbag1 import Writer as Writer1
 
     store = get_typestore(Stores.ROS1_NOETIC)
-    with Writer1(tmp_path / "run.bag") as writer:
+    with Writer1(path) as writer:
         connection = writer.add_connection("/speed", "std_msgs/msg/Float64", typestore=store)
         for k in range(N):
             message = store.types["std_msgs/msg/Float64"](0.5 * k)
             data = store.serialize_ros1(message, "std_msgs/msg/Float64")
             writer.write(connection, round((T0 + 0.1 * k) * 1e9), data)
-    (table,) = read_bag(tmp_path / "run.bag", SourceOptions())
+    return path
+
+
+def test_a_bag_of_ros_1_is_imported(tmp_path: Path) -> None:
+    (table,) = read_bag(bag_of_ros_1(tmp_path / "run.bag"), SourceOptions())
     assert (table.topic, table.kind) == ("/speed", "std_msgs/msg/Float64")
     np.testing.assert_array_equal(table.columns["data"], 0.5 * np.arange(N))
 
@@ -503,3 +511,43 @@ def test_a_wal_that_is_not_a_regular_file_is_refused(tmp_path: Path, kind: str) 
             SeatrialError, match="-wal: is a symbolic link, not a file" if kind == "link" else "-wal: is not a file"
         ):
             read_bag(source, SourceOptions())
+
+
+def test_the_topics_of_a_bag_are_listed_before_its_import(bag: Path) -> None:
+    """As a folder, or a file of it. A .mcap file is read as a log. All name the command that imports the bag."""
+    for path in (bag, *bag.glob("*.db3"), *bag.glob("*.mcap")):
+        done = CliRunner().invoke(cli.info, [str(path), "--json"])
+        content = json.loads(done.stdout)
+        rows = {row["topic"]: row for row in content["topics"]}
+        assert {name: row["messages"] for name, row in rows.items()} == dict.fromkeys(
+            ("/imu/data", "/fix", "/odom", "/rpm", "/name"), N
+        )
+        assert rows["/imu/data"]["type"] == "sensor_msgs/msg/Imu"
+        assert rows["/imu/data"]["rate"] == pytest.approx(20.0, rel=0.01)
+        assert (content["messages"], content["complete"]) == (5 * N, True)
+        assert content["import_command"] == f"seatrial import --guess {path if path.suffix == '.db3' else bag}"
+        shown = CliRunner().invoke(cli.info, [str(path)]).stdout
+        assert "sensor_msgs/msg/Imu" in shown
+        assert content["import_command"] in shown
+
+
+def test_a_log_in_the_folder_of_a_bag_needs_no_import(bag: Path) -> None:
+    write_everything(bag / "own.mcap")
+    assert json.loads(CliRunner().invoke(cli.info, [str(bag / "own.mcap"), "--json"]).stdout)["import_command"] is None
+
+
+@pytest.mark.parametrize("bag", [StoragePlugin.SQLITE3], indirect=True)
+def test_a_bag_without_metadata_is_listed_with_a_warning(bag: Path) -> None:
+    (bag / "metadata.yaml").unlink()
+    content = json.loads(CliRunner().invoke(cli.info, [str(bag), "--json"]).stdout)
+    assert (content["complete"], content["messages"]) == (False, 5 * N)
+    assert content["warnings"] == ["without metadata.yaml: read from 1 file"]
+
+
+def test_the_topics_of_a_bag_of_ros_1_are_listed(tmp_path: Path) -> None:
+    path = bag_of_ros_1(tmp_path / "run.bag")
+    content = json.loads(CliRunner().invoke(cli.info, [str(path), "--json"]).stdout)
+    assert [(row["topic"], row["type"], row["messages"]) for row in content["topics"]] == [
+        ("/speed", "std_msgs/msg/Float64", N)
+    ]
+    assert content["import_command"] == f"seatrial import --guess {path}"

@@ -11,7 +11,7 @@ import pytest
 from seatrial.ident.checks.frames import Relation, _reversed_column, check_frames, mirrored_signals
 from seatrial.ident.checks.log_checks import check_copies, check_signals
 from seatrial.ident.checks.sensors import sensor_matches
-from seatrial.ident.checks.signals import check_frozen, estimated, noise_floor, smoothed
+from seatrial.ident.checks.signals import FILTER_NOISE, check_frozen, estimated, noise_floor, smoothed
 from seatrial.ident.data.loading import LoadedLog
 from seatrial.ident.data.record import Channel, LogSegment
 from seatrial.ident.estimation.prior_knowledge import fix_parameters
@@ -131,6 +131,19 @@ def test_advice_on_a_smoothed_signal_is_what_the_fit_does(run: dict[str, Channel
         assert (model.parameter("e_psi").bounds[0] < 0.001) is states
         assert ("a fit estimates these errors as states" in finding.advice) is states
         assert ("a fit takes at least the noise of a usual sensor" in finding.advice) is not states
+        wanted = "--fix e_xy=0.3 --fix e_psi=0.03 (in m, rad)" if states else "for example --fix e_psi=0.03 (in rad)"
+        assert finding.advice.endswith(wanted)
+
+
+@pytest.mark.parametrize(
+    "sensors", ["attitude gyro position body_velocity", "attitude gyro accelerometer position ground_velocity"]
+)
+def test_advice_on_smoothed_signals_names_the_noises_of_the_models(sensors: str) -> None:
+    model = horizontal_model(sensors=tuple(sensors.split()))
+    for output in model.outputs:
+        name, size, _ = FILTER_NOISE[output.name]
+        assert name == output.noise
+        fix_parameters(model, None, {name: size})
 
 
 def test_noise_that_the_user_gave_is_not_reported_as_smoothed(run: dict[str, Channel]) -> None:

@@ -122,3 +122,37 @@ def test_advice_on_a_reversed_thruster_names_the_sign_in_the_import_map(fleet: l
     found = check_motion(fleet[0] | {"n_left": Channel(left.t, -left.value)}, SIDES)
     (fault,) = (f for f in found if f.code == "thruster-sign-reversed")
     assert "`reversed` in the rig file, or `sign` of the signal in the import map" in fault.advice
+
+
+def spin(ratio: float, seed: int = 0) -> Channels:
+    """Return a run with turns to starboard only, with thrusts in a fixed ratio, and with commands as inputs."""
+    t = np.arange(0.0, 60.0, 6.0)
+    ahead = np.where(np.arange(t.size) % 2, 0.6, 0.0)
+    n = np.column_stack([ahead, -ratio * ahead])
+    channels = channels_of(simulate(boat_with(None, seed), t, n, 60.0, seed))
+    at = channels["n_left"].t
+    k = np.searchsorted(t, at - at[0], side="right") - 1
+    return channels | {f"n_{side}": Channel(at, n[k, j]) for j, side in enumerate(("left", "right"))}
+
+
+@pytest.mark.parametrize("ratio", [0.9, 1.1])
+def test_spins_to_one_side_show_the_sides(ratio: float) -> None:
+    """The sum of the thrusts is in a fixed ratio to their difference, but much smaller."""
+    for seed in range(2):
+        (found,) = check_motion(spin(ratio, seed), SIDES)
+        assert found.code == "thruster-sides-agree"
+        (found,) = check_motion(swapped(spin(ratio, seed)), SIDES)
+        assert found.code == "thruster-sides-swapped"
+
+
+@pytest.mark.parametrize("ratio", [0.5, -0.5])
+def test_turns_with_a_large_sum_of_thrusts_in_a_fixed_ratio_are_described(ratio: float) -> None:
+    run = spin(ratio)
+    for channels, word in ((run, "with"), (swapped(run), "against")):
+        (found,) = check_motion(channels, SIDES)
+        assert found.code == "thruster-sides-unknown"
+        assert f"the boat turns {word} the thrust difference, which explains 9" in found.text
+        assert (
+            "% of the yaw rate, all to starboard; but the thrusts of both sides change in a fixed ratio" in found.text
+        )
+        assert "turns to both sides and straight parts" in found.advice

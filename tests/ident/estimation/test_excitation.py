@@ -11,6 +11,7 @@ from seatrial.ident.diagnosis.policy import DEFAULT_POLICY
 from seatrial.ident.diagnosis.search import _reservations
 from seatrial.ident.estimation.excitation import unexcited_motion
 from seatrial.ident.estimation.fitted_model import FittedModel, fit_nominal_model
+from seatrial.ident.models.components import estimator_error
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.results.answers import estimation_warnings
 from seatrial.mocks.offline_simulation import simulate
@@ -19,15 +20,28 @@ from tests.missions import boat_with, channels_of
 SECONDS = 100.0
 
 
-def fit_to_mission(kind: str) -> FittedModel:
-    """Return the fit to a mission: ``mixed``, ``constant`` and equal commands, or at ``rest``."""
+def fit_to_mission(kind: str, estimator_errors: bool = False) -> FittedModel:
+    """Return the fit to a mission: ``mixed``, ``constant`` and equal commands, or at ``rest``.
+
+    With ``estimator_errors``, the errors of a navigation filter are states.
+    """
     t, commands = make_mission("mixed", SECONDS, 103).setpoints()
     commands = {"mixed": 1.0, "constant": 0.0, "rest": 0.0}[kind] * np.asarray(commands)
     commands = commands + (0.4 if kind == "constant" else 0.0)
     run = LogSegment("run", channels_of(simulate(boat_with(None, 3), t, commands, SECONDS, 1)))
     model = horizontal_model()
     model = model.replace_parameters(*(model.parameter(n).at(v).fixed() for n, v in (("c1", 40.05), ("c2", 1.11))))
-    return fit_nominal_model(model, [run], [])
+    return fit_nominal_model(
+        model + estimator_error([s.name for s in model.sensors]) if estimator_errors else model, [run], []
+    )
+
+
+def test_states_of_a_filter_may_explain_the_motion_in_place_of_the_boat() -> None:
+    fitted = fit_to_mission("rest", estimator_errors=True)
+    (text,) = [w.text for w in estimation_warnings(fitted.fit, fitted.records) if w.code == "motion-not-excited"]
+    assert "which are states of this fit, explain the motion in place of the boat" in text
+    for option in ("--fix e_xy=0.3", "--fix e_psi=0.03", "--fix e_vxy=0.05"):
+        assert option in text
 
 
 @pytest.mark.parametrize(
@@ -45,7 +59,7 @@ def test_masses_without_excitation_are_named_with_the_reason(kind: str, least: s
     assert found.reason == reason
     (text,) = [w.text for w in estimation_warnings(fitted.fit, fitted.records) if w.code == "motion-not-excited"]
     assert text.startswith(f"The data do not determine {', '.join(found.parameters)}: {reason}. ")
-    assert "mission generate --kind mixed" in text
+    assert text.endswith("(seatrial mission generate --kind mixed).")
     # No effect is identified on such data.
     assert f"the data do not determine {', '.join(found.parameters)}: {reason}" in _reservations(
         fitted, fitted, DEFAULT_POLICY

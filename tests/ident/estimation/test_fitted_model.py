@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -14,6 +15,7 @@ from seatrial.ident.estimation.fitted_model import fit_and_evaluate, fit_nominal
 from seatrial.ident.estimation.maximum_likelihood import SearchSettings
 from seatrial.ident.model.structure import Model
 from seatrial.ident.models.horizontal import horizontal_model
+from tests.ident.reports import Kept
 from tests.ident.sliders import slide, slider
 from tests.missions import boat_with, channels_of, sail
 
@@ -70,7 +72,8 @@ def test_failed_refit_for_another_vessel_size_restarts_at_the_first_fit(
         found[f"f_{side}"] = Channel(n.t, 0.05 * (40.05 * n.value * abs(n.value) + 1.11 * n.value**2))
     asked: list[float] = []
 
-    def once_lost(model: Model, *arguments: Any) -> fitted_model.FittedModel:
+    def once_lost(model: Model, *arguments: Any, detail: Callable[[str], None]) -> fitted_model.FittedModel:
+        detail("asked")
         asked.append(model.values["m_u"])
         if len(asked) == 1 or (len(asked) == 3 and lost != "never converges"):
             return fit_and_evaluate(model, *arguments)
@@ -84,3 +87,13 @@ def test_failed_refit_for_another_vessel_size_restarts_at_the_first_fit(
     assert len(asked) == 3
     assert asked[2] == pytest.approx(fitted.fit.model.values["m_u"], rel=0.02)
     assert fitted.fit.model.values["m_u"] == pytest.approx(0.05 * boat_with(None, 1).truth()["m_u"], rel=0.1)
+
+
+def test_iterations_of_a_fit_are_reported_as_details_of_its_step() -> None:
+    reporter = Kept()
+    fitted = fit_nominal_model(with_free_noise("e_v"), [run(1, "speed")], [], reporter=reporter)
+    assert reporter.lines == [f"fitting {fitted.model.name} to 1 run"]
+    n = fitted.fit.iterations
+    assert n > 2
+    assert reporter.details[:n] == [f"iteration {k + 1}" for k in range(n)]
+    assert reporter.details[-1].endswith("evaluation")

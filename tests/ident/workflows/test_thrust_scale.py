@@ -125,6 +125,7 @@ def bare(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], str,
 def test_without_thrust_and_arms_no_estimate_is_in_kilograms(bare: tuple[dict[str, Any], str, Path]) -> None:
     result, output, out = bare
     assert codes(result)[:2] == ["thrust-scale-unknown", "arm-unknown"]
+    assert "if only the thrust ahead is known, give it as c1 and leave c2 out." in result["warnings"][0]["text"]
     scale = result["fit"]["scale"]
     assert (scale["thrust"], scale["relative"]) == ("built-in", True)
     assert (scale["arm"], scale["relative_yaw"]) == ("estimated", True)
