@@ -256,8 +256,9 @@ class FitReport(Shown):
         """Return the tests of the residuals as a ``pandas.DataFrame`` with a row for each test.
 
         Each record and channel has the tests ``ljung-box`` and ``periodogram`` of whiteness, ``normality``, and a
-        ``cross-correlation`` with each input. Of a diagnosis they are those of the model with the effects. The columns
-        are:
+        ``cross-correlation`` with each input. Of a diagnosis they are those of the model with the effects. The index
+        names the test of a row, such as ``r ljung-box`` or ``r cross-correlation n_left``, after the record if there
+        are several. The columns are:
 
         - record, channel, test, and input of a cross-correlation;
         - statistic, the largest deviation that the test found: an autocorrelation, a distance of the cumulative
