@@ -30,6 +30,7 @@ from seatrial.ident.report.sections.parameters import interval, segment_in_words
 from seatrial.ident.report.sections.predictions import by_role, error_words, horizons
 from seatrial.ident.results import (
     NOT_WEIGHED,
+    SIMULATION_COVERS,
     CampaignErrors,
     CampaignsResult,
     ComparedChannel,
@@ -491,7 +492,8 @@ def _growth_text(factor: float) -> str:
 def print_result(result: Result, console: Console) -> None:
     """Print the warnings, the answer, the caveat of a diagnosis and the tables of a result to the console.
 
-    The notes of a run over many logs follow its tables, and so do the names of the common errors in a vehicle model.
+    The notes of a run over many logs follow its tables, and so do the names of the common errors in a vehicle model,
+    and notes on what no table shows: no weighed mass, and simulations of short records.
     The prediction errors of a diagnosis, its last table, are followed by the sentences on how they are computed, and by
     the reason why no experiment is recommended, if there is none. The report has a recommended experiment.
 
@@ -532,8 +534,9 @@ def print_result(result: Result, console: Console) -> None:
             "(--no-score-tests, in Python score_tests=False, leaves them out)."
         )
         print_prose(console, Text(text, style="dim"))
-    if isinstance(result, VehicleResult) and NOT_WEIGHED in result.notes:
-        print_prose(console, Text(NOT_WEIGHED, style="dim"))
+    for note in result.notes:
+        if note == NOT_WEIGHED or note.startswith(SIMULATION_COVERS):
+            print_prose(console, Text(note, style="dim"))
     for note in result.notes if isinstance(result, FleetResult | CampaignsResult) else ():
         console.print()
         print_prose(console, Text(note, style="dim"))

@@ -1,4 +1,5 @@
 from .answers import NOT_WEIGHED as NOT_WEIGHED
+from .answers import SIMULATION_COVERS as SIMULATION_COVERS
 from .answers import check_warnings as check_warnings
 from .answers import course_sentence as course_sentence
 from .answers import curve_notes as curve_notes
@@ -10,6 +11,7 @@ from .answers import frame_warnings as frame_warnings
 from .answers import moving_boat_warnings as moving_boat_warnings
 from .answers import plus_minus as plus_minus
 from .answers import scale_warnings as scale_warnings
+from .answers import warm_up_notes as warm_up_notes
 from .campaigns import Campaign as Campaign
 from .campaigns import CampaignErrors as CampaignErrors
 from .campaigns import CampaignLog as CampaignLog

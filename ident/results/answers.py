@@ -7,7 +7,7 @@ prior that the data contradict, a stuck sensor, an unknown scale of forces.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
 from types import MappingProxyType
 from typing import NamedTuple
@@ -49,7 +49,7 @@ from seatrial.ident.results.parts import (
     ResultWarning,
 )
 from seatrial.ident.results.tables import format_number
-from seatrial.ident.validation import FEWEST, OUTLIER_SDS, ChannelResiduals
+from seatrial.ident.validation import FEWEST, OUTLIER_SDS, WARM_UP, ChannelResiduals, PredictionEvaluation
 
 NAMES = {
     "x": "north",
@@ -89,6 +89,8 @@ NOT_WEIGHED = (
     "The mass in surge, m_u, was not compared with a weighed mass, because none was given: give --mass, or mass in "
     "[geometry] of the import map. With it, a wrong thrust is found."
 )
+SHORT_FOR_SIMULATION = 4.0  # warm-ups: of a shorter record, the errors of a simulation leave out a large part
+SIMULATION_COVERS = f"The errors of the simulation leave out the {WARM_UP:g} s of filtering before it: they cover"
 LIFT = "Y_uv"  # parameter of the hull lift: damping of sway per forward speed
 LEAST_PULL = 0.03  # difference of the inputs of both sides on a straight course, relative to their mean, to report
 SAME_WEATHER = timedelta(hours=3)  # between the starts of logs, up to which one value of the wind is plausible
@@ -810,6 +812,35 @@ def short_data_warnings(fitted: FittedModel, horizon: float) -> list[ResultWarni
         )
         found.append(ResultWarning(code="short-data", text=text))
     return found
+
+
+def warm_up_notes(durations: Iterable[tuple[str, float]]) -> list[str]:
+    """Return a note on the seconds that the errors of a simulation cover, if records are shorter than four warm-ups.
+
+    The warm-up is the time in which the filter sees the measurements. The errors leave it out, and thus a large part of
+    a short record. The list is empty if no record is that short.
+
+    Parameters
+    ----------
+    durations
+        Name and duration [s] of each simulated record, or of each block in time of one. Of equal names the shortest
+        counts.
+    """
+    short: dict[str, float] = {}
+    for name, duration in durations:
+        if round(duration) < SHORT_FOR_SIMULATION * WARM_UP:  # the rows of a minute end a sample before it
+            short[name] = min(duration, short.get(name, duration))
+    if not short:
+        return []
+    covered = first_names([f"{max(d - WARM_UP, 0.0):.0f} of {d:.0f} s of {name}" for name, d in short.items()])
+    return [f"{SIMULATION_COVERS} {covered}. What the boat does before is not in them."]
+
+
+def simulated_durations(evaluation: PredictionEvaluation) -> Iterator[tuple[str, float]]:
+    """Yield name and duration [s] of each record, or block in time of one, that an evaluation simulates."""
+    for evaluated in evaluation.sets.values():
+        for predicted in evaluated.records:
+            yield predicted.record.name, predicted.record.duration
 
 
 def cut_records(records: Sequence[Record]) -> list[ResultWarning]:

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, get_args
 
+import numpy as np
 from msgspec import Meta
+from numpy.typing import NDArray
 
 from seatrial.ident.numerics import Array
 from seatrial.ident.results.parts import Part, Result, Verdict, same_length
@@ -253,6 +255,21 @@ class ComparedPrediction(Part, frozen=True, kw_only=True):
             "data if the model says so (`widened_horizons`, `widened_simulation`)"
         ),
     ]
+    filtered: Annotated[
+        tuple[tuple[float, float], ...],
+        Meta(
+            description="intervals of time [s] in which a simulation is filtered, so that `predicted` has seen the "
+            "samples; the errors leave them out. Empty: a horizon, or a result of an earlier version"
+        ),
+    ] = ()
+
+    @property
+    def unseen(self) -> NDArray[np.bool_]:
+        """Whether each value (n,) is a prediction without the samples of its time: those in `filtered` are not."""
+        seen = np.zeros(self.t.size, dtype=bool)
+        for begin, end in self.filtered:
+            seen |= (self.t >= begin) & (self.t <= end)
+        return ~seen
 
     def __post_init__(self) -> None:
         """Raise ValueError if the arrays differ in length."""

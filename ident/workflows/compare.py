@@ -42,6 +42,7 @@ from seatrial.ident.results import (
     ComparisonResult,
     ResultWarning,
     provenance,
+    warm_up_notes,
     write_result,
 )
 from seatrial.ident.validation import (
@@ -409,6 +410,7 @@ def _result(
         f"Each verdict is at the level of 95 %: of {counted(verdicts, 'verdict')} on equal models, about "
         f"{CHANCE * verdicts:.1g} would be wrong by chance."
     )
+    short = warm_up_notes((name, float(part.t[-1] - part.t[0])) for by in predicted for name, part in by.items())
     result = ComparisonResult(
         created=made.created,
         seatrial=made.seatrial,
@@ -421,7 +423,7 @@ def _result(
             *_warnings(models),
             *_warnings_of_effects(compared, letters, by_record[0]),
         ),
-        notes=(*notes, *_notes_on_logs(models), *([chance] if verdicts else [])),
+        notes=(*notes, *_notes_on_logs(models), *short, *([chance] if verdicts else [])),
         horizons=horizons,
         models=tuple(models),
         channels=tuple(channels),
@@ -583,8 +585,9 @@ def _traces(
                 continue
             predictions = tuple(
                 ComparedPrediction(
-                    model=letter, kind=kind.kind, seconds=kind.seconds, t=curve.t, predicted=curve.y, sd=curve.sd
-                )
+                    model=letter, kind=kind.kind, seconds=kind.seconds, t=curve.t, predicted=curve.y, sd=curve.sd,
+                    filtered=_warm_ups(by[record.name]) if kind == SIMULATION else (),
+                )  # fmt: skip
                 for letter, by in zip(letters, predicted, strict=True)
                 for kind in by[record.name][0].curves
                 if (curve := _joined(by[record.name], kind, name)) is not None
@@ -601,6 +604,11 @@ def _traces(
                 )
             )
     return found
+
+
+def _warm_ups(parts: Sequence[PredictedRecord]) -> tuple[tuple[float, float], ...]:
+    """Return the interval of time [s] of each block of a record in which the simulation is filtered."""
+    return tuple((float(part.t[0]), float(part.t[0]) + WARM_UP) for part in parts)
 
 
 def _joined(parts: Sequence[PredictedRecord], kind: Kind, channel: str) -> Curve | None:

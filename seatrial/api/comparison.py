@@ -107,7 +107,8 @@ class Comparison(Shown):
         """Return the predictions of all models over each horizon and in simulation, with the measured samples.
 
         They are those of `plot`. There are none one step ahead. A simulation filters the first 15 s of a record, or of
-        each block if the logs are cut into blocks; its values there are no predictions.
+        each block if the logs are cut into blocks. Its samples of that time are left out, as the filter has seen them,
+        so that `Prediction.rms` is the error of the tables where all models predict the same samples.
 
         Returns
         -------
@@ -124,11 +125,13 @@ class Comparison(Shown):
         found = ComparedPredictions()
         for x in self.result.traces:
             for p in x.predictions:
-                measured = np.interp(p.t, x.t, x.measured, left=np.nan, right=np.nan)
+                t, predicted, sd = p.t[p.unseen], p.predicted[p.unseen], p.sd[p.unseen]
+                measured = np.interp(t, x.t, x.measured, left=np.nan, right=np.nan)
                 horizon: float | Literal["simulation"] = "simulation" if p.seconds is None else p.seconds
                 by_record = found.setdefault(names[p.model], {}).setdefault(horizon, ByRecord[Prediction]())
-                predicted = measured - wrap(measured - p.predicted, True) if x.angle else p.predicted
-                samples = Prediction(p.t, measured, predicted, p.sd, x.unit)
+                if x.angle:
+                    predicted = measured - wrap(measured - predicted, True)
+                samples = Prediction(t, measured, predicted, sd, x.unit)
                 if x.record not in by_record:
                     by_record[x.record] = {}
                 by_record[x.record][x.channel] = samples

@@ -288,7 +288,8 @@ class FitReport(Shown):
         There is a row for each role (``estimation`` and, if there are such data, ``validation``), kind of prediction
         and channel. The columns are:
 
-        - role; kind (``one_step``, ``horizon`` or ``simulation``); seconds, the horizon [s], NaN for the other kinds;
+        - role; kind (``one_step``, ``horizon`` or ``simulation``, which leaves out the first 15 s of each record, in
+          which the filter sees the samples); seconds, the horizon [s], NaN for the other kinds;
         - channel, and unit of its errors (SI units and radians);
         - before and after, the RMS errors of the models without and with the effects of a diagnosis. For a fit, after
           is the error of the model, and before is NaN. A prediction that diverged is NaN;

@@ -1170,6 +1170,12 @@ def test_comparison_prefers_the_model_with_the_effect(
         heading = predictions[name]["simulation"]["run3"]["psi"]
         assert np.abs(heading.measured - heading.predicted).max() <= np.pi
         assert np.isfinite(heading.sd).all()
+        # So are those of the simulation: the samples that the filter has seen before it are in neither of them.
+        for row in compared.result.channels:
+            if row.kind == "simulation":
+                simulated = predictions[name]["simulation"]["run3"][row.channel]
+                assert simulated.t[0] > 15.0
+                assert simulated.rms == pytest.approx(row.errors[k].rms, rel=1e-6)
     table = predictions.to_pandas()
     assert [*table.columns] == [
         *["record", "model", "kind", "horizon", "channel", "t", "measured", "predicted", "sd", "unit"]

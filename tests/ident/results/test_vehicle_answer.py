@@ -45,6 +45,7 @@ from seatrial.ident.results.answers import (
     thruster_answer,
     unusual_estimates,
     vehicle_answer,
+    warm_up_notes,
     wind_sentence,
 )
 from seatrial.ident.results.parts import (
@@ -593,6 +594,16 @@ def test_short_logs_are_reported(
     assert [w.code for w in found] == ["short-data"] * len(messages)
     for warning, message in zip(found, messages, strict=True):
         assert message in warning.text
+
+
+def test_short_simulations_say_how_much_they_cover() -> None:
+    """The errors leave out the filtering before a simulation, and thus most of a short record."""
+    assert warm_up_notes([("long", 59.9)]) == []
+    (text,) = warm_up_notes([("a", 27.0), ("b", 300.0), ("c", 40.0), ("c", 20.0), ("d", 9.0)])
+    assert text == (
+        "The errors of the simulation leave out the 15 s of filtering before it: they cover 12 of 27 s of a, 5 of 20 s "
+        "of c, 0 of 9 s of d. What the boat does before is not in them."
+    )
 
 
 @pytest.mark.parametrize(("seconds", "n"), [(12.0, 1), (30.0, 0)])
