@@ -578,14 +578,15 @@ class MotionMethods:
         return linearise(cast(Any, self), speed, at)
 
     def steady(
-        self, means: Sequence[float] = (0.0, 0.5), points: int = 41, at: Mapping[str, float] | None = None
+        self, means: Sequence[float] | None = None, points: int = 41, at: Mapping[str, float] | None = None
     ) -> Steady:
         """Compute the steady speed and the steady turn rate over the command in still water, as `st.steady`.
 
         Parameters
         ----------
-        means : sequence of float
-            Means of the left and the right command in turns, as parts of the largest command, 0 to 1.
+        means : sequence of float, optional
+            Means of the left and the right command in turns, as parts of the largest command, 0 to 1. None: 0, 0.5, and
+            the mean with the largest difference of both sides in the data, if it is another one.
         points : int
             Number of commands of each curve, at least 3.
         at : dict of str to float, optional
