@@ -22,6 +22,7 @@ from seatrial.ident.report.sections.comparison import (
     interval_sentence,
     interval_words,
     kind_title,
+    masses_sentence,
     ratio_words,
     signed,
     verdict_words,
@@ -93,10 +94,10 @@ def tables_of(result: Result) -> list[Table]:
         return campaign_tables(result)
     if isinstance(result, ComparisonResult):
         if result.is_evaluation:
-            return [*evaluated_tables(result), intervals_table(result)]
+            return [*evaluated_tables(result), *masses_tables(result), intervals_table(result)]
         differences = [table for table in (differences_table(result),) if table is not None]
         errors = [*compared_tables(result), intervals_table(result)]
-        return [models_table(result), *differences, *errors, likelihood_table(result)]
+        return [models_table(result), *masses_tables(result), *differences, *errors, likelihood_table(result)]
     return []
 
 
@@ -317,6 +318,19 @@ def models_table(result: ComparisonResult) -> Table:
         free = f"{m.n_free} + {len(m.per_log)}" if m.per_log else str(m.n_free)  # the second number is for each log
         table.add_row(Text(f"({m.label})"), Text(free), error, *cells)
     return table
+
+
+def masses_tables(result: ComparisonResult) -> list[Table]:
+    """Return the table of the masses of each model with their standard errors; empty if no model has any."""
+    table = titled_table("Masses")
+    table.show_header = False
+    table.padding = (0, 1, 0, 0)
+    table.add_column("", no_wrap=True, style="bold")
+    table.add_column("", overflow="fold")
+    for m in result.models:
+        if words := masses_sentence(m, result.weighed_mass):
+            table.add_row(Text("" if result.is_evaluation else f"({m.label})"), Text(words))
+    return [table] if table.row_count else []
 
 
 def differences_table(result: ComparisonResult) -> Table | None:

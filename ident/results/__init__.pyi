@@ -8,6 +8,7 @@ from .answers import design_warnings as design_warnings
 from .answers import estimation_warnings as estimation_warnings
 from .answers import faults_first as faults_first
 from .answers import frame_warnings as frame_warnings
+from .answers import implausible_mass as implausible_mass
 from .answers import moving_boat_warnings as moving_boat_warnings
 from .answers import plus_minus as plus_minus
 from .answers import scale_warnings as scale_warnings
@@ -66,6 +67,7 @@ from .commands import vehicle_result as vehicle_result
 from .comparison import ComparedChannel as ComparedChannel
 from .comparison import ComparedError as ComparedError
 from .comparison import ComparedKind as ComparedKind
+from .comparison import ComparedMass as ComparedMass
 from .comparison import ComparedModel as ComparedModel
 from .comparison import ComparedPrediction as ComparedPrediction
 from .comparison import ComparedRatio as ComparedRatio

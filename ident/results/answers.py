@@ -427,7 +427,19 @@ def mass_warnings(fit: Fit, weighed: float | None) -> list[ResultWarning]:
     """
     if weighed is None or not _has_mass_to_weigh(fit):
         return []
-    mass, error = fit.estimate("m_u")
+    return implausible_mass(*fit.estimate("m_u"), weighed)
+
+
+def implausible_mass(mass: float, error: float, weighed: float) -> list[ResultWarning]:
+    """Return a warning if a mass in surge contradicts the weighed mass, as `mass_warnings`; else an empty list.
+
+    Parameters
+    ----------
+    mass, error
+        Estimate [kg], and its standard error [kg]; NaN: unknown.
+    weighed
+        Weighed mass of the boat [kg].
+    """
     least = mass - 2.0 * error if np.isfinite(error) else -np.inf
     found = f"The estimated mass in surge, m_u, is {plus_minus(mass, error)} kg, and the boat weighs {weighed:g} kg"
     cause = (

@@ -53,6 +53,7 @@ from seatrial.ident.validation import (
     prediction_change_by_record,
 )
 from seatrial.ident.workflows.check import check_first
+from seatrial.ident.workflows.compared_masses import mass_warnings_of, masses_of
 from seatrial.ident.workflows.compared_predictions import (
     ONE_STEP,
     SIMULATION,
@@ -388,6 +389,7 @@ def _result(
             widened_horizons=tuple(s for s in horizons if c.widens(s)),
             widened_simulation=c.widens(None),
             widened_by=() if c.saved.intervals is None else used_logs(c.saved, loaded, "validation"),
+            masses=masses_of(c.saved),
             differences=model_differences(compared[0].saved, c.saved) if models else None,
             changes=tuple(own),
         )
@@ -404,7 +406,7 @@ def _result(
                 criteria = information_criteria(compared[0].saved.model, c.saved.model, by, score.gain)
             row = msgspec.structs.replace(row, score=score, criteria=criteria, no_criteria=reason)
         models.append(row)
-    made = provenance(loaded, command)
+    made, weighed = provenance(loaded, command), loaded[0].hull().get("mass")
     verdicts = sum(e.against_reference is not None for row in channels for e in row.errors)
     chance = (
         f"Each verdict is at the level of 95 %: of {counted(verdicts, 'verdict')} on equal models, about "
@@ -419,6 +421,7 @@ def _result(
         answer="",
         warnings=(
             *_unconverged_warnings(compared, models),
+            *_mass_warnings(compared, models, weighed),
             *_limited_warnings(predicted, letters),
             *_warnings(models),
             *_warnings_of_effects(compared, letters, by_record[0]),
@@ -426,6 +429,7 @@ def _result(
         notes=(*notes, *_notes_on_logs(models), *short, *([chance] if verdicts else [])),
         horizons=horizons,
         models=tuple(models),
+        weighed_mass=weighed,
         channels=tuple(channels),
         traces=tuple(_traces(compared, records, by_record, letters)),
     )
@@ -438,6 +442,19 @@ def _unconverged_warnings(compared: Sequence[_Candidate], models: Sequence[Compa
         if not c.saved.converged:
             subject = f"the fit of {_subject(m, models)}" if len(models) > 1 else "the fit of the model"
             yield ResultWarning(code="model-not-converged", text=f"{unconverged_sentence(subject)}.")
+
+
+def _mass_warnings(
+    compared: Sequence[_Candidate], models: Sequence[ComparedModel], weighed: float | None
+) -> Iterator[ResultWarning]:
+    """Yield the warnings about the masses of each compared model, which begin with its label.
+
+    ``models`` are their rows, in this order, and ``weighed`` is the weighed mass [kg] of the compared logs.
+    """
+    for c, m in zip(compared, models, strict=True):
+        for warning in mass_warnings_of(c.saved, c.path, weighed):
+            label = f"({m.label}): " if len(models) > 1 else ""
+            yield msgspec.structs.replace(warning, text=label + warning.text)
 
 
 def _limited_warnings(

@@ -70,6 +70,18 @@ class Comparison(Shown):
         """
         return next(m.name for m in self.result.models if m.label == self.result.best)
 
+    @property
+    def masses(self) -> dict[str, dict[str, tuple[float, float]]]:
+        """Masses ``m_u``, ``m_v`` and yaw inertia ``m_r`` of each model by its name, as (value, standard error).
+
+        They are in SI units; ratios to an unknown thrust have names such as ``m_u/T``. The standard error is NaN if the
+        mass is fixed. A model without masses has an empty dict. `result.weighed_mass` is the weighed mass [kg] by the
+        rig or import map of the first log, or None.
+        """
+        return {
+            m.name: {x.name: (x.value, np.nan if x.se is None else x.se) for x in m.masses} for m in self.result.models
+        }
+
     def summary(self) -> str:
         """Return the comparison as text, as the command prints it: answer, errors by channel, and likelihoods."""
         return text_of(self.result)
@@ -173,7 +185,7 @@ class Comparison(Shown):
         return write_comparison(self.result, output_folder(folder))
 
     def _content(self) -> Content:
-        """Return the answer, and the RMS errors over the first horizon: a row for each channel, a column per model."""
+        """Return the answer, the warnings, and the RMS errors over the first horizon: a row for each channel, a column per model."""
         labels, horizon = [m.label for m in self.result.models], self.result.horizons[0]
         rows = []
         for row in self.result.channels:
@@ -181,7 +193,7 @@ class Comparison(Shown):
                 rms = {e.model: e.rms for e in row.errors}
                 rows.append((row.channel, *(number(rms.get(label), 3) for label in labels), row.unit or "1"))
         names = tuple(m.name for m in self.result.models)
-        return Content(self.answer, (), (f"RMS error {horizon:g} s ahead", *names, "unit"), rows)
+        return Content(self.answer, tables.warning_texts(self.result), (f"RMS error {horizon:g} s ahead", *names, "unit"), rows)
 
     def __repr__(self) -> str:
         """Return the text of `summary`, which the interpreter shows."""
