@@ -26,6 +26,7 @@ from seatrial.ident.export import (
     LinearModel,
     conditions_text,
     heading_sentence,
+    is_shortest_lag,
     pole_text,
     time_text,
     turn_sentence,
@@ -49,8 +50,12 @@ def _determined(value: float, error: float, words: str) -> str:
 
 
 def _time_cell(constant: float, error: float) -> str:
-    """Return the cell of a time constant [s] with its standard error; of an unstable pole how fast it grows."""
-    return _determined(constant, error, time_text(constant, error) if constant < 0.0 else number(constant))
+    """Return the cell of a time constant [s]; of an unstable pole how fast it grows.
+
+    The shortest lag of the model is marked by ``≤``: the lag of the boat may be shorter.
+    """
+    value = f"{'≤ ' * is_shortest_lag(constant)}{number(constant)}"
+    return _determined(constant, error, time_text(constant, error) if constant < 0.0 else value)
 
 
 @dataclass(frozen=True, repr=False)
@@ -96,7 +101,8 @@ class Linearisation(Shown, LinearModel):
 
         The columns are real, imaginary [1/s], time_constant [s], se (its standard error; NaN if unknown), frequency
         [Hz], damping (ratio, 1 for a real stable pole) and mainly (the states that take most part in it). An unstable
-        pole has no time constant (NaN): it grows by a factor of e in the time 1 / real.
+        pole has no time constant (NaN): it grows by a factor of e in the time 1 / real. The shortest lag of a state is
+        0.05 s: a lag with a shorter time constant, such as ``T_n`` = 0, has this pole too.
 
         Raises
         ------
