@@ -649,25 +649,27 @@ def outlier_lines(residuals: Sequence[ChannelResiduals], model: Model) -> list[s
 def faults_first(made: Provenance) -> str:
     """Return the beginning of the answer of a fit to logs with faults (`--despite-faults`), which lists the faults.
 
-    It ends with a space. It is empty if no log has a fault that makes a fit meaningless.
+    They are listed by log, device and code; `check_warnings` has their texts. The beginning ends with a space. It is
+    empty if no log has a fault that makes a fit meaningless.
 
     Parameters
     ----------
     made
         Provenance of the result, with the findings of the checks of each log.
     """
-    faults = [f"{log.path}: {f.where}: {f.text}" for log in made.logs for f in log.findings if f.spoils]
+    faults = [f"{log.path}: {f.where} [{f.code}]" for log in made.logs for f in log.findings if f.spoils]
     return (
-        f"The logs have faults that can make this result meaningless ({'; '.join(faults)}). Correct them and fit "
-        "again. "
+        f"The logs have faults that can make this result meaningless ({'; '.join(faults)}; the warnings have their "
+        "texts). Correct them and fit again. "
     ) * bool(faults)
 
 
 def check_warnings(made: Provenance, besides: Collection[str] = ()) -> list[ResultWarning]:
     """Return one warning for each different finding of the checks of the logs before a fit.
 
-    Findings are different if their device, text, code or advice differs. A warning names up to four of the logs that
-    have the finding, and the number of the others. The warnings have the order in which the findings first occur.
+    Findings are different if their text, code or advice differs. A warning names the devices or signals with the
+    finding, and up to four of the logs in which they have it, with the number of the others. The warnings have the
+    order in which the findings first occur.
 
     Parameters
     ----------
@@ -676,11 +678,23 @@ def check_warnings(made: Provenance, besides: Collection[str] = ()) -> list[Resu
     besides
         Codes of findings that are left out.
     """
-    logs: dict[str, list[str]] = {}
+    devices: dict[str, dict[str, list[str]]] = {}  # by text and log
     for log in made.logs:
         for f in (f for f in log.findings if f.code not in besides):
-            logs.setdefault(f"{f.where}: {f.text} [{f.code}]{': ' * bool(f.advice)}{f.advice}.", []).append(log.path)
-    return [ResultWarning(code="log-check", text=f"{_first_names(paths)}: {text}") for text, paths in logs.items()]
+            text = f"{f.text} [{f.code}]{': ' * bool(f.advice)}{f.advice}."
+            devices.setdefault(text, {}).setdefault(log.path, []).append(f.where)
+    return [ResultWarning(code="log-check", text=f"{_places(by_log)}: {text}") for text, by_log in devices.items()]
+
+
+def _places(devices: Mapping[str, Sequence[str]]) -> str:
+    """Return the logs and the devices of a finding as text, such as ``run1, run2: psi, r; run3: r``.
+
+    ``devices`` are its devices by log. Logs with the same devices are listed together.
+    """
+    logs: dict[str, list[str]] = {}
+    for log, names in devices.items():
+        logs.setdefault(", ".join(dict.fromkeys(names)), []).append(log)
+    return "; ".join(f"{_first_names(paths)}: {names}" for names, paths in logs.items())
 
 
 def late_sensor_warnings(made: Provenance, model: Model) -> list[ResultWarning]:

@@ -32,6 +32,7 @@ from seatrial.ident.results.answers import (
     check_warnings,
     course_sentence,
     estimation_warnings,
+    faults_first,
     late_sensor_warnings,
     not_converged,
     outlier_lines,
@@ -100,6 +101,25 @@ def test_finding_of_many_logs_is_reported_once() -> None:
     assert warning.code == "log-check"
     assert warning.text.startswith("0.mcap, 1.mcap, 2.mcap")
     assert "more: psi: it is smooth [channel-smoothed]" in warning.text
+
+
+def test_finding_of_other_channels_in_another_log_is_reported_once() -> None:
+    smooth = LogFinding(level="fault", code="smooth", check="noise", where="r", text="it is smooth", spoils=True)
+    channels = {"1.mcap": ("psi", "r"), "2.mcap": ("r",), "3.mcap": ("psi", "r")}
+    logs = [
+        LogSummary(
+            path=path, sha256="", role="estimation", name=path, duration=1.0,
+            findings=tuple(msgspec.structs.replace(smooth, where=name) for name in names),
+        )
+        for path, names in channels.items()
+    ]  # fmt: skip
+    made = Provenance(created="", seatrial="", command="", logs=tuple(logs))
+    (warning,) = check_warnings(made)
+    assert warning.text == "1.mcap, 3.mcap: psi, r; 2.mcap: r: it is smooth [smooth]."
+    # Neither does the answer of a fit to logs with faults repeat it.
+    answer = faults_first(made)
+    assert "(1.mcap: psi [smooth]; 1.mcap: r [smooth]; 2.mcap: r [smooth]; " in answer
+    assert "it is smooth" not in answer
 
 
 def test_the_answer_names_the_strongest_candidate_of_the_score_tests() -> None:
