@@ -602,9 +602,14 @@ def _traces(
                 continue
             predictions = tuple(
                 ComparedPrediction(
-                    model=letter, kind=kind.kind, seconds=kind.seconds, t=curve.t, predicted=curve.y, sd=curve.sd,
+                    model=letter,
+                    kind=kind.kind,
+                    seconds=kind.seconds,
+                    t=curve.t,
+                    predicted=curve.y,
+                    sd=curve.sd,
                     filtered=_warm_ups(by[record.name]) if kind == SIMULATION else (),
-                )  # fmt: skip
+                )
                 for letter, by in zip(letters, predicted, strict=True)
                 for kind in by[record.name][0].curves
                 if (curve := _joined(by[record.name], kind, name)) is not None

@@ -185,7 +185,10 @@ class Comparison(Shown):
         return write_comparison(self.result, output_folder(folder))
 
     def _content(self) -> Content:
-        """Return the answer, the warnings, and the RMS errors over the first horizon: a row for each channel, a column per model."""
+        """Return the answer, the warnings, and the RMS errors over the first horizon.
+
+        The errors have a row for each channel and a column for each model.
+        """
         labels, horizon = [m.label for m in self.result.models], self.result.horizons[0]
         rows = []
         for row in self.result.channels:
@@ -193,7 +196,9 @@ class Comparison(Shown):
                 rms = {e.model: e.rms for e in row.errors}
                 rows.append((row.channel, *(number(rms.get(label), 3) for label in labels), row.unit or "1"))
         names = tuple(m.name for m in self.result.models)
-        return Content(self.answer, tables.warning_texts(self.result), (f"RMS error {horizon:g} s ahead", *names, "unit"), rows)
+        return Content(
+            self.answer, tables.warning_texts(self.result), (f"RMS error {horizon:g} s ahead", *names, "unit"), rows
+        )
 
     def __repr__(self) -> str:
         """Return the text of `summary`, which the interpreter shows."""

@@ -546,9 +546,10 @@ def steady(
 ) -> Steady:
     """Compute the steady speed and the steady turn rate of a fitted model over constant commands, without current.
 
-    The commands are those of the fitted data, ahead and astern, of each side. Disturbance forces and the current are left out. Speed and turn rate at a
-    command without a stable steady motion are NaN. A model that depends on the heading or the place, as by wind, has a
-    steady speed for one heading and place (``at``), and no steady turn rate: a turning boat keeps neither of them.
+    The commands are those of the fitted data, ahead and astern, of each side. Disturbance forces and the current are
+    left out. Speed and turn rate at a command without a stable steady motion are NaN. A model that depends on the
+    heading or the place, as by wind, has a steady speed for one heading and place (``at``), and no steady turn rate: a
+    turning boat keeps neither of them.
 
     Parameters
     ----------

@@ -24,8 +24,8 @@ from seatrial.ident.results import (
 
 POINTS = 600  # largest number of points of a curve
 SHORTEST = (
-    "≤: the shortest lag of a state of the model. A lag with a shorter time constant in the table of parameters, such as "
-    "T_n = 0, has this pole too, and less part in the motion; with zero it has none."
+    "≤: the shortest lag of a state of the model. A lag with a shorter time constant in the table of parameters, such "
+    "as T_n = 0, has this pole too, and less part in the motion; with zero it has none."
 )
 DOUBLING = np.log(2.0)  # time in which an unstable motion doubles, in time constants
 

@@ -195,7 +195,7 @@ def test_turns_use_the_range_of_each_side_ahead_and_astern(fitted: FittedModel) 
         for side, n in (("n_left", t.mean + t.command), ("n_right", t.mean - t.command)):
             assert ranges[side][0] - 1e-9 <= n.min()
             assert n.max() <= ranges[side][1] + 1e-9
-    steady = Steady(tuple([straight, *turns]))
+    steady = Steady((straight, *turns))
     largest = turns[2].value[0]
     assert -largest > max(np.nanmax(np.abs(t.value)) for t in turns[:2])
     assert f"The largest steady turn rate is {-np.degrees(largest):.3g} ± " in steady.answer
