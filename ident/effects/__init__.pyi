@@ -5,4 +5,5 @@ from .nonparametric import harmonics as harmonics
 from .nonparametric import input_response_effects as input_response_effects
 from .nonparametric import nonparametric_effect as nonparametric_effect
 from .nonparametric import shape as shape
+from .propulsion.lag_mismatch import SHORTEST_OWN_LAG as SHORTEST_OWN_LAG
 from .registry import catalogue as catalogue

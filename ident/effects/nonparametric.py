@@ -34,6 +34,7 @@ from seatrial.ident.models import TIME, residuals_of, sensor_errors_of, thrust_l
 from seatrial.ident.numerics import Array
 
 N_KNOTS, N_HARMONICS = 9, 3
+ZERO_KNOT = 1e-9  # of the span: a knot that is nearer to zero is zero
 ROUNDING = 0.25  # half width of a rounded corner, relative to the spacing of the knots
 TIME_CONSTANTS = (0.25, 1.0, 4.0)  # s, time constants of the first-order lags
 FREQUENCIES_HZ = (0.2, 0.32, 0.5, 0.8, 1.2)  # natural frequencies to try for a resonant response
@@ -178,10 +179,12 @@ def residual_and_variables(model: Model, curve: ForceCurve) -> tuple[Disturbance
     return residuals[curve.force], [variables[name] for name in of]
 
 
-def _term_meanings(of: Sequence[Variable]) -> list[str]:
-    """Return the meaning of each coefficient of a curve for reports, for example "at knot 3 of u" or "with sin 2psi".
+def _term_meanings(of: Sequence[Variable], span: tuple[float, float]) -> list[str]:
+    """Return the meaning of each coefficient of a curve for reports, for example "at u = 0.6 m/s" or "with sin 2psi".
 
-    Knots count from 0. ``of`` contains one variable, or the two variables of a product ("with u |r|").
+    A coefficient of a spline is the value of the curve at a knot, whose place is given; angular rates are in degrees,
+    as in the figure of the curve. ``of`` contains one variable, or the two variables of a product ("with u |r|").
+    ``span`` has the first and the last knot, in the unit of the variable.
     """
     a = of[0].name
     if len(of) == 2:
@@ -189,7 +192,11 @@ def _term_meanings(of: Sequence[Variable]) -> list[str]:
         return [f"with {a} {b}", f"with |{a}| {b}", f"with {a} |{b}|"]
     if of[0].angle:
         return [f"with {f} {k if k > 1 else ''}{a}" for k in range(1, N_HARMONICS + 1) for f in ("sin", "cos")]
-    return [f"at knot {k} of {a}" for k in range(N_KNOTS)]
+    angular = of[0].unit.startswith("rad")
+    unit = of[0].unit.replace("rad", "deg", 1) if angular else of[0].unit
+    knots = np.linspace(*span, N_KNOTS)
+    knots[np.abs(knots) < ZERO_KNOT * np.ptp(knots)] = 0.0
+    return [f"at {a} = {z:.3g} {unit}".rstrip() for z in (np.degrees(knots) if angular else knots)]
 
 
 def nonparametric_effect(model: Model, curve: ForceCurve, span: tuple[float, float]) -> Effect:
@@ -214,7 +221,7 @@ def nonparametric_effect(model: Model, curve: ForceCurve, span: tuple[float, flo
     """
     residual, of = residual_and_variables(model, curve)
     force, variable = curve.force, curve.variables
-    terms_of = _term_meanings(of)
+    terms_of = _term_meanings(of, span)
     unit = unit_over(residual.unit, *(v.unit for v in of)) if len(of) == 2 else residual.unit
     names = [f"{force}_{curve.variable}{curve.second}_{k}" for k in range(len(terms_of))]
 

@@ -74,7 +74,9 @@ from .parameter_covariance import prediction_variance as prediction_variance
 from .parameter_covariance import principal_axes as principal_axes
 from .parameter_covariance import principal_directions as principal_directions
 from .parameter_covariance import uncertainty_of as uncertainty_of
+from .prior_knowledge import BEYOND_PRIOR as BEYOND_PRIOR
 from .prior_knowledge import apply_rig_geometry as apply_rig_geometry
+from .prior_knowledge import exceeded_prior as exceeded_prior
 from .prior_knowledge import fix_parameters as fix_parameters
 from .prior_knowledge import parameters_of_effects as parameters_of_effects
 from .prior_knowledge import set_initial_values as set_initial_values

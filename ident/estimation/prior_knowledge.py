@@ -25,6 +25,11 @@ from seatrial.ident.models import (
 GNSS = {"x", "y", "vx", "vy"}
 ARMS = ("y_left", "y_right", "y_arm")  # positions of the thrusters to starboard
 LONGEST_ARM_M = 5.0  # m, of a boat of a lab; a larger number is probably in centimetres
+LEAST_EXCESS = 1.01  # standard error over that of the prior, from which it counts as larger
+BEYOND_PRIOR = (
+    "it also contains what the model does not explain: correlated residuals, sensor errors, effects that may be "
+    "missing, and a difference of the thrusts of both sides"
+)
 SHORTEST_SPAN_M = 0.01  # between the thrusters; with less, no thrust difference turns the boat
 
 
@@ -403,3 +408,26 @@ def set_initial_values(model: Model, initial: Mapping[str, float]) -> Model:
         except ValueError as problem:
             raise SeatrialError(f"--initial {name}={value:g}: {problem}") from problem
     return model
+
+
+def exceeded_prior(p: Parameter, value: float, error: float) -> float | None:
+    """Return the standard deviation of a prior that was given for this boat, if the standard error is larger than it.
+
+    An excess of less than one per cent does not count. `BEYOND_PRIOR` says what such an error contains.
+
+    Parameters
+    ----------
+    p
+        The parameter.
+    value, error
+        Its estimate and the standard error, in the unit of the parameter; the error may be NaN.
+
+    Returns
+    -------
+    float or None
+        Standard deviation in the unit of the parameter. None if the error is not larger, and without such a prior.
+    """
+    if not p.free or p.provenance is ParameterOrigin.ESTIMATED or (prior := p.free_prior()) is None:
+        return None
+    of_prior = prior[1] * p.slope(value)
+    return of_prior if error > LEAST_EXCESS * of_prior else None

@@ -10,6 +10,7 @@ from .formats import file_name as file_name
 from .linearisation import Bode as Bode
 from .linearisation import Inputs as Inputs
 from .linearisation import LinearModel as LinearModel
+from .linearisation import is_shortest_lag as is_shortest_lag
 from .linearisation import linearise as linearise
 from .linearisation import pole_text as pole_text
 from .linearisation import side_inputs as side_inputs

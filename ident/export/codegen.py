@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 import re
+import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -25,7 +26,14 @@ from scipy.linalg import solve_continuous_lyapunov
 
 from seatrial.ident.data import TIME_INPUT, WORK_INPUT, WORK_UNIT
 from seatrial.ident.engine import VectorisedModel
-from seatrial.ident.estimation import ReportedUnits, SavedModel, reported_units, unconverged_sentence
+from seatrial.ident.estimation import (
+    BEYOND_PRIOR,
+    ReportedUnits,
+    SavedModel,
+    exceeded_prior,
+    reported_units,
+    unconverged_sentence,
+)
 from seatrial.ident.export.conditions import late_values
 from seatrial.ident.export.history import TIME, WORK, History, history_of
 from seatrial.ident.model import Input, Model, Parameter, ParameterRole, Signals, State
@@ -526,8 +534,8 @@ def _input_meaning(signal: Input) -> str:
 def _remark_lines(content: Content) -> list[str]:
     """Return the last lines of a header: the remarks of the content, removed states, parameters to be set.
 
-    After ``content.remarks`` follow lines about removed states, their noise, and per-record parameters. The list is
-    empty for a content without any of these.
+    After ``content.remarks`` follow lines about removed states, their noise, standard errors larger than those of the
+    priors, and per-record parameters. The list is empty for a content without any of these.
     """
     lines = list(content.remarks)
     if content.removed_states:
@@ -547,6 +555,7 @@ def _remark_lines(content: Content) -> list[str]:
             f"The output noise includes their variance. It is correlated over these times: {lasting}.",
             "A filter that assumes white noise should use samples that far apart, or keep the states.",
         ]
+    lines += _wider_lines(content)
     per_record = [n for n, p in zip(content.parameters, content.exported_parameters, strict=True) if p.per_record]
     if per_record:
         lines += [
@@ -555,6 +564,22 @@ def _remark_lines(content: Content) -> list[str]:
             "are the means over the fitted runs.",
         ]
     return lines
+
+
+def _wider_lines(content: Content) -> list[str]:
+    """Return header lines on the parameters whose standard error is larger than that of their prior; often empty.
+
+    Parameters whose scale is not known are left out: they are exported without a standard error.
+    """
+    found = []
+    for i, (name, p) in enumerate(zip(content.parameters, content.exported_parameters, strict=True)):
+        of_prior = exceeded_prior(p, p.value, content.errors[i])
+        if of_prior is not None and content.parameter_unit(i) != RELATIVE:
+            found.append(f"{name} ({content.errors[i]:.3g} > {of_prior:.3g})")
+    if not found:
+        return []
+    text = f"Standard error larger than that of the prior: {', '.join(found)}, because {BEYOND_PRIOR}."
+    return ["", *textwrap.wrap(text, HEADER_WIDTH)]
 
 
 def _unit_text(unit: str) -> str:
@@ -583,6 +608,7 @@ def comment(content: Content, i: int) -> str:
 
 RELATIVE = "relative"  # in place of the unit of a number that is right only as a ratio to thrust or arms
 AXES = "Axes: x north, y east; u forward, v to starboard; psi and r clockwise seen from above (not those of REP-103)."
+HEADER_WIDTH = 100  # columns of a sentence in the header
 SHORTEST_GROUP = 3  # smallest number of delayed copies of a signal that have a common line in the header
 ATOM, UNARY, PRODUCT, SUM = 100, 30, 20, 10  # precedence of an expression: a higher number binds more tightly
 MAX_INLINE = 50  # characters; a longer expression becomes a variable of its own

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.daq.errors import NamedValues, SeatrialError, closest_name
+from seatrial.ident.effects import SHORTEST_OWN_LAG
 from seatrial.ident.estimation import PARAMETER_STEP, ParameterCovariance, principal_directions
 from seatrial.ident.export.codegen import without_nuisance
 from seatrial.ident.export.conditions import (
@@ -24,6 +25,7 @@ from seatrial.ident.export.conditions import (
 from seatrial.ident.export.rates import Rates
 from seatrial.ident.export.state_feedback import HEADING, StateFeedback, lqr
 from seatrial.ident.model import COMMAND, SHAFT_SPEED, THRUSTER_FORCE, Model, is_of_thruster
+from seatrial.ident.models import SHORTEST_LAG
 from seatrial.ident.numerics import Array, is_undetermined
 
 SOLVED = 1e-10  # the same, below which no other start of the search is tried
@@ -42,6 +44,8 @@ STATE_WORDS = {"u": "surge speed", "v": "sway speed", "r": "yaw rate"}
 LARGE_PART = 0.2  # participation of a state in a motion, as a part of the largest one, from which it is named
 MAIN_PART = 0.5  # the same, from which a pole is named after it
 Z95 = 1.96  # half the width of a 95 % interval in standard errors
+SHORTEST_LAGS = (SHORTEST_LAG, SHORTEST_OWN_LAG)  # shortest time constants of the states of lags [s]
+SAME_LAG = 1e-9  # relative difference of a time constant from one of these by rounding
 STATIC = 1e-6  # poles below this part of the largest one are integrators, which have no corner frequency
 
 Complex = NDArray[np.complex128]
@@ -603,6 +607,15 @@ def side_inputs(names: Sequence[str]) -> list[str]:
     return sides if {n.rpartition("_")[2] for n in sides} == {"left", "right"} else []
 
 
+def is_shortest_lag(constant: float) -> bool:
+    """Return whether a time constant [s] is the shortest one that a lag of the models has.
+
+    A parameter below it, such as T_n = 0, has this pole too: the output of the lag then follows its input more directly
+    (`seatrial.ident.models.horizontal.first_order`), and at zero the state of the lag has no part in the motion.
+    """
+    return any(abs(constant - shortest) < SAME_LAG * shortest for shortest in SHORTEST_LAGS)
+
+
 def pole_text(pole: complex) -> str:
     """Return a pole as text with four digits: the real part, and the imaginary part with its sign if it is not zero."""
     return f"{pole.real:.4g}" + (f" {pole.imag:+.4g}j" if pole.imag else "")
@@ -612,10 +625,13 @@ def time_text(constant: float, error: float) -> str:
     """Return a time constant [s] as text, such as ``time constant 2.1 s``.
 
     For an unstable pole, the text is the time in which the motion grows by a factor of e. The text says that the
-    constant is not determined if its standard error ``error`` [s] is too large.
+    constant is not determined if its standard error ``error`` [s] is too large, and that the lag may be shorter if it
+    is the shortest one of the model.
     """
     if is_undetermined(constant, error):
         return "time constant not determined"
+    if is_shortest_lag(constant):
+        return f"time constant at most {constant:.4g} s (the shortest lag of the model)"
     return f"grows by a factor of e in {-constant:.4g} s" if constant < 0.0 else f"time constant {constant:.4g} s"
 
 

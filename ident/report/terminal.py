@@ -22,6 +22,7 @@ from seatrial.ident.report.sections.comparison import (
     interval_sentence,
     interval_words,
     kind_title,
+    masses_sentence,
     ratio_words,
     signed,
     verdict_words,
@@ -30,6 +31,7 @@ from seatrial.ident.report.sections.parameters import interval, segment_in_words
 from seatrial.ident.report.sections.predictions import by_role, error_words, horizons
 from seatrial.ident.results import (
     NOT_WEIGHED,
+    SIMULATION_COVERS,
     CampaignErrors,
     CampaignsResult,
     ComparedChannel,
@@ -92,10 +94,10 @@ def tables_of(result: Result) -> list[Table]:
         return campaign_tables(result)
     if isinstance(result, ComparisonResult):
         if result.is_evaluation:
-            return [*evaluated_tables(result), intervals_table(result)]
+            return [*evaluated_tables(result), *masses_tables(result), intervals_table(result)]
         differences = [table for table in (differences_table(result),) if table is not None]
         errors = [*compared_tables(result), intervals_table(result)]
-        return [models_table(result), *differences, *errors, likelihood_table(result)]
+        return [models_table(result), *masses_tables(result), *differences, *errors, likelihood_table(result)]
     return []
 
 
@@ -318,6 +320,19 @@ def models_table(result: ComparisonResult) -> Table:
     return table
 
 
+def masses_tables(result: ComparisonResult) -> list[Table]:
+    """Return the table of the masses of each model with their standard errors; empty if no model has any."""
+    table = titled_table("Masses")
+    table.show_header = False
+    table.padding = (0, 1, 0, 0)
+    table.add_column("", no_wrap=True, style="bold")
+    table.add_column("", overflow="fold")
+    for m in result.models:
+        if words := masses_sentence(m, result.weighed_mass):
+            table.add_row(Text("" if result.is_evaluation else f"({m.label})"), Text(words))
+    return [table] if table.row_count else []
+
+
 def differences_table(result: ComparisonResult) -> Table | None:
     """Return the table of the differences of each model from the first one; None without a known difference.
 
@@ -491,7 +506,8 @@ def _growth_text(factor: float) -> str:
 def print_result(result: Result, console: Console) -> None:
     """Print the warnings, the answer, the caveat of a diagnosis and the tables of a result to the console.
 
-    The notes of a run over many logs follow its tables, and so do the names of the common errors in a vehicle model.
+    The notes of a run over many logs follow its tables, and so do the names of the common errors in a vehicle model,
+    and notes on what no table shows: no weighed mass, and simulations of short records.
     The prediction errors of a diagnosis, its last table, are followed by the sentences on how they are computed, and by
     the reason why no experiment is recommended, if there is none. The report has a recommended experiment.
 
@@ -532,8 +548,9 @@ def print_result(result: Result, console: Console) -> None:
             "(--no-score-tests, in Python score_tests=False, leaves them out)."
         )
         print_prose(console, Text(text, style="dim"))
-    if isinstance(result, VehicleResult) and NOT_WEIGHED in result.notes:
-        print_prose(console, Text(NOT_WEIGHED, style="dim"))
+    for note in result.notes:
+        if note == NOT_WEIGHED or note.startswith(SIMULATION_COVERS):
+            print_prose(console, Text(note, style="dim"))
     for note in result.notes if isinstance(result, FleetResult | CampaignsResult) else ():
         console.print()
         print_prose(console, Text(note, style="dim"))

@@ -1,4 +1,5 @@
 from .answers import NOT_WEIGHED as NOT_WEIGHED
+from .answers import SIMULATION_COVERS as SIMULATION_COVERS
 from .answers import check_warnings as check_warnings
 from .answers import course_sentence as course_sentence
 from .answers import curve_notes as curve_notes
@@ -7,9 +8,11 @@ from .answers import design_warnings as design_warnings
 from .answers import estimation_warnings as estimation_warnings
 from .answers import faults_first as faults_first
 from .answers import frame_warnings as frame_warnings
+from .answers import implausible_mass as implausible_mass
 from .answers import moving_boat_warnings as moving_boat_warnings
 from .answers import plus_minus as plus_minus
 from .answers import scale_warnings as scale_warnings
+from .answers import warm_up_notes as warm_up_notes
 from .campaigns import Campaign as Campaign
 from .campaigns import CampaignErrors as CampaignErrors
 from .campaigns import CampaignLog as CampaignLog
@@ -64,6 +67,7 @@ from .commands import vehicle_result as vehicle_result
 from .comparison import ComparedChannel as ComparedChannel
 from .comparison import ComparedError as ComparedError
 from .comparison import ComparedKind as ComparedKind
+from .comparison import ComparedMass as ComparedMass
 from .comparison import ComparedModel as ComparedModel
 from .comparison import ComparedPrediction as ComparedPrediction
 from .comparison import ComparedRatio as ComparedRatio

@@ -7,7 +7,7 @@ prior that the data contradict, a stuck sensor, an unknown scale of forces.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
 from types import MappingProxyType
 from typing import NamedTuple
@@ -51,7 +51,7 @@ from seatrial.ident.results.parts import (
     ResultWarning,
 )
 from seatrial.ident.results.tables import format_number
-from seatrial.ident.validation import FEWEST, OUTLIER_SDS, ChannelResiduals
+from seatrial.ident.validation import FEWEST, OUTLIER_SDS, WARM_UP, ChannelResiduals, PredictionEvaluation
 
 NAMES = {
     "x": "north",
@@ -91,6 +91,8 @@ NOT_WEIGHED = (
     "The mass in surge, m_u, was not compared with a weighed mass, because none was given: give --mass, or mass in "
     "[geometry] of the import map. With it, a wrong thrust is found."
 )
+SHORT_FOR_SIMULATION = 4.0  # warm-ups: of a shorter record, the errors of a simulation leave out a large part
+SIMULATION_COVERS = f"The errors of the simulation leave out the {WARM_UP:g} s of filtering before it: they cover"
 LIFT = "Y_uv"  # parameter of the hull lift: damping of sway per forward speed
 LEAST_PULL = 0.03  # difference of the inputs of both sides on a straight course, relative to their mean, to report
 SAME_WEATHER = timedelta(hours=3)  # between the starts of logs, up to which one value of the wind is plausible
@@ -434,7 +436,19 @@ def mass_warnings(fit: Fit, weighed: float | None) -> list[ResultWarning]:
     """
     if weighed is None or not _has_mass_to_weigh(fit):
         return []
-    mass, error = fit.estimate("m_u")
+    return implausible_mass(*fit.estimate("m_u"), weighed)
+
+
+def implausible_mass(mass: float, error: float, weighed: float) -> list[ResultWarning]:
+    """Return a warning if a mass in surge contradicts the weighed mass, as `mass_warnings`; else an empty list.
+
+    Parameters
+    ----------
+    mass, error
+        Estimate [kg], and its standard error [kg]; NaN: unknown.
+    weighed
+        Weighed mass of the boat [kg].
+    """
     least = mass - 2.0 * error if np.isfinite(error) else -np.inf
     found = f"The estimated mass in surge, m_u, is {plus_minus(mass, error)} kg, and the boat weighs {weighed:g} kg"
     cause = (
@@ -645,25 +659,27 @@ def outlier_lines(residuals: Sequence[ChannelResiduals], model: Model) -> list[s
 def faults_first(made: Provenance) -> str:
     """Return the beginning of the answer of a fit to logs with faults (`--despite-faults`), which lists the faults.
 
-    It ends with a space. It is empty if no log has a fault that makes a fit meaningless.
+    They are listed by log, device and code; `check_warnings` has their texts. The beginning ends with a space. It is
+    empty if no log has a fault that makes a fit meaningless.
 
     Parameters
     ----------
     made
         Provenance of the result, with the findings of the checks of each log.
     """
-    faults = [f"{log.path}: {f.where}: {f.text}" for log in made.logs for f in log.findings if f.spoils]
+    faults = [f"{log.path}: {f.where} [{f.code}]" for log in made.logs for f in log.findings if f.spoils]
     return (
-        f"The logs have faults that can make this result meaningless ({'; '.join(faults)}). Correct them and fit "
-        "again. "
+        f"The logs have faults that can make this result meaningless ({'; '.join(faults)}; the warnings have their "
+        "texts). Correct them and fit again. "
     ) * bool(faults)
 
 
 def check_warnings(made: Provenance, besides: Collection[str] = ()) -> list[ResultWarning]:
     """Return one warning for each different finding of the checks of the logs before a fit.
 
-    Findings are different if their device, text, code or advice differs. A warning names up to four of the logs that
-    have the finding, and the number of the others. The warnings have the order in which the findings first occur.
+    Findings are different if their text, code or advice differs. A warning names the devices or signals with the
+    finding, and up to four of the logs in which they have it, with the number of the others. The warnings have the
+    order in which the findings first occur.
 
     Parameters
     ----------
@@ -672,11 +688,23 @@ def check_warnings(made: Provenance, besides: Collection[str] = ()) -> list[Resu
     besides
         Codes of findings that are left out.
     """
-    logs: dict[str, list[str]] = {}
+    devices: dict[str, dict[str, list[str]]] = {}  # by text and log
     for log in made.logs:
         for f in (f for f in log.findings if f.code not in besides):
-            logs.setdefault(f"{f.where}: {f.text} [{f.code}]{': ' * bool(f.advice)}{f.advice}.", []).append(log.path)
-    return [ResultWarning(code="log-check", text=f"{_first_names(paths)}: {text}") for text, paths in logs.items()]
+            text = f"{f.text} [{f.code}]{': ' * bool(f.advice)}{f.advice}."
+            devices.setdefault(text, {}).setdefault(log.path, []).append(f.where)
+    return [ResultWarning(code="log-check", text=f"{_places(by_log)}: {text}") for text, by_log in devices.items()]
+
+
+def _places(devices: Mapping[str, Sequence[str]]) -> str:
+    """Return the logs and the devices of a finding as text, such as ``run1, run2: psi, r; run3: r``.
+
+    ``devices`` are its devices by log. Logs with the same devices are listed together.
+    """
+    logs: dict[str, list[str]] = {}
+    for log, names in devices.items():
+        logs.setdefault(", ".join(dict.fromkeys(names)), []).append(log)
+    return "; ".join(f"{_first_names(paths)}: {names}" for names, paths in logs.items())
 
 
 def late_sensor_warnings(made: Provenance, model: Model) -> list[ResultWarning]:
@@ -820,6 +848,35 @@ def short_data_warnings(fitted: FittedModel, horizon: float) -> list[ResultWarni
         )
         found.append(ResultWarning(code="short-data", text=text))
     return found
+
+
+def warm_up_notes(durations: Iterable[tuple[str, float]]) -> list[str]:
+    """Return a note on the seconds that the errors of a simulation cover, if records are shorter than four warm-ups.
+
+    The warm-up is the time in which the filter sees the measurements. The errors leave it out, and thus a large part of
+    a short record. The list is empty if no record is that short.
+
+    Parameters
+    ----------
+    durations
+        Name and duration [s] of each simulated record, or of each block in time of one. Of equal names the shortest
+        counts.
+    """
+    short: dict[str, float] = {}
+    for name, duration in durations:
+        if round(duration) < SHORT_FOR_SIMULATION * WARM_UP:  # the rows of a minute end a sample before it
+            short[name] = min(duration, short.get(name, duration))
+    if not short:
+        return []
+    covered = first_names([f"{max(d - WARM_UP, 0.0):.0f} of {d:.0f} s of {name}" for name, d in short.items()])
+    return [f"{SIMULATION_COVERS} {covered}. What the boat does before is not in them."]
+
+
+def simulated_durations(evaluation: PredictionEvaluation) -> Iterator[tuple[str, float]]:
+    """Yield name and duration [s] of each record, or block in time of one, that an evaluation simulates."""
+    for evaluated in evaluation.sets.values():
+        for predicted in evaluated.records:
+            yield predicted.record.name, predicted.record.duration
 
 
 def cut_records(records: Sequence[Record]) -> list[ResultWarning]:

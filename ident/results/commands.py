@@ -35,11 +35,13 @@ from seatrial.ident.results.answers import (
     not_converged,
     outlier_lines,
     short_data_warnings,
+    simulated_durations,
     smallest_command,
     straight_sentence,
     thruster_answer,
     thruster_warnings,
     vehicle_answer,
+    warm_up_notes,
     wind_sentence,
 )
 from seatrial.ident.results.parts import (
@@ -304,11 +306,16 @@ def thruster_result(
 def _notes(first: Sequence[str], evaluation: PredictionEvaluation, calibration: Calibrations) -> tuple[str, ...]:
     """Return the notes of the result of a vehicle or thruster fit.
 
-    The order is: ``first`` (given sentences), channels with outliers, and prediction intervals that are too narrow or
-    too wide.
+    The order is: ``first`` (given sentences), channels with outliers, prediction intervals that are too narrow or too
+    wide, and short simulations.
     """
     outliers = outlier_lines(evaluation.estimation_residuals, evaluation.model)
-    return (*first, *outliers, *calibration_notes(calibration, evaluation.horizon))
+    return (
+        *first,
+        *outliers,
+        *calibration_notes(calibration, evaluation.horizon),
+        *warm_up_notes(simulated_durations(evaluation)),
+    )
 
 
 class LogSpan(Part, frozen=True, kw_only=True):

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, get_args
 
+import numpy as np
 from msgspec import Meta
+from numpy.typing import NDArray
 
 from seatrial.ident.numerics import Array
 from seatrial.ident.results.parts import Part, Result, Verdict, same_length
@@ -176,6 +178,15 @@ class ModelDifference(Part, frozen=True, kw_only=True):
     in_reference: Annotated[tuple[str, ...], Meta(description="texts of the first model that this one lacks")] = ()
 
 
+class ComparedMass(Part, frozen=True, kw_only=True):
+    """Mass in surge or sway, or yaw inertia, of a compared model, with the added mass of the water."""
+
+    name: Annotated[str, Meta(description="`m_u`, `m_v` or `m_r`; a ratio to the unknown thrust is `m_u/T`")]
+    value: Annotated[float, Meta(description="value of the model")]
+    se: Annotated[float | None, Meta(description="standard error; null: fixed, or unknown")] = None
+    unit: Annotated[str, Meta(description="unit of both, SI")]
+
+
 class ComparedModel(Part, frozen=True, kw_only=True):
     """One model of a comparison. The first one, with the label `a`, is the reference."""
 
@@ -212,6 +223,9 @@ class ComparedModel(Part, frozen=True, kw_only=True):
     widened_simulation: Annotated[
         bool, Meta(description="whether those of its simulation are widened by its validation data")
     ] = False
+    masses: Annotated[
+        tuple[ComparedMass, ...], Meta(description="its masses; empty: none, or a result of an earlier version")
+    ] = ()
     differences: Annotated[
         tuple[ModelDifference, ...] | None,
         Meta(
@@ -253,6 +267,21 @@ class ComparedPrediction(Part, frozen=True, kw_only=True):
             "data if the model says so (`widened_horizons`, `widened_simulation`)"
         ),
     ]
+    filtered: Annotated[
+        tuple[tuple[float, float], ...],
+        Meta(
+            description="intervals of time [s] in which a simulation is filtered, so that `predicted` has seen the "
+            "samples; the errors leave them out. Empty: a horizon, or a result of an earlier version"
+        ),
+    ] = ()
+
+    @property
+    def unseen(self) -> NDArray[np.bool_]:
+        """Whether each value (n,) is a prediction without the samples of its time: those in `filtered` are not."""
+        seen = np.zeros(self.t.size, dtype=bool)
+        for begin, end in self.filtered:
+            seen |= (self.t >= begin) & (self.t <= end)
+        return ~seen
 
     def __post_init__(self) -> None:
         """Raise ValueError if the arrays differ in length."""
@@ -285,6 +314,10 @@ class ComparisonResult(Result, frozen=True, kw_only=True, tag_field="kind", tag=
 
     horizons: Annotated[tuple[float, ...], Meta(description="prediction horizons [s]; the first one is in `answer`")]
     models: Annotated[tuple[ComparedModel, ...], Meta(description="the models; the first one is the reference")]
+    weighed_mass: Annotated[
+        float | None,
+        Meta(description="weighed mass of the boat [kg] by the rig or import map of the first log; null: unknown"),
+    ] = None
     channels: Annotated[
         tuple[ComparedChannel, ...], Meta(description="errors by kind of prediction and channel, of all models")
     ]

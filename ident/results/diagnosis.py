@@ -44,7 +44,9 @@ from seatrial.ident.results.answers import (
     outlier_lines,
     poor_channel,
     short_data_warnings,
+    simulated_durations,
     straight_sentence,
+    warm_up_notes,
     wind_sentence,
 )
 from seatrial.ident.results.parts import DiagnosisResult, Provenance
@@ -160,6 +162,7 @@ def diagnosis_result(
             *_blocks_note(evaluation),
             *outlier_lines(after.estimation_residuals, after.model),
             *calibration_notes(calibration, after.horizon),
+            *warm_up_notes(simulated_durations(after)),
         ),
         fit=fit_summary(diagnosis.after.fit, diagnosis.before.model.values),
         failed_runs=diagnosis.failed_runs,

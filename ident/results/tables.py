@@ -17,15 +17,17 @@ from seatrial.ident.data import LoadedLog, Record, given_inputs
 from seatrial.ident.diagnosis import CommonErrorsFit, ModelUncertainty
 from seatrial.ident.estimation import (
     AT_BOUND,
+    BEYOND_PRIOR,
     Fit,
     FittedModel,
     HomogeneityTest,
     Profile,
     ReportedEstimates,
     Role,
+    exceeded_prior,
     run_differences,
 )
-from seatrial.ident.model import Effect, EffectKind, Model, ModelKind, Parameter, ParameterOrigin, segment_name
+from seatrial.ident.model import Effect, EffectKind, Model, ModelKind, Parameter, segment_name
 from seatrial.ident.models import ESTIMATOR_ERROR, SENSORS_WITH_CORRELATED_ERRORS, force_power
 from seatrial.ident.results.parts import (
     CalibrationRow,
@@ -224,22 +226,15 @@ def _has_lasting_error(model: Model, noise: str) -> bool:
 def _wider_than_prior(p: Parameter, estimate: tuple[float, float], reported: ReportedEstimates) -> str:
     """Return a sentence if the standard error of a parameter exceeds that of the prior that was given for this boat.
 
-    The text is empty for a parameter without such a prior, and without a standard error. An excess of less than one per
-    cent does not count. ``estimate`` is the value and its standard error in the unit of the parameter.
+    The text is empty for a parameter without such a prior, and without a standard error. ``estimate`` is the value and
+    its standard error in the unit of the parameter.
     """
-    value, error = estimate
-    if not p.free or p.provenance is ParameterOrigin.ESTIMATED or (prior := p.free_prior()) is None:
-        return ""
-    of_prior = prior[1] * p.slope(value)
-    if not error > LEAST_EXCESS * of_prior:
+    error = estimate[1]
+    if (of_prior := exceeded_prior(p, *estimate)) is None:
         return ""
     factor, unit = reported.factor(p.unit), reported.scale.unit(p.unit)
     shown = " ".join(filter(None, [f"{factor * error:.3g} > {factor * of_prior:.3g}", unit]))
-    return (
-        f"the standard error is larger than that of the prior ({shown}), because it also contains what the model does "
-        "not explain: correlated residuals, sensor errors, effects that may be missing, and a difference of the "
-        "thrusts of both sides"
-    )
+    return f"the standard error is larger than that of the prior ({shown}), because {BEYOND_PRIOR}"
 
 
 def error_tables(
@@ -796,7 +791,6 @@ def common_errors_notes(found: CommonErrorsFit | None, beside: str) -> list[str]
 
 
 LEAST_GROWTH = 1.05  # smallest factor of a standard error that a note lists
-LEAST_EXCESS = 1.01  # standard error over that of the prior, from which it counts as larger
 LEAST_DIFFERENCE = 0.05  # smallest relative deviation of the thrust of each side for a warning
 
 

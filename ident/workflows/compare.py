@@ -42,6 +42,7 @@ from seatrial.ident.results import (
     ComparisonResult,
     ResultWarning,
     provenance,
+    warm_up_notes,
     write_result,
 )
 from seatrial.ident.validation import (
@@ -52,6 +53,7 @@ from seatrial.ident.validation import (
     prediction_change_by_record,
 )
 from seatrial.ident.workflows.check import check_first
+from seatrial.ident.workflows.compared_masses import mass_warnings_of, masses_of
 from seatrial.ident.workflows.compared_predictions import (
     ONE_STEP,
     SIMULATION,
@@ -387,6 +389,7 @@ def _result(
             widened_horizons=tuple(s for s in horizons if c.widens(s)),
             widened_simulation=c.widens(None),
             widened_by=() if c.saved.intervals is None else used_logs(c.saved, loaded, "validation"),
+            masses=masses_of(c.saved),
             differences=model_differences(compared[0].saved, c.saved) if models else None,
             changes=tuple(own),
         )
@@ -403,12 +406,13 @@ def _result(
                 criteria = information_criteria(compared[0].saved.model, c.saved.model, by, score.gain)
             row = msgspec.structs.replace(row, score=score, criteria=criteria, no_criteria=reason)
         models.append(row)
-    made = provenance(loaded, command)
+    made, weighed = provenance(loaded, command), loaded[0].hull().get("mass")
     verdicts = sum(e.against_reference is not None for row in channels for e in row.errors)
     chance = (
         f"Each verdict is at the level of 95 %: of {counted(verdicts, 'verdict')} on equal models, about "
         f"{CHANCE * verdicts:.1g} would be wrong by chance."
     )
+    short = warm_up_notes((name, float(part.t[-1] - part.t[0])) for by in predicted for name, part in by.items())
     result = ComparisonResult(
         created=made.created,
         seatrial=made.seatrial,
@@ -417,13 +421,15 @@ def _result(
         answer="",
         warnings=(
             *_unconverged_warnings(compared, models),
+            *_mass_warnings(compared, models, weighed),
             *_limited_warnings(predicted, letters),
             *_warnings(models),
             *_warnings_of_effects(compared, letters, by_record[0]),
         ),
-        notes=(*notes, *_notes_on_logs(models), *([chance] if verdicts else [])),
+        notes=(*notes, *_notes_on_logs(models), *short, *([chance] if verdicts else [])),
         horizons=horizons,
         models=tuple(models),
+        weighed_mass=weighed,
         channels=tuple(channels),
         traces=tuple(_traces(compared, records, by_record, letters)),
     )
@@ -436,6 +442,19 @@ def _unconverged_warnings(compared: Sequence[_Candidate], models: Sequence[Compa
         if not c.saved.converged:
             subject = f"the fit of {_subject(m, models)}" if len(models) > 1 else "the fit of the model"
             yield ResultWarning(code="model-not-converged", text=f"{unconverged_sentence(subject)}.")
+
+
+def _mass_warnings(
+    compared: Sequence[_Candidate], models: Sequence[ComparedModel], weighed: float | None
+) -> Iterator[ResultWarning]:
+    """Yield the warnings about the masses of each compared model, which begin with its label.
+
+    ``models`` are their rows, in this order, and ``weighed`` is the weighed mass [kg] of the compared logs.
+    """
+    for c, m in zip(compared, models, strict=True):
+        for warning in mass_warnings_of(c.saved, c.path, weighed):
+            label = f"({m.label}): " if len(models) > 1 else ""
+            yield msgspec.structs.replace(warning, text=label + warning.text)
 
 
 def _limited_warnings(
@@ -583,7 +602,13 @@ def _traces(
                 continue
             predictions = tuple(
                 ComparedPrediction(
-                    model=letter, kind=kind.kind, seconds=kind.seconds, t=curve.t, predicted=curve.y, sd=curve.sd
+                    model=letter,
+                    kind=kind.kind,
+                    seconds=kind.seconds,
+                    t=curve.t,
+                    predicted=curve.y,
+                    sd=curve.sd,
+                    filtered=_warm_ups(by[record.name]) if kind == SIMULATION else (),
                 )
                 for letter, by in zip(letters, predicted, strict=True)
                 for kind in by[record.name][0].curves
@@ -601,6 +626,11 @@ def _traces(
                 )
             )
     return found
+
+
+def _warm_ups(parts: Sequence[PredictedRecord]) -> tuple[tuple[float, float], ...]:
+    """Return the interval of time [s] of each block of a record in which the simulation is filtered."""
+    return tuple((float(part.t[0]), float(part.t[0]) + WARM_UP) for part in parts)
 
 
 def _joined(parts: Sequence[PredictedRecord], kind: Kind, channel: str) -> Curve | None:

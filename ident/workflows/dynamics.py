@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal
 
 import msgspec
@@ -36,6 +36,7 @@ from seatrial.ident.workflows.output import validity
 
 POINTS = 41  # of a steady curve
 MEANS = (0.0, 0.5)  # means of both sides in turns, as parts of the largest command
+LEAST_GAIN = 0.01  # of the largest difference of both sides: a further mean with a smaller gain is not worth a curve
 SPEEDS = (0.25, 0.5, 0.75, 1.0)  # speeds of the linear models, as parts of the largest steady speed
 SPEEDS_OF_DAMPING = 101  # speeds at which the damping of sway is computed
 COMMAND_STEP = 0.1  # size of the steps of the command, as a part of the largest command
@@ -198,7 +199,7 @@ def steady_curves(
     model: Model,
     ranges: Mapping[str, tuple[float, float]],
     known: ParameterCovariance,
-    means: Sequence[float] = MEANS,
+    means: Sequence[float] | None = None,
     points: int = POINTS,
     conditions: Mapping[str, float] | None = None,
 ) -> list[SteadyCurve]:
@@ -212,8 +213,9 @@ def steady_curves(
         Smallest and largest value of each input in the data, by name. The curves are limited to them.
     known : ParameterCovariance
         Covariance of the estimates.
-    means : sequence of float
-        Means of both sides in turns, as parts of the largest command.
+    means : sequence of float, optional
+        Means of both sides in turns, as parts of the largest command. None: zero, half of the largest command, and the
+        mean with the largest difference of both sides in the data, if it is another one.
     points : int
         Number of commands of each curve, which are evenly spaced. The curve of the speed has zero in addition.
     conditions : mapping, optional
@@ -236,7 +238,8 @@ def steady_curves(
         if "u" in states:
             curves.append(_straight(model, known, drives, points, held))
         if "r" in states and drives.two_sided and not turn_sentence(held):
-            curves += [_turn(model, known, drives, mean * drives.high, points, held) for mean in means]
+            chosen = drives.means() if means is None else [part * drives.high for part in means]
+            curves += [_turn(model, known, drives, mean, points, held) for mean in chosen]
     except (ArithmeticError, np.linalg.LinAlgError, TypeError, ValueError):
         return []
     return [c for c in curves if np.isfinite(c.value).sum() > 2]
@@ -252,6 +255,8 @@ class Drives:
         or if the range of one that drives it is unknown.
     low, high : float
         Common range of the driving inputs in the data; of shaft speeds and commands only the part from -1 to 1.
+    left, right : tuple of float
+        Range of the inputs of each side, likewise. Of a single input both are its range.
     two_sided : bool
         Whether there are inputs of a left and of a right side.
     driving : tuple of str
@@ -264,15 +269,40 @@ class Drives:
         sides = side_inputs(names)
         self.two_sided = bool(sides)
         chosen = sides or (names if len(names) == 1 else [])
-        known = [ranges[n] for n in chosen if n in ranges]
+        known = {n: ranges[n] for n in chosen if n in ranges}
         self.driving = tuple(chosen)
         self.names = names if chosen and len(known) == len(chosen) else []
-        self.low = max((a for a, _ in known), default=0.0)
-        self.high = min((b for _, b in known), default=0.0)
         if all(is_of_thruster(n, COMMAND, SHAFT_SPEED) for n in chosen):
             # A shaft can turn a little faster than full speed.
-            self.low, self.high = max(self.low, -1.0), min(self.high, 1.0)
+            known = {n: (max(a, -1.0), min(b, 1.0)) for n, (a, b) in known.items()}
+        self.low, self.high = _common(known.values())
+        self.left = _common(of for n, of in known.items() if not n.endswith("_right"))
+        self.right = _common(of for n, of in known.items() if not n.endswith("_left"))
         self._constant = {n: float(np.mean(ranges.get(n, (0.0, 0.0)))) for n in names if n not in chosen}
+
+    def reach(self, mean: float) -> tuple[float, float]:
+        """Return the smallest and the largest half difference, left less right, of both sides with this mean.
+
+        The range of each side is its own: the data may have thrust astern on one side only.
+        """
+        ends = max(self.left[0] - mean, mean - self.right[1]), min(self.left[1] - mean, mean - self.right[0])
+        return min(ends[0], 0.0), max(ends[1], 0.0)
+
+    def means(self) -> list[float]:
+        """Return the means of both sides for the curves of turns: zero, half of the largest command, and the widest.
+
+        The widest is the mean of one side at its largest and the other side at its smallest value, where both differ
+        most. It is left out if the other two means have as large a difference.
+        """
+        found = [part * self.high for part in MEANS]
+        widest = max((0.5 * (self.left[1] + self.right[0]), 0.5 * (self.left[0] + self.right[1])), key=self._largest)
+        gained = self._largest(widest) > (1.0 + LEAST_GAIN) * max(map(self._largest, found))
+        return [*found, widest] if gained else found
+
+    def _largest(self, mean: float) -> float:
+        """Return the largest half difference of both sides with this mean, in either direction."""
+        low, high = self.reach(mean)
+        return max(-low, high)
 
     def inputs(self, left: Array, right: Array) -> Array:
         """Return the inputs (n_rows, m) of the model for the commands of both sides (n_rows,)."""
@@ -281,6 +311,12 @@ class Drives:
             for n in self.names
         ]
         return np.stack(columns, axis=1)
+
+
+def _common(ranges: Iterable[tuple[float, float]]) -> tuple[float, float]:
+    """Return the range that all ranges contain, as (low, high); zeros without any."""
+    found = list(ranges)
+    return max((a for a, _ in found), default=0.0), min((b for _, b in found), default=0.0)
 
 
 def _straight(
@@ -302,8 +338,8 @@ def _turn(
     model: Model, known: ParameterCovariance, drives: Drives, mean: float, points: int, conditions: Mapping[str, float]
 ) -> SteadyCurve:
     """Return the steady yaw rate over half the difference of both sides, whose mean is ``mean``."""
-    reach = min(drives.high - mean, mean - drives.low)
-    command = np.linspace(-reach, reach, points)
+    low, high = drives.reach(mean)
+    command = np.linspace(low, high, points)
     u = drives.inputs(mean + command, mean - command)
     value, sd = steady_motion(model, u, known.names, known.covariance, conditions=conditions).of("r")
     return SteadyCurve(

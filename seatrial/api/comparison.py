@@ -70,6 +70,18 @@ class Comparison(Shown):
         """
         return next(m.name for m in self.result.models if m.label == self.result.best)
 
+    @property
+    def masses(self) -> dict[str, dict[str, tuple[float, float]]]:
+        """Masses ``m_u``, ``m_v`` and yaw inertia ``m_r`` of each model by its name, as (value, standard error).
+
+        They are in SI units; ratios to an unknown thrust have names such as ``m_u/T``. The standard error is NaN if the
+        mass is fixed. A model without masses has an empty dict. `result.weighed_mass` is the weighed mass [kg] by the
+        rig or import map of the first log, or None.
+        """
+        return {
+            m.name: {x.name: (x.value, np.nan if x.se is None else x.se) for x in m.masses} for m in self.result.models
+        }
+
     def summary(self) -> str:
         """Return the comparison as text, as the command prints it: answer, errors by channel, and likelihoods."""
         return text_of(self.result)
@@ -107,7 +119,8 @@ class Comparison(Shown):
         """Return the predictions of all models over each horizon and in simulation, with the measured samples.
 
         They are those of `plot`. There are none one step ahead. A simulation filters the first 15 s of a record, or of
-        each block if the logs are cut into blocks; its values there are no predictions.
+        each block if the logs are cut into blocks. Its samples of that time are left out, as the filter has seen them,
+        so that `Prediction.rms` is the error of the tables where all models predict the same samples.
 
         Returns
         -------
@@ -124,11 +137,13 @@ class Comparison(Shown):
         found = ComparedPredictions()
         for x in self.result.traces:
             for p in x.predictions:
-                measured = np.interp(p.t, x.t, x.measured, left=np.nan, right=np.nan)
+                t, predicted, sd = p.t[p.unseen], p.predicted[p.unseen], p.sd[p.unseen]
+                measured = np.interp(t, x.t, x.measured, left=np.nan, right=np.nan)
                 horizon: float | Literal["simulation"] = "simulation" if p.seconds is None else p.seconds
                 by_record = found.setdefault(names[p.model], {}).setdefault(horizon, ByRecord[Prediction]())
-                predicted = measured - wrap(measured - p.predicted, True) if x.angle else p.predicted
-                samples = Prediction(p.t, measured, predicted, p.sd, x.unit)
+                if x.angle:
+                    predicted = measured - wrap(measured - predicted, True)
+                samples = Prediction(t, measured, predicted, sd, x.unit)
                 if x.record not in by_record:
                     by_record[x.record] = {}
                 by_record[x.record][x.channel] = samples
@@ -170,7 +185,10 @@ class Comparison(Shown):
         return write_comparison(self.result, output_folder(folder))
 
     def _content(self) -> Content:
-        """Return the answer, and the RMS errors over the first horizon: a row for each channel, a column per model."""
+        """Return the answer, the warnings, and the RMS errors over the first horizon.
+
+        The errors have a row for each channel and a column for each model.
+        """
         labels, horizon = [m.label for m in self.result.models], self.result.horizons[0]
         rows = []
         for row in self.result.channels:
@@ -178,7 +196,9 @@ class Comparison(Shown):
                 rms = {e.model: e.rms for e in row.errors}
                 rows.append((row.channel, *(number(rms.get(label), 3) for label in labels), row.unit or "1"))
         names = tuple(m.name for m in self.result.models)
-        return Content(self.answer, (), (f"RMS error {horizon:g} s ahead", *names, "unit"), rows)
+        return Content(
+            self.answer, tables.warning_texts(self.result), (f"RMS error {horizon:g} s ahead", *names, "unit"), rows
+        )
 
     def __repr__(self) -> str:
         """Return the text of `summary`, which the interpreter shows."""

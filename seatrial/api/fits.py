@@ -256,8 +256,9 @@ class FitReport(Shown):
         """Return the tests of the residuals as a ``pandas.DataFrame`` with a row for each test.
 
         Each record and channel has the tests ``ljung-box`` and ``periodogram`` of whiteness, ``normality``, and a
-        ``cross-correlation`` with each input. Of a diagnosis they are those of the model with the effects. The columns
-        are:
+        ``cross-correlation`` with each input. Of a diagnosis they are those of the model with the effects. The index
+        names the test of a row, such as ``r ljung-box`` or ``r cross-correlation n_left``, after the record if there
+        are several. The columns are:
 
         - record, channel, test, and input of a cross-correlation;
         - statistic, the largest deviation that the test found: an autocorrelation, a distance of the cumulative
@@ -287,7 +288,8 @@ class FitReport(Shown):
         There is a row for each role (``estimation`` and, if there are such data, ``validation``), kind of prediction
         and channel. The columns are:
 
-        - role; kind (``one_step``, ``horizon`` or ``simulation``); seconds, the horizon [s], NaN for the other kinds;
+        - role; kind (``one_step``, ``horizon`` or ``simulation``, which leaves out the first 15 s of each record, in
+          which the filter sees the samples); seconds, the horizon [s], NaN for the other kinds;
         - channel, and unit of its errors (SI units and radians);
         - before and after, the RMS errors of the models without and with the effects of a diagnosis. For a fit, after
           is the error of the model, and before is NaN. A prediction that diverged is NaN;
@@ -576,14 +578,15 @@ class MotionMethods:
         return linearise(cast(Any, self), speed, at)
 
     def steady(
-        self, means: Sequence[float] = (0.0, 0.5), points: int = 41, at: Mapping[str, float] | None = None
+        self, means: Sequence[float] | None = None, points: int = 41, at: Mapping[str, float] | None = None
     ) -> Steady:
         """Compute the steady speed and the steady turn rate over the command in still water, as `st.steady`.
 
         Parameters
         ----------
-        means : sequence of float
-            Means of the left and the right command in turns, as parts of the largest command, 0 to 1.
+        means : sequence of float, optional
+            Means of the left and the right command in turns, as parts of the largest command, 0 to 1. None: 0, 0.5, and
+            the mean with the largest difference of both sides in the data, if it is another one.
         points : int
             Number of commands of each curve, at least 3.
         at : dict of str to float, optional

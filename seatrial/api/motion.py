@@ -26,6 +26,7 @@ from seatrial.ident.export import (
     LinearModel,
     conditions_text,
     heading_sentence,
+    is_shortest_lag,
     pole_text,
     time_text,
     turn_sentence,
@@ -49,8 +50,12 @@ def _determined(value: float, error: float, words: str) -> str:
 
 
 def _time_cell(constant: float, error: float) -> str:
-    """Return the cell of a time constant [s] with its standard error; of an unstable pole how fast it grows."""
-    return _determined(constant, error, time_text(constant, error) if constant < 0.0 else number(constant))
+    """Return the cell of a time constant [s]; of an unstable pole how fast it grows.
+
+    The shortest lag of the model is marked by ``≤``: the lag of the boat may be shorter.
+    """
+    value = f"{'≤ ' * is_shortest_lag(constant)}{number(constant)}"
+    return _determined(constant, error, time_text(constant, error) if constant < 0.0 else value)
 
 
 @dataclass(frozen=True, repr=False)
@@ -96,7 +101,8 @@ class Linearisation(Shown, LinearModel):
 
         The columns are real, imaginary [1/s], time_constant [s], se (its standard error; NaN if unknown), frequency
         [Hz], damping (ratio, 1 for a real stable pole) and mainly (the states that take most part in it). An unstable
-        pole has no time constant (NaN): it grows by a factor of e in the time 1 / real.
+        pole has no time constant (NaN): it grows by a factor of e in the time 1 / real. The shortest lag of a state is
+        0.05 s: a lag with a shorter time constant, such as ``T_n`` = 0, has this pole too.
 
         Raises
         ------
@@ -347,10 +353,13 @@ class Steady(Shown):
         words = {"u": ("speed", 1.0, "m/s"), "r": ("turn rate", np.degrees(1.0), "deg/s")}
         found = []
         for quantity, (name, factor, unit) in words.items():
-            best = [(factor * np.nanmax(c.value), c) for c in self.curves if c.quantity == quantity]
+            # The speed is that ahead, and the turn rate that to either side.
+            size = np.abs if quantity == "r" else np.asarray
+            best = [(np.nanmax(size(c.value)), c) for c in self.curves if c.quantity == quantity]
             if best:
-                value, curve = max(best, key=lambda x: float(x[0]))
-                k = int(np.nanargmax(curve.value))
+                _, curve = max(best, key=lambda x: float(x[0]))
+                k = int(np.nanargmax(size(curve.value)))
+                value = factor * size(curve.value)[k]
                 left = curve.mean + curve.command[k]
                 command = (
                     f"{number(left, 2)}"
@@ -531,23 +540,25 @@ def linearise(
 @named_arguments
 def steady(
     model: PathLike | Saved | FittedResult,
-    means: Sequence[float] = (0.0, 0.5),
+    means: Sequence[float] | None = None,
     points: int = 41,
     at: Mapping[str, float] | None = None,
 ) -> Steady:
     """Compute the steady speed and the steady turn rate of a fitted model over constant commands, without current.
 
-    The commands are those of the fitted data. Disturbance forces and the current are left out. Speed and turn rate at a
-    command without a stable steady motion are NaN. A model that depends on the heading or the place, as by wind, has a
-    steady speed for one heading and place (``at``), and no steady turn rate: a turning boat keeps neither of them.
+    The commands are those of the fitted data, ahead and astern, of each side. Disturbance forces and the current are
+    left out. Speed and turn rate at a command without a stable steady motion are NaN. A model that depends on the
+    heading or the place, as by wind, has a steady speed for one heading and place (``at``), and no steady turn rate: a
+    turning boat keeps neither of them.
 
     Parameters
     ----------
     model : path, `Saved`, `FittedVehicle` or `FittedDiagnosis`
         The model.
-    means : sequence of float
+    means : sequence of float, optional
         Means of the left and the right command in turns, as parts of the largest command, 0 to 1: 0 is a turn on the
-        spot.
+        spot. None: 0, 0.5, and the mean with the largest difference of both sides in the data, if it is another one,
+        as with thrust astern that is smaller than thrust ahead.
     points : int
         Number of commands of each curve, at least 3.
     at : dict of str to float, optional
@@ -575,7 +586,7 @@ def steady(
 
     if points < 3:
         raise SeatrialError(f"points {points}: give at least 3")
-    if bad := [m for m in means if not 0.0 <= m <= 1.0]:
+    if bad := [m for m in means or () if not 0.0 <= m <= 1.0]:
         raise SeatrialError(f"means {bad[0]:g}: give parts of the largest command, from 0 to 1")
     _warn_of_degrees(at)
     with errors_of_users():

@@ -291,8 +291,24 @@ def residual_tests(result: FitResult, on: Role = "estimation") -> list[ResidualT
 
 
 def residual_frame(result: FitResult, on: Role = "estimation") -> Any:
-    """Return the `residual_tests` of a fit as a ``pandas.DataFrame``; SeatrialError without pandas."""
-    return import_library("pandas").DataFrame(residual_tests(result, on), columns=list(ResidualTest._fields))
+    """Return the `residual_tests` of a fit as a ``pandas.DataFrame``; SeatrialError without pandas.
+
+    The index names the test of each row, as `_test_labels` does: pandas prints the index in full, but leaves out
+    columns and rows of a large table.
+    """
+    pandas, rows = import_library("pandas"), residual_tests(result, on)
+    index = pandas.Index(_test_labels(rows), name="name", dtype=object)
+    return pandas.DataFrame(rows, columns=list(ResidualTest._fields), index=index)
+
+
+def _test_labels(rows: Sequence[ResidualTest]) -> list[str]:
+    """Return a label for each test: ``r ljung-box``, or ``r cross-correlation n_left``.
+
+    The name of the record is in front if there are several records: ``run1 r ljung-box``.
+    """
+    several = len({row.record for row in rows}) > 1
+    parts = [(row.record if several else "", row.channel, row.test, row.input) for row in rows]
+    return [" ".join(filter(None, part)) for part in parts]
 
 
 def error_rows(result: FitResult) -> list[ErrorRow]:

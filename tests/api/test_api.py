@@ -437,6 +437,25 @@ def test_the_residual_tests_are_a_table(fit: st.FittedVehicle, tmp_path: Path) -
         fit.test_normality  # noqa: B018
 
 
+def test_a_printed_table_of_residual_tests_names_each_of_its_rows(fit: st.FittedVehicle) -> None:
+    pandas = pytest.importorskip("pandas")
+    table = fit.residual_tests()
+    with pandas.option_context("display.max_rows", 20, "display.width", 80):  # then five first and last rows
+        lines = str(table).splitlines()
+    assert "..." in lines[1]  # columns are left out
+    shown = [table.iloc[k] for k in (*range(5), *range(-5, 0))]
+    for row in shown:
+        label = " ".join(filter(None, (row["channel"], row["test"], row["input"])))
+        assert row.name == label
+        assert any(line.startswith(f"{label} ") for line in lines)
+    assert table.index.is_unique
+    one, *_ = fit.result.residuals
+    other = structs.replace(one, record="run9")
+    several = replace(fit, result=structs.replace(fit.result, residuals=(one, other), cross=())).residual_tests()
+    assert several.index[0] == f"{one.record} {one.channel} ljung-box"
+    assert several.index[-1] == f"run9 {one.channel} normality"
+
+
 def test_residual_tests_have_the_verdicts_of_report_and_answer(
     fit: st.FittedVehicle, found: st.FittedDiagnosis
 ) -> None:
@@ -1151,6 +1170,12 @@ def test_comparison_prefers_the_model_with_the_effect(
         heading = predictions[name]["simulation"]["run3"]["psi"]
         assert np.abs(heading.measured - heading.predicted).max() <= np.pi
         assert np.isfinite(heading.sd).all()
+        # So are those of the simulation: the samples that the filter has seen before it are in neither of them.
+        for row in compared.result.channels:
+            if row.kind == "simulation":
+                simulated = predictions[name]["simulation"]["run3"][row.channel]
+                assert simulated.t[0] > 15.0
+                assert simulated.rms == pytest.approx(row.errors[k].rms, rel=1e-6)
     table = predictions.to_pandas()
     assert [*table.columns] == [
         *["record", "model", "kind", "horizon", "channel", "t", "measured", "predicted", "sd", "unit"]

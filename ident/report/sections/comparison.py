@@ -101,6 +101,20 @@ def interval_sentence(result: ComparisonResult, m: ComparedModel) -> str:
     return words
 
 
+def masses_sentence(m: ComparedModel, weighed: float | None) -> str:
+    """Return the masses of a model with their standard errors, such as ``m_u 21.3 ± 0.4 kg``; empty without any.
+
+    The mass in surge is also given as a multiple of the ``weighed`` mass [kg], if both are known in kg.
+    """
+    found = []
+    for mass in m.masses:
+        words = f"{mass.name} {formatting.with_error(mass.value, mass.se, mass.unit)}"
+        if mass.name == "m_u" and weighed is not None:
+            words += f" ({formatting.plain(mass.value / weighed, 2)} times the weighed {weighed:g} kg)"
+        found.append(words)
+    return ", ".join(found)
+
+
 def _lower(title: str) -> str:
     """Return a title with a small first letter: ``Simulation`` becomes ``simulation``."""
     return title[0].lower() + title[1:]
@@ -113,7 +127,9 @@ def _evaluation_blocks(result: ComparisonResult) -> list[Any]:
     cells: list[Cell | str] = [Cell(f"{m.name}, {m.model}", "wide"), Cell(free, "num")]
     cells.append(Cell(interval_sentence(result, m), "wide"))
     note = "The model keeps its estimates; only what belongs to a log, such as the current, is estimated anew."
-    return [Table((("model", ""), ("parameters", "num"), ("95 % intervals", "")), [cells]), Prose(note, "quiet")]
+    masses = masses_sentence(m, result.weighed_mass)
+    blocks: list[Any] = [Table((("model", ""), ("parameters", "num"), ("95 % intervals", "")), [cells])]
+    return [*blocks, *([Prose(f"Masses: {masses}.", "quiet")] if masses else []), Prose(note, "quiet")]
 
 
 def opening_blocks(result: ComparisonResult) -> list[Any]:
@@ -157,6 +173,8 @@ def opening_blocks(result: ComparisonResult) -> list[Any]:
         "the verdicts against (a) over all channels and kinds of prediction."
     )
     lines = [f"95 % intervals of ({m.label}): {interval_sentence(result, m)}." for m in result.models]
+    masses = [(m.label, masses_sentence(m, result.weighed_mass)) for m in result.models]
+    lines = [f"Masses of ({label}): {words}." for label, words in masses if words] + lines
     return [Table(columns, rows), Prose(note, "quiet"), Lines(lines, "quiet")]
 
 

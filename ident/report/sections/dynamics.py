@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from seatrial.ident.export import conditions_text, frame_words, outside_text, turn_sentence
+from seatrial.ident.export import conditions_text, frame_words, is_shortest_lag, outside_text, turn_sentence
 from seatrial.ident.model import THRUSTER_FORCE, drive_word, is_of_thruster
 from seatrial.ident.numerics import is_undetermined
 from seatrial.ident.report import drawing, formatting
@@ -23,6 +23,10 @@ from seatrial.ident.results import (
 )
 
 POINTS = 600  # largest number of points of a curve
+SHORTEST = (
+    "≤: the shortest lag of a state of the model. A lag with a shorter time constant in the table of parameters, such "
+    "as T_n = 0, has this pole too, and less part in the motion; with zero it has none."
+)
 DOUBLING = np.log(2.0)  # time in which an unstable motion doubles, in time constants
 
 
@@ -127,7 +131,7 @@ def _pole_blocks(dynamics: Dynamics, drive: str) -> list[Any]:
     if not points:
         return []
     rows: list[list[Cell | str]] = []
-    any_lost = any_growing = False
+    any_lost = any_growing = any_shortest = False
     named = all(p.mainly for p in points)
     for point in points:
         errors = np.full(point.real.size, np.nan) if point.error is None else point.error
@@ -136,6 +140,8 @@ def _pole_blocks(dynamics: Dynamics, drive: str) -> list[Any]:
                 continue  # of a pair, the pole with the positive imaginary part is shown
             pole = formatting.plain(float(real)) + (f" ± {formatting.plain(float(imaginary))} j" if imaginary else "")
             constant = f"{formatting.plain(float(-1.0 / real))} s" if real < 0.0 else "–"
+            if not imaginary and real and is_shortest_lag(float(-1.0 / real)):
+                any_shortest, constant = True, f"≤ {constant}"
             grows = f"unstable: doubles in {formatting.plain(float(DOUBLING / real), 2)} s" if real > 0.0 else ""
             if is_undetermined(float(real), float(error)):
                 any_lost, constant, grows = True, "not determined", "may be unstable" if real > 0.0 else ""
@@ -149,8 +155,9 @@ def _pole_blocks(dynamics: Dynamics, drive: str) -> list[Any]:
     columns += [("stability", "")] if any_growing else []
     rows = rows if any_growing else [row[:-1] for row in rows]
     blocks: list[Any] = [Heading("Poles on a straight course", "of the model linearised at each speed")]
-    note = "Not determined: the standard error of the pole is more than half of its size."
-    blocks.append(Table(columns, rows, note if any_lost else ""))
+    notes = ["Not determined: the standard error of the pole is more than half of its size."] * any_lost
+    notes += [SHORTEST] * any_shortest
+    blocks.append(Table(columns, rows, " ".join(notes)))
     if beyond := _outside_sentence(dynamics):
         blocks.append(Prose(beyond, "callout"))
     if not all(p.stable for p in points):

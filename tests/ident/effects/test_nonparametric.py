@@ -111,6 +111,23 @@ def test_nonparametric_effect_is_neutral_at_zero_and_has_a_name() -> None:
     assert nonparametric_effect(horizontal_model(), ForceCurve("X", "t"), SPAN).inputs[0].name == "t"
 
 
+def test_coefficients_of_a_curve_say_where_their_knots_lie() -> None:
+    """Card, table and terminal show this meaning. The name of a coefficient has the number of the knot alone."""
+    model = horizontal_model()
+
+    def meanings(curve: ForceCurve, span: tuple[float, float]) -> list[str]:
+        return [p.meaning for p in nonparametric_effect(model, curve, span).parameters]
+
+    of_speed = meanings(ForceCurve("X", "u"), (-0.4, 1.2))
+    assert (len(of_speed), of_speed[0], of_speed[2], of_speed[-1]) == (
+        N_KNOTS, "X at u = -0.4 m/s", "X at u = 0 m/s", "X at u = 1.2 m/s"
+    )  # fmt: skip
+    rate = np.radians(20.0)
+    assert meanings(ForceCurve("N", "r"), (-rate, rate))[3:5] == ["N at r = -5 deg/s", "N at r = 0 deg/s"]
+    assert meanings(ForceCurve("X", "n_sum"), (-1.0, 1.0))[-1] == "X at n_sum = 1"
+    assert meanings(ForceCurve("N", "psi"), SPAN)[0] == "N with sin psi"
+
+
 @pytest.mark.parametrize(
     ("name", "wanted"), [("psi", 0.3), ("t", 7.0), ("n_sum", 0.4), ("n_diff", 0.6), ("f_sum", 15.0), ("f_diff", -10.0)]
 )

@@ -20,7 +20,7 @@ from seatrial.ident.data.record import Channel, build_record
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.output_error import simulate
 from seatrial.ident.estimation.parameter_covariance import ParameterCovariance
-from seatrial.ident.export.linearisation import LinearModel, linearise, sway_slopes
+from seatrial.ident.export.linearisation import LinearModel, is_shortest_lag, linearise, sway_slopes
 from seatrial.ident.model.structure import Model
 from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
@@ -59,6 +59,15 @@ def test_matrices_are_the_derivatives_of_the_equations_of_motion(found: LinearMo
     assert found.A[2, 1] == pytest.approx((p["m_u"] - p["m_v"]) * u / p["m_r"], rel=1e-6)
     assert found.A[2, 2] == pytest.approx(-p["d_r"] / p["m_r"], rel=1e-3)
     assert found.delays == {}
+
+
+@pytest.mark.parametrize(("lag", "shown"), [(0.0, "at most 0.05 s"), (0.02, "at most 0.05 s"), (0.3, "0.3 s, mainly")])
+def test_pole_of_a_lag_below_the_shortest_one_says_so(lag: float, shown: str) -> None:
+    """The table of parameters has T_n = 0, while the state of the lag has a pole of its own."""
+    at = linearise(saved(horizontal_model("command"), {"T_n": lag, "tau_n": 0.1}), 0.7)
+    assert repr(at).count(f"time constant {shown}") == 2  # both shafts
+    assert is_shortest_lag(0.4)  # of a thruster that lags behind its command
+    assert not is_shortest_lag(0.0501)
 
 
 def test_operating_point_outside_the_data_is_named_with_its_drift(found: LinearModel) -> None:

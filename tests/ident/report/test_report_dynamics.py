@@ -136,6 +136,19 @@ def test_poles_have_the_states_that_take_part() -> None:
     assert "time constant mainly 0.5 m/s" in words(named[:1])
 
 
+def test_shortest_lag_of_the_model_is_marked() -> None:
+    found = dynamics()
+    quick = msgspec.structs.replace(found.points[1], real=np.array([0.1, -20.0]))
+    result = loaded(KINDS["diagnosis"]())
+    words = [
+        " ".join(Page(page.render(msgspec.structs.replace(result, dynamics=d))).words.split())
+        for d in (found, msgspec.structs.replace(found, points=(found.points[0], quick)))
+    ]
+    assert "the shortest lag of a state of the model" not in words[0]
+    assert "−20.0 ≤ 0.0500 s" in words[1]
+    assert "≤: the shortest lag of a state of the model. A lag with a shorter time constant" in words[1]
+
+
 def test_operating_points_outside_the_data_are_named() -> None:
     found = dynamics()
     points = tuple(

@@ -32,6 +32,7 @@ from seatrial.ident.results.answers import (
     check_warnings,
     course_sentence,
     estimation_warnings,
+    faults_first,
     late_sensor_warnings,
     not_converged,
     outlier_lines,
@@ -45,6 +46,7 @@ from seatrial.ident.results.answers import (
     thruster_answer,
     unusual_estimates,
     vehicle_answer,
+    warm_up_notes,
     wind_sentence,
 )
 from seatrial.ident.results.parts import (
@@ -99,6 +101,25 @@ def test_finding_of_many_logs_is_reported_once() -> None:
     assert warning.code == "log-check"
     assert warning.text.startswith("0.mcap, 1.mcap, 2.mcap")
     assert "more: psi: it is smooth [channel-smoothed]" in warning.text
+
+
+def test_finding_of_other_channels_in_another_log_is_reported_once() -> None:
+    smooth = LogFinding(level="fault", code="smooth", check="noise", where="r", text="it is smooth", spoils=True)
+    channels = {"1.mcap": ("psi", "r"), "2.mcap": ("r",), "3.mcap": ("psi", "r")}
+    logs = [
+        LogSummary(
+            path=path, sha256="", role="estimation", name=path, duration=1.0,
+            findings=tuple(msgspec.structs.replace(smooth, where=name) for name in names),
+        )
+        for path, names in channels.items()
+    ]  # fmt: skip
+    made = Provenance(created="", seatrial="", command="", logs=tuple(logs))
+    (warning,) = check_warnings(made)
+    assert warning.text == "1.mcap, 3.mcap: psi, r; 2.mcap: r: it is smooth [smooth]."
+    # Neither does the answer of a fit to logs with faults repeat it.
+    answer = faults_first(made)
+    assert "(1.mcap: psi [smooth]; 1.mcap: r [smooth]; 2.mcap: r [smooth]; " in answer
+    assert "it is smooth" not in answer
 
 
 def test_the_answer_names_the_strongest_candidate_of_the_score_tests() -> None:
@@ -593,6 +614,16 @@ def test_short_logs_are_reported(
     assert [w.code for w in found] == ["short-data"] * len(messages)
     for warning, message in zip(found, messages, strict=True):
         assert message in warning.text
+
+
+def test_short_simulations_say_how_much_they_cover() -> None:
+    """The errors leave out the filtering before a simulation, and thus most of a short record."""
+    assert warm_up_notes([("long", 59.9)]) == []
+    (text,) = warm_up_notes([("a", 27.0), ("b", 300.0), ("c", 40.0), ("c", 20.0), ("d", 9.0)])
+    assert text == (
+        "The errors of the simulation leave out the 15 s of filtering before it: they cover 12 of 27 s of a, 5 of 20 s "
+        "of c, 0 of 9 s of d. What the boat does before is not in them."
+    )
 
 
 @pytest.mark.parametrize(("seconds", "n"), [(12.0, 1), (30.0, 0)])

@@ -11,6 +11,8 @@ import pytest
 import seatrial as st
 from seatrial.daq.errors import SeatrialWarning
 from seatrial.ident.estimation.maximum_likelihood import Fit
+from seatrial.ident.estimation.model_file import load_model
+from seatrial.ident.export.formats import export
 from seatrial.ident.results.parts import FitSummary, ParameterRow
 from seatrial.ident.results.tables import fit_summary
 from tests.missions import boat_log, boat_with
@@ -50,6 +52,16 @@ def test_a_larger_error_is_explained_and_a_smaller_one_is_not(fitted: st.FittedV
     assert f"{LARGER} (2.4 > 2 N), because it also contains what the model does not explain: " in flag
     assert flag.startswith(row_of(fit_summary(fit, {}), "c1").flag or LARGER)  # another remark comes first
     assert [row.name for row in summary.parameters if LARGER in (row.flag or "")] == ["c1"]
+
+
+@pytest.mark.parametrize("target", ["python", "c", "casadi"])
+def test_an_exported_model_explains_a_larger_error(fitted: st.FittedVehicle, target: str, tmp_path: Path) -> None:
+    model = load_model(fitted.save(tmp_path) / "model.toml")
+    for factor in (0.9, 1.2):
+        text = export(replace(model, errors={**model.errors, "c1": factor * 2.0}), target)
+        header = " ".join(text.replace("#", " ").replace("*", " ").split())
+        explained = "Standard error larger than that of the prior: c1 (2.4 > 2), because it also contains what the"
+        assert (explained in header) == (factor > 1.0)
 
 
 def test_a_built_in_prior_does_not_count(fitted: st.FittedVehicle) -> None:

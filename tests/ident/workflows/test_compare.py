@@ -34,6 +34,7 @@ from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.models.surge import surge_model
 from seatrial.ident.parallel import Workers
 from seatrial.ident.report.blocks import Cell
+from seatrial.ident.report.formatting import with_error
 from seatrial.ident.report.page import render
 from seatrial.ident.report.sections.comparison import _best_cell, _error_cells, overlay_panels
 from seatrial.ident.report.terminal import compared_tables
@@ -104,6 +105,49 @@ def run(*words: object, status: int = 0) -> None:
 
 def errors(t: np.ndarray, e: np.ndarray) -> PredictionErrors:
     return PredictionErrors(t, e, np.cos(t))
+
+
+def test_masses_are_shown_and_an_implausible_one_is_named(
+    models: list[Path], logs: list[Path], compared: ComparisonResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A model that predicts best may have an impossible mass."""
+    saved = load_model(models[0])
+    for m in compared.models:
+        assert [x.name for x in m.masses] == ["m_u", "m_v", "m_r"]
+        assert [x.unit for x in m.masses] == ["kg", "kg", "kg m2"]
+        for x in m.masses:
+            assert (x.value, x.se) == (saved.model.values[x.name], saved.errors[x.name])
+    assert compared.weighed_mass is None
+    assert not {"mass-implausible", "inertia-too-small"} & {w.code for w in compared.warnings}
+    mass = saved.model.values["m_u"]
+    assert f"(a) m_u {with_error(mass, saved.errors['m_u'], 'kg')}, m_v " in " ".join(text_of(compared).split())
+    assert "Masses of (b): m_u" in render(compared)
+    assert Comparison(compared).masses["good"]["m_u"] == (mass, saved.errors["m_u"])
+    heavy = tmp_path / "heavy" / "model.toml"
+    shutil.copytree(models[0].parent, heavy.parent)
+    text = models[0].read_text(encoding="utf-8")
+    changed, n = re.subn(r'(name = "m_u"\nvalue = )[-+.e\d]+', rf"\g<1>{9.0 * mass}", text)
+    assert n == 1
+    heavy.write_text(changed, encoding="utf-8")
+    request = CompareRequest([models[0], heavy], logs[2:], (2.0,), names=("good", "heavy"))
+    monkeypatch.setattr(LoadedLog, "hull", lambda log: {"mass": mass / 1.2})
+    result = compare_models(request, "", Kept())
+    assert result.weighed_mass == mass / 1.2
+    (warning,) = [w for w in result.warnings if w.code == "mass-implausible"]
+    assert warning.text.startswith("(b): The estimated mass in surge, m_u, is ")
+    shown = " ".join(text_of(result).split())
+    assert f"(11 times the weighed {mass / 1.2:g} kg)" in shown
+    assert f"(1.2 times the weighed {mass / 1.2:g} kg)" in shown
+    # Without a weighed mass of the compared logs, the warning is that of the fit, if its result belongs to the model.
+    monkeypatch.setattr(LoadedLog, "hull", lambda log: {})
+    of_fit = heavy.with_name("result.json")
+    content = json.loads(of_fit.read_text(encoding="utf-8"))
+    content["warnings"] = [{"code": "mass-implausible", "text": "The mass is wrong."}]
+    of_fit.write_text(json.dumps(content), encoding="utf-8")
+    result = compare_models(request, "", Kept())
+    assert [w.text for w in result.warnings if w.code == "mass-implausible"] == ["(b): The mass is wrong."]
+    of_fit.write_text(json.dumps(content | {"created": "2020-01-01T00:00:00Z"}), encoding="utf-8")
+    assert "mass-implausible" not in {w.code for w in compare_models(request, "", Kept()).warnings}
 
 
 def test_a_model_that_did_not_converge_is_named_before_it_is_used(

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from seatrial.api.motion import Steady
 from seatrial.ident.data.record import LogSegment
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.fitted_model import FittedModel, fit_nominal_model
@@ -43,10 +44,16 @@ def test_curves_poles_and_steps_agree(fitted: FittedModel) -> None:
     assert np.all(np.diff(straight.value) > 0.0)
     assert np.all((straight.sd > 0.0) | (straight.command == 0.0))
     assert -1.0 <= straight.command[0] < straight.command[-1] <= 1.0
-    assert [t.mean for t in turns] == pytest.approx([0.0, 0.5 * straight.command[-1]])
+    assert [t.mean for t in turns[:2]] == pytest.approx([0.0, 0.5 * straight.command[-1]])
+    (widest,) = turns[2:]
+    drives = dynamics.Drives(fitted.fit.model, validity(fitted))
+    difference = max(drives.left[1] - drives.right[0], drives.right[1] - drives.left[0])
+    assert np.abs(widest.command).max() == pytest.approx(0.5 * difference)
     spin = turns[0]  # a larger left thrust turns to starboard
     assert np.nanmax(spin.value) > 0.1
-    assert spin.value[-1] == pytest.approx(-spin.value[0], rel=1e-3)
+    at = min(-spin.command[0], spin.command[-1])  # the range of each side is its own
+    port, starboard = np.interp([-at, at], spin.command, spin.value)
+    assert starboard == pytest.approx(-port, rel=1e-2)
     assert len(found.points) >= 3
     for point in found.points:
         at = np.interp(np.mean(list(point.inputs.values())), straight.command, straight.value)
@@ -168,10 +175,35 @@ def test_conditions_of_the_end_of_the_data_are_in_the_result(fitted: FittedModel
     assert found is not None
     assert found.conditions == {"t": 118.0}
     assert set(found.points[0].inputs) == {"n_left", "n_right"}
-    assert [c.motion for c in found.steady] == ["straight", "turn", "turn"]
+    assert [c.motion for c in found.steady] == ["straight", "turn", "turn", "turn"]
     without = dynamics_of(fitted)
     assert without is not None
     assert without.conditions == {}
+
+
+def test_turns_use_the_range_of_each_side_ahead_and_astern(fitted: FittedModel) -> None:
+    """The largest turn rate needs the largest difference of both sides in the data, also if one side was astern."""
+    ranges = validity(fitted) | {"n_left": (-0.4, 0.9), "n_right": (0.0, 0.8)}
+    known = dynamics.covariance_of(fitted.fit)
+    drives = dynamics.Drives(fitted.fit.model, ranges)
+    assert (drives.low, drives.high) == (0.0, 0.8)
+    assert drives.reach(0.2) == pytest.approx((-0.6, 0.2))  # left astern and right ahead; right stopped and left ahead
+    straight, *turns = dynamics.steady_curves(fitted.fit.model, ranges, known)
+    assert straight.command[0] == 0.0
+    assert [t.mean for t in turns] == pytest.approx([0.0, 0.4, 0.2])
+    for t in turns:
+        for side, n in (("n_left", t.mean + t.command), ("n_right", t.mean - t.command)):
+            assert ranges[side][0] - 1e-9 <= n.min()
+            assert n.max() <= ranges[side][1] + 1e-9
+    steady = Steady((straight, *turns))
+    largest = turns[2].value[0]
+    assert -largest > max(np.nanmax(np.abs(t.value)) for t in turns[:2])
+    assert f"The largest steady turn rate is {-np.degrees(largest):.3g} ± " in steady.answer
+    assert "at a shaft speed of -0.4 left and 0.8 right" in steady.answer
+    # Ranges that are equal ahead and astern, or that begin at zero, need no further curve.
+    for low in (-0.8, 0.0):
+        equal = validity(fitted) | {"n_left": (low, 0.8), "n_right": (low, 0.8)}
+        assert dynamics.Drives(fitted.fit.model, equal).means() == pytest.approx([0.0, 0.4])
 
 
 def words_of(found: Dynamics) -> str:
