@@ -232,12 +232,16 @@ def _boat_lines(taken: Sequence[MapSignal]) -> list[str]:
         "# [geometry]",
         "# y_left = -0.3   # thrusters to starboard of the middle [m]",
         "# y_right = 0.3",
-        "# mass = 30.0     # weighed [kg]",
+        "# mass = 30.0     # weighed [kg], for a check of the result",
+        "# length = 1.6    # of the hull [m], likewise",
+        "# lever_arm_m = [0.1, 0.0, 0.0]  # GNSS antenna ahead of the centre of gravity, to starboard and down [m]",
     ]
     thrust = [
         "# [scale]",
         "# c1 = 40.0       # thrust of one thruster at full command [N], mean of ahead and astern;",
         "#                 # if only the thrust ahead is known, give it as c1 and leave c2 out",
+        "# c1_sd = 1.0     # its standard uncertainty [N]",
+        "# c2 = 5.0        # half of ahead less astern [N]; c2_sd likewise",
     ]
     return geometry + (thrust if pairs != ["f"] else [])
 

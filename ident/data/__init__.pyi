@@ -6,6 +6,7 @@ from .loading import COMMANDS as COMMANDS
 from .loading import ORIGIN as ORIGIN
 from .loading import SHAFTS as SHAFTS
 from .loading import SHARED_WITHIN as SHARED_WITHIN
+from .loading import SLOWEST_TELEMETRY as SLOWEST_TELEMETRY
 from .loading import TIMES as TIMES
 from .loading import WHOLE as WHOLE
 from .loading import FrameOrigin as FrameOrigin

@@ -26,6 +26,7 @@ from seatrial.ident.data import (
     COMMANDS,
     SHAFTS,
     SHARED_WITHIN,
+    SLOWEST_TELEMETRY,
     Channel,
     FrameOrigin,
     LoadedLog,
@@ -291,8 +292,8 @@ def thrust_from(model: Model, loaded: Sequence[LoadedLog]) -> str:
         reason = (
             ""
             if all(x.propulsion is PropulsionInput.MEASURED for x in loaded)
-            else ", as usual for logs without timely shaft speeds (--model horizontal:shaft takes the signals as shaft "
-            "speeds)"
+            else ", as usual for logs without shaft speeds, or with samples of them that are late or more than "
+            f"{SLOWEST_TELEMETRY:g} s apart (--model horizontal:shaft takes the signals as shaft speeds)"
         )
         return (
             "thrust from the commands: the shafts are states with a dead zone, a delay and a time constant"

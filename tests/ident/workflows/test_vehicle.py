@@ -82,7 +82,7 @@ def test_thrust_source_is_the_best_that_all_logs_have(
     assert thrust_from(model, logs)
     if source == "horizontal:command":
         assert {i.hold for i in model.inputs} == {"average"}
-        assert "as usual for logs without timely shaft speeds" in thrust_from(model, logs)
+        assert "as usual for logs without shaft speeds, or with" in thrust_from(model, logs)
         measured = [replace(log, propulsion=PropulsionInput.MEASURED) for log in logs]
         assert "as usual" not in thrust_from(model, measured)
     chosen = choose_model("horizontal:shaft", [replace(loaded(*names), propulsion=way) for way in ways])
