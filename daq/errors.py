@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TypeVar
 
 NEAR = 0.75  # similarity of two names by difflib, from which one is probably a misspelling of the other
+MISTYPED = 0.9  # the same, from which two names differ by hardly a character
 OWN_FRAMES = ("seatrial", "contextlib")  # packages whose calls are not shown as the place of a warning
 MOST_FILES = 10_000  # of a folder that are searched for a similar name
 MAX_NAMES = 12  # names that the hint about an unknown one lists
@@ -66,16 +67,21 @@ def closest_name(name: str, known: Iterable[str]) -> str | None:
     """Return the known name for which `name` is probably a misspelling or an abbreviation; None if there is none.
 
     A known name is close if one of the two begins with the other (`rate` and `rate_hz`; the shorter one has at least
-    three characters), or if difflib finds them similar. Of several close names the most similar one is returned. Upper
-    case and lower case are the same, and a dash is the same as an underscore.
+    three characters), or if difflib finds them similar. Names that are nearly equal (`compassmotor` and
+    `compass-motor`) are as close as those of which one begins with the other. Of several close names the most similar
+    one is returned. Upper case and lower case are the same, and a dash is the same as an underscore.
     """
     from difflib import SequenceMatcher  # imported here, because only errors need it
 
     def likeness(a: str, b: str) -> float:
-        """Return the similarity of two names, 0 to 1; above 1 if one begins with the other, of 3 characters or more."""
+        """Return the similarity of two names, 0 to 1.
+
+        It is above 1 if one begins with the other, of 3 characters or more, or if they differ by hardly a character.
+        """
         a, b = (text.lower().replace("-", "_") for text in (a, b))
         begins = min(len(a), len(b)) >= SHORTEST_STEM and (a.startswith(b) or b.startswith(a))
-        return SequenceMatcher(None, a, b).ratio() + begins
+        ratio = SequenceMatcher(None, a, b).ratio()
+        return ratio + (begins or ratio > MISTYPED)
 
     best = max(((likeness(name, other), other) for other in known), key=lambda pair: pair[0], default=(0.0, ""))
     return best[1] if best[0] >= NEAR else None

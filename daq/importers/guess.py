@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -72,6 +73,7 @@ PULSE_US = (("MIN", 1100.0), ("TRIM", 1500.0), ("MAX", 1900.0))  # us; defaults 
 # Topics, types and frames of ROS that use north, east, down or forward, starboard, down
 _NED = re.compile(r"(?i)(?<![a-z])(ned|frd)(?![a-z])|px4_msgs|seatrial_msgs")
 SCALARS = ("Float64", "Float32", "Float64Stamped", "Float32Stamped", "Scalar")  # only the topic names the quantity
+LEAST_LARGEST_COMMAND = 0.3  # of a source, from which its largest shaft speed shows full speed
 MOST_NAMED = 3  # files of a shared map that its first line names
 MOST_LISTED = 12  # columns that were not recognised and are listed as comments
 UNKNOWN_CDEG = 65535  # an unknown heading in MAVLink (hdg)
@@ -168,7 +170,9 @@ def guess_map(
         options = SourceOptions(replace(style, nan="drop", time_order="drop"))  # as in the guessed map
     tables = [part for table in kind.read(path, options) if table.names for part in _by_own_times(table)]
     sources = files or (path,)
-    names, more = " ".join(file.name for file in sources[:MOST_NAMED]), len(sources) - MOST_NAMED
+    # as given, unless the path is long: the command is to be copied
+    given = [file.name if file.is_absolute() else shlex.quote(file.as_posix()) for file in sources[:MOST_NAMED]]
+    names, more = " ".join(given), len(sources) - MOST_NAMED
     and_more = f" and {more} more" if more > 0 else ""
     stems = ", ".join(file.stem for file in sources[:MOST_NAMED])
     # a command with some of the names would import these alone
@@ -194,7 +198,8 @@ def guess_map(
     benches = [c for t in tables if not t.kind for c in bench_candidates(t, row_seconds(t, clocks[id(t)]))]
     candidates = [c for t in tables for c in (*message_candidates(t), *_column_candidates(t, clocks, together))]
     candidates = benches or named_commands([*candidates, *outputs(tables)])
-    candidates = [_with_full_speed(c, full or {}) for c in _with_resting_pulses(candidates)]
+    candidates = _with_speeds_of_commands(_with_resting_pulses(candidates))
+    candidates = [_with_full_speed(c, full or {}) for c in candidates]
     candidates = [_with_unit_caveats(_with_frame_key(c) if kind.name == "ros" else c) for c in candidates]
     main = _main_clock(candidates, clocks)
     taken, lines = _chosen_signals(candidates, clocks, main, max(len(files), 1))
@@ -302,6 +307,34 @@ def _with_full_speed(candidate: Candidate, full: Mapping[str, float]) -> Candida
     return candidate._replace(signals=tuple(signals))
 
 
+def _with_speeds_of_commands(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Scale measured shaft speeds so that the largest of them belongs to the largest command of the source.
+
+    A shaft is assumed to follow its command. Commands of which the largest is below 0.3, and those that are not between
+    -1 and 1 in the source, change nothing.
+    """
+    commands = [
+        np.nanmax(np.abs(c.table.numbers(s.columns[0])), initial=0.0)
+        for c in candidates
+        for s in c.signals
+        if s.name.startswith("n_cmd_") and s.unit == "1" and not s.full and "scale" not in s.extra
+    ]
+    largest = max(commands, default=0.0)
+    if not LEAST_LARGEST_COMMAND <= largest < 1.0:
+        return list(candidates)
+    return [
+        c._replace(
+            signals=tuple(
+                s._replace(full=s.full / largest, at_command=largest)
+                if s.full and s.name.startswith("n_") and 'hold = "linear"' in s.extra
+                else s
+                for s in c.signals
+            )
+        )
+        for c in candidates
+    ]
+
+
 def _with_resting_pulses(candidates: Sequence[Candidate]) -> list[Candidate]:
     """Scale pulses from the value at which their output rests in the source, and add a caveat about it.
 
@@ -337,9 +370,10 @@ def _scale_remark(signal: MapSignal, n_files: int) -> str:
     if not signal.full:
         return ""
     of = "this file" if n_files == 1 else f"these {n_files} files"
+    over = f" over its largest command, {signal.at_command:.3g}" if signal.at_command else ""
     return (
-        f"  # scale: a guess, 1 / {signal.full:.6g}, the largest number of {of}; better: 1 / (number at full speed), "
-        "the same on both sides and in all files"
+        f"  # scale: a guess, 1 / {signal.full:.6g}, the largest number of {of}{over}; better: 1 / (number at full "
+        "speed), the same on both sides and in all files"
     )
 
 
@@ -909,7 +943,12 @@ def _chosen_signals(
 
 def _caveat_of(candidate: Candidate, signal: MapSignal) -> str:
     """Return the caveat of a chosen signal: first that its full speed is a guess, then the caveat of its candidate."""
-    top = f"its greatest number, {signal.full:.5g}, is assumed to be full forward" if signal.full else ""
+    top = ""
+    if signal.at_command:
+        top = f"{signal.full:.5g} is assumed to be full forward, as its greatest number follows the greatest command, "
+        top += f"{signal.at_command:.3g}"
+    elif signal.full:
+        top = f"its greatest number, {signal.full:.5g}, is assumed to be full forward"
     return "; ".join(part for part in (top, candidate.caveat) if part)
 
 

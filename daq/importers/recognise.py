@@ -63,6 +63,8 @@ class MapSignal(NamedTuple):
         Further keys of the map, as TOML.
     full : float
         Number of the column that becomes 1, if it is a guess from the largest number of the source; 0 if it is not.
+    at_command : float
+        Largest command of the source, if ``full`` is the largest number divided by it; 0 if it is not.
     """
 
     name: str  # in models
@@ -71,6 +73,7 @@ class MapSignal(NamedTuple):
     make: str = ""
     extra: str = ""  # further keys, as TOML
     full: float = 0.0  # number that becomes 1, if it is a guess from the numbers
+    at_command: float = 0.0  # largest command, by which the largest number was divided for it
 
 
 Row = tuple[str, int, tuple[MapSignal, ...]]  # group, rank and signals of a candidate

@@ -19,6 +19,7 @@ from seatrial.daq.errors import SeatrialWarning, closest_name
         ("n", ["name", "node"], None),  # too short to stand for another
         ("colour", ["port", "name"], None),
         ("x", [], None),
+        ("compassmotor", ["compass", "compass-motor"], "compass-motor"),
     ],
 )
 def test_the_closest_name_is_a_misspelling_or_lacks_its_unit(name: str, known: list[str], closest: str | None) -> None:

@@ -369,7 +369,7 @@ def test_commands_and_shaft_speeds_are_both_in_the_map(tmp_path: Path) -> None:
     assert all(found[f"n_{side}"]["hold"] == "linear" for side in ("left", "right"))
     assert "also in the source" not in guess_map(path).text
     assert np.abs(values(tmp_path / "run.mcap", "n_cmd_left")[1]).max() == 0.5
-    assert np.abs(values(tmp_path / "run.mcap", "n_left")[1]).max() == pytest.approx(1.0)
+    assert np.abs(values(tmp_path / "run.mcap", "n_left")[1]).max() == pytest.approx(0.5)
 
 
 def test_a_column_n_beside_commands_is_a_shaft_speed(guess_of: Guessing) -> None:
@@ -769,3 +769,25 @@ def test_a_guessed_map_has_examples_of_what_no_file_has(
         boat = {"y_left": -0.3, "y_right": 0.3, "mass": 30.0, "length": 1.6}
         boat |= {"antenna_x": 0.1, "antenna_y": 0.0, "antenna_z": 0.0}
         assert found.vehicle == boat | ({"c1": 40.0, "c1_sd": 1.0, "c2": 5.0} if scale else {})
+
+
+@pytest.mark.parametrize(("largest", "full"), [(0.8, 1000.0), (0.2, 800.0), (90.0, 800.0)])
+def test_full_speed_is_that_of_the_largest_command(tmp_path: Path, largest: float, full: float) -> None:
+    """The largest speed of a log is seldom full speed. The largest command shows which part of it was reached."""
+    lines = ["time,yaw_rad,cmd_left,cmd_right,rpm_left,rpm_right"]
+    for k in range(400):
+        part = np.sin(0.05 * k), np.sin(0.07 * k)
+        cells = [0.1 * k, 0.01 * k, *(largest * x for x in part), *(800.0 * x for x in part)]
+        lines.append(",".join(f"{x:.6g}" for x in cells))
+    (tmp_path / "run.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    guessed = guess_map(tmp_path / "run.csv")
+    assert guessed.full["n_left"] == pytest.approx(full, rel=1e-3)
+    assert ("over its largest command, 0.8; better" in guessed.text) is (full == 1000.0)
+
+
+def test_command_in_the_first_line_names_the_files_as_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    folder = Path("my bags")
+    folder.mkdir()
+    (folder / "run.csv").write_text("time,yaw_rad\n" + "\n".join(f"{0.1 * k},{0.01 * k}" for k in range(50)) + "\n")
+    assert "then run `seatrial import MAP 'my bags/run.csv'`" in guess_map(folder / "run.csv").text
