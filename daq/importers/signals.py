@@ -339,7 +339,12 @@ def _table_of_signal(tables: Sequence[Table], signal: Signal) -> Table:
                 of_topic[0].numbers(column)  # raises an error with similar names, before the times are read
         return of_topic[0]  # the columns are in several tables, of different lengths: reading them raises an error
     if signal.topic or not tables:
-        topics = ", ".join(sorted({table.topic for table in tables if table.topic})) or "none"
+        topics = ", ".join(sorted({table.topic for table in tables if table.topic}))
+        if not topics:
+            raise SeatrialError(
+                f"{_path_text(tables)}: there is no topic {signal.topic}: the file has no topics, so this import map "
+                "is for another kind of source; make one for this file (seatrial import --guess FILE)"
+            )
         raise SeatrialError(
             f"{_path_text(tables)}: there is no topic {signal.topic}; name one of these in the import map: {topics}"
         )

@@ -19,6 +19,7 @@ from seatrial.ident.model import Effect
 from seatrial.ident.numerics import Array
 from seatrial.ident.validation import PredictionChange
 
+CLEAR_T = 2.0  # t statistic of a gain on the validation data, from which it is reported
 Attribution = Literal["identified", "ambiguous", "nonparametric"]
 
 
@@ -248,7 +249,13 @@ class Round:
                     f"{best.effect.title} gains {best.gain:.0f} in 2 ln L"
                 )
             case Outcome.WORSE_PREDICTION:
-                return f"{best.effect.title} makes the prediction worse"
+                worse = f"{best.effect.title} makes the prediction worse"
+                if best.validation_gain > 0.0 and best.t > CLEAR_T:
+                    worse += (
+                        ", although it explains a part of the residuals one step ahead: the log-likelihood of the "
+                        f"validation data rises by {best.validation_gain:.0f} (t = {best.t:.1f})"
+                    )
+                return worse
             case Outcome.NO_BETTER_PREDICTION:
                 return f"the prediction is no better with {best.effect.title}"
             case _:

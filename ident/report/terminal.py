@@ -371,7 +371,7 @@ def compared_tables(result: ComparisonResult) -> list[Table]:
             table.add_column("", no_wrap=True)
             for label in shown:
                 table.add_column(Text(f"({label})"), justify="right", no_wrap=True)
-            table.add_column("best", no_wrap=True)
+            table.add_column("best or as good", no_wrap=True)
             for row in rows:
                 factor, unit = formatting.degrees_for(row.unit)
                 cells = [_compared_cell(row, label, factor, with_fit) for label in shown]
@@ -705,7 +705,8 @@ def _errors_table(errors: Errors, seconds: float) -> Table | None:
     if not channels:
         return None
     more = f" ({len(every) - len(channels)} more in the report)" if len(every) > len(channels) else ""
-    compared = any(table[c].before is not None for _, table in kinds for c in channels if c in table)
+    rows = [table[c] for _, table in kinds for c in channels if c in table]
+    compared = any(row.before is not None and row.before != row.after for row in rows)
     quantity = "Error before → after" if compared else "Prediction error (rms)"
     table = titled_table(f"{quantity}, {role} data{more}")
     table.add_column("", no_wrap=True)
@@ -722,12 +723,13 @@ def _errors_table(errors: Errors, seconds: float) -> Table | None:
 def _error_text(row: ErrorComparison | None) -> Text:
     """Return the RMS prediction errors of a channel before and after effects were added: ``0.31 → 0.12``.
 
-    A significant fall is green, and a significant rise is red. If one of both is None, only the error after is returned
-    (``diverged`` for None). The text is empty if ``row`` is None. Angles are in degrees.
+    A significant fall is green, and a significant rise is red. If one of both is None, or both are the same because no
+    effect was added, only the error after is returned (``diverged`` for None). The text is empty if ``row`` is None.
+    Angles are in degrees.
     """
     factor = 1.0 if row is None else formatting.degrees_for(row.unit)[0]
     before, after = (None, None) if row is None else formatting.scaled(factor, row.before, row.after)
-    if before is None or after is None:
+    if before is None or after is None or before == after:
         return Text("" if row is None else error_words(after))
     color = {"fell": "green", "rose": "red"}.get(row.verdict or "" if row else "", "")
     return Text.assemble(f"{formatting.plain(before)} → ", (formatting.plain(after), color))

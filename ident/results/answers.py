@@ -1287,7 +1287,7 @@ def wind_sentence(made: Provenance, model: Model) -> str:
 def course_sentence(course: CourseStability | None, model: Model | None = None) -> str:
     """Return the sentence on a boat that is directionally unstable, with the time constant and its 95 % interval.
 
-    If the interval of the pole contains zero, the sentence says that the boat is not distinguishable from a stable one.
+    If the interval of the pole contains zero, the sentence says that the data do not show whether the boat is stable.
     If the estimated damping of sway is negative, there is no statement on the stability, but one on the hull form,
     with the lowest speed at which it is negative. If the hull lift of ``model`` is the reason, the sentence says how to
     fit the model without it. The text is empty for a stable estimate and for None.
@@ -1321,8 +1321,9 @@ def course_sentence(course: CourseStability | None, model: Model | None = None) 
     if course.distinguishable:
         return f"{begin}: {grows} (95 % interval: {fastest} to {1.0 / course.low:.3g} s)."
     return (
-        f"{begin} by the estimate, but not distinguishable from a stable boat: {grows} (95 % interval: from a growth "
-        f"in {fastest} s to a decay in {-1.0 / min(course.low, -1e-9):.3g} s)."
+        f"At {course.speed:.3g} m/s{heading} the data do not show whether the boat is directionally stable: without a "
+        f"controller a small yaw rate may grow by a factor of e in {fastest} s or decay in "
+        f"{-1.0 / min(course.low, -1e-9):.3g} s (95 % interval)."
     )
 
 

@@ -18,7 +18,14 @@ from seatrial.ident.model import Effect, EffectKind, Model, ModelKind
 from seatrial.ident.model import with_outlier_model as with_outliers
 from seatrial.ident.models import effects_for
 from seatrial.ident.reporter import Reporter
-from seatrial.ident.results import DiagnosisResult, GivenModel, diagnosis_result, estimation_warnings, provenance
+from seatrial.ident.results import (
+    DiagnosisResult,
+    GivenModel,
+    diagnosis_result,
+    estimation_warnings,
+    mass_notes,
+    provenance,
+)
 from seatrial.ident.workflows.check import check_first, require_thrust_and_length, with_noise_floors
 from seatrial.ident.workflows.dynamics import dynamics_of
 from seatrial.ident.workflows.model_inputs import (
@@ -226,7 +233,12 @@ def diagnose_model(request: DiagnosisRequest, command: str, reporter: Reporter) 
         evaluation,
         provenance([*loaded, *validation_logs], command),
         warnings=estimation_warnings(found.after.fit, found.after.records, hull),
-        notes=[*floors, *considered_notes(found.after.fit.model), *found.after.outlier_notes],
+        notes=[
+            *floors,
+            *considered_notes(found.after.fit.model),
+            *found.after.outlier_notes,
+            *(mass_notes(found.after.fit, hull["mass"]) if "mass" in hull else []),
+        ],
         unused=unused,
         dynamics=dynamics_of(found.after),
         given=GivenModel(str(request.out / "model.toml"), saved.converged),

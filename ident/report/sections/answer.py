@@ -48,9 +48,11 @@ def headline(result: DiagnosisResult) -> list[Any]:
     """Return the chart of prediction errors over the horizon, before and after effects were added, as a list of one.
 
     The errors are from validation data if the result has any, otherwise from estimation data. Channels whose prediction
-    diverged are named in the caption. The list is empty if no channel has both errors.
+    diverged are named in the caption. The list is empty if no effect was added, or if no channel has both errors.
     """
     role, data = by_role(result.errors.validation, result.errors.estimation)[0]
+    if not result.effects:
+        return []
     items = [(n, row) for n, row in data.horizon.items() if row.before is not None and row.after is not None]
     diverged = [name for name, row in data.horizon.items() if row.before is None or row.after is None]
     if not items:

@@ -64,11 +64,12 @@ def by_role(validation: T | None, estimation: T) -> list[tuple[str, T]]:
 def compared(errors: Errors) -> bool:
     """Return whether the errors are those of two models, before and after effects were added.
 
-    They are if any channel of any kind of prediction has an error before.
+    They are if a channel of any kind of prediction has an error before that is another one than after. Without added
+    effects both models are the same.
     """
     tables = [table for _, table in by_role(errors.validation, errors.estimation)]
     kinds = [kind for table in tables for kind in (table.one_step, table.horizon, table.simulation)]
-    return any(row.before is not None for kind in kinds for row in kind.values())
+    return any(row.before is not None and row.before != row.after for kind in kinds for row in kind.values())
 
 
 def errors_section(errors: Errors, seconds: float, caveat: str = "") -> Section:
