@@ -659,6 +659,12 @@ def comparison_answer(result: ComparisonResult) -> str:
     best = next((row for row in shown if row[0].label == result.best), None)
     if best is not None:
         words = f"Best {seconds:g} s ahead: ({best[0].label}) {best[0].name}. {_change_words(*best, first)}"
+        words += "".join(
+            f" The error of ({m.label}) {m.name} is smaller still, but differs too much between the blocks of time for "
+            f"a verdict. {_change_words(m, ratio, first)}"
+            for m, ratio in shown
+            if ratio.ratio < best[1].ratio
+        )
     elif all(ratio.verdict == "worse" for _, ratio in shown):
         nearest = min(shown, key=lambda row: row[1].ratio)
         words = f"Best {seconds:g} s ahead: ({first.label}) {first.name}. {_change_words(*nearest, first)}"

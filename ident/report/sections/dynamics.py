@@ -160,7 +160,9 @@ def _pole_blocks(dynamics: Dynamics, drive: str) -> list[Any]:
     blocks.append(Table(columns, rows, " ".join(notes)))
     if beyond := _outside_sentence(dynamics):
         blocks.append(Prose(beyond, "callout"))
-    if not all(p.stable for p in points):
+    # the sentence on the course says it if the data do not show whether the boat is stable
+    is_clear = dynamics.course is None or dynamics.course.low is None or dynamics.course.distinguishable
+    if not all(p.stable for p in points) and is_clear:
         slowest = min(p.speed for p in points if not p.stable)
         blocks.append(
             Prose(

@@ -594,6 +594,22 @@ def test_answer_without_a_significant_difference(compared: ComparisonResult) -> 
     )
 
 
+def test_answer_names_a_model_with_a_smaller_error_but_without_a_verdict(compared: ComparisonResult) -> None:
+    first, second = compared.models
+    change = second.changes[1]
+    rows = []
+    for label, ratio, verdict in (("b", 0.772, "better"), ("c", 0.755, "indistinguishable"), ("d", 0.9, "better")):
+        of = msgspec.structs.replace(change.against_reference, ratio=ratio, low=0.5, high=1.1, verdict=verdict)
+        changes = (msgspec.structs.replace(change, against_reference=of),)
+        rows.append(msgspec.structs.replace(second, label=label, name=label, changes=changes))
+    answer = comparison_answer(msgspec.structs.replace(compared, models=(first, *rows)))
+    assert answer.startswith("Best 2 s ahead: (b) b. ")
+    assert (
+        "The error of (c) c is smaller still, but differs too much between the blocks of time for a verdict." in answer
+    )
+    assert "(d)" not in answer
+
+
 @pytest.fixture(scope="module")
 def validated(models: list[Path]) -> Path:
     """Return the folder of the good model with scales of its errors over 5 s and in simulation, but not of x."""
