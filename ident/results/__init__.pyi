@@ -9,7 +9,6 @@ from .answers import estimation_warnings as estimation_warnings
 from .answers import faults_first as faults_first
 from .answers import frame_warnings as frame_warnings
 from .answers import implausible_mass as implausible_mass
-from .answers import mass_notes as mass_notes
 from .answers import moving_boat_warnings as moving_boat_warnings
 from .answers import plus_minus as plus_minus
 from .answers import scale_warnings as scale_warnings

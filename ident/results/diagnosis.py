@@ -40,6 +40,7 @@ from seatrial.ident.results.answers import (
     faults_first,
     frames_assumed,
     late_sensor_warnings,
+    mass_notes,
     not_converged,
     outlier_lines,
     poor_channel,
@@ -74,7 +75,7 @@ CHANCE_P = 1e-6  # larger p values of the best score test may occur by chance in
 
 
 class GivenModel(NamedTuple):
-    """Model that was given to a diagnosis, and the file of the model that the diagnosis writes.
+    """Model and weighed mass that were given to a diagnosis, and the file of the model that the diagnosis writes.
 
     Attributes
     ----------
@@ -83,10 +84,13 @@ class GivenModel(NamedTuple):
         lacks.
     converged
         Whether the fit of the model that was given converged.
+    weighed_mass
+        Weighed mass of the boat [kg]; None if it was not given.
     """
 
     diagnosed: str
     converged: bool = True
+    weighed_mass: float | None = None
 
 
 def diagnosis_result(
@@ -156,6 +160,7 @@ def diagnosis_result(
         ),
         notes=(
             *notes,
+            *([] if given.weighed_mass is None else mass_notes(diagnosis.after.fit, given.weighed_mass)),
             *_notes(diagnosis, given),
             *alternative_notes(rounds, effects),
             *refit_error_notes(rounds, effects),

@@ -23,7 +23,6 @@ from seatrial.ident.results import (
     GivenModel,
     diagnosis_result,
     estimation_warnings,
-    mass_notes,
     provenance,
 )
 from seatrial.ident.workflows.check import check_first, require_thrust_and_length, with_noise_floors
@@ -237,11 +236,10 @@ def diagnose_model(request: DiagnosisRequest, command: str, reporter: Reporter) 
             *floors,
             *considered_notes(found.after.fit.model),
             *found.after.outlier_notes,
-            *(mass_notes(found.after.fit, hull["mass"]) if "mass" in hull else []),
         ],
         unused=unused,
         dynamics=dynamics_of(found.after),
-        given=GivenModel(str(request.out / "model.toml"), saved.converged),
+        given=GivenModel(str(request.out / "model.toml"), saved.converged, hull.get("mass")),
     )
     return DiagnosedModel(found, result, effects_file or saved.effects_file)
 

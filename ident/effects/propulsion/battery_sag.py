@@ -34,9 +34,9 @@ EFFECT = Effect(
     inputs=(Input("work", "", "linear"),),
     formula="f_i *= 1 - beta E(t), E the integral of |n_L|^3 + |n_R|^3 over 150 s",
     source="open-loop speed control on a sagging supply; vendor's tables of thrust against voltage",
-    causes="a supply whose voltage falls with load or charge, and speed controllers without a speed sensor",
+    causes="a battery whose voltage falls as it empties, and speed controllers without a speed sensor",
     experiment="the same steps at the start and at the end of a long run",
     requires=("n", "f"),
     one_sided=True,
-    alternatives=("derating", "current-drift", "tether", "advance-ratio"),
+    alternatives=("derating", "load-sag", "current-drift", "tether", "advance-ratio"),
 )

@@ -25,5 +25,5 @@ EFFECT = Effect(
     source=SOURCE,
     experiment="many levels of steady command, with long levels below a third of full forward",
     requires=("n", "f"),
-    alternatives=("thrust-linearity",),
+    alternatives=("thrust-linearity", "load-sag"),
 )

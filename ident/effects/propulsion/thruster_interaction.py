@@ -33,5 +33,5 @@ EFFECT = Effect(
     experiment="one thruster alone, then both, at the same shaft speeds",
     requires=("n", "f"),
     one_sided=True,
-    alternatives=("wash", "advance-ratio", "reverse-thrust"),
+    alternatives=("load-sag", "wash", "advance-ratio", "reverse-thrust"),
 )
