@@ -1,4 +1,5 @@
 from .boat_numbers import MASS_ADVICE as MASS_ADVICE
+from .boat_numbers import arm_problem as arm_problem
 from .boat_numbers import mass_problem as mass_problem
 from .check_report import CheckReport as CheckReport
 from .check_report import DryRun as DryRun

@@ -1,4 +1,4 @@
-"""Check of the numbers of a boat that a user declares: its mass against its length."""
+"""Checks of the numbers of a boat that a user declares: its mass and its lever arms against its length."""
 
 from __future__ import annotations
 
@@ -11,6 +11,10 @@ from seatrial.daq.checks.findings import WARNING, Finding
 # it is long has 300. A compact vehicle under water, such as a ROV of 0.46 m and 11 kg, has 120. A mass in grams or in
 # tonnes, or a length in centimetres, is outside.
 LEAST_DENSITY, MOST_DENSITY = 0.5, 500.0
+# Antenna and thrusters are on the boat, so that none is farther from the centre of gravity than one length, even on a
+# mast or an outrigger. An arm in centimetres or millimetres is.
+ARMS = {"antenna_x": "antenna", "antenna_y": "antenna", "antenna_z": "antenna", "y_left": "thruster left",
+        "y_right": "thruster right"}  # fmt: skip
 
 
 def mass_problem(vehicle: Mapping[str, float]) -> str:
@@ -32,10 +36,33 @@ def mass_problem(vehicle: Mapping[str, float]) -> str:
     return f"mass = {mass:g} kg, but boats of length = {length:g} m weigh {usual} kg"
 
 
-def check_mass(vehicle: Mapping[str, float]) -> Iterator[Finding]:
-    """Yield a warning if the mass of a boat is unusual for its length (`mass_problem`)."""
+def arm_problem(vehicle: Mapping[str, float]) -> str:
+    """Return which lever arm of a boat is longer than the boat, as a clause; "" if none is.
+
+    Parameters
+    ----------
+    vehicle
+        Numbers of the boat by name [m]: ``length``, and the positions of antenna and thrusters (`ARMS`). Without a
+        length there is no problem.
+    """
+    length = vehicle.get("length")
+    if length is None:
+        return ""
+    far = [(name, vehicle[name]) for name in ARMS if abs(vehicle.get(name, 0.0)) > length]
+    if not far:
+        return ""
+    name, arm = far[0]
+    axis = {"x": "ahead", "y": "to starboard", "z": "down"}[name[-1] if name.startswith("antenna") else "y"]
+    return f"{ARMS[name]}: {arm:g} m {axis} of the centre of gravity, but the length is {length:g} m"
+
+
+def check_boat_numbers(vehicle: Mapping[str, float]) -> Iterator[Finding]:
+    """Yield a warning if the mass of a boat is unusual for its length, and one if a lever arm is longer than it."""
     if text := mass_problem(vehicle):
         yield Finding(WARNING, "mass-of-length", "geometry", "mass", text, MASS_ADVICE)
+    if text := arm_problem(vehicle):
+        yield Finding(WARNING, "arm-of-length", "geometry", "lever arms", text, ARM_ADVICE)
 
 
 MASS_ADVICE = "correct mass [kg] or length [m] in the import map ([geometry]) or in the rig file ([vehicle])"
+ARM_ADVICE = "give all positions and the length in metres, in the import map ([geometry]) or in the rig file"

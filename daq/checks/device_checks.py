@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from seatrial.daq.checks.boat_numbers import check_mass
+from seatrial.daq.checks.boat_numbers import check_boat_numbers
 from seatrial.daq.checks.findings import FAULT, OK, WARNING, Finding, joined
 from seatrial.daq.checks.import_checks import check_missing_inputs, check_rows_left_out
 from seatrial.daq.checks.run_end import check_run_end
@@ -108,7 +108,7 @@ def check_devices(log: Log) -> Iterator[Finding]:
             yield from _check_stuck(kind, name, table)
             yield from _VALUE_CHECKS.get(kind, _no_findings)(name, table, rig)
         yield from _check_port_counters(source, log)
-    yield from check_mass(log.vehicle)
+    yield from check_boat_numbers(log.vehicle)
     yield from check_run_end(log, last_samples)
     yield from _check_devices_present(log, rig)
     yield from check_thruster_coverage(log)

@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from itertools import zip_longest
 from pathlib import Path
 
-from seatrial.daq.checks import MASS_ADVICE, mass_problem
+from seatrial.daq.checks import MASS_ADVICE, arm_problem, mass_problem
 from seatrial.daq.config import TomlTable, parse_toml, read_text
 from seatrial.daq.errors import warn
 from seatrial.daq.importers.table import SourceOptions, TextStyle
@@ -335,7 +335,7 @@ def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, fl
     number of an uncertainty is missing. [geometry] may also have `lever_arm_m`, the position of the antenna in body
     axes [m], whose three numbers have the names `ANTENNA`. c1, length, mass and standard uncertainties must be
     positive, the size of c2 less than c1, y_left less than y_right, and both at most `length` from the middle. A mass
-    that is unusual for the length gives a warning.
+    that is unusual for the length gives a warning. The antenna must be within one length.
     """
     if table is None:
         return {}
@@ -366,6 +366,8 @@ def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, fl
         warn(f"{table.source}: {problem}; {MASS_ADVICE}")
     if "length" in names and table.has("lever_arm_m"):
         found |= dict(zip(ANTENNA, table.numbers("lever_arm_m", length=3), strict=True))
+        if problem := arm_problem(found):
+            raise table.error("lever_arm_m", f"{problem}; write positions and length in metres")
     table.done()
     return found
 

@@ -458,7 +458,7 @@ OF_SHAFT_TELEMETRY = frozenset({
     "shaft-speed-one-sided", "shaft-speed-stuck", "telemetry-exchanged",
 })  # fmt: skip
 # Warnings of the device checks that every fit repeats.
-FIT_WARNINGS = ("input-missing", "rpm-max-missing", "sections-missing", "mass-of-length")
+FIT_WARNINGS = ("input-missing", "rpm-max-missing", "sections-missing", "mass-of-length", "arm-of-length")
 # A log is a copy if this share of its triples of neighbouring values also occurs in another log. A signal with fewer
 # triples is not compared.
 COPIED_SHARE, MIN_TRIPLES = 0.5, 50

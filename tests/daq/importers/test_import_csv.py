@@ -488,6 +488,15 @@ def test_a_mass_in_grams_is_named_at_the_import_and_in_the_check(folder: Path) -
     assert (found.level, found.text) == ("warning", problem)
 
 
+def test_an_antenna_beyond_the_boat_is_refused(folder: Path) -> None:
+    csv_map, files = write(folder)
+    geometry = "[geometry]\nlength = 1.6\nlever_arm_m = [200, 50, 0]\n[csv]"
+    csv_map.write_text(csv_map.read_text().replace("[csv]", geometry))
+    problem = r"lever_arm_m: antenna: 200 m ahead of the centre of gravity, but the length is 1.6 m; write positions"
+    with pytest.raises(SeatrialError, match=problem):
+        import_files(csv_map, files)
+
+
 def test_shuffled_rows_are_a_fault(folder: Path) -> None:
     csv_map, files = write(folder, shuffled(), csv='time_order = "drop"')
     with pytest.raises(SeatrialError, match=r"\d+ rows of 400 left out, because times repeat .* sort the rows"):
