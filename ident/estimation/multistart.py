@@ -55,8 +55,9 @@ def alternative_starts(first: Fit, records: Sequence[Record]) -> list[dict[str, 
     The start grid has initial values for a few parameters, such as delay and lag of a thruster. The log-likelihood is
     evaluated at all its points, with all other parameters as in the fit. Points are taken in the order of decreasing
     likelihood. In the first parameter of the grid, a point differs from the fit and from the points before it by more
-    than 1.5 times the grid's minimum distance. A point without a finite likelihood is not taken. If the option
-    ``gaining`` of the grid is set, a point is taken only if its log-likelihood exceeds that of the fit by more than 2.
+    than 1.5 times the grid's minimum distance. A point without a finite likelihood is not taken. A fixed parameter
+    keeps its value. If the option ``gaining`` of the grid is set, a point is taken only if its log-likelihood exceeds
+    that of the fit by more than 2.
 
     Parameters
     ----------
@@ -68,12 +69,18 @@ def alternative_starts(first: Fit, records: Sequence[Record]) -> list[dict[str, 
     Returns
     -------
     list of dict
-        Initial values by parameter of the grid, at most two points; empty if the model has no start grid.
+        Initial values by parameter of the grid, at most two points. Empty if the model has no start grid, or if the
+        first parameter of the grid is fixed.
     """
     model, likelihood = first.model, Likelihood(first.model)
     grid = model.start_grid
-    if grid is None:
+    # A start would replace the value of a fixed parameter. With the first one fixed, there is one maximum.
+    if grid is None or not model.parameter(grid.names[0]).free:
         return []
+    values_of = [
+        values if model.parameter(name).free else (model.values[name],)
+        for name, values in zip(grid.names, grid.values, strict=True)
+    ]
     columns = [[p.name for p in model.parameters].index(name) for name in grid.names]
     rows = [r.for_model(model) for r in records]
 
@@ -87,7 +94,7 @@ def alternative_starts(first: Fit, records: Sequence[Record]) -> list[dict[str, 
         found = sum(likelihood.value(r, v) for r, v in zip(rows, values, strict=True))
         return found if np.isfinite(found) else -np.inf
 
-    inner_points = list(product(*grid.values[1:]))
+    inner_points = list(product(*values_of[1:]))
     merit = np.array([[log_likelihood((a, *rest)) for rest in inner_points] for a in grid.values[0]])
     found: list[dict[str, float]] = []
     least = sum(map(likelihood.value, rows, first.record_values)) + START_GAIN if grid.gaining else -np.inf

@@ -61,6 +61,19 @@ def test_starts_differ_from_the_fit_and_from_each_other() -> None:
     assert np.diff(np.sort(delays)).min() > 0.25
 
 
+def test_a_fixed_parameter_keeps_its_value() -> None:
+    model, record = thruster_model("slow", force=False), polled(2)
+    free = [p.name for p in model.parameters if p.free]
+    for fixed in ("tau", "a"):
+        held = model.with_values({"tau": 0.9, "a": 4.0}).with_free([n for n in free if n != fixed])
+        first = fit(held, [record])
+        starts = alternative_starts(first, [record])
+        assert all(s[fixed] == held.values[fixed] for s in starts)
+        assert bool(starts) is (fixed == "a")
+        best = best_of_starts(first, [record], lambda start, held=held: fit(held, [record], start=start))
+        assert best.model.values[fixed] == held.values[fixed]
+
+
 def test_only_models_of_polled_links_have_several_starts() -> None:
     assert thruster_model("slow").start_grid is not None
     assert thruster_model("0.11").start_grid is not None
