@@ -41,7 +41,7 @@ BLOCK_LENGTH = 9.0
 MOST_MISSED = 0.5  # largest share of the variance that this correction assumes to be missing
 COLOURED_P_VALUE = 0.001  # residuals are coloured below this p value of the information matrix test over all parameters
 AUTOCORRELATED_TOO_LONG = (
-    "its residuals are autocorrelated for too long to allow a robust standard error"  # flag of a parameter
+    "the residuals are autocorrelated for too long to allow a robust standard error of it"  # flag of a parameter
 )
 
 

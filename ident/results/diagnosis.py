@@ -9,6 +9,7 @@ from math import degrees, isfinite
 from typing import NamedTuple, cast
 
 import msgspec
+import numpy as np
 
 from seatrial.daq.errors import counted
 from seatrial.ident.diagnosis import (
@@ -70,6 +71,7 @@ from seatrial.ident.results.tables import (
 )
 
 MOST_CANDIDATES = 24  # best candidates of a round that are reported; others are reported if they passed
+WORSE_SIMULATION = 1.2  # ratio of the errors of a simulation, from which it is called worse
 AT_BOUND = 1.001  # factor of a lower bound up to which a noise counts as at it
 CHANCE_P = 1e-6  # larger p values of the best score test may occur by chance in data without a missing effect
 
@@ -141,10 +143,11 @@ def diagnosis_result(
     answer = "" if failed else diagnosis_answer(diagnosis, prediction, after.horizon, poor_channel(errors))
     course = course_sentence(dynamics.course if dynamics else None, diagnosis.after.fit.model)
     wind = wind_sentence(made, diagnosis.after.fit.model)
+    worse = _worse_simulation_sentence(errors) if diagnosis.effects else ""
     return DiagnosisResult(
         **msgspec.structs.asdict(made),
         answer=faults_first(made)
-        + (failed or " ".join(filter(None, [answer, straight_sentence(dynamics), course, wind]))),
+        + (failed or " ".join(filter(None, [answer, worse, straight_sentence(dynamics), course, wind]))),
         caveat=None if failed else diagnosis_caveat(diagnosis),
         prediction=prediction,
         converged_before=diagnosis.before.fit.converged,
@@ -279,6 +282,27 @@ def diagnosis_answer(
             f"contain {effect}, other effects or the disturbance forces stand for it."
         )
     return " ".join(sentences)
+
+
+def _worse_simulation_sentence(errors: parts.Errors) -> str:
+    """Return the sentence that the simulation is worse with the added effects than without; "" if it is not.
+
+    It is worse if the geometric mean of the ratios of the errors of all channels exceeds 1.2. The data are the
+    validation data, or the estimation data without such data. The channel with the largest ratio is named.
+    """
+    role, data = ("estimation", errors.estimation) if errors.validation is None else ("validation", errors.validation)
+    ratios = {n: row.after / row.before for n, row in data.simulation.items() if row.before and row.after}
+    if not ratios:
+        return ""
+    mean = float(np.exp(np.mean(np.log(list(ratios.values())))))
+    if mean < WORSE_SIMULATION:
+        return ""
+    name = max(ratios, key=lambda n: ratios[n])
+    return (
+        f"But the simulation of the {role} data by the inputs alone is worse with them: its error grows by "
+        f"{100.0 * (mean - 1.0):.0f} % (mean of all channels), most in {NAMES.get(name, name)}, by "
+        f"{100.0 * (ratios[name] - 1.0):.0f} %."
+    )
 
 
 def _likelihood_sentence(diagnosis: Diagnosis, role: str) -> str:
@@ -926,6 +950,7 @@ def _notes(diagnosis: Diagnosis, given: GivenModel) -> list[str]:
     if diagnosis.remaining and not diagnosis.untried_scores:
         if diagnosis.effects:
             has_curve = any(e.effect.kind.nonparametric for e in diagnosis.effects)
+            has_curve = has_curve and any(s.nonparametric for s in diagnosis.remaining)
             again = (
                 " After a curve, no second curve is tried: to try one, run `seatrial ident diagnose` with the model of "
                 "this diagnosis."

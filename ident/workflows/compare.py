@@ -482,10 +482,10 @@ def _warnings(models: Sequence[ComparedModel]) -> Iterator[ResultWarning]:
         if m.selected_by:
             yield ResultWarning(
                 code="compared-on-validation-log",
-                text=f"the effects of {_subject(m, models).lower()} were selected by {', '.join(m.selected_by)}: its "
-                f"errors there may be smaller than on other logs. {_unused_logs(models)}",
+                text=f"effects of {_subject(m, models).lower()}, also those of the timing and mounting of sensors and "
+                f"of the hull form, were accepted by {', '.join(m.selected_by)}: its errors there may be smaller than "
+                f"on other logs. {_unused_logs(models)}",
             )
-
         if m.widened_by:
             yield ResultWarning(
                 code="intervals-from-compared-log",

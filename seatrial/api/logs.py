@@ -472,7 +472,8 @@ def as_paths(
     Raises
     ------
     SeatrialError
-        If a log does not exist, if a folder is not that of one log, if a model is given, or if nothing is given.
+        If a log does not exist, if a folder is not that of one log, if a model or a pattern is given, or if nothing is
+        given.
     """
     paths = []
     for log in as_list(logs):
@@ -488,6 +489,12 @@ def as_paths(
         paths.append(log.path if isinstance(log, Log) else Path(log))
     if not paths:
         raise SeatrialError("no log was given; give at least one path")
+    for path in paths:
+        if any(sign in path.name for sign in "*?") and not path.exists():
+            raise SeatrialError(
+                f"{path}: a pattern is not expanded; give the folder, or "
+                f"sorted(Path('{path.parent}').glob('{path.name}'))"
+            )
     if not existing:
         return paths
     for path in paths:

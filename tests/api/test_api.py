@@ -265,6 +265,12 @@ def test_signals_of_a_log(logs: list[Path]) -> None:
         log["yaw"]
 
 
+def test_a_pattern_in_place_of_logs_is_named(tmp_path: Path) -> None:
+    for function in (st.fit, st.fit_many):
+        with pytest.raises(SeatrialError, match=r"\*\.mcap: a pattern is not expanded; give the folder, or sorted\("):
+            function(str(tmp_path / "*.mcap"))
+
+
 def test_mock_log_is_that_of_the_packaged_boat(tmp_path: Path) -> None:
     log = st.mock_log(tmp_path / "mock.mcap", 20.0, boat=5, mission=3, effect="mismatch")
     same = st.open_log(boat_log(tmp_path / "same.mcap", boat_with("mismatch", 5), 20.0, 3, 3))
