@@ -779,8 +779,8 @@ def test_effects_that_are_estimated_on_the_compared_log_are_named(logs: list[Pat
     result = compare_models(CompareRequest(weedy_models, [logs[2]], (2.0,), names=("plain", "weedy")), "", Kept())
     assert [m.per_log for m in result.models] == [("V_x", "V_y"), ("V_x", "V_y", "g_before")]
     assert {w.code: w.text.partition(":")[0] for w in result.warnings} == {
-        "compared-on-validation-log": "effects of (b), also those of the timing and mounting of sensors and of the hull "
-        "form, were accepted by run3",
+        "compared-on-validation-log": "effects of (b), also those of the timing and mounting of sensors and of the "
+        "hull form, were accepted by run3",
         "effect-estimated-on-compared-log": "(b) estimates parameters of an effect anew on each compared log "
         "(g_before of growing-drag)",
         "intervals-from-compared-log": "the errors on run3 have widened the intervals of (b), so that the share of the "
