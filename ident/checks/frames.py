@@ -109,14 +109,17 @@ def check_frames(c: Channels, heading: Match | None, turning: Mapping[str, int])
     Yields
     ------
     Finding
-        At most one fault: the first of mirrored signals, exchanged axes, an axis without motion, an offset of the
-        heading, and body velocities in a wrong frame.
+        At most one fault: the first of a velocity over ground that is one in body axes, mirrored signals, exchanged
+        axes, an axis without motion, an offset of the heading, and body velocities in a wrong frame.
     """
     tracks = {
         n: w
         for n, pair in (("position", ("x", "y")), ("velocity", ("vx", "vy")))
         if (w := displacement_windows(c, *pair))
     }
+    if (body := _body_axes_of_velocity(c, tracks)) is not None:
+        yield body
+        return
     courses = {n: track_course(c, w) for n, w in tracks.items() if "psi" in c}
     signs: dict[Relation, int] = {(n, "heading"): found.parity for n, found in courses.items() if found is not None}
     signs |= {("thrusters", name): sign for name, sign in turning.items()}
@@ -393,6 +396,39 @@ def _axes_error(tracks: Mapping[str, Windows]) -> str | None:
             if alone[good] < GOOD < BAD < alone[bad] and power[bad] > LEAST_GAIN * power[good]:
                 return f"{name} or v{name} is from a wrong column"
     return best
+
+
+def _body_axes_of_velocity(c: Channels, tracks: Mapping[str, Windows]) -> Finding | None:
+    """Return a fault if vx and vy agree with the positions only after they are turned by the heading; else None.
+
+    They are then a velocity in body axes, as the twist of an odometry message in ROS. Wrong axes of a velocity over
+    ground must explain the positions less well. ``tracks``: displacements by
+    ``position`` and by ``velocity``. None also if positions, velocities or heading are missing or overlap for less than
+    20 s or 18 windows of the positions, or if the boat is slower than 0.1 m/s (rms).
+    """
+    if len(tracks) < 2 or "psi" not in c:
+        return None
+    track = tracks["position"]
+    if np.sqrt(np.mean(np.abs(track.d) ** 2)) < LEAST_SPEED * track.width:
+        return None
+    turned = _body_frame_comparison(c, "vx", "vy", track)
+    if turned is None:
+        return None
+    d, block, moved, turn, w = turned
+    candidates = {name: moved(of(w)) for name, of in AXES.items()} | {"": moved(w), "body": moved(turn * w)}
+    candidates |= {f"body: {name}": moved(turn * of(w)) for name, of in AXES.items()}
+    best = preferred_hypothesis({name: fit_hypothesis(d, z, block, ()) for name, z in candidates.items()})
+    if best is None or not best.startswith("body"):
+        return None
+    return Finding(
+        "fault",
+        "velocity-body-fixed",
+        "frame",
+        "vx, vy",
+        "the velocity is in body axes: it agrees with the positions if it is turned by the heading",
+        "name its signals u (forward) and v (to starboard) in the import map; if v is to port in the source, give "
+        'frame = "FLU"',
+    )
 
 
 def _body_velocity_fault(c: Channels, tracks: Mapping[str, Windows]) -> Iterator[Finding]:

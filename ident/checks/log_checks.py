@@ -447,7 +447,8 @@ SPOILING = frozenset({
     "angle-in-degrees", "n-out-of-range", "positions-in-degrees", "velocity-unit", "velocity-and-acceleration-scale",
     "gyro-scale", "shaft-speed-in-rad-per-s", "shaft-speed-scale", "shaft-sign-reversed",
     "heading-sense", "heading-offset", "heading-half-turn", "gyro-sign-reversed", "position-axes", "velocity-axes",
-    "position-and-velocity-axes", "frames-mirrored", "velocity-earth-fixed", "body-velocity-axes", "acceleration-axes",
+    "position-and-velocity-axes", "frames-mirrored", "velocity-earth-fixed", "velocity-body-fixed",
+    "body-velocity-axes", "acceleration-axes",
     "thruster-sides-swapped", "thruster-sign-reversed", "channel-frozen", "channel-constant", "sensor-stuck",
     "log-copied", "rows-left-out", "position-jumps", "shaft-speed-wrapped", "shaft-speed-one-sided", "two-sensors",
     "inputs-constant", "shaft-speed-stuck", "telemetry-exchanged", "gyro-wrapped", "times-jump",
@@ -640,12 +641,15 @@ def check_signals(c: Channels, sides: Mapping[str, float], known_noise: Collecti
         *velocity_and_acceleration(c, matches.velocity),
         *position_and_velocity(c, matches.position),
     ]
-    yield from of_sensors
+    # Wrong axes explain it better, if they are found below.
+    disagreeing = [f for f in of_sensors if f.code == "position-and-velocity-disagree"]
+    yield from (f for f in of_sensors if f not in disagreeing)
     unwrapped = {n: x for n, x in c.items() if n not in wraps}
     # The telemetry of another thruster cannot show the sign, the response or the side of this one.
     exchanged = list(check_exchanged_telemetry(unwrapped))
     yield from exchanged
     if exchanged:
+        yield from disagreeing
         return
     one_sided = one_sided_shafts(unwrapped)
     yield from one_sided.values()
@@ -659,9 +663,10 @@ def check_signals(c: Channels, sides: Mapping[str, float], known_noise: Collecti
     yield from check_shaft_gain({n: x for n, x in right.items() if SignalId.parse(n).source not in faulty})
     wrong_inputs = [*of_wraps, *one_sided.values()]
     if wrong_inputs or any(f.level == FAULT and f.check in ("units", "stuck", "alike") for f in (*ranges, *of_sensors)):
+        yield from disagreeing
         return
     of_frames = list(check_frames(c, matches.heading, turning_signs(c, sides)))
-    yield from of_frames
+    yield from of_frames or disagreeing
     of_motion = [] if of_frames else list(check_motion(c, sides, {f.where for f in of_shafts if f.check == "dead"}))
     yield from of_motion
     if not of_frames and not any(f.level == FAULT for f in of_motion):

@@ -100,6 +100,13 @@ def earth_fixed(c: Channels) -> Channels:
     return c | {"u": Channel(c["u"].t, w.real, "m/s"), "v": Channel(c["v"].t, w.imag, "m/s")}
 
 
+def body_fixed(c: Channels) -> Channels:
+    """Return channels with velocities forward and to starboard under the names vx and vy."""
+    psi = np.interp(c["vx"].t, c["psi"].t, np.unwrap(c["psi"].value))
+    w = (c["vx"].value + 1j * c["vy"].value) * np.exp(-1j * psi)
+    return c | {"vx": Channel(c["vx"].t, w.real, "m/s"), "vy": Channel(c["vy"].t, w.imag, "m/s")}
+
+
 def mounted(quarters: int) -> Callable[[Channels], Channels]:
     """Return a function that turns the AHRS clockwise by quarter turns. This changes its heading and its forward
     axis.
@@ -138,6 +145,7 @@ KINDS: dict[str, Kind] = {
     ),
     "vx and vy swapped": Kind(swapped(("vx", "vy")), ("velocity-axes",), FULL),
     "vy negated": Kind(each(negated, "vy"), ("velocity-axes",), FULL),
+    "velocity in body axes": Kind(body_fixed, ("velocity-body-fixed",), FULL),
     "velocity in knots": Kind(each(lambda v: v / 0.5144, "vx", "vy"), ("velocity-unit",), FULL),
     "u and v north and east": Kind(earth_fixed, ("velocity-earth-fixed",), BODY),
     "u and v in km/h": Kind(each(lambda v: 3.6 * v, "u", "v"), ("velocity-unit",), BODY),

@@ -61,15 +61,15 @@ def run() -> dict[str, Channel]:
     return channels_of(sail(boat_with(None, 3), 120.0, 5)[0])
 
 
-def dashes(seed: int) -> dict[str, Channel]:
+def dashes(seed: int, heading: float = 1.4) -> dict[str, Channel]:
     """Return positions, heading and body velocities of a boat that is fast in three of fifteen blocks of 10 s only.
 
-    It heads about east, turns little, and slips to port.
+    It heads about east (1.4 rad), turns little, and slips to port.
     """
     rng = np.random.default_rng(seed)
     t = 0.1 * np.arange(1500)
     fast = sum(np.exp(-0.5 * ((t - at) / 3.0) ** 2) for at in (25.0, 75.0, 125.0))
-    psi = 1.4 + 0.5 * np.sin(0.11 * t)
+    psi = heading + 0.5 * np.sin(0.11 * t)
     u, v = 0.02 + 2.0 * fast, -0.2 * fast
     track = np.cumsum((u + 1j * v) * np.exp(1j * psi)) * 0.1
     noise = 0.02 * rng.standard_normal((4, t.size))
@@ -95,6 +95,21 @@ def test_few_fast_dashes_show_units_and_axes(wrong: dict[str, tuple[str, float]]
     found = list(check_frames(c, None, {}))
     assert [f.code for f in found] == ([] if code is None else [code])
     assert not found or found[0].text.endswith(text)
+
+
+@pytest.mark.parametrize("to_port", [False, True])
+def test_velocity_in_body_axes_is_no_velocity_over_ground(to_port: bool) -> None:
+    """The twist of an odometry message is in body axes: forward and, in ROS, to port."""
+    run = dashes(4, 0.2 if to_port else 1.4)
+    psi, u, v = (run[n].value for n in ("psi", "u", "v"))
+    over_ground = (u + 1j * v) * np.exp(1j * psi)
+    right = {n: run[n] for n in ("x", "y", "psi")}
+    for vx, vy, codes in (
+        (over_ground.real, over_ground.imag, []),
+        (-v if to_port else u, u if to_port else v, ["velocity-body-fixed"]),  # taken as east, north: exchanged
+    ):
+        c = right | {"vx": Channel(run["x"].t, vx), "vy": Channel(run["x"].t, vy)}
+        assert [f.code for f in check_frames(c, None, {})] == codes
 
 
 def filtered(c: Channel, samples: int = 25) -> Channel:
