@@ -94,6 +94,8 @@ def check_inputs(c: Channels) -> Iterator[Finding]:
     for name in (n for n in names if is_of_thruster(n, SHAFT_SPEED)):
         command = c.get(command_of(SignalId.parse(name).source))
         held = _stuck_against_command(c[name], command) if command is not None and command.t is not c[name].t else None
+        if held is not None and command is not None and _turns_against(command, c[name]):
+            continue  # a wrong sign, which `seatrial.ident.checks.shafts` reports: its steady speeds are not stuck
         advice = (
             "check cable, bus and firmware of the controller; or leave this signal out of the import map, so that the "
             "fit uses the command"
@@ -231,6 +233,12 @@ def _stuck_against_command(shaft: Channel, command: Channel) -> tuple[float, flo
         if _longest_run(against) * SENSOR_GRID_S >= AGAINST_S and (found is None or end - begin > found[2] - found[1]):
             found = value, begin, end
     return found
+
+
+def _turns_against(command: Channel, shaft: Channel) -> bool:
+    """Return whether a shaft speed follows its command with the wrong sign (R2 above 0.9)."""
+    found = response(command, shaft)
+    return isinstance(found, Response) and found.scale < 0.0 and found.r2 > FOLLOWS_OTHER
 
 
 def _longest_run(mask: Array) -> int:

@@ -131,3 +131,15 @@ def test_exchanged_telemetry_is_found_although_both_sides_are_driven_alike() -> 
     assert not faults(c)
     c["n_left"], c["n_right"] = c["n_right"], c["n_left"]
     assert faults(c) == ["telemetry-exchanged"]
+
+
+def test_command_with_the_wrong_sign_is_no_stuck_shaft() -> None:
+    """The noiseless speeds of a controller are constant between commands, and then they are against the command."""
+    t = np.arange(0.0, 200.0, 0.1)
+    level = np.repeat(np.random.default_rng(2).choice([0.3, 0.5, 0.7, 0.9], 20), 100)
+    command, shaft = Channel(t, -level, hold="zero"), Channel(t + 1e-3, np.round(level, 2), hold="linear")
+    c = log(ATTITUDE, VELOCITY) | {"n_cmd_left": command, "n_left": shaft}
+    assert [f.code for f in check_inputs(c)] == []
+    stopped = np.where((t > 100.0) & (t < 130.0), 0.0, level)
+    against = c | {"n_cmd_left": replace(command, value=stopped), "n_left": replace(shaft, value=np.full(t.size, 0.6))}
+    assert [f.code for f in check_inputs(against)] == ["shaft-speed-stuck"]
