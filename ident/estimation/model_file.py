@@ -518,6 +518,8 @@ def load_model(path: Path) -> SavedModel:
         raise SeatrialError(
             f"{path}: this is a result file (JSON), not a model, and no {MODEL} is beside it; give the {MODEL} of a fit"
         )
+    if text.lstrip().startswith("<"):
+        raise SeatrialError(f"{path}: this is a page (HTML), not a model; give the {MODEL} beside it, or the folder")
     table = parse_toml(text, path).values
     if table.get("format") != FORMAT:
         raise SeatrialError(f"{path}: format is {table.get('format')!r}, not {FORMAT!r}: give a model.toml of seatrial")

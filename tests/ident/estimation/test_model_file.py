@@ -390,3 +390,12 @@ def test_folder_and_result_file_without_model_are_rejected(tmp_path: Path) -> No
         match=r"result\.json: this is a result file \(JSON\), not a model, and no model\.toml is beside it",
     ):
         load_model(result)
+
+
+def test_a_report_in_place_of_a_model_is_named(tmp_path: Path) -> None:
+    report = tmp_path / "report.html"
+    report.write_text("<!doctype html>\n<title>Report</title>", encoding="utf-8")
+    with pytest.raises(
+        SeatrialError, match=r"report\.html: this is a page \(HTML\), not a model; give the model\.toml"
+    ):
+        load_model(report)
