@@ -108,7 +108,7 @@ def masses_sentence(m: ComparedModel, weighed: float | None) -> str:
     """
     found = []
     for mass in m.masses:
-        words = f"{mass.name} {formatting.with_error(mass.value, mass.se, mass.unit)}"
+        words = f"{mass.name} {formatting.with_error(mass.value, mass.se, formatting.typeset_unit(mass.unit))}"
         if mass.name == "m_u" and weighed is not None:
             words += f" ({formatting.plain(mass.value / weighed, 2)} times the weighed {weighed:g} kg)"
         found.append(words)
