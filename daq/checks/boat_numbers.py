@@ -18,13 +18,13 @@ ARMS = {"antenna_x": "antenna", "antenna_y": "antenna", "antenna_z": "antenna", 
 
 
 def mass_problem(vehicle: Mapping[str, float]) -> str:
-    """Return what is unusual about the mass of a boat for its length, as a clause; "" if nothing is.
+    """Return a clause that says how the mass of a boat differs from usual boats of its length; "" if it is usual.
 
     Parameters
     ----------
     vehicle
-        Numbers of the boat by name, of which ``length`` [m] and the weighed ``mass`` [kg] are used. Without both of
-        them there is no problem.
+        Numbers of the boat by name. Only ``length`` [m] and the weighed ``mass`` [kg] are used. The result is "" if one
+        of them is missing.
     """
     length, mass = vehicle.get("length"), vehicle.get("mass")
     if length is None or mass is None:
@@ -37,13 +37,13 @@ def mass_problem(vehicle: Mapping[str, float]) -> str:
 
 
 def arm_problem(vehicle: Mapping[str, float]) -> str:
-    """Return which lever arm of a boat is longer than the boat, as a clause; "" if none is.
+    """Return a clause that names a lever arm that is longer than the boat; "" if there is none.
 
     Parameters
     ----------
     vehicle
-        Numbers of the boat by name [m]: ``length``, and the positions of antenna and thrusters (`ARMS`). Without a
-        length there is no problem.
+        Numbers of the boat by name [m]: ``length``, and the positions of antenna and thrusters (`ARMS`). The result is
+        "" without a length.
     """
     length = vehicle.get("length")
     if length is None:

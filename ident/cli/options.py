@@ -453,13 +453,14 @@ def reml_option(default: bool | None = True) -> Callable[..., Any]:
 def mean_order_option(default: bool | None = True) -> Callable[..., Any]:
     """Return a decorator that adds the option ``--second-order/--no-second-order`` to a command.
 
-    The option selects the order of the Kalman filter. The command receives the order as ``mean_order``, 2 or 1.
+    The option selects the order of the Kalman filter. The parameter ``mean_order`` of the command is this order, 2 or
+    1.
 
     Parameters
     ----------
     default : bool or None
-        Value if the option is not given. With None the command receives None, and uses the setting of the fit that it
-        studies.
+        Value if the option is not given. With None, ``mean_order`` is None, and the command uses the order of the fit
+        that it studies.
     """
     return click.option(
         "--second-order/--no-second-order",

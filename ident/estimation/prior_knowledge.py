@@ -411,9 +411,10 @@ def set_initial_values(model: Model, initial: Mapping[str, float]) -> Model:
 
 
 def exceeded_prior(p: Parameter, value: float, error: float) -> float | None:
-    """Return the standard deviation of a prior that was given for this boat, if the standard error is larger than it.
+    """Return the standard deviation of the prior of a parameter if the standard error of its estimate exceeds it.
 
-    An excess of less than one per cent does not count. `BEYOND_PRIOR` says what such an error contains.
+    Only priors that the user gave for this boat are considered. The error must exceed the standard deviation by more
+    than one per cent. `BEYOND_PRIOR` describes what such an error contains.
 
     Parameters
     ----------
@@ -425,7 +426,8 @@ def exceeded_prior(p: Parameter, value: float, error: float) -> float | None:
     Returns
     -------
     float or None
-        Standard deviation in the unit of the parameter. None if the error is not larger, and without such a prior.
+        Standard deviation in the unit of the parameter. None if the error does not exceed it, or if the user gave no
+        prior.
     """
     if not p.free or p.provenance is ParameterOrigin.ESTIMATED or (prior := p.free_prior()) is None:
         return None

@@ -330,7 +330,10 @@ class ComparisonResult(Result, frozen=True, kw_only=True, tag_field="kind", tag=
 
     @property
     def kinds(self) -> tuple[tuple[PredictionKind, float | None], ...]:
-        """Kinds of prediction with their horizon [s] (None: no horizon), in the order of ``channels``."""
+        """Kinds of prediction, each with its horizon [s]; the horizon is None if the kind has none.
+
+        The order is that of ``channels``.
+        """
         return tuple(dict.fromkeys((row.kind, row.seconds) for row in self.channels))
 
     def inside_95(self, kind: PredictionKind, seconds: float | None, label: str) -> float | None:

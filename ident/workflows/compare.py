@@ -166,7 +166,10 @@ class _Candidate:
         return tuple(p.name for p in self.model.parameters if p.free and p.per_record)
 
     def widens(self, seconds: float | None) -> bool:
-        """Return whether validation data widen the intervals over ``seconds`` [s]. None stands for the simulation."""
+        """Return whether validation data widen the prediction intervals over the horizon ``seconds`` [s].
+
+        With None, the intervals are those of the simulation.
+        """
         return self.saved.intervals is not None and bool(self.saved.intervals.widening(seconds))
 
 

@@ -79,7 +79,7 @@ class ExportOptions(TypedDict, total=False):
 
 @dataclass(frozen=True, repr=False)
 class Saved(MotionMethods, Shown):
-    """Saved fit, as `load` returns it: its model, its result, or both.
+    """Fit that `load` has read from files. It has the model, the result, or both.
 
     Attributes
     ----------
