@@ -184,6 +184,11 @@ class Windows(NamedTuple):
     d: Complex
 
 
+def _is_slow(d: Complex, width: float) -> bool:
+    """Return whether displacements d (n,) [m] over windows of a ``width`` [s] are of a boat below 0.1 m/s (rms)."""
+    return bool(np.sqrt(np.mean(np.abs(d) ** 2)) < LEAST_SPEED * width)
+
+
 def displacement_windows(c: Channels, north: str, east: str) -> Windows | None:
     """Return displacements over windows of time, by positions or by integrated velocities.
 
@@ -234,7 +239,7 @@ def track_course(c: Channels, w: Windows) -> Course | None:
     psi = c["psi"]
     inside = (w.t > psi.t[0]) & (w.t < psi.t[-1])
     d, at = w.d[inside], w.t[inside]
-    if d.size < 3 * FEWEST_BLOCKS or np.sqrt(np.mean(np.abs(d) ** 2)) < LEAST_SPEED * w.width:
+    if d.size < 3 * FEWEST_BLOCKS or _is_slow(d, w.width):
         return None
     heading = np.interp(at, psi.t, np.unwrap(psi.value))
     block = _block_of_windows(at, w.width)
@@ -345,7 +350,7 @@ def _motionless_axis(c: Channels, w: Windows) -> str | None:
     psi = c["psi"]
     inside = (w.t > psi.t[0]) & (w.t < psi.t[-1])
     heading, d = np.interp(w.t[inside], psi.t, np.unwrap(psi.value)), w.d[inside]
-    if d.size < 3 * FEWEST_BLOCKS or np.sqrt(np.mean(np.abs(d) ** 2)) < LEAST_SPEED * w.width:
+    if d.size < 3 * FEWEST_BLOCKS or _is_slow(d, w.width):
         return None
     headed = np.array([np.mean(np.cos(heading) ** 2), np.mean(np.sin(heading) ** 2)])
     moved = np.array([np.mean(d.real**2), np.mean(d.imag**2)]) / np.maximum(headed, 1e-12)
@@ -384,7 +389,7 @@ def _axes_error(tracks: Mapping[str, Windows]) -> str | None:
         return None
     rate = [np.interp(p.t[inside], v.t, f(v.d)) * (p.width / v.width) for f in (np.real, np.imag)]
     moved = rate[0] + 1j * rate[1]
-    if np.sqrt(np.mean(np.abs(moved) ** 2)) < LEAST_SPEED * p.width:
+    if _is_slow(moved, p.width):
         return None
     block = _block_of_windows(p.t[inside], p.width)
     candidates = {"": moved} | {name: of(moved) for name, of in AXES.items()}
@@ -409,7 +414,7 @@ def _body_axes_of_velocity(c: Channels, tracks: Mapping[str, Windows]) -> Findin
     if len(tracks) < 2 or "psi" not in c:
         return None
     track = tracks["position"]
-    if np.sqrt(np.mean(np.abs(track.d) ** 2)) < LEAST_SPEED * track.width:
+    if _is_slow(track.d, track.width):
         return None
     turned = _body_frame_comparison(c, "vx", "vy", track)
     if turned is None:
@@ -441,7 +446,7 @@ def _body_velocity_fault(c: Channels, tracks: Mapping[str, Windows]) -> Iterator
     track = tracks.get("velocity") or tracks.get("position")
     if not {"u", "v", "psi"} <= set(c) or track is None:
         return
-    if np.sqrt(np.mean(np.abs(track.d) ** 2)) < LEAST_SPEED * track.width:
+    if _is_slow(track.d, track.width):
         return
     turned = _body_frame_comparison(c, "u", "v", track)
     if turned is None:
