@@ -199,47 +199,47 @@ class TrajectoryLinearisation:
         larger, rowwise = self._larger[key]
         u = np.asfortranarray(self.record.for_model(larger).u)
         scans = [dict(zip(effect.scan, scan, strict=True)) for scan in product(*effect.scan.values())]
-        all_values = [
-            np.append(self.values, [scanned.get(p.name, p.value) for p in effect.parameters]) for scanned in scans
+        sizes = [
+            (j, p) for j, p in enumerate(effect.parameters)  # the other parameters describe the form of the effect
+            if not (p.transform == "log" or p.name in effect.scan or (j > 0 and p.value != 0.0))
+        ]  # fmt: skip
+        # for each scan: the values at zero, followed by those with each size moved by its step
+        value_sets = [
+            _each_moved(
+                np.append(self.values, [scanned.get(p.name, p.value) for p in effect.parameters]),
+                len(self.values),
+                sizes,
+            )
+            for scanned in scans
         ]
-        driven = [np.zeros((len(self.x), 0))] * len(scans)
-        if m:
-            begin = self._ends.get(key, [_initial_states(larger, effect, values) for values in all_values])
-            driven = self._effect_states(rowwise, begin, all_values, u)
-            self._ends[key] = [z[-1].copy() for z in driven]
-        for scanned, values, z in zip(scans, all_values, driven, strict=True):
-            x, changes, names = np.concatenate([self.x.T, z.T]).T, list[list[Array]](), []
-            sizes = [
-                (j, p) for j, p in enumerate(effect.parameters)  # the other parameters describe the form of the effect
-                if not (p.transform == "log" or p.name in scanned or (j > 0 and p.value != 0.0))
-            ]  # fmt: skip
+        state_sets = self._effect_states(effect, value_sets, u)
+        for scanned, (zero, *moved), (z0, *z_moved) in zip(scans, value_sets, state_sets, strict=True):
 
-            def without_own_states(values: Array, rowwise: VectorisedModel = rowwise, x: Array = x) -> list[Array]:
-                """Return the columns (n_rows,) of rates and outputs at x, without the rates of the effect's own states.
+            def without_own_states(values: Array, z: Array, rowwise: VectorisedModel = rowwise) -> list[Array]:
+                """Return the columns (n_rows,) of rates and outputs, without the rates of the effect's own states z.
 
                 ``values`` are the parameters of the model with the effect, ``rowwise``.
                 """
+                x = np.concatenate([self.x.T, z.T]).T
                 columns = rowwise.columns(x, u, values, self.recorded)
                 return columns[:n] + columns[n + m :]
 
             at_zero = all(p.value == 0.0 for _, p in sizes)
-            base = list(self.base.T) if at_zero else without_own_states(values)
-            for j, p in sizes:
-                moved = values.copy()
-                moved[len(self.values) + j] += p.step
-                found = without_own_states(moved)
-                changes.append([after - before for after, before in zip(found, base, strict=True)])
-                names.append(p.name)
+            base = list(self.base.T) if at_zero else without_own_states(zero, z0)
+            changes = [
+                [after - before for after, before in zip(without_own_states(values, z), base, strict=True)]
+                for values, z in zip(moved, z_moved, strict=True)
+            ]
             per_record = effect.kind is EffectKind.BETWEEN_RUNS or all(p.per_record for p in effect.parameters)
             touched = np.flatnonzero([any(c.any() for c in column) for column in zip(*changes, strict=True)])
-            delta = np.empty((len(x), touched.size, len(changes)))
+            delta = np.empty((len(self.x), touched.size, len(changes)))
             for k, (change, (_, p)) in enumerate(zip(changes, sizes, strict=True)):
                 for i, j in enumerate(touched.tolist()):
                     np.divide(change[j], p.step, out=delta[:, i, k])
             yield SensitivityColumns(
                 effect.name,
                 delta,
-                tuple(names),
+                tuple(p.name for _, p in sizes),
                 scanned,
                 effect.kind,
                 effect.curve,
@@ -248,14 +248,46 @@ class TrajectoryLinearisation:
                 touched,
             )
 
-    def _effect_states(
+    def _effect_states(self, effect: Effect, value_sets: Sequence[Sequence[Array]], u: Array) -> list[list[Array]]:
+        """Return the states (n_rows, m) that an effect adds, along the trajectory, for each of the sets of values.
+
+        The states do not act on the model, because the size of the effect is zero. They are driven by the states and
+        inputs of the model. Their values at the last row are stored for the next `part`. For a size that does not act
+        through the states, the states are those at zero.
+
+        Parameters
+        ----------
+        effect
+            The effect. Without states, m is zero.
+        value_sets
+            Values of the parameters of the model with the effect: for each scan those at zero, and those with each size
+            parameter moved.
+        u : Array (n_rows, n_inputs)
+            Inputs of the model with the effect.
+        """
+        if not effect.states:
+            none = np.zeros((len(self.x), 0))
+            return [[none] * len(values) for values in value_sets]
+        key = (effect.name, effect.curve)
+        larger, rowwise = self._larger[key]
+        acting = _act_through_states(rowwise, value_sets[0], len(effect.states))
+        distinct = [v for values in value_sets for v, acts in zip(values, acting, strict=True) if acts]
+        begin = self._ends.get(key, [_initial_states(larger, effect, values) for values in distinct])
+        found = self._driven_states(rowwise, begin, distinct, u)
+        self._ends[key] = [z[-1].copy() for z in found]
+        states, each = list[list[Array]](), iter(found)
+        for _ in value_sets:
+            at_zero = next(each)
+            states.append([at_zero, *(next(each) if acts else at_zero for acts in acting[1:])])
+        return states
+
+    def _driven_states(
         self, rowwise: VectorisedModel, begin: list[Array], all_values: list[Array], u: Array
     ) -> list[Array]:
         """Return the states (n_rows, m) that an effect adds, along the trajectory, for each set of parameter values.
 
-        The size of the effect is zero, so its states do not act on the model. They are driven by the states and inputs
-        of the model. States that are linear with constant coefficients are solved for all rows at once, others are
-        integrated from row to row.
+        States that are linear with constant coefficients are solved for all rows at once, others are integrated from
+        row to row.
 
         Parameters
         ----------
@@ -312,6 +344,38 @@ class TrajectoryLinearisation:
             assert effect.curve is not None
             for columns in self.effect(effect):
                 yield replace(columns, name=curve_name(effect.kind, effect.curve))
+
+
+def _each_moved(values: Array, n: int, sizes: Sequence[tuple[int, Parameter]]) -> list[Array]:
+    """Return the values of the parameters of a model with an effect, then these values with each size parameter moved.
+
+    Each copy has one size parameter increased by its step. The index of a size parameter counts the parameters of the
+    effect, which follow ``n`` parameters of the model.
+    """
+    moved = [values]
+    for j, p in sizes:
+        moved.append(values.copy())
+        moved[-1][n + j] += p.step
+    return moved
+
+
+def _act_through_states(rowwise: VectorisedModel, value_set: Sequence[Array], m: int) -> list[bool]:
+    """Return for each set of parameter values whether it acts through the last m states of a model, to first order.
+
+    It does if it changes the rates of these states, compared with the first set, and if these states act on other rates
+    or on outputs with the first set. The first set itself is True. A test at two states and one input, which are
+    different numbers without meaning, decides.
+    """
+    n = len(rowwise.model.states)
+    x = np.tile(np.linspace(0.31, 0.57, n), (2, 1))
+    x[1, -m:] += 0.1
+    u = np.tile(np.linspace(0.43, 0.71, len(rowwise.model.inputs)), (2, 1))
+    signals = [rowwise(x, u, values) for values in value_set]
+    others = np.delete(signals[0], np.s_[n - m : n], axis=1)
+    if np.array_equal(others[0], others[1], equal_nan=True):
+        return [True, *(False for _ in value_set[1:])]
+    rates = [each[0, n - m : n] for each in signals]
+    return [True, *(not np.array_equal(rate, rates[0], equal_nan=True) for rate in rates[1:])]
 
 
 def _initial_states(larger: Model, effect: Effect, values: Array) -> Array:

@@ -36,9 +36,6 @@ SENSOR_ERRORS = (
 HULL_FORM = ("cross-flow", "lift", "sway-yaw")
 THRUST_FORM = ("advance-ratio",)  # every propeller loses thrust with its inflow
 COMMON_ERRORS = (*SENSOR_ERRORS, *HULL_FORM, *THRUST_FORM)
-# A compass deviation behind a heading filter has four states, which double the time of a fit. It gains twice as much as
-# a deviation without filter on boats whose prediction it does not change, and seven times as much on others.
-MIN_GAIN_RATIO_OF_STATES = 4.0
 # For the fits with the common errors: fifteen more parameters, of which some are nearly zero, need no exact maximum
 COMMON_SEARCH = SearchSettings(tolerance=0.05)
 ROUGH_COMMON_SEARCH = SearchSettings(tolerance=0.2, max_iterations=15, robust_errors=False, refine=False)
@@ -55,7 +52,8 @@ class CommonErrorScore:
     names
         Names of the selected errors, in the order of their selection.
     criterion
-        Expected gain of all of them in 2 ln L with priors, less the penalty ``df ln n`` of their parameters.
+        Expected gain of all of them in 2 ln L with priors, less the penalty ``df ln n`` of their parameters. Scanned
+        parameters count.
     step
         One-step estimate of each parameter by name, in the unit of the parameter.
     scan
@@ -120,7 +118,7 @@ def score_common_errors(equations: ScoreEquations, common: Mapping[str, Effect],
         No names and a criterion of zero if no error increases the criterion.
     """
     score = equations.projected[1]
-    placed = _without_costly_states(best_columns(equations, common), equations, common)
+    placed = best_columns(equations, common)
     columns = {name: np.asarray(c.at) for name, c in placed.items()}
     names = {name: c.names for name, c in placed.items()}
     weight = {
@@ -135,7 +133,8 @@ def score_common_errors(equations: ScoreEquations, common: Mapping[str, Effect],
         for name in columns.keys() - set(selected) - nested_in(common, [common[m] for m in selected]):
             at = np.concatenate([columns[m] for m in (*selected, name)])
             values = equations.one_step(at, np.array([weight[k] for k in at]))
-            criterion = float(score[at] @ values) - at.size * float(np.log(n))
+            df = at.size + sum(len(placed[m].columns.scan) for m in (*selected, name))
+            criterion = float(score[at] @ values) - df * float(np.log(n))
             estimates = dict(zip([p for m in (*selected, name) for p in names[m]], values.tolist(), strict=True))
             if all(_has_possible_sign(common[m], estimates) for m in (*selected, name)):
                 trials.append((criterion, name, estimates))
@@ -161,7 +160,7 @@ def with_forms(selected: CommonErrorScore, equations: ScoreEquations, common: Ma
     equations, common
         Score equations and common errors by name, as for that function.
     """
-    placed = _without_costly_states(best_columns(equations, common), equations, common)
+    placed = best_columns(equations, common)
     for name in (*HULL_FORM, *THRUST_FORM):
         if name not in placed or name in {*selected.names, *nested_in(common, [common[m] for m in selected.names])}:
             continue
@@ -190,20 +189,6 @@ def best_columns(equations: ScoreEquations, effects: Mapping[str, Effect]) -> di
         if name not in found or gain > found[name][0]:
             found[name] = gain, placed
     return {name: placed for name, (_, placed) in found.items()}
-
-
-def _without_costly_states(
-    placed: Mapping[str, ColumnIndex], equations: ScoreEquations, common: Mapping[str, Effect]
-) -> dict[str, ColumnIndex]:
-    """Return the columns without those of one of two nested errors, of which the larger one adds states to the model.
-
-    The larger error is kept if it gains at least ``MIN_GAIN_RATIO_OF_STATES`` times as much as the smaller one.
-    """
-    gain = {n: _gain_of(equations, c, common[n]) for n, c in placed.items()}
-    kept = dict(placed)
-    for name, inner in [(n, m) for n in placed for m in common[n].nests if common[n].states and m in placed]:
-        kept.pop(inner if gain[name] >= MIN_GAIN_RATIO_OF_STATES * gain[inner] else name, None)
-    return kept
 
 
 def _gain_of(equations: ScoreEquations, placed: ColumnIndex, effect: Effect) -> float:

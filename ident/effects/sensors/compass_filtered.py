@@ -15,30 +15,28 @@ from seatrial.ident.model import Effect, Parameter, Signals, State
 TERMS = (("1s", "sin psi", 0.15), ("1c", "cos psi", 0.15), ("2s", "sin 2 psi", 0.05), ("2c", "cos 2 psi", 0.05))
 
 
-def _set_filter_rates(s: Signals) -> None:
-    """Set the rates of the filter states of the compass deviation, in place.
+def _set_filter_rate(s: Signals) -> None:
+    """Set the rate of the filter state of the compass deviation [rad/s], in place.
 
-    The deviation is a sum of sin psi, cos psi, sin 2psi and cos 2psi, and passes a first-order filter with the time
-    constant ``T_head``. Each state is one of these terms less the same term after the filter. On a constant heading,
-    the states decay to zero.
+    The deviation D is a sum of sin psi, cos psi, sin 2psi and cos 2psi, and passes a first-order filter with the time
+    constant ``T_head``. The state is D less D after the filter. On a constant heading it decays to zero.
     """
-    psi, r = s.x.psi, s.x.r
-    s.rate["behind_1s"] = np.cos(psi) * r - s.x.behind_1s / s.p.T_head
-    s.rate["behind_1c"] = -np.sin(psi) * r - s.x.behind_1c / s.p.T_head
-    s.rate["behind_2s"] = 2 * np.cos(2 * psi) * r - s.x.behind_2s / s.p.T_head
-    s.rate["behind_2c"] = -2 * np.sin(2 * psi) * r - s.x.behind_2c / s.p.T_head
+    p, psi = s.p, s.x.psi
+    slope = p.dev_f1s * np.cos(psi) - p.dev_f1c * np.sin(psi)
+    slope = slope + 2.0 * (p.dev_f2s * np.cos(2 * psi) - p.dev_f2c * np.sin(2 * psi))
+    s.rate["dev_behind"] = slope * s.x.r - s.x.dev_behind / p.T_head
 
 
 def _add_deviation(s: Signals) -> None:
     """Add the error of the filtered heading, which the compass deviation causes, to the heading output [rad], in place.
 
-    The error is the output of the heading filter if its input is the compass deviation, a sum of four terms such as
-    ``dev_f1s sin psi``. Each term after the filter is the term less its state ``behind_...`` (`_set_filter_rates`). The
-    output of the body velocity is rotated by the same angle, because it was computed with the erroneous heading.
+    The error is the output of the heading filter if its input is the compass deviation: the deviation less the state
+    ``dev_behind`` (`_set_filter_rate`). The output of the body velocity is rotated by the same angle, because it was
+    computed with the erroneous heading.
     """
-    p, x, psi = s.p, s.x, s.x.psi
-    deviation = p.dev_f1s * (np.sin(psi) - x.behind_1s) + p.dev_f1c * (np.cos(psi) - x.behind_1c)
-    deviation = deviation + p.dev_f2s * (np.sin(2 * psi) - x.behind_2s) + p.dev_f2c * (np.cos(2 * psi) - x.behind_2c)
+    p, psi = s.p, s.x.psi
+    deviation = p.dev_f1s * np.sin(psi) + p.dev_f1c * np.cos(psi)
+    deviation = deviation + p.dev_f2s * np.sin(2 * psi) + p.dev_f2c * np.cos(2 * psi) - s.x.dev_behind
     s.y["psi"] = s.y["psi"] + deviation
     turn_body_velocity(s, deviation)
 
@@ -47,7 +45,7 @@ EFFECT = Effect(
     name="compass-filtered",
     title="compass deviation behind a heading filter",
     place="sensor",
-    hooks={"rate": _set_filter_rates, "axes": _add_deviation},
+    hooks={"rate": _set_filter_rate, "axes": _add_deviation},
     parameters=(
         *(
             Parameter(f"dev_f{name}", 0.0, "rad", f"amplitude of {f}", prior=(0.0, sd), step=0.01)
@@ -64,9 +62,7 @@ EFFECT = Effect(
             scales=False,
         ),
     ),
-    states=tuple(
-        State(f"behind_{name}", "", f"{f} less {f} after the heading filter", 0.0, sd0=0.05) for name, f, _ in TERMS
-    ),
+    states=(State("dev_behind", "rad", "compass deviation less its value after the heading filter", 0.0, sd0=0.01),),
     formula="psi_measured = psi + delta, T delta' = dev_f1s sin psi + dev_f1c cos psi + dev_f2s sin 2psi "
     "+ dev_f2c cos 2psi - delta; (u, v) rotated by delta",
     source="compass adjusters' coefficients B to E behind a complementary filter (Mahony, Hamel and Pflimlin 2008)",

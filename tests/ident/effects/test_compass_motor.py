@@ -61,11 +61,11 @@ def test_heading_errors_need_no_body_velocity() -> None:
     """Most logs have a heading and the velocity over ground, which the error of the heading does not change."""
     plain = horizontal_model("shaft", ("attitude", "gyro", "position", "ground_velocity"))
     assert not plain.accepts(catalogue()["velocity-point"])
-    for name, state in (("compass-motor", "drawn_c"), ("compass-filtered", "behind_1c")):
+    for name, state, change in (("compass-motor", "drawn_c", 0.1), ("compass-filtered", "dev_behind", 1.0)):
         assert plain.accepts(catalogue()[name])
         model = (plain + catalogue()[name]).with_values({p: 0.1 for p in ("dev_mc", "dev_f1c") if p in name_of(name)})
         changed, unchanged = (at(model, u=2.0, psi=0.3, **{state: s}) for s in (1.0, 0.0))
-        assert abs(changed["psi"] - unchanged["psi"]) == pytest.approx(0.1)
+        assert abs(changed["psi"] - unchanged["psi"]) == pytest.approx(change)
         assert (changed["vx"], changed["vy"]) == pytest.approx((unchanged["vx"], unchanged["vy"]))
 
 
