@@ -1316,13 +1316,14 @@ class _Search:
         ``current`` is the model before the round.
 
         A difference between runs (a parameter with its own value in each run) has as many parameters as there are runs,
-        and explains a part of any effect. So it comes after the other effects, unless it explains more than the best of
-        them (`_explains_more`). If the likelihood cannot distinguish effects, the effect with the
-        smallest prediction errors is the best.
+        and explains a part of any effect. A nonparametric effect follows the data without a physical law, and its free
+        form adapts to other errors of the model. So both come after the other effects, unless they explain more than
+        the best of them (`_explains_more`). If the likelihood cannot distinguish effects, the effect with the smallest
+        prediction errors is the best.
         """
         judged: list[Refit] = []
         chosen: Refit | None = None
-        for r in sorted(refits, key=lambda r: (r.effect.kind is EffectKind.BETWEEN_RUNS, -r.criterion)):
+        for r in sorted(refits, key=lambda r: (_adapts_to_all_errors(r), -r.criterion)):
             if not is_validated(r, self.policy):
                 r = replace(r, outcome=refit_outcome(r, (), self.policy))
             elif (
@@ -1354,21 +1355,26 @@ class _Search:
         parametric = not (first.nonparametric or second.nonparametric or first.effect.kind is EffectKind.BETWEEN_RUNS)
         return parametric and abs(first.criterion - second.criterion) < self.policy.indistinguishable
 
-    def _explains_more(self, difference: Refit, other: Refit) -> bool:
-        """Return whether a difference between runs, which has the larger criterion, explains more than another effect.
+    def _explains_more(self, adaptable: Refit, other: Refit) -> bool:
+        """Return whether an effect that adapts to all errors, with the larger criterion, explains more than another.
 
-        An effect of hull or thrust with a size in each run, such as `fouling`, contains a difference between runs: it
-        has to gain more on the estimation data. Any other effect explains less if the validation data say so: the gain
-        in log-likelihood over the model with ``other`` is positive, its t statistic exceeds ``policy.min_t``, and the
-        prediction over the horizon is not significantly worse. False if ``difference`` is another kind of effect, or
-        if the models cannot be compared.
+        ``adaptable`` is a difference between runs or a nonparametric effect. An effect of hull or thrust with a size in
+        each run, such as `fouling`, contains a difference between runs, which has to gain more on the estimation data
+        only. In any other case the validation data decide: the gain in log-likelihood over the model with ``other`` is
+        positive, its t statistic exceeds ``policy.min_t``, and the prediction over the horizon is not significantly
+        worse. False if ``adaptable`` is another kind of effect, or if the models cannot be compared.
         """
-        if difference.effect.kind is not EffectKind.BETWEEN_RUNS:
+        if not _adapts_to_all_errors(adaptable):
             return False
-        if other.effect.place in ("hull", "actuator") and any(p.per_record for p in other.effect.parameters):
+        between = adaptable.effect.kind is EffectKind.BETWEEN_RUNS
+        if (
+            between
+            and other.effect.place in ("hull", "actuator")
+            and any(p.per_record for p in other.effect.parameters)
+        ):
             return True
         try:
-            compared = comparison(other.fitted, difference.fitted, difference.effect, self.policy)
+            compared = comparison(other.fitted, adaptable.fitted, adaptable.effect, self.policy)
             gain, t = compared.gain
         except FIT_ERRORS:
             return False
@@ -1567,6 +1573,11 @@ class _Search:
         values = iter(self.equations.one_step(columns, np.concatenate(weight)).tolist())
         joint = [{name: next(values) for name in at} for at in tested]
         return [replace(s, step=step) if step else s for s, step in zip(scores, joint, strict=True)]
+
+
+def _adapts_to_all_errors(refit: Refit) -> bool:
+    """Return whether the effect of a refit adapts to all errors of a model: a curve, or a difference between runs."""
+    return refit.nonparametric or refit.effect.kind is EffectKind.BETWEEN_RUNS
 
 
 def _predicts_better(first: Refit, second: Refit) -> bool:

@@ -66,7 +66,9 @@ def common(*names: str) -> dict[str, object]:
 
 
 @pytest.mark.parametrize(("filtered", "selected"), [(0.15, "compass-filtered"), (0.115, "compass")])
-def test_heading_filter_is_selected_if_it_explains_more_than_its_parameter_costs(filtered: float, selected: str) -> None:
+def test_heading_filter_is_selected_if_it_explains_more_than_its_parameter_costs(
+    filtered: float, selected: str
+) -> None:
     """The deviation without a filter is a special case, which has one parameter less."""
     name, effect = "compass-filtered", catalogue()["compass-filtered"]
     found = equations({"compass": [0.11, 0.0, 0.0, 0.0], name: [filtered, *[0.0] * 4]})

@@ -126,21 +126,22 @@ def test_better_prediction_decides_between_equally_likely_effects(
     assert [found.effect.name] == [r.effect.name for r in judged if r.outcome is Outcome.ADDED] == [chosen]
 
 
+@pytest.mark.parametrize("kind", [EffectKind.BETWEEN_RUNS, EffectKind.NONPARAMETRIC])
 @pytest.mark.parametrize(
-    ("gain", "t", "chosen"),
-    [(400.0, 6.0, f"{BETWEEN}payload"), (40.0, 1.4, "wind"), (-40.0, -1.4, "wind")],
+    ("gain", "t", "chosen"), [(400.0, 6.0, "adaptable"), (40.0, 1.4, "wind"), (-40.0, -1.4, "wind")]
 )
-def test_parameter_difference_between_runs_is_chosen_only_if_it_explains_significantly_more(
-    monkeypatch: pytest.MonkeyPatch, gain: float, t: float, chosen: str
+def test_adaptable_effect_is_chosen_only_if_it_explains_significantly_more(
+    monkeypatch: pytest.MonkeyPatch, kind: EffectKind, gain: float, t: float, chosen: str
 ) -> None:
+    """A parameter that differs between runs, and a curve, adapt to any error of the model."""
     monkeypatch.setattr(_Search, "_fit_exactly", exactly({}))
     monkeypatch.setattr(search, "comparison", lambda *_: blank(gain=(gain, t), prediction=SAME))
-    between = refit(f"{BETWEEN}payload", 500.0)
-    between = replace(between, effect=replace(between.effect, kind=EffectKind.BETWEEN_RUNS))
-    judged, found = a_search()._choose_refit(blank(), [between, refit("lift", 90.0), refit("wind", 100.0)], [])
+    adaptable = refit("adaptable", 500.0)
+    adaptable = replace(adaptable, effect=replace(adaptable.effect, kind=kind))
+    judged, found = a_search()._choose_refit(blank(), [adaptable, refit("lift", 90.0), refit("wind", 100.0)], [])
     assert found is not None
     assert [found.effect.name] == [r.effect.name for r in judged if r.outcome is Outcome.ADDED] == [chosen]
-    assert [r.effect.name for r in judged] == [f"{BETWEEN}payload", "wind", "lift"]
+    assert [r.effect.name for r in judged] == ["adaptable", "wind", "lift"]
 
 
 @pytest.mark.parametrize(
