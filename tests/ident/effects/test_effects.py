@@ -30,6 +30,7 @@ RECORD_S = 240.0  # Times are within a record of this duration; a change of the 
 def points(model: Model, n: int = 40) -> tuple[np.ndarray, np.ndarray]:
     """Return random states and inputs. Delayed inputs equal the inputs, so delays change nothing."""
     x = RNG.normal(size=(n, len(model.states))) * 0.5
+    x[:, [s.name == "dev_behind" for s in model.states]] = 0.0  # A filter without input stays at zero.
     u = RNG.uniform(-1, 1, size=(n, len(model.inputs)))
     names = [i.name for i in model.inputs]
     for j, signal in enumerate(model.inputs):
