@@ -369,16 +369,24 @@ class PriorDistance:
         Estimate in the unit of the parameter.
     distance
         Distance in common standard deviations; positive if the data are above the mean of the prior.
+    plain_distance
+        The same if the form of the model is taken to be right.
     """
 
     parameter: Parameter
     estimate: float
     distance: float
+    plain_distance: float
 
     @property
     def contradicts(self) -> bool:
         """Whether data and prior contradict each other: they differ by more than 3 common standard deviations."""
         return abs(self.distance) > PRIOR_WIDTHS
+
+    @property
+    def contradicts_if_model_is_right(self) -> bool:
+        """Whether data and prior would contradict each other if no effect were missing from the model."""
+        return abs(self.plain_distance) > PRIOR_WIDTHS
 
 
 def prior_distances(fit: Fit) -> list[PriorDistance]:
@@ -424,8 +432,9 @@ def prior_distances(fit: Fit) -> list[PriorDistance]:
             continue
         by_data, moved = max(1.0 - weight, LEAST_DATA), (p.to_free(value) - prior[0]) / prior[1]
         of_model = model_variance / (p.slope(value) * prior[1] * by_data) ** 2
-        widths = moved / by_data / np.sqrt(1.0 + inflation * weight / by_data + of_model)
-        found.append(PriorDistance(p, value, float(widths)))
+        plain = moved / by_data / np.sqrt(1.0 + weight / by_data)
+        widened = moved / by_data / np.sqrt(1.0 + inflation * weight / by_data + of_model)
+        found.append(PriorDistance(p, value, float(widened), float(plain)))
     return found
 
 

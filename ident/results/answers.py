@@ -467,6 +467,27 @@ def implausible_mass(mass: float, error: float, weighed: float) -> list[ResultWa
     return [ResultWarning(code="mass-implausible", text=text)]
 
 
+def prior_notes(fit: Fit) -> list[str]:
+    """Return a note for each given prior that the data contradict only if no effect is missing from the model.
+
+    Priors that the data contradict in any case have a warning (`estimation_warnings`). Priors of the noise have none.
+    """
+    notes = []
+    for away in prior_distances(fit):
+        p = away.parameter
+        if away.contradicts or not away.contradicts_if_model_is_right or p.name in fit.model.noises:
+            continue
+        mean, sd = p.prior or (math.nan, math.nan)
+        notes.append(
+            f"The estimate of {p.full_name} is {away.estimate:.4g} {p.unit}, where {mean:.4g} ± {sd:.2g} {p.unit} was "
+            "given. The data alone are "
+            f"{abs(away.plain_distance):.1f} standard deviations away if no effect is missing from the model, and "
+            f"{abs(away.distance):.1f} if the effects that may be missing count. Check the given value. If it is "
+            "right, an effect is missing that acts like a change of it."
+        )
+    return notes
+
+
 def _has_mass_to_weigh(fit: Fit) -> bool:
     """Return whether the fit has a mass in surge in kilograms, which it has not without a given thrust."""
     return "m_u" in fit.model.values and not thrust_scale_of(fit.model).relative

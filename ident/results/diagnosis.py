@@ -45,6 +45,7 @@ from seatrial.ident.results.answers import (
     not_converged,
     outlier_lines,
     poor_channel,
+    prior_notes,
     short_data_warnings,
     simulated_durations,
     straight_sentence,
@@ -163,6 +164,7 @@ def diagnosis_result(
         ),
         notes=(
             *notes,
+            *prior_notes(diagnosis.after.fit),
             *([] if given.weighed_mass is None else mass_notes(diagnosis.after.fit, given.weighed_mass)),
             *_notes(diagnosis, given),
             *alternative_notes(rounds, effects),

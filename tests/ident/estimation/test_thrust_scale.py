@@ -127,6 +127,7 @@ def test_estimate_far_from_its_prior_is_reported(fitted: Fit) -> None:
     by_model[i, i] = (2 * value * 0.06 / 0.7) ** 2
     unsure = replace(fitted, parameters=parameters, considered=by_model)
     assert contradicted_priors(unsure) == []
+    assert [d.contradicts_if_model_is_right for d in prior_distances(unsure) if d.parameter.name == "m_u"] == [True]
     by_model[i, i] /= 16
     (less,) = contradicted_priors(replace(fitted, parameters=parameters, considered=by_model))
     assert less.distance == pytest.approx(found.distance / np.sqrt(1.25), rel=0.05)

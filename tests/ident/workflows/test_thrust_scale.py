@@ -9,6 +9,7 @@ import json
 import math
 import re
 import warnings
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -23,9 +24,10 @@ from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from seatrial.daq.importers.import_files import import_files
 from seatrial.ident.cli.commands import ident
 from seatrial.ident.estimation.model_file import load_model
-from seatrial.ident.estimation.thrust_scale import thrust_scale_of
-from seatrial.ident.model.parameter import ParameterOrigin
-from seatrial.ident.results.answers import mass_notes, mass_warnings
+from seatrial.ident.estimation.thrust_scale import PriorDistance, thrust_scale_of
+from seatrial.ident.model.parameter import Parameter, ParameterOrigin
+from seatrial.ident.results import answers
+from seatrial.ident.results.answers import mass_notes, mass_warnings, prior_notes
 
 if TYPE_CHECKING:
     from seatrial.ident.estimation.maximum_likelihood import Fit
@@ -270,6 +272,21 @@ def test_weighed_mass_is_compared_in_a_note(
     assert [note.startswith(begin) for note in notes] == ([True] if begin else [])
     assert any("It is more here" in note for note in notes) == (more is not None)
     assert more is None or more in notes[0]
+
+
+def test_a_prior_that_only_missing_effects_excuse_has_a_note(monkeypatch: pytest.MonkeyPatch) -> None:
+    c1 = Parameter("c1", 12.0, "N", "thrust", prior=(12.0, 0.6), origin=ParameterOrigin.PRIOR)
+    noise = replace(c1, name="e_r")
+    found = [
+        PriorDistance(c1, 15.0, 1.5, 4.2),
+        PriorDistance(replace(c1, name="c2"), 15.0, 3.4, 4.2),  # There is a warning.
+        PriorDistance(replace(c1, name="y_arm"), 12.5, 0.5, 0.8),
+        PriorDistance(noise, 15.0, 1.5, 4.2),
+    ]
+    monkeypatch.setattr(answers, "prior_distances", lambda _: found)
+    (note,) = prior_notes(cast("Fit", SimpleNamespace(model=SimpleNamespace(noises=("e_r",)))))
+    assert note.startswith("The estimate of c1 is 15 N, where 12 ± 0.6 N was given. The data alone are 4.2 standard ")
+    assert "1.5 if the effects that may be missing count" in note
 
 
 @pytest.mark.study
