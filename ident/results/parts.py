@@ -848,6 +848,9 @@ class FrequencyResponse(Part, frozen=True, kw_only=True):
         float | None,
         Meta(description="frequency at which the gain is 3 dB below that of slow commands [Hz]; null: unknown"),
     ] = None
+    bandwidth_sd: Annotated[
+        float | None, Meta(description="standard error of `bandwidth` [Hz]; null: unknown")
+    ] = None
     lag_90: Annotated[
         float | None,
         Meta(
@@ -855,6 +858,7 @@ class FrequencyResponse(Part, frozen=True, kw_only=True):
             "the unstable pole; null: none"
         ),
     ] = None
+    lag_90_sd: Annotated[float | None, Meta(description="standard error of `lag_90` [Hz]; null: unknown")] = None
 
     def __post_init__(self) -> None:
         """Raise ValueError if the arrays of the response differ in length."""
