@@ -205,12 +205,13 @@ def compare_models(request: CompareRequest, command: str, reporter: Reporter) ->
     Raises
     ------
     SeatrialError
-        If there is no model, if a file cannot be read, if the logs have faults that make a fit
+        If there is no model, if a model or a log is given twice, if a file cannot be read, if the logs have faults that make a fit
         meaningless (unless ``despite_faults``), if no log is longer than a given horizon, if a model cannot predict a
         log, or if a cluster cannot be used.
     """
     if not request.models:
         raise SeatrialError("there is no model; give the model.toml of a fit, or several to compare them")
+    _require_different(request.models, request.names or [str(path) for path in request.models])
     loaded, _ = load_all(request.logs, [], request.window, device_faults)
     for horizon in request.horizons:
         check_horizon(horizon, loaded, [])
@@ -239,6 +240,22 @@ def compare_models(request: CompareRequest, command: str, reporter: Reporter) ->
     if request.out is not None:
         write_comparison(result, request.out)
     return result
+
+
+def _require_different(models: Sequence[Path], names: Sequence[str]) -> None:
+    """Raise SeatrialError if two of the model files are the same file, or have the same content.
+
+    A verdict on two equal models would be one on rounding errors.
+    """
+    seen: dict[bytes, str] = {}
+    for path, name in zip(models, names, strict=True):
+        try:
+            content = path.read_bytes()
+        except OSError:  # the reader of the model reports it
+            continue
+        if (first := seen.setdefault(content, name)) is not name:
+            same = f"{name} is given twice" if name == first else f"{name} is the same model as {first}"
+            raise SeatrialError(f"{same}; give another model to compare it with")
 
 
 def write_comparison(result: ComparisonResult, out: Path) -> Path:
