@@ -76,11 +76,11 @@ def test_sensors_in_time_give_no_alarm(thrust: tuple[str, ...], seed: int) -> No
     assert re.match(r"(heading and yaw rate come|velocity comes) 0\.\d\d s after ", found[0].text)
 
 
-@pytest.mark.parametrize(("late", "device"), [(("psi", "r"), "compass"), (("x", "y", "vx", "vy"), "gnss")])
-def test_short_delay_is_ok_and_the_text_says_why(late: tuple[str, ...], device: str) -> None:
+@pytest.mark.parametrize(("late", "by", "device"), [(ATTITUDE, 0.18, "compass"), (VELOCITY, 0.15, "gnss")])
+def test_short_delay_is_ok_and_the_text_says_why(late: tuple[str, ...], by: float, device: str) -> None:
     """The row has the name of the late device, and an interval without zero comes with the reason why it is ok."""
-    sources = dict.fromkeys(("psi", "r"), "compass") | dict.fromkeys(("x", "y", "vx", "vy"), "gnss")
-    c = log(ATTITUDE, VELOCITY, COMMANDS, late=late, by=0.15)
+    sources = dict.fromkeys(ATTITUDE, "compass") | dict.fromkeys(VELOCITY, "gnss")
+    c = log(ATTITUDE, VELOCITY, COMMANDS, late=late, by=by)
     c = {n: replace(own, source=sources.get(n, "thruster")) for n, own in c.items()}
     sensors, thrust = check_latency(c, SIDES)
     assert (sensors.code, sensors.level, sensors.where) == ("sensors-in-time", "ok", device)
