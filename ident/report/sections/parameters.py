@@ -15,7 +15,20 @@ import numpy as np
 from seatrial.daq.errors import counted
 from seatrial.ident.numerics import Array
 from seatrial.ident.report import drawing, formatting
-from seatrial.ident.report.blocks import Canvas, Cell, Facts, Grid, Heading, Key, Plot, Prose, Section, Table, tabbed
+from seatrial.ident.report.blocks import (
+    Canvas,
+    Cell,
+    Facts,
+    Grid,
+    Heading,
+    Key,
+    OnScreen,
+    Plot,
+    Prose,
+    Section,
+    Table,
+    tabbed,
+)
 from seatrial.ident.results import (
     CommonErrorsRow,
     Correlation,
@@ -227,7 +240,7 @@ def _correlation_blocks(canvas: Canvas, correlation: Correlation) -> list[Any]:
     """Return heading, strongest pairs, and heat map of the correlation of the estimated parameters.
 
     The list is empty for fewer than two parameters. The map shows its numbers for up to 14 parameters, otherwise only
-    on hover. It is added to ``canvas``.
+    on hover, and the map is not printed. It is added to ``canvas``.
     """
     names, table = correlation.names, correlation.matrix
     if len(names) < 2:
@@ -260,7 +273,10 @@ def _correlation_blocks(canvas: Canvas, correlation: Correlation) -> list[Any]:
     plot = canvas.plot({"data": [heat], "layout": layout}, height, "Correlation of the estimates")
     strong = _strongest_pairs(names, table)
     lead = [Prose(f"Strongest: {strong}.", "quiet")] if strong else []
-    return [Heading("Correlation of the estimates"), *lead, Grid([plot], 320, "narrow" if len(names) > 7 else "small")]
+    matrix = Grid([plot], 320, "narrow" if len(names) > 7 else "small")
+    words = "On the screen, the page also has the matrix of all correlations."
+    shown = matrix if len(names) <= MAX_NUMBERED else OnScreen([matrix], words)
+    return [Heading("Correlation of the estimates"), *lead, shown]
 
 
 def _strongest_pairs(names: Sequence[str], table: Array, n: int = 4) -> str:

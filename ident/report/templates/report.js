@@ -100,11 +100,11 @@
   });
 
   window.addEventListener("beforeprint", () => {
-    const hidden = Array.from(document.querySelectorAll(".away"));
+    const hidden = Array.from(document.querySelectorAll(".all-printed > .away"));
     hidden.forEach((panel) => panel.classList.remove("away"));
     document.body.classList.add("printing");
     theme(false);
-    places.forEach(draw);
+    places.filter((place) => place.offsetParent).forEach(draw);
     resize(document);
     window.addEventListener("afterprint", () => {
       hidden.forEach((panel) => panel.classList.add("away"));
