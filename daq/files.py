@@ -120,8 +120,9 @@ def make_parent(path: Path) -> None:
 def new_file(path: Path, force: bool = True) -> Iterator[Path]:
     """Yield the path of a scratch file beside an output, for a `with` block that writes it.
 
-    The folder of the output is created if it does not exist. The block has to create the scratch file. At the end of the block the scratch file gets the name of the output. If
-    the block raises an error, the scratch file is deleted, and an existing output stays as it was.
+    The folder of the output is created if it does not exist. The block has to create the scratch file. At the end of
+    the block the scratch file gets the name of the output. If the block raises an error, the scratch file is deleted,
+    and an existing output stays as it was.
 
     Parameters
     ----------

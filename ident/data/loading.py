@@ -679,8 +679,9 @@ def load_all(
             "log to --validate"
         )
     windows = window_of_each(window, len(logs))
-    for used in ([(p.resolve(), own) for p, own in zip(logs, windows, strict=True)], [(p.resolve(), WHOLE) for p in validate]):
-        if twice := [p.name for k, (p, own) in enumerate(used) if (p, own) in used[:k]]:
+    for files, own in ((logs, windows), (validate, [WHOLE] * len(validate))):
+        used = [(path.resolve(), window) for path, window in zip(files, own, strict=True)]
+        if twice := [path.name for k, (path, window) in enumerate(used) if (path, window) in used[:k]]:
             raise SeatrialError(f"{twice[0]}: this log is given twice, and its samples would count twice; give it once")
     estimation = [
         (p, part)

@@ -563,7 +563,8 @@ class LinearModel:
     def _weights(self, inputs: Inputs) -> dict[str, float]:
         """Return the weight of each input that a name or a mapping of the user stands for.
 
-        Raise KeyError for a name that is no input or motion, and SeatrialError if ``inputs`` is neither a text nor a mapping.
+        Raise KeyError for a name that is no input or motion, and SeatrialError if ``inputs`` is neither a text nor a
+        mapping.
         """
         if not isinstance(inputs, str | Mapping):
             example = f'"{self.inputs[0]}", or weights by name, such as {{"{self.inputs[0]}": 1.0}}'

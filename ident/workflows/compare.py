@@ -205,9 +205,9 @@ def compare_models(request: CompareRequest, command: str, reporter: Reporter) ->
     Raises
     ------
     SeatrialError
-        If there is no model, if a model or a log is given twice, if a file cannot be read, if the logs have faults that make a fit
-        meaningless (unless ``despite_faults``), if no log is longer than a given horizon, if a model cannot predict a
-        log, or if a cluster cannot be used.
+        If there is no model, if a model or a log is given twice, if a file cannot be read, if the logs have faults that
+        make a fit meaningless (unless ``despite_faults``), if no log is longer than a given horizon, if a model cannot
+        predict a log, or if a cluster cannot be used.
     """
     if not request.models:
         raise SeatrialError("there is no model; give the model.toml of a fit, or several to compare them")
@@ -219,10 +219,13 @@ def compare_models(request: CompareRequest, command: str, reporter: Reporter) ->
     loaded, _ = check_first(loaded, [], saved[0].model, request.despite_faults)
     loaded = [replace(log, about={**log.about, "role": "compared"}) for log in loaded]
     notes: list[str] = []
+    models_by_line: dict[str, list[str]] = {}  # so that a line which holds for several models is said once
     for path, known in zip(request.models, saved, strict=True):
         for line in hold_lines(known, loaded):
-            reporter.warning(f"{path}: {line}")
-            notes.append(f"{path}: {line}")
+            models_by_line.setdefault(line, []).append(str(path))
+    for line, paths in models_by_line.items():
+        notes.append(f"{', '.join(paths)}: {line}")
+        reporter.warning(notes[-1])
     rate, compared = request.rate, list[_Candidate]()
     for path, name, known in zip(request.models, request.names or map(str, request.models), saved, strict=True):
         # First order, so that the likelihoods of all models are comparable.
@@ -253,9 +256,10 @@ def _require_different(models: Sequence[Path], names: Sequence[str]) -> None:
             content = path.read_bytes()
         except OSError:  # the reader of the model reports it
             continue
-        if (first := seen.setdefault(content, name)) is not name:
-            same = f"{name} is given twice" if name == first else f"{name} is the same model as {first}"
-            raise SeatrialError(f"{same}; give another model to compare it with")
+        if content in seen:
+            same = "is given twice" if name == seen[content] else f"is the same model as {seen[content]}"
+            raise SeatrialError(f"{name} {same}; give another model to compare it with")
+        seen[content] = name
 
 
 def write_comparison(result: ComparisonResult, out: Path) -> Path:

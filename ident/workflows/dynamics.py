@@ -435,8 +435,8 @@ def _responses(linear: LinearModel, drives: Drives) -> list[FrequencyResponse]:
             FrequencyResponse(
                 speed=linear.speed, motion=motion, quantity=quantity, unit=f"{unit}/{command}" if command else unit,
                 stable=linear.stable, frequency=bode.frequency, gain=bode.gain, gain_sd=bode.gain_sd, phase=bode.phase,
-                phase_sd=bode.phase_sd, bandwidth=finite(band[0]), bandwidth_sd=finite(band[1]), lag_90=finite(bode.lag_90),
-                lag_90_sd=finite(bode.lag_90_sd),
+                phase_sd=bode.phase_sd, bandwidth=finite(band[0]), bandwidth_sd=finite(band[1]),
+                lag_90=finite(bode.lag_90), lag_90_sd=finite(bode.lag_90_sd),
             )
         )  # fmt: skip
     return found

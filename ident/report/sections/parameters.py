@@ -121,8 +121,9 @@ def common_errors_blocks(row: CommonErrorsRow | None) -> list[Any]:
 def _fit_facts(fit: FitSummary) -> list[Any]:
     """Return the labelled facts of a fit as a list of one block.
 
-    They are model, method, convergence, log-likelihood, iterations, kind of standard errors and CPU time. Facts without
-    a value are left out, and so is a number of iterations that the message has.
+    They are model, method, convergence, log-likelihood, iterations, kind of standard errors and CPU time of this fit,
+    which is a small part of that of a diagnosis. Facts without a value are left out, and so is a number of iterations
+    that the message has.
     """
     methods = {"OE": "output error (OE)", "PE": "prediction error (PE)"}
     converged, message = "yes" if fit.converged else "no", fit.message
@@ -139,7 +140,7 @@ def _fit_facts(fit: FitSummary) -> list[Any]:
             "" if f"in {counted(fit.iterations, 'iteration')}" in message else str(fit.iterations),
         ),
         ("Standard errors", "; ".join(errors)),
-        ("CPU time", f"{formatting.plain(fit.cpu)} s"),
+        ("CPU time of the fit", f"{formatting.plain(fit.cpu)} s"),
     )
     found = [(label, value) for label, value in facts if value]
     return [Facts(found)] if found else []

@@ -182,7 +182,7 @@ def test_names_of_no_input_and_no_state_are_named(found: LinearModel) -> None:
     for respond in (found.step_response, found.frequency_response, found.bode):
         with pytest.raises(SeatrialError, match='inputs: give the name of an input, such as "n_left", or weights'):
             respond(["n_left"])  # type: ignore[operator]
-        with pytest.raises(KeyError, match="there is no state .*'yaw'; the names are u"):
+        with pytest.raises(KeyError, match=r"there is no state .*'yaw'; the names are u"):
             respond("n_left")["yaw"]  # type: ignore[operator]
 
 

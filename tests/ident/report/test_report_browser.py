@@ -106,7 +106,9 @@ def test_no_report_is_wider_than_a_phone(kind: str) -> None:
     assert page.titles <= WIDTH - 16  # the padding of the page
 
 
-@pytest.mark.parametrize(("kind", "most"), [pytest.param("noise", 6, marks=pytest.mark.study), ("check", 8), ("diagnosis", 20)])
+@pytest.mark.parametrize(
+    ("kind", "most"), [pytest.param("noise", 6, marks=pytest.mark.study), ("check", 8), ("diagnosis", 20)]
+)
 def test_report_can_be_printed(kind: str, most: int, tmp_path: Path) -> None:
     pdf = tmp_path / "report.pdf"
     chromium(tmp_path, f"--print-to-pdf={pdf}", "--no-pdf-header-footer", seen(kind)[0].as_uri())
