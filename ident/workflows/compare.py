@@ -257,8 +257,9 @@ def _require_different(models: Sequence[Path], names: Sequence[str]) -> None:
         except OSError:  # the reader of the model reports it
             continue
         if content in seen:
-            same = "is given twice" if name == seen[content] else f"is the same model as {seen[content]}"
-            raise SeatrialError(f"{name} {same}; give another model to compare it with")
+            if name == seen[content]:
+                raise SeatrialError(f"{name} is given twice; give another model to compare it with")
+            raise SeatrialError(f"{name} is the same model as {seen[content]}; give another model to compare it with")
         seen[content] = name
 
 
