@@ -224,7 +224,7 @@ def _run_plan(
             }
         )
     else:
-        click.echo(f"done: {plan.name}, {plan.end:g} s in {took:.1f} s; log {path}")
+        click.echo(f"done: {plan.name}; the {plan.end:g} s of the plan took {took:.1f} s; log {path}")
         click.echo(f"next: {next_command(plan, rig, path)}")
     warn_of_armed(result.still_armed)
 

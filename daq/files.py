@@ -1,8 +1,9 @@
 """Checks of files before reading, and the writer of all output files.
 
-The writer creates a scratch file beside the output, and renames it when it is complete. It does not follow symbolic
-links. Otherwise an attacker could create a link with the name of an output, and so redirect the output to any file.
-Folders, pipes, devices and other special files are never replaced.
+The writer creates the folder of the output, if it does not exist. It writes to a scratch file in this folder, and
+renames it when it is complete. It does not follow symbolic links. Otherwise an attacker could create a link with the
+name of an output, and so redirect the output to any file. Folders, pipes, devices and other special files are never
+replaced.
 """
 
 from __future__ import annotations
@@ -83,26 +84,45 @@ def require_new(path: Path, force: bool = False, option: str = "-o") -> None:
 
 
 def require_parent(path: Path) -> None:
-    """Raise SeatrialError if the folder in which an output is to be created does not exist, or is a file.
+    """Raise SeatrialError if the folder of an output is below a file, so that it can never be created.
 
-    A folder that cannot be examined is accepted; the writer reports an error.
+    A folder that does not exist is accepted; the writer creates it. So is one that cannot be examined; the writer
+    reports the error.
     """
-    try:
-        mode = os.stat(path.parent).st_mode
-    except (FileNotFoundError, NotADirectoryError):
-        raise SeatrialError(f"{path}: there is no folder {path.parent}; create it, or name another output") from None
-    except OSError:
+    for folder in path.parents:
+        try:
+            mode = os.stat(folder).st_mode
+        except OSError:
+            continue
+        if not stat.S_ISDIR(mode):
+            raise SeatrialError(f"{path}: {folder} is a file and no folder; name another output")
         return
-    if not stat.S_ISDIR(mode):
-        raise SeatrialError(f"{path}: {path.parent} is a file and no folder; name another output")
+
+
+def make_parent(path: Path) -> None:
+    """Create the folder of an output, with its parents, if it does not exist.
+
+    Raises
+    ------
+    SeatrialError
+        If the folder cannot be created.
+    """
+    require_parent(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SeatrialError(
+            f"{path}: the folder {path.parent} cannot be created: {error.strerror}; name another output"
+        ) from error
 
 
 @contextlib.contextmanager
 def new_file(path: Path, force: bool = True) -> Iterator[Path]:
     """Yield the path of a scratch file beside an output, for a `with` block that writes it.
 
-    The block has to create the scratch file. At the end of the block the scratch file gets the name of the output. If
-    the block raises an error, the scratch file is deleted, and an existing output stays as it was.
+    The folder of the output is created if it does not exist. The block has to create the scratch file. At the end of
+    the block the scratch file gets the name of the output. If the block raises an error, the scratch file is deleted,
+    and an existing output stays as it was.
 
     Parameters
     ----------
@@ -114,12 +134,13 @@ def new_file(path: Path, force: bool = True) -> Iterator[Path]:
     Raises
     ------
     SeatrialError
-        If the output may not be created (see `require_new`).
+        If the output may not be created (see `require_new`), or its folder cannot be (see `make_parent`).
     OSError
         If the output cannot be written. The error has the name of the output, not of the scratch file. An OSError of
         the block without a file name gets this name too; one with the name of another file is not changed.
     """
     require_new(path, force)
+    make_parent(path)
     scratch = path.with_name(f".{path.name[:200]}.{secrets.token_hex(8)}.part")  # random: nobody can guess the name
     note_scratch(scratch)
     try:
@@ -155,7 +176,8 @@ def _rename_to_new(scratch: Path, path: Path) -> None:
 def write_output(path: Path, content: str | bytes, force: bool = True) -> None:
     """Write a whole output. Text is encoded as UTF-8, and its line ends are not changed.
 
-    The output is never incomplete: after an error an existing file stays as it was.
+    The folder of the output is created if it does not exist. The output is never incomplete: after an error an existing
+    file stays as it was.
 
     Parameters
     ----------
@@ -169,11 +191,10 @@ def write_output(path: Path, content: str | bytes, force: bool = True) -> None:
     Raises
     ------
     SeatrialError
-        If the output may not be created (see `require_new` and `require_parent`).
+        If the output may not be created (see `new_file`).
     OSError
         If the output cannot be written.
     """
-    require_parent(path)
     with new_file(path, force) as scratch:
         opened = os.open(scratch, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666)
         with os.fdopen(opened, "wb") as file:
@@ -181,18 +202,19 @@ def write_output(path: Path, content: str | bytes, force: bool = True) -> None:
 
 
 def append_to(path: Path) -> IO[str]:
-    """Open an output for appending UTF-8 text, and return the open file. The file is created if it does not exist.
+    """Open an output for appending UTF-8 text, and return the open file. Folder and file are created if missing.
 
     The caller closes the file. The text goes to the output itself and not to a scratch file.
 
     Raises
     ------
     SeatrialError
-        If the path is a symbolic link, a folder or a special file.
+        If the path is a symbolic link, a folder or a special file, or if its folder cannot be created.
     OSError
         If the file cannot be opened.
     """
     require_new(path, force=True)
+    make_parent(path)
     opened = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
     return os.fdopen(opened, "a", encoding="utf-8")
 

@@ -67,7 +67,6 @@ def recover_log(path: Path, out: Path, force: bool = False) -> RecoveredLog:
                 f"{out}: belongs to the log itself, which must not be changed; use -o to name another file"
             )
         try:
-            out.parent.mkdir(parents=True, exist_ok=True)
             with new_file(out, force) as part:
                 n_messages = _copy_records(log, part)
                 if not n_messages:

@@ -154,7 +154,6 @@ def init(folder: Path, yes: bool, force: bool, **options: Any) -> None:
     text = rig_text(_with_head(draft, kind))
     # The parser of rig files decides what is valid. An invalid answer is found here, and nothing has been written yet.
     rig = parse_rig(text, rig_path)
-    folder.mkdir(parents=True, exist_ok=True)
     write_output(rig_path, text, force)
     write_output(list_path, checklist(rig, kind), force)
     click.echo(f"written: {rig_path} and {list_path}")

@@ -41,6 +41,7 @@ from seatrial.ident.checks.sensors import (
     common_grid,
     delay_interval,
     delay_level,
+    why_no_warning,
 )
 from seatrial.ident.data import Channel
 from seatrial.ident.model import command_of, shaft_speed_of, thrust_of
@@ -140,9 +141,7 @@ def _attitude_velocity_delay(
         f"({delay_interval(abs(lag), half)})"
     )
     if level == OK:
-        if abs(lag) + half >= DELAY_WARNING:
-            text += f"; the log does not exclude a delay of up to {abs(lag) + half:.2f} s"
-        yield Finding(level, "sensors-in-time", "late", turned, text)
+        yield Finding(level, "sensors-in-time", "late", where, text + why_no_warning(abs(lag), half))
         return
     advice = f"check filters, output rate and time stamps of {late}"
     if level == UNKNOWN:
@@ -198,6 +197,12 @@ def _motion_thrust_delay(
     else:
         order = "before" if lag < 0.0 else "after"
         text = f"the motion comes {abs(lag):.2f} s {order} the thrust ({delay_interval(abs(lag), half)})"
+        if lag > 0.0 and not push.measured:
+            text += "; the lag of the thrusters is a part of it, which a fit estimates" * (lag > half)
+        elif abs(lag) >= DELAY_WARNING and not same:
+            text += "; yaw rate and speed give delays of opposite sign, so that this is no delay of the thrust"
+        else:
+            text += why_no_warning(abs(lag), half)
         yield Finding(OK, "thrust-in-time", "late", push.where, text)
 
 

@@ -488,6 +488,23 @@ def delay_interval(lag: float, half: float) -> str:
     return f"95 %: {low:.2f} to {high:.2f} s"
 
 
+def why_no_warning(lag: float, half: float) -> str:
+    """Return the end of the text of a short delay: the largest one in its interval, or why it is no finding.
+
+    It is empty if the 95 % interval contains zero and ends below the limit of a warning.
+
+    Parameters
+    ----------
+    lag, half
+        Delay and half width of its interval [s].
+    """
+    if lag + half >= DELAY_WARNING:
+        return f"; the log does not exclude a delay of up to {lag + half:.2f} s"
+    if round(lag - half, 2) > 0.0:
+        return f"; too short for a warning, which begins at {DELAY_WARNING:g} s"
+    return ""
+
+
 def sensor_delay(
     first: str, first_source: str, second: str, second_source: str, found: Match, *, confounded: bool = False
 ) -> Iterator[Finding]:
@@ -525,8 +542,8 @@ def sensor_delay(
     else:
         same = abs(found.lag) < SENSOR_GRID_S / 2
         text = f"{first} and {second} agree in time" if same else f"{late} comes {abs(found.lag):.2f} s after {early}"
-        text += f" ({interval})"
-        yield Finding("ok", "sensors-in-time", "late", first_source, text)
+        text += f" ({interval}){why_no_warning(abs(found.lag), found.half)}"
+        yield Finding("ok", "sensors-in-time", "late", late_source, text)
 
 
 def _best_lag(columns: list[Array], regressors: list[list[Array]], window: float = WINDOW) -> Match:

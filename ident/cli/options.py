@@ -303,7 +303,7 @@ def check_output(context: click.Context, parameter: click.Parameter, out: Path |
     SeatrialError
         If ``out`` is a file, or a folder with a result.json, and ``--force`` is not given; of a command with logs, an
         input that is no log is reported first. With or without ``--force``:
-        if the option takes a file and its folder does not exist;
+        if the option takes a file and its folder is a file;
         if ``out``, or a model.toml, result.json, result.parquet or report.html in it, is a symbolic link to a file or
         to nothing.
     """
@@ -323,7 +323,7 @@ def check_output(context: click.Context, parameter: click.Parameter, out: Path |
             if not is_log(Path(path)):
                 raise SeatrialError(f"{path}: not an MCAP log; use `seatrial import` for logs of other formats")
         raise SeatrialError(f"{out}: exists already; --force replaces it, or give another name")
-    if out is not None and parameter.type is FILE:  # a folder for results is created with its parents
+    if out is not None and parameter.type is FILE:  # found before a long computation
         from seatrial.daq.files import require_parent
 
         require_parent(out)

@@ -667,7 +667,7 @@ def load_all(
     Raises
     ------
     SeatrialError
-        If a log is in both lists, or cannot be used.
+        If a log is in both lists, is given twice with the same interval of time, or cannot be used.
     ValueError
         If the number of intervals of time is neither one for all nor that of the logs.
     """
@@ -678,9 +678,14 @@ def load_all(
             f"{name}: this log is given for the fit and for the validation, which would prove nothing; give another "
             "log to --validate"
         )
+    windows = window_of_each(window, len(logs))
+    for files, own in ((logs, windows), (validate, [WHOLE] * len(validate))):
+        used = [(path.resolve(), window) for path, window in zip(files, own, strict=True)]
+        if twice := [path.name for k, (path, window) in enumerate(used) if (path, window) in used[:k]]:
+            raise SeatrialError(f"{twice[0]}: this log is given twice, and its samples would count twice; give it once")
     estimation = [
         (p, part)
-        for p, own in zip(logs, window_of_each(window, len(logs)), strict=True)
+        for p, own in zip(logs, windows, strict=True)
         for part in usable_parts(load_run(p, "estimation", own, device_faults))
     ]
     validation = [(p, part) for p in validate for part in usable_parts(load_run(p, "validation", WHOLE, device_faults))]

@@ -70,6 +70,10 @@ class Bode(NamedTuple):
     start : float
         Phase [rad] from which a lag is counted: that of slow inputs, a whole number of half turns. If an unstable pole
         dominates the response to slow inputs, it is half a turn above, as that of the same boat without this pole.
+    bandwidth_sd : float
+        Standard error of `bandwidth` [Hz], from the errors of the estimates; NaN if it is unknown.
+    lag_90_sd : float
+        Standard error of `lag_90` [Hz]; NaN if it is unknown.
     """
 
     frequency: Array
@@ -78,11 +82,14 @@ class Bode(NamedTuple):
     gain_sd: Array
     phase_sd: Array
     start: float = 0.0
+    bandwidth_sd: float = float("nan")
+    lag_90_sd: float = float("nan")
 
     def __repr__(self) -> str:
-        """Return one line with the number and range of the frequencies, and the bandwidth."""
+        """Return one line with the number and range of the frequencies, and the bandwidth with its standard error."""
         f = self.frequency
-        return f"Bode({f.size} frequencies, {f[0]:.3g} to {f[-1]:.3g} Hz, bandwidth {self.bandwidth:.3g} Hz)"
+        error = f" ± {self.bandwidth_sd:.2g}" if np.isfinite(self.bandwidth_sd) else ""
+        return f"Bode({f.size} frequencies, {f[0]:.3g} to {f[-1]:.3g} Hz, bandwidth {self.bandwidth:.3g}{error} Hz)"
 
     @property
     def bandwidth(self) -> float:
@@ -347,7 +354,7 @@ class LinearModel:
         Parameters
         ----------
         inputs : str, or dict of str to float
-            Name of an input or of one of the `motions`, or a weight for each of several inputs.
+            Name of an input or of one of the `motions`, or a weight for each of several of these names.
         t : Array (n_times,) or float, optional
             Times [s], at least 0. None: `times`. One number is the end of 200 equidistant times from 0 on.
 
@@ -361,6 +368,8 @@ class LinearModel:
         ------
         KeyError
             If the model has no such input.
+        SeatrialError
+            If ``inputs`` is neither a name nor a dict of weights.
         """
         at = np.asarray(self.times if t is None else t, dtype=float)
         at = np.linspace(0.0, float(at), TIMES) if at.ndim == 0 else at
@@ -371,7 +380,7 @@ class LinearModel:
         found = np.zeros((at.size, len(self.states)))
         for delay, b in columns.items():
             found += _response_to_a_step(self.A, b, np.maximum(at - delay, 0.0))
-        return {state: found[:, k] for k, state in enumerate(self.states)}
+        return NamedValues({state: found[:, k] for k, state in enumerate(self.states)}, "state")
 
     def frequency_response(self, inputs: Inputs, frequency: Array | None = None) -> dict[str, Complex]:
         """Return the frequency response of each state to the inputs, with their dead time.
@@ -379,7 +388,7 @@ class LinearModel:
         Parameters
         ----------
         inputs : str, or dict of str to float
-            Name of an input or of one of the `motions`, or a weight for each of several inputs.
+            Name of an input or of one of the `motions`, or a weight for each of several of these names.
         frequency : Array (n_frequencies,), optional
             Frequencies [Hz], above 0. None: `frequencies`.
 
@@ -394,6 +403,8 @@ class LinearModel:
         ------
         KeyError
             If the model has no such input.
+        SeatrialError
+            If ``inputs`` is neither a name nor a dict of weights.
         """
         f = self.frequencies if frequency is None else np.asarray(frequency, dtype=float)
         w, weights = 2.0 * np.pi * f, self._weights(inputs)
@@ -404,7 +415,7 @@ class LinearModel:
             )
         whole = 1j * w[:, None, None] * np.eye(len(self.states)) - self.A
         found = np.linalg.solve(whole, driven[..., None])[..., 0].astype(np.complex128)
-        return {state: found[:, k] for k, state in enumerate(self.states)}
+        return NamedValues({state: found[:, k] for k, state in enumerate(self.states)}, "state")
 
     def bode(self, inputs: Inputs, frequency: Array | None = None) -> dict[str, Bode]:
         """Return gain and phase of the frequency response of each state, with their standard errors.
@@ -414,7 +425,7 @@ class LinearModel:
         Parameters
         ----------
         inputs : str, or dict of str to float
-            Name of an input or of one of the `motions`, or a weight for each of several inputs.
+            Name of an input or of one of the `motions`, or a weight for each of several of these names.
         frequency : Array (n_frequencies,), optional
             Frequencies [Hz], increasing and above 0. None: `frequencies`.
 
@@ -422,6 +433,8 @@ class LinearModel:
         ------
         KeyError
             If the model has no such input.
+        SeatrialError
+            If ``inputs`` is neither a name nor a dict of weights.
         """
         f = self.frequencies if frequency is None else np.asarray(frequency, dtype=float)
         found = self.frequency_response(inputs, f)
@@ -437,7 +450,16 @@ class LinearModel:
                 self.error_of(none, part) for part in ([c.real for c in change], [c.imag for c in change])
             )
             phase = np.unwrap(np.angle(h))
-            bodes[name] = Bode(f, np.abs(h), phase, sd_gain, sd_phase, self._lag_start(inputs, name, float(phase[0])))
+            start = self._lag_start(inputs, name, float(phase[0]))
+            bode = Bode(f, np.abs(h), phase, sd_gain, sd_phase, start)
+            # A phase of a moved model is counted from that of this model, so that it has no other full turns.
+            beside = [
+                Bode(f, np.abs(m[name]), phase + c.imag, none, none, start) for m, c in zip(moved, change, strict=True)
+            ]
+            bodes[name] = bode._replace(
+                bandwidth_sd=self._error_of_number(bode.bandwidth, [b.bandwidth for b in beside]),
+                lag_90_sd=self._error_of_number(bode.lag_90, [b.lag_90 for b in beside]),
+            )
         return NamedValues(bodes, "state that responds")
 
     def _lag_start(self, inputs: Inputs, state: str, first: float) -> float:
@@ -471,6 +493,10 @@ class LinearModel:
             return np.full(np.shape(value), np.nan)
         found: Array = np.sqrt(np.sum([((m - value) / PARAMETER_STEP) ** 2 for m in moved], axis=0))
         return found
+
+    def _error_of_number(self, value: float, moved: Sequence[float]) -> float:
+        """Return the standard error of a number of this model, given that number of each of the models `moved`."""
+        return float(self.error_of(np.array(value), [np.array(v) for v in moved]))
 
     def lqr(self, Q: Mapping[str, float], R: Mapping[str, float] | None = None) -> StateFeedback:
         """Return the linear quadratic regulator (LQR) of the model, with the weights of its states by name.
@@ -535,18 +561,27 @@ class LinearModel:
         return found[order], vectors[:, order]
 
     def _weights(self, inputs: Inputs) -> dict[str, float]:
-        """Return the weight of each input that a name or a mapping of the user stands for; KeyError without one."""
+        """Return the weight of each input that a name or a mapping of the user stands for.
+
+        Raise KeyError for a name that is no input or motion, and SeatrialError if ``inputs`` is neither a text nor a
+        mapping.
+        """
+        if not isinstance(inputs, str | Mapping):
+            example = f'"{self.inputs[0]}", or weights by name, such as {{"{self.inputs[0]}": 1.0}}'
+            raise SeatrialError(f"inputs: give the name of an input, such as {example}, and not {inputs!r:.60}")
         known = {**{n: {n: 1.0} for n in self.inputs}, **self.motions}
-        chosen = known.get(inputs, {inputs: 1.0}) if isinstance(inputs, str) else dict(inputs)
-        for name in chosen:
-            if name not in self.inputs:
+        weights: dict[str, float] = {}
+        for name, weight in ({inputs: 1.0} if isinstance(inputs, str) else inputs).items():
+            if name not in known:
                 if name in self.states:
                     text = f"{name!r} is a state, not an input; name an input, and take the item {name!r} of the result"
                     raise KeyError(f"{text}; the inputs are {', '.join(known)}")
                 near = closest_name(MOTION_WORDS.get(name, name), list(known))
                 hint = f"did you mean {near!r}? " if near else ""
                 raise KeyError(f"the model has no input {name!r}; {hint}its inputs are {', '.join(known)}")
-        return chosen
+            for part, share in known[name].items():
+                weights[part] = weights.get(part, 0.0) + weight * share
+        return weights
 
     def _sizes(self, inputs: Inputs) -> float:
         """Return the largest gain of all states to the inputs one by one, with which small responses are compared."""

@@ -154,7 +154,6 @@ class ResultTable:
         began, table = time.monotonic(), self.table()
         if self.path is None or not table.num_rows:
             return
-        self.path.parent.mkdir(parents=True, exist_ok=True)
         with new_file(self.path) as scratch:
             self._parquet.write_table(table, scratch)
         self._written = time.monotonic()

@@ -158,18 +158,42 @@ class Key:
 
 @dataclass(frozen=True)
 class Tabs:
-    """Tabs of a report page, of which one is visible at a time, at first the first; a printed page contains all.
+    """Tabs of a report page, of which one is visible at a time, at first the first.
+
+    A printed page contains the visible one, and the titles of the others.
 
     Attributes
     ----------
     tabs
         Title of each tab, and its contents: paragraphs, tables, plots.
+    all_printed
+        Whether a printed page contains all tabs.
     kind
         Kind of this piece of the page, by which the template selects its HTML.
     """
 
     tabs: Sequence[tuple[str, Sequence[Any]]]
+    all_printed: bool = False
     kind: str = "tabs"
+
+
+@dataclass(frozen=True)
+class OnScreen:
+    """Part of a report page that is not printed, because it is long and its reader has the screen.
+
+    Attributes
+    ----------
+    blocks
+        Contents of the part: paragraphs, tables, plots.
+    words
+        Sentence in its place on a printed page, which says what is left out.
+    kind
+        Kind of this piece of the page, by which the template selects its HTML.
+    """
+
+    blocks: Sequence[Any]
+    words: str
+    kind: str = "on-screen"
 
 
 @dataclass(frozen=True)
@@ -453,7 +477,7 @@ class Canvas:
         return Plot(name, height, label, title)
 
 
-def tabbed(tabs: Sequence[tuple[str, Sequence[Any]]]) -> list[Any]:
+def tabbed(tabs: Sequence[tuple[str, Sequence[Any]]], all_printed: bool = False) -> list[Any]:
     """Return a block of tabs for a report page, as a list of one. Tabs without contents are left out.
 
     If only one tab has contents, the list is its title as a heading, followed by its contents. If no tab has contents,
@@ -463,8 +487,10 @@ def tabbed(tabs: Sequence[tuple[str, Sequence[Any]]]) -> list[Any]:
     ----------
     tabs
         Title of each tab, and its contents: paragraphs, tables, plots.
+    all_printed
+        Whether a printed page contains all tabs. False: it contains the visible one.
     """
     full = [(title, list(blocks)) for title, blocks in tabs if blocks]
     if len(full) == 1:
         return [Heading(full[0][0]), *full[0][1]]
-    return [Tabs(full)] if full else []
+    return [Tabs(full, all_printed)] if full else []

@@ -336,7 +336,7 @@ class FitSummary(Part, frozen=True, kw_only=True):
         float | None, Meta(description="natural logarithm of the likelihood at the estimate; null: not finite")
     ]
     iterations: Annotated[int, Meta(description="number of iterations of the last fit; of a thruster: of both fits")]
-    cpu: Annotated[float, Meta(description="CPU time [s]")]
+    cpu: Annotated[float, Meta(description="CPU time of this fit [s]; of a diagnosis, that of its last fit alone")]
     coloured: Annotated[
         bool, Meta(description="residuals are autocorrelated: standard errors are the robust ones if these are larger")
     ] = False
@@ -848,6 +848,7 @@ class FrequencyResponse(Part, frozen=True, kw_only=True):
         float | None,
         Meta(description="frequency at which the gain is 3 dB below that of slow commands [Hz]; null: unknown"),
     ] = None
+    bandwidth_sd: Annotated[float | None, Meta(description="standard error of `bandwidth` [Hz]; null: unknown")] = None
     lag_90: Annotated[
         float | None,
         Meta(
@@ -855,6 +856,7 @@ class FrequencyResponse(Part, frozen=True, kw_only=True):
             "the unstable pole; null: none"
         ),
     ] = None
+    lag_90_sd: Annotated[float | None, Meta(description="standard error of `lag_90` [Hz]; null: unknown")] = None
 
     def __post_init__(self) -> None:
         """Raise ValueError if the arrays of the response differ in length."""

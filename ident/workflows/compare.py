@@ -205,12 +205,13 @@ def compare_models(request: CompareRequest, command: str, reporter: Reporter) ->
     Raises
     ------
     SeatrialError
-        If there is no model, if a file cannot be read, if the logs have faults that make a fit
-        meaningless (unless ``despite_faults``), if no log is longer than a given horizon, if a model cannot predict a
-        log, or if a cluster cannot be used.
+        If there is no model, if a model or a log is given twice, if a file cannot be read, if the logs have faults that
+        make a fit meaningless (unless ``despite_faults``), if no log is longer than a given horizon, if a model cannot
+        predict a log, or if a cluster cannot be used.
     """
     if not request.models:
         raise SeatrialError("there is no model; give the model.toml of a fit, or several to compare them")
+    _require_different(request.models, request.names or [str(path) for path in request.models])
     loaded, _ = load_all(request.logs, [], request.window, device_faults)
     for horizon in request.horizons:
         check_horizon(horizon, loaded, [])
@@ -218,10 +219,13 @@ def compare_models(request: CompareRequest, command: str, reporter: Reporter) ->
     loaded, _ = check_first(loaded, [], saved[0].model, request.despite_faults)
     loaded = [replace(log, about={**log.about, "role": "compared"}) for log in loaded]
     notes: list[str] = []
+    models_by_line: dict[str, list[str]] = {}  # so that a line which holds for several models is said once
     for path, known in zip(request.models, saved, strict=True):
         for line in hold_lines(known, loaded):
-            reporter.warning(f"{path}: {line}")
-            notes.append(f"{path}: {line}")
+            models_by_line.setdefault(line, []).append(str(path))
+    for line, paths in models_by_line.items():
+        notes.append(f"{', '.join(paths)}: {line}")
+        reporter.warning(notes[-1])
     rate, compared = request.rate, list[_Candidate]()
     for path, name, known in zip(request.models, request.names or map(str, request.models), saved, strict=True):
         # First order, so that the likelihoods of all models are comparable.
@@ -239,6 +243,24 @@ def compare_models(request: CompareRequest, command: str, reporter: Reporter) ->
     if request.out is not None:
         write_comparison(result, request.out)
     return result
+
+
+def _require_different(models: Sequence[Path], names: Sequence[str]) -> None:
+    """Raise SeatrialError if two of the model files are the same file, or have the same content.
+
+    A verdict on two equal models would be one on rounding errors.
+    """
+    seen: dict[bytes, str] = {}
+    for path, name in zip(models, names, strict=True):
+        try:
+            content = path.read_bytes()
+        except OSError:  # the reader of the model reports it
+            continue
+        if content in seen:
+            if name == seen[content]:
+                raise SeatrialError(f"{name} is given twice; give another model to compare it with")
+            raise SeatrialError(f"{name} is the same model as {seen[content]}; give another model to compare it with")
+        seen[content] = name
 
 
 def write_comparison(result: ComparisonResult, out: Path) -> Path:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from seatrial.daq.config import Mission, Prediction, Segment, dump_mission, parse_mission, save_mission
 from seatrial.daq.errors import SeatrialError
-from seatrial.daq.files import require_new
+from seatrial.daq.files import require_new, require_parent
 from seatrial.ident.data import TIME_INPUT, WORK_INPUT
 from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import (
@@ -247,15 +247,14 @@ def _paths_beside_mission(out: Path, force: bool) -> dict[str, Path]:
     """Return the paths of the .json and .html files beside the mission file ``out``, by suffix. No file is written.
 
     Raise SeatrialError if one of the three files may not be created: it exists and ``force`` is false, or it is no
-    regular file. Raise it too if ``out`` has one of these suffixes, or if its folder does not exist.
+    regular file. Raise it too if ``out`` has one of these suffixes, or if its folder cannot be created.
     """
     if out.suffix in (".json", ".html"):
         raise SeatrialError(
             f"{out}: a mission cannot end in .json or .html, since files with these endings are written beside it; "
             "give a name that ends in .toml"
         )
-    if not out.parent.is_dir():
-        raise SeatrialError(f"{out.parent}: no such folder for the mission; make it, or give another --out")
+    require_parent(out)
     beside = {kind: out.with_suffix(kind) for kind in (".json", ".html")}
     for path in (out, *beside.values()):
         require_new(path, force, "--out")

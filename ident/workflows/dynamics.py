@@ -430,12 +430,13 @@ def _responses(linear: LinearModel, drives: Drives) -> list[FrequencyResponse]:
         unit, command = UNITS[quantity], linear.units[next(iter(weights))]
         settles = linear.stable or motion == "straight"
         slow_gain_is_known = not bode.gain_sd[0] > UNKNOWN_GAIN  # NaN, without standard errors, counts as known
+        band = (bode.bandwidth, bode.bandwidth_sd) if settles and slow_gain_is_known else (None, None)
         found.append(
             FrequencyResponse(
                 speed=linear.speed, motion=motion, quantity=quantity, unit=f"{unit}/{command}" if command else unit,
                 stable=linear.stable, frequency=bode.frequency, gain=bode.gain, gain_sd=bode.gain_sd, phase=bode.phase,
-                phase_sd=bode.phase_sd, bandwidth=finite(bode.bandwidth) if settles and slow_gain_is_known else None,
-                lag_90=finite(bode.lag_90),
+                phase_sd=bode.phase_sd, bandwidth=finite(band[0]), bandwidth_sd=finite(band[1]),
+                lag_90=finite(bode.lag_90), lag_90_sd=finite(bode.lag_90_sd),
             )
         )  # fmt: skip
     return found

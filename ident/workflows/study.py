@@ -93,7 +93,6 @@ def run_study(
             reporter.warning(
                 f"{out}: some replicates are from another version of the code; give another --out to start again"
             )
-    out.parent.mkdir(parents=True, exist_ok=True)
     with append_to(out) as file:
         for rows in _rows_by_task(case, todo, seed, method, workers, reporter):
             for row in rows:

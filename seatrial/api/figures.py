@@ -85,7 +85,8 @@ class Figure:
         Parameters
         ----------
         path : Path or str
-            File, for example ``prediction.html``. An existing file is replaced. Its folder must exist.
+            File, for example ``prediction.html``. An existing file is replaced. Its folder is created if it does not
+            exist.
         """
         from seatrial.ident.report import figure_page
 

@@ -688,7 +688,6 @@ def export(
         benches = {n: as_path(p, "thruster") for n, p in thrusters.items()}
         exported = export_model(ExportRequest(path, format, thrusters=benches, **given))
     file = _export_file(out, exported.file_name)
-    file.parent.mkdir(parents=True, exist_ok=True)
     with errors_of_users():
         require_new(file, force, "folder or name")
         write_output(file, exported.content, force)

@@ -285,8 +285,9 @@ class Linearisation(Shown, LinearModel):
         """Return the inputs of a figure by the name that it shows; for None those of all motions."""
         if inputs is None:
             return dict(self.motions)
-        words = inputs if isinstance(inputs, str) else ", ".join(f"{w:+g} {n}" for n, w in inputs.items())
-        return {words: inputs}
+        weights = self._weights(inputs)
+        words = inputs if isinstance(inputs, str) else ", ".join(f"{w:+g} {n}" for n, w in weights.items())
+        return {words: weights}
 
     def _content(self) -> Content:
         """Return speed and stability, and the table of the poles."""

@@ -133,9 +133,21 @@ def test_only_files_are_read(tmp_path: Path) -> None:
         require_file(tmp_path / "nothing")
 
 
-def test_an_output_in_a_folder_that_does_not_exist_is_reported(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("", encoding="utf-8")
-    with pytest.raises(SeatrialError, match=r"no/x.py: there is no folder .*/no; create it, or name another output"):
-        write_output(tmp_path / "no/x.py", "text")
-    with pytest.raises(SeatrialError, match=r"x.py: .*/file is a file and no folder; name another output"):
-        write_output(tmp_path / "file/x.py", "text")
+@pytest.mark.parametrize("write", WRITERS)
+def test_the_folder_of_an_output_is_created(tmp_path: Path, write: Callable[[Path, Path], None]) -> None:
+    write_everything(tmp_path / "run.mcap", 3)
+    write(tmp_path, tmp_path / "new/folder/out.file")
+    assert (tmp_path / "new/folder/out.file").is_file()
+
+
+@pytest.mark.parametrize("write", WRITERS)
+def test_an_output_below_a_file_is_reported(tmp_path: Path, write: Callable[[Path, Path], None]) -> None:
+    write_everything(tmp_path / "run.mcap", 3)
+    for out in (tmp_path / "run.mcap/x.py", tmp_path / "run.mcap/new/x.py"):
+        with pytest.raises(SeatrialError, match=r"x.py: .*/run.mcap is a file and no folder; name another output"):
+            write(tmp_path, out)
+
+
+def test_a_folder_that_cannot_be_created_is_reported() -> None:
+    with pytest.raises(SeatrialError, match=r"x: the folder /proc/new cannot be created: .*; name another output"):
+        write_output(Path("/proc/new/x"), "text")

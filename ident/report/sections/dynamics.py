@@ -262,8 +262,14 @@ def _bode_words(response: FrequencyResponse) -> str:
     parts = []
     if response.bandwidth is not None:
         period = formatting.plain(1.0 / response.bandwidth, 2)
-        parts.append(f"falls by 3 dB at {formatting.plain(response.bandwidth, 2)} Hz (a period of {period} s)")
+        band = _frequency_words(response.bandwidth, response.bandwidth_sd)
+        parts.append(f"falls by 3 dB at {band} (a period of {period} s)")
     if response.lag_90 is not None:
         limit = ", where the heading lags by 180°" if response.quantity == "r" else ""
-        parts.append(f"lags by 90° at {formatting.plain(response.lag_90, 2)} Hz{limit}")
+        parts.append(f"lags by 90° at {_frequency_words(response.lag_90, response.lag_90_sd)}{limit}")
     return f"The {name} {' and '.join(parts)}." if parts else ""
+
+
+def _frequency_words(value: float, error: float | None) -> str:
+    """Return a frequency [Hz] with its standard error, or with two digits if that is unknown."""
+    return formatting.with_error(value, error, "Hz") if error else f"{formatting.plain(value, 2)} Hz"

@@ -15,7 +15,20 @@ import numpy as np
 from seatrial.daq.errors import counted
 from seatrial.ident.numerics import Array
 from seatrial.ident.report import drawing, formatting
-from seatrial.ident.report.blocks import Canvas, Cell, Facts, Grid, Heading, Key, Plot, Prose, Section, Table, tabbed
+from seatrial.ident.report.blocks import (
+    Canvas,
+    Cell,
+    Facts,
+    Grid,
+    Heading,
+    Key,
+    OnScreen,
+    Plot,
+    Prose,
+    Section,
+    Table,
+    tabbed,
+)
 from seatrial.ident.results import (
     CommonErrorsRow,
     Correlation,
@@ -108,8 +121,9 @@ def common_errors_blocks(row: CommonErrorsRow | None) -> list[Any]:
 def _fit_facts(fit: FitSummary) -> list[Any]:
     """Return the labelled facts of a fit as a list of one block.
 
-    They are model, method, convergence, log-likelihood, iterations, kind of standard errors and CPU time. Facts without
-    a value are left out, and so is a number of iterations that the message has.
+    They are model, method, convergence, log-likelihood, iterations, kind of standard errors and CPU time of this fit,
+    which is a small part of that of a diagnosis. Facts without a value are left out, and so is a number of iterations
+    that the message has.
     """
     methods = {"OE": "output error (OE)", "PE": "prediction error (PE)"}
     converged, message = "yes" if fit.converged else "no", fit.message
@@ -126,7 +140,7 @@ def _fit_facts(fit: FitSummary) -> list[Any]:
             "" if f"in {counted(fit.iterations, 'iteration')}" in message else str(fit.iterations),
         ),
         ("Standard errors", "; ".join(errors)),
-        ("CPU time", f"{formatting.plain(fit.cpu)} s"),
+        ("CPU time of the fit", f"{formatting.plain(fit.cpu)} s"),
     )
     found = [(label, value) for label, value in facts if value]
     return [Facts(found)] if found else []
@@ -227,7 +241,7 @@ def _correlation_blocks(canvas: Canvas, correlation: Correlation) -> list[Any]:
     """Return heading, strongest pairs, and heat map of the correlation of the estimated parameters.
 
     The list is empty for fewer than two parameters. The map shows its numbers for up to 14 parameters, otherwise only
-    on hover. It is added to ``canvas``.
+    on hover, and the map is not printed. It is added to ``canvas``.
     """
     names, table = correlation.names, correlation.matrix
     if len(names) < 2:
@@ -260,7 +274,10 @@ def _correlation_blocks(canvas: Canvas, correlation: Correlation) -> list[Any]:
     plot = canvas.plot({"data": [heat], "layout": layout}, height, "Correlation of the estimates")
     strong = _strongest_pairs(names, table)
     lead = [Prose(f"Strongest: {strong}.", "quiet")] if strong else []
-    return [Heading("Correlation of the estimates"), *lead, Grid([plot], 320, "narrow" if len(names) > 7 else "small")]
+    matrix = Grid([plot], 320, "narrow" if len(names) > 7 else "small")
+    words = "On the screen, the page also has the matrix of all correlations."
+    shown = matrix if len(names) <= MAX_NUMBERED else OnScreen([matrix], words)
+    return [Heading("Correlation of the estimates"), *lead, shown]
 
 
 def _strongest_pairs(names: Sequence[str], table: Array, n: int = 4) -> str:

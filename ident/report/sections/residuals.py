@@ -13,7 +13,7 @@ import numpy as np
 
 from seatrial.ident.numerics import Array
 from seatrial.ident.report import drawing, formatting
-from seatrial.ident.report.blocks import Canvas, Cell, Grid, Heading, Key, Plot, Section, Table, tabbed
+from seatrial.ident.report.blocks import Canvas, Cell, Grid, Heading, Key, OnScreen, Plot, Section, Table, tabbed
 from seatrial.ident.report.record_tabs import RecordTab, of_record, record_tabs, roles_of
 from seatrial.ident.results import CorrelationTest, CrossCorrelationRow, FitResult, ResidualTests, WhitenessTests
 
@@ -42,8 +42,7 @@ def section(canvas: Canvas, result: FitResult) -> Section:
             (
                 tab.title,
                 _whiteness_table(rows)
-                + _channel_plots(canvas, rows, tab)
-                + _cross_correlation_blocks(canvas, cross, tab),
+                + _not_printed([*_channel_plots(canvas, rows, tab), *_cross_correlation_blocks(canvas, cross, tab)]),
             )
         )
     if not any(blocks for _, blocks in tabs):
@@ -57,6 +56,15 @@ def section(canvas: Canvas, result: FitResult) -> Section:
     compared = any(r.after is not None for r in result.residuals) or any(c.after is not None for c in result.cross)
     key = [Key([("before-dots", "before"), ("after-dots", "after the effects were added")])] if compared else []
     return Section("residuals", "Residuals", [*key, *tabbed(tabs)], lead)
+
+
+def _not_printed(plots: list[Any]) -> list[Any]:
+    """Return the plots of a record as a block that is not printed, in a list of one; empty without plots."""
+    words = (
+        "On the screen, the page also has the plots of the innovations of each channel over time, of their "
+        "autocorrelation, of their cumulative periodogram and of their cross-correlation with the inputs."
+    )
+    return [OnScreen(plots, words)] if plots else []
 
 
 def _before_and_after(row: T, after: T | None) -> list[tuple[str, T, str]]:

@@ -10,8 +10,22 @@ import math
 from collections.abc import Collection, Sequence
 from typing import Any
 
+from seatrial.daq.errors import counted
 from seatrial.ident.report import drawing, formatting
-from seatrial.ident.report.blocks import Bar, Canvas, Cell, Grid, Heading, Key, Prose, Ranking, Section, Table, tabbed
+from seatrial.ident.report.blocks import (
+    Bar,
+    Canvas,
+    Cell,
+    Grid,
+    Heading,
+    Key,
+    OnScreen,
+    Prose,
+    Ranking,
+    Section,
+    Table,
+    tabbed,
+)
 from seatrial.ident.report.record_tabs import RecordTab, of_record, record_tabs, roles_of
 from seatrial.ident.report.sections.parameters import common_errors_blocks
 from seatrial.ident.results import (
@@ -51,7 +65,7 @@ def section(canvas: Canvas, result: DiagnosisResult) -> Section:
     """
     found, removed = result.rounds, {row.name for row in result.removed_effects}
     rounds = [(_round_title(i, row, removed), _round_blocks(row, removed)) for i, row in enumerate(found, 1)]
-    blocks: list[Any] = common_errors_blocks(result.common_errors) + tabbed(rounds)
+    blocks: list[Any] = common_errors_blocks(result.common_errors) + tabbed(rounds, all_printed=True)
     blocks += _residual_force_blocks(canvas, result) + _curve_blocks(canvas, result.nonparametric_effects)
     blocks += _detectable_blocks(result.detectable)
     lead = (
@@ -89,7 +103,12 @@ def _detectable_blocks(detectable: Sequence[DetectableEffect]) -> list[Any]:
         "to twice as large. An effect that is not found is smaller than this, or resembles others."
     )
     columns = (("effect", ""), ("parameter", ""), ("smallest size", "num"), ("unit", ""))
-    return [Heading("What these data would have shown"), Table(columns, rows, caption)]
+    blocks = [Heading("What these data would have shown"), Table(columns, rows, caption)]
+    words = (
+        f"On the screen, the page also has the smallest sizes of {counted(len(detectable), 'other effect')} that these "
+        "data would have shown."
+    )
+    return [OnScreen(blocks, words)]
 
 
 def _round_title(i: int, row: RoundRow, removed: Collection[str]) -> str:

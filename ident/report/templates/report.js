@@ -35,6 +35,15 @@
   }
   const places = Array.from(document.querySelectorAll(".plot")).filter((place) => page.figures[place.id]);
 
+  // The title of a panel is one line, which a narrow screen would cut off. A character is about half as wide as high.
+  function narrowed(layout, width) {
+    const room = width - (layout.margin?.l ?? 50) - (layout.margin?.r ?? 8);
+    (layout.annotations ?? []).filter((note) => note.xref === "paper" && !note.showarrow).forEach((note) => {
+      const size = Math.min(note.font.size, room / (0.53 * note.text.length));
+      note.font = { ...note.font, size: Math.max(size, 7) };
+    });
+  }
+
   function draw(place) {
     if (place.dataset.drawn) return;
     place.dataset.drawn = "yes";
@@ -42,6 +51,7 @@
     const layout = Object.assign({ template: figure.template }, figure.layout);
     // a finger must be able to scroll the page across a figure
     if (touch) layout.dragmode = false;
+    narrowed(layout, place.clientWidth);
     Plotly.react(place, figure.data, layout, config);
   }
   function theme(isNight) {
@@ -100,11 +110,11 @@
   });
 
   window.addEventListener("beforeprint", () => {
-    const hidden = Array.from(document.querySelectorAll(".away"));
+    const hidden = Array.from(document.querySelectorAll(".all-printed > .away"));
     hidden.forEach((panel) => panel.classList.remove("away"));
     document.body.classList.add("printing");
     theme(false);
-    places.forEach(draw);
+    places.filter((place) => place.offsetParent).forEach(draw);
     resize(document);
     window.addEventListener("afterprint", () => {
       hidden.forEach((panel) => panel.classList.add("away"));

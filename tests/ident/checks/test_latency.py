@@ -12,7 +12,7 @@ import pytest
 
 from seatrial.daq.checks import Finding
 from seatrial.ident.checks.latency import _attitude_velocity_delay, check_latency
-from seatrial.ident.checks.sensors import LagEstimate
+from seatrial.ident.checks.sensors import LagEstimate, why_no_warning
 from seatrial.ident.data import Channel
 
 SIDES = {"left": -0.35, "right": 0.35}
@@ -74,6 +74,31 @@ def test_sensors_in_time_give_no_alarm(thrust: tuple[str, ...], seed: int) -> No
     assert [f.code for f in found] == ["sensors-in-time", "thrust-in-time"]
     assert all("95 %" in f.text for f in found)
     assert re.match(r"(heading and yaw rate come|velocity comes) 0\.\d\d s after ", found[0].text)
+
+
+@pytest.mark.parametrize(("late", "by", "device"), [(ATTITUDE, 0.18, "compass"), (VELOCITY, 0.15, "gnss")])
+def test_short_delay_is_ok_and_the_text_says_why(late: tuple[str, ...], by: float, device: str) -> None:
+    """The row has the name of the late device, and an interval without zero comes with the reason why it is ok."""
+    sources = dict.fromkeys(ATTITUDE, "compass") | dict.fromkeys(VELOCITY, "gnss")
+    c = log(ATTITUDE, VELOCITY, COMMANDS, late=late, by=by)
+    c = {n: replace(own, source=sources.get(n, "thruster")) for n, own in c.items()}
+    sensors, thrust = check_latency(c, SIDES)
+    assert (sensors.code, sensors.level, sensors.where) == ("sensors-in-time", "ok", device)
+    assert sensors.text.endswith(" s); too short for a warning, which begins at 0.3 s")
+    assert (thrust.code, thrust.level) == ("thrust-in-time", "ok")
+    assert thrust.text.endswith("; the lag of the thrusters is a part of it, which a fit estimates")
+
+
+@pytest.mark.parametrize(
+    ("lag", "half", "words"),
+    [
+        (0.15, 0.04, "; too short for a warning, which begins at 0.3 s"),
+        (0.03, 0.04, ""),
+        (0.25, 0.1, "; the log does not exclude a delay of up to 0.35 s"),
+    ],
+)
+def test_only_a_short_delay_that_differs_from_zero_needs_words(lag: float, half: float, words: str) -> None:
+    assert why_no_warning(lag, half) == words
 
 
 def in_a_turning_current(c: dict[str, Channel], speed: float) -> dict[str, Channel]:

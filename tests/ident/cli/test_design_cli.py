@@ -226,15 +226,16 @@ def test_existing_files_are_replaced_with_force(tmp_path: Path, capsys: pytest.C
 
 def test_invalid_output_path_is_rejected_before_the_search(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The results beside a mission m.json would overwrite it."""
+    (tmp_path / "file").touch()
     for name, message in (
         ("m.json", "a name that ends in .toml"),
         ("m.html", "a name that ends in .toml"),
-        ("none/m.toml", "no such folder"),
+        ("file/m.toml", "file is a file and no folder"),
     ):
         status, _, err = run(capsys, "design", "horizontal", *QUICK, "--out", str(tmp_path / name))
         assert status == 1
         assert message in err
-    assert not list(tmp_path.iterdir())
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
 def test_sensor_rates_are_those_of_the_fitted_data(fitted: Path) -> None:

@@ -416,7 +416,6 @@ def test_python_file_that_cannot_be_imported_is_reported(name: str, valid: str, 
             "--thrust-curve chooses between the thrust curves of the boat and of a bench test, and no bench test was "
             "given; add --thruster",
         ),
-        (("c", "-o", "nodir/x.h"), "nodir/x.h: there is no folder nodir; create it, or name another output"),
     ],
 )
 def test_options_that_do_not_fit_are_refused(words: tuple[str, ...], line: str, tmp_path: Path) -> None:

@@ -171,8 +171,19 @@ def test_motions_are_sums_of_inputs(found: LinearModel) -> None:
     np.testing.assert_allclose(half, 0.5 * found.frequency_response("turn")["r"])
     assert found.responding("straight") == ("u",)
     assert found.responding("turn") == ("v", "r")
+    np.testing.assert_allclose(half, found.frequency_response({"turn": 0.5, "n_left": 0.0})["r"])
     with pytest.raises(KeyError, match="did you mean 'turn'"):
         found.bode("turns")
+
+
+def test_names_of_no_input_and_no_state_are_named(found: LinearModel) -> None:
+    with pytest.raises(KeyError, match=r"no input 'n_lft'; did you mean 'n_left'\? its inputs are n_left, n_right"):
+        found.step_response({"n_lft": 1.0})
+    for respond in (found.step_response, found.frequency_response, found.bode):
+        with pytest.raises(SeatrialError, match='inputs: give the name of an input, such as "n_left", or weights'):
+            respond(["n_left"])  # type: ignore[operator]
+        with pytest.raises(KeyError, match=r"there is no state .*'yaw'; the names are u"):
+            respond("n_left")["yaw"]  # type: ignore[operator]
 
 
 def test_frequency_response_is_that_of_scipy_with_the_dead_time() -> None:
@@ -223,7 +234,7 @@ def test_bandwidth_and_lag_of_a_shaft() -> None:
     assert shaft.bandwidth == pytest.approx(1 / (2 * np.pi * 0.2), rel=1e-3)
     w = 2 * np.pi * shaft.lag_90
     assert np.arctan(0.2 * w) + 0.3 * w == pytest.approx(np.pi / 2, rel=1e-3)
-    assert np.isnan(shaft.gain_sd).all()
+    assert np.isnan((*shaft.gain_sd, shaft.bandwidth_sd, shaft.lag_90_sd)).all()
 
 
 def growth(linear: LinearModel, k: float) -> float:
@@ -318,6 +329,12 @@ def test_standard_errors_follow_from_those_of_the_estimates() -> None:
     surge = linearise(horizontal_model("shaft").with_values(VALUES), 0.7, known)
     k = int(np.argmin(np.abs(surge.time_constants - T)))
     assert surge.time_constant_errors[k] == pytest.approx(sd, rel=0.02)
+    corner = surge.bode("straight")["u"]
+    assert corner.bandwidth_sd / corner.bandwidth == pytest.approx(sd_m / VALUES["m_u"], rel=0.03)
+    assert f"bandwidth {corner.bandwidth:.3g} ± {corner.bandwidth_sd:.2g} Hz" in repr(corner)
+    moved = [m.bode("straight")["u"].lag_90 for m in found.moved]
+    lag = found.bode("straight")["u"]
+    assert lag.lag_90_sd == pytest.approx(math.hypot(*(m - lag.lag_90 for m in moved)) / 0.05, rel=0.02)
 
 
 def test_step_response_is_that_of_the_matrix_exponential() -> None:

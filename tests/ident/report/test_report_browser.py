@@ -13,7 +13,9 @@ from typing import NamedTuple
 
 import pytest
 
-from tests.ident.pages import PAGES, Page, browser, chromium
+from seatrial.ident.report.page import write_report
+from tests.ident.pages import KINDS as CONTENTS
+from tests.ident.pages import PAGES, Page, browser, chromium, loaded
 
 pytestmark = [browser, pytest.mark.slow]
 # Width of a phone in CSS pixels. The height shows the whole page, because figures are drawn when visible.
@@ -27,7 +29,9 @@ addEventListener("load", () => setTimeout(() => {
     const root = frame.contentDocument.documentElement;
     const plot = frame.contentDocument.querySelector(".js-plotly-plot .main-svg");
     const found = document.createElement("pre");
-    found.title = [root.clientWidth, root.scrollWidth, plot.getAttribute("width")].join(" ");
+    const titles = Array.from(frame.contentDocument.querySelectorAll(".annotation-text"));
+    const end = Math.ceil(Math.max(0, ...titles.map((title) => title.getBoundingClientRect().right)));
+    found.title = [root.clientWidth, root.scrollWidth, plot.getAttribute("width"), end].join(" ");
     found.textContent = root.outerHTML;
     document.body.append(found);
   }
@@ -36,12 +40,27 @@ addEventListener("load", () => setTimeout(() => {
 TRIES = 3  # On a busy machine, the virtual time of the browser may end before its first frame.
 
 
+def with_long_titles(path: Path) -> None:
+    """Write the page of a diagnosis whose simulations diverge, which the titles of their panels say."""
+    content = CONTENTS["diagnosis"]()
+    traces = [trace | {"diverged": trace["t"][len(trace["t"]) // 2]} for trace in content["traces"]]
+    write_report(loaded(content | {"traces": traces}), path)
+
+
+MAKERS = PAGES | {"long titles": with_long_titles}
+
+
 class Drawn(NamedTuple):
-    """A page drawn in a frame: its width, the width that it needs, the width of its first figure, and its text."""
+    """A page drawn in a frame.
+
+    It has the width of the page, the width that it needs, the width of its first figure, the end of its longest panel
+    title, and its text.
+    """
 
     wide: int
     needed: int
     plot: int
+    titles: int
     text: str
 
 
@@ -50,17 +69,17 @@ def seen(kind: str) -> tuple[Path, Drawn, str]:
     """Return a page, its drawing by the browser, and the messages of the browser."""
     folder = Path(tempfile.mkdtemp())
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    page, frame = folder / f"{kind}.html", folder / "frame.html"
-    PAGES[kind](page)
+    page, frame = folder / "page.html", folder / "frame.html"
+    MAKERS[kind](page)
     frame.write_text(f'{FRAME}<iframe src="{page.name}" width="{WIDTH}" height="{HEIGHT}"></iframe>', encoding="utf-8")
     for _ in range(TRIES):
         run = chromium(folder, "--window-size=500,1600", "--dump-dom", frame.as_uri())
-        match = re.search(r'<pre title="(\d+) (\d+) (\d+)">(.*?)</pre>', run.stdout, re.DOTALL)
+        match = re.search(r'<pre title="(\d+) (\d+) (\d+) (\d+)">(.*?)</pre>', run.stdout, re.DOTALL)
         if match:
             break
     assert match, run.stderr
-    wide, needed, plot, text = match.groups()
-    return page, Drawn(int(wide), int(needed), int(plot), unescape(text)), run.stderr
+    *sizes, text = match.groups()
+    return page, Drawn(*map(int, sizes), unescape(text)), run.stderr
 
 
 KINDS = [kind if kind in ("diagnosis", "check") else pytest.param(kind, marks=pytest.mark.study) for kind in PAGES]
@@ -78,15 +97,18 @@ def test_browser_draws_every_figure_without_errors(kind: str) -> None:
         assert len(drawn) == len(page.figures())
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [*KINDS, "long titles"])
 def test_no_report_is_wider_than_a_phone(kind: str) -> None:
     _, page, _ = seen(kind)
     assert page.wide <= WIDTH
     assert page.needed <= page.wide  # Otherwise the page must be scrolled sideways.
     assert 200 < page.plot < page.wide
+    assert page.titles <= WIDTH - 16  # the padding of the page
 
 
-@pytest.mark.parametrize(("kind", "most"), [pytest.param("noise", 6, marks=pytest.mark.study), ("check", 8)])
+@pytest.mark.parametrize(
+    ("kind", "most"), [pytest.param("noise", 6, marks=pytest.mark.study), ("check", 8), ("diagnosis", 20)]
+)
 def test_report_can_be_printed(kind: str, most: int, tmp_path: Path) -> None:
     pdf = tmp_path / "report.pdf"
     chromium(tmp_path, f"--print-to-pdf={pdf}", "--no-pdf-header-footer", seen(kind)[0].as_uri())

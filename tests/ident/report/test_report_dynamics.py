@@ -46,7 +46,8 @@ def dynamics() -> Dynamics:
     f = np.geomspace(0.01, 1.0, 100)
     response = FrequencyResponse(
         speed=1.0, motion="turn", quantity="r", unit="rad/s", stable=False, frequency=f, gain=0.1 / f, phase=-f,
-        gain_sd=0.1 + 0 * f, phase_sd=np.nan * f, bandwidth=0.02, lag_90=0.4,
+        gain_sd=0.1 + 0 * f, phase_sd=np.nan * f, bandwidth=0.02, bandwidth_sd=0.0031,
+        lag_90=0.4,
     )  # fmt: skip
     return Dynamics(
         steady=steady, points=points, steps=(step,), responses=(response,), delays={"n_left": 0.12},
@@ -189,7 +190,8 @@ def test_bode_plot_has_its_units_its_band_and_its_words(shown: Page) -> None:
     (line,) = shown.figures()[str(phase["id"])]["data"]  # no band without errors
     np.testing.assert_allclose(numbers(line["y"]), -np.degrees(np.geomspace(0.01, 1.0, 100)), atol=1e-3)
     words = " ".join(shown.words.split())
-    assert "The turn rate falls by 3 dB at 0.020 Hz (a period of 50 s) and lags by 90° at 0.40 Hz, where" in words
+    band = "0.0200 ± 0.0031 Hz (a period of 50 s)"
+    assert f"The turn rate falls by 3 dB at {band} and lags by 90° at 0.40 Hz, where" in words
     assert "The model is not stable at this speed" in words
 
 

@@ -189,6 +189,3 @@ def test_curves_of_one_figure_must_have_one_length() -> None:
 def test_missing_file_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(SeatrialError, match="No such file"):
         read_result(tmp_path / "no.json")
-    result = from_json(json.dumps(shortened(report_example_bench.thruster())).encode())
-    with pytest.raises(SeatrialError, match=r"no/result\.parquet: there is no folder .*; create it"):
-        write_result(result, tmp_path / "no" / "result.json")

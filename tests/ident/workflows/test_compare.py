@@ -298,6 +298,32 @@ def test_command_writes_result_and_report(
     assert "predicted" not in printed["traces"][0]["predictions"][0]
 
 
+def test_models_and_logs_that_are_given_twice_are_refused(
+    models: list[Path], logs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy = tmp_path / "copy.toml"
+    shutil.copy(models[0], copy)
+    run("ident", "compare", models[0], models[0], "--on", logs[2], status=1)
+    assert f"{models[0]} is given twice; give another model to compare it with" in capsys.readouterr().err
+    run("ident", "compare", models[0], copy, "--on", logs[2], status=1)
+    assert f"{copy} is the same model as {models[0]}; give another model" in capsys.readouterr().err
+    with pytest.raises(SeatrialError, match=r"^b is the same model as a; give another model"):
+        st.compare({"a": models[0], "b": copy}, logs[2])
+    run("ident", "compare", *models, "--on", logs[2], "--on", logs[2], status=1)
+    assert f"{logs[2].name}: this log is given twice, and its samples would count twice" in capsys.readouterr().err
+
+
+def test_a_line_that_holds_for_all_models_is_said_once(
+    models: list[Path], logs: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("seatrial.ident.workflows.compare.hold_lines", lambda saved, loaded: ["run3: other inputs"])
+    reporter = Kept()
+    result = compare_models(CompareRequest(models, logs[2:], (2.0,)), "", reporter)
+    line = f"{models[0]}, {models[1]}: run3: other inputs"
+    assert [text for text in reporter.warnings if "other inputs" in text] == [line]
+    assert line in result.notes
+
+
 def test_without_a_folder_nothing_is_written(
     models: list[Path], logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -75,11 +75,13 @@ def test_curves_poles_and_steps_agree(fitted: FittedModel) -> None:
     assert np.all((speed.gain_sd > 0.0) & (speed.gain_sd < 0.2))
     assert np.all(speed.phase_sd > 0.0)
     assert speed.bandwidth is not None
+    assert speed.bandwidth_sd is not None
+    assert 0.0 < speed.bandwidth_sd < 0.5 * speed.bandwidth
     decibel = 20 * np.log10(speed.gain / speed.gain[0])
     assert np.interp(speed.bandwidth, speed.frequency, decibel) == pytest.approx(-3.01, abs=0.05)
     # The boat is nearly unstable on course, so that the gain of slow turns, and with it the bandwidth, is unknown.
     assert turn.gain_sd[0] > 0.35
-    assert turn.bandwidth is None
+    assert turn.bandwidth is turn.bandwidth_sd is None
 
 
 def test_fit_that_did_not_converge_has_none(fitted: FittedModel) -> None:
