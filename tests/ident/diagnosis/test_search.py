@@ -298,8 +298,8 @@ def test_search_that_reached_its_limit_names_the_untried_candidates(monkeypatch:
     after = blank(fit=blank(flags=()))
     found = Diagnosis(after, after, (Round((), (), (chosen,), chosen),), (score,), (), untried_scores=(score,))
     caveat = (
-        "The search ended when it had added 1 effect: it had reached --max-effects; give a larger number to try "
-        "the other candidates: steady wind."
+        "The search ended when it had added 1 effect: it had reached the largest number of effects, "
+        "--max-effects 1; give a larger number to try the other candidates: steady wind."
     )
     assert diagnosis_caveat(found) == caveat  # The caveat is also shown on the screen.
     assert caveat not in _notes(found, GivenModel("model.toml"))
@@ -310,7 +310,7 @@ def test_search_that_reached_its_limit_names_the_untried_candidates(monkeypatch:
 
 
 def test_caveat_of_a_certain_name_has_the_candidates_that_still_pass() -> None:
-    chosen, after = refit("hump", 900.0), blank(fit=blank(flags=()))
+    chosen, after = refit("hump", 900.0), blank(fit=blank(flags=(), model=blank(parameters=(), outputs=())))
     left = (Score("wind", 90.0, 1, 50.0, {}, {}, threshold=12.0),)
     rounds = (Round((), (), (chosen,), chosen), Round(left, ("wind",), (), None))
     certain = (EffectAttribution("hump", "identified"),)
@@ -321,6 +321,13 @@ def test_caveat_of_a_certain_name_has_the_candidates_that_still_pass() -> None:
         "was not added: no candidate that passed could be fitted."
     )
     assert diagnosis_caveat(replace(found, remaining=())) is None
+    # The search ended with an added effect, and not by --max-effects.
+    small = diagnosis_caveat(replace(found, rounds=rounds[:1]))
+    assert small is not None
+    assert small.endswith("(steady wind). It was not added: beside the effects that were found too little is left to "
+                          "explain, and a larger --max-effects tries no more.")  # fmt: skip
+    note = next(n for n in _notes(replace(found, rounds=rounds[:1]), GivenModel("m.toml")) if "still pass" in n)
+    assert "none of them was added: steady wind. They were not tried: beside the effects that were found" in note
     doubted = replace(found, attributions=(EffectAttribution("hump", "ambiguous", ("a lag resembles it",)),))
     assert diagnosis_caveat(doubted) == "It is uncertain whether the missing effect is hump: a lag resembles it."
 
