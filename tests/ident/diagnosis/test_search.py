@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, cast
 
@@ -782,6 +783,32 @@ def test_user_candidate_that_cannot_be_tested_is_listed() -> None:
         "This effect was not tested: a tide (tue/run lacks its input tide; leave that log out, or give one with this "
         "input).",
     )
+
+
+@pytest.mark.parametrize("contradicted", [True, False])
+def test_candidate_that_signals_contradict_is_not_tested(monkeypatch: pytest.MonkeyPatch, contradicted: bool) -> None:
+    """Candidates are only collected here; the search is stopped before the first fit."""
+    limit = replace(catalogue()["shaft-limit"], refuted_by=lambda runs: f"{len(runs)} run" * contradicted)
+    collected: list[str] = []
+
+    def stop(_model: Any, candidates: Mapping[str, Effect], _runs: Any) -> Any:
+        collected.extend(candidates)
+        raise InterruptedError
+
+    monkeypatch.setattr(search, "with_all_candidates", stop)
+    runs = [LogSegment("run", {})]
+    with pytest.raises(InterruptedError):
+        search._prepared_search(
+            with_disturbances(horizontal_model("command")), runs, [], {"lag": catalogue()["lag"], limit.name: limit},
+            10.0, QUIET, search.DEFAULT_POLICY,
+        )  # fmt: skip
+    assert ("shaft-limit" in collected) == (not contradicted)
+    refuted = search._refuted_candidates([limit], runs)
+    assert [(r.effect.name, r.reason) for r in refuted] == [("shaft-limit", "1 run")] * contradicted
+    after = blank(fit=blank(flags=(), converged=True))
+    notes = _notes(Diagnosis(after, after, (), (), (), refuted=refuted), GivenModel("model.toml"))
+    text = "The data exclude a limit of the shaft speed below full command, which was not tested: 1 run."
+    assert (text in notes) == contradicted
 
 
 def test_halved_initial_value_is_clipped_to_its_bounds() -> None:
