@@ -24,6 +24,10 @@ LEAST_CHANGE = 0.03  # of the shaft speed, which is 6 % of the thrust; smaller c
 CLEAR = 4.0  # standard errors; a change is reported above them
 LEAST_COMMAND = 0.2  # of full command; at smaller ones the dead zone matters more than the slope
 FEWEST = 3  # held commands of a group
+# A shaft without a limit: its speed at the highest commands over that expected from the middle ones, and these commands
+# as shares of the largest one.
+FOLLOWS, TOP, MIDDLE = 0.97, 0.9, (0.4, 0.8)
+FEWEST_TOP = 2  # held commands at the top
 FEWEST_DOF = 5  # held commands beyond the coefficients, for a standard error
 
 
@@ -148,6 +152,56 @@ def held_of_thrusters(c: Channels) -> Mapping[str, Held]:
         t, level, speed = (np.array([getattr(h, key) for h in turning]) for key in ("t", "level", "settled"))
         found[name] = Held(t, level, speed, float(shaft.t[0]), float(shaft.t[-1]))
     return found
+
+
+def followed_command(runs: Sequence[Channels]) -> float | None:
+    """Return the largest command of runs, if the measured shaft speeds of all thrusters follow the commands up to it.
+
+    So no shaft has a limit of its speed below it.
+
+    Parameters
+    ----------
+    runs
+        Channels (signals) of each run by name.
+
+    Returns
+    -------
+    float or None
+        Size of the command over full command, the smallest of all thrusters. None if a shaft speed is not measured, is
+        an exact copy of the command, falls short of it, or if too few commands were held to tell.
+    """
+    largest = []
+    held = [held_of_thrusters(c) for c in runs]
+    for name in sorted({name for c in runs for name in commanded_thrusters(c)}):
+        of_thruster = [of_run[name] for of_run in held if name in of_run]
+        commands = np.concatenate([c[command_of(name)].value for c in runs if command_of(name) in c])
+        top = float(commands[np.argmax(np.abs(commands))])
+        if not of_thruster or not top:
+            return None
+        command, speed = (np.concatenate([getattr(h, key) for h in of_thruster]) for key in ("command", "speed"))
+        same_way = command * top > 0.0
+        if not _follows_to(abs(top), np.abs(command[same_way]), np.abs(speed[same_way])):
+            return None
+        largest.append(abs(top))
+    return min(largest, default=None)
+
+
+def _follows_to(top: float, size: Array, speed: Array) -> bool:
+    """Return whether the shaft speed grows with held commands of one direction up to the largest command ``top``.
+
+    ``size`` and ``speed`` are the sizes of the commands and of the settled shaft speeds (n,). The speeds at the highest
+    commands are compared with the line through those at the middle ones. The line passes zero at zero command, or at a
+    positive one, as of a shaft with a dead zone: with a limit below the middle commands, the line would be flat.
+    """
+    high, middle = size >= TOP * top, (size >= MIDDLE[0] * top) & (size <= MIDDLE[1] * top)
+    if np.count_nonzero(high) < FEWEST_TOP or np.count_nonzero(middle) < FEWEST or size.max() < FOLLOWS * top:
+        return False
+    if np.array_equal(size, speed):
+        return False
+    slope, offset = np.polyfit(size[middle], speed[middle], 1)
+    if offset > 0.0:
+        slope, offset = np.mean(speed[middle] / size[middle]), 0.0
+    return bool(np.min(speed[high] / (offset + slope * size[high])) >= FOLLOWS)
 
 
 def _change(command: Array, speed: Array, second: NDArray[np.bool_]) -> Change | None:

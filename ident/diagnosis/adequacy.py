@@ -563,7 +563,7 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
       command that designs a mission to distinguish it from the closest of them. The command is left out if one of both
       is a nonparametric effect, a user-defined effect or a difference between runs, or if no mission can be designed
       for the model.
-    - An ambiguous effect without such competing models: its experiment.
+    - An ambiguous effect or a nonparametric curve without such competing models: its experiment.
     - No effect was selected, although candidates were fitted: the experiment of the best refit of each round, if it
       has one.
     """
@@ -594,6 +594,10 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
                 )
         elif attribution.attribution == "ambiguous":
             lines.append(f"To test whether it is {effect.title}: {effect.experiment}.")
+        elif attribution.attribution == "nonparametric":
+            lines.append(
+                f"To find what the curve {effect.name.removeprefix('unknown ')} stands for: {effect.experiment}."
+            )
     return " ".join(dict.fromkeys(lines)) or None  # an effect can come closest in several rounds
 
 
@@ -603,10 +607,6 @@ def reason_without_experiment(diagnosis: Diagnosis) -> str:
     The text assumes that `recommended_experiment` returns None.
     """
     if diagnosis.effects:
-        if all(j.attribution == "nonparametric" for j in diagnosis.attributions):
-            return (
-                "the added effects are curves without a name, and the catalogue has experiments for named effects only"
-            )
         if diagnosis.remaining:
             return (
                 "the effects that were added have no competing effect, and no experiment can be designed for the "

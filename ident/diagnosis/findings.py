@@ -476,6 +476,8 @@ class Diagnosis:
         no such failure.
     untestable
         User-defined candidates and candidates at a fixed point that could not have a score test.
+    refuted
+        Candidates that signals contradict which the model does not use, with the reasons. They were not tested.
     excluded
         Candidates that the user left out of the search.
     scores
@@ -504,6 +506,7 @@ class Diagnosis:
     short_data: ShortData | None = None
     curve_failure: str | None = None
     untestable: tuple[UntestedCandidate, ...] = ()
+    refuted: tuple[UntestedCandidate, ...] = ()
     excluded: tuple[Effect, ...] = ()
     scores: tuple[Score, ...] = ()
     untried_scores: tuple[Score, ...] = ()

@@ -17,7 +17,7 @@ Kristensen, Madsen and Jorgensen 2004; Engle 1984.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -277,6 +277,7 @@ def diagnose(
         uncertainty=uncertainty,
         curve_failure=undrawn,
         untestable=start.untestable,
+        refuted=start.refuted,
         scores=tuple(search.scores),
         untried_scores=tuple(search.untried),
         policy=search.policy,
@@ -376,6 +377,8 @@ class _SearchStart:
         a fixed point and the runs have no common origin.
     untestable
         User-defined candidates, and candidates at a fixed point, that cannot have a score test, with the reasons.
+    refuted
+        Candidates that signals of the estimation runs contradict, with the reasons; they are not in ``untested``.
     """
 
     before: FittedModel
@@ -386,6 +389,7 @@ class _SearchStart:
     failed: tuple[FailedRun, ...]
     untested: set[str]
     untestable: tuple[UntestedCandidate, ...]
+    refuted: tuple[UntestedCandidate, ...]
 
 
 def _prepared_search(
@@ -415,6 +419,8 @@ def _prepared_search(
     full = nominal_model(model)
     requested = catalogue() if effects is None else effects
     candidates = {n: e for n, e in requested.items() if full.accepts(e)}
+    refuted = _refuted_candidates(candidates.values(), estimation)
+    candidates = {n: e for n, e in candidates.items() if n not in {r.effect.name for r in refuted}}
     accepted = set(candidates)
     failed = validation_records(full, validation, rate)[1]
     usable = [r for r in validation if r.name not in {f.record for f in failed}]
@@ -444,7 +450,15 @@ def _prepared_search(
         failed=failed,
         untested=accepted - set(candidates),
         untestable=_untestable_candidates(nominal, requested, [*estimation, *usable]),
+        refuted=refuted,
     )
+
+
+def _refuted_candidates(candidates: Iterable[Effect], runs: Sequence[LogSegment]) -> tuple[UntestedCandidate, ...]:
+    """Return the candidates that signals of the runs contradict, with the reasons (`Effect.refuted_by`)."""
+    channels = [run.channels for run in runs]
+    reasons = [(e, e.refuted_by(channels)) for e in candidates if e.refuted_by is not None]
+    return tuple(UntestedCandidate(effect, reason) for effect, reason in reasons if reason)
 
 
 def _lack_common_origin(runs: Sequence[LogSegment]) -> bool:

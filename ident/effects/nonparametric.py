@@ -199,6 +199,15 @@ def _term_meanings(of: Sequence[Variable], span: tuple[float, float]) -> list[st
     return [f"at {a} = {z:.3g} {unit}".rstrip() for z in (np.degrees(knots) if angular else knots)]
 
 
+def _experiment_of(of: Sequence[Variable]) -> str:
+    """Return the experiment that shows the curve over a variable, or over the product of two variables."""
+    names = " and ".join(v.name for v in of)
+    if names == TIME.name:
+        return "a run that repeats the same sequence of commands from its start to its end"
+    whose = "its whole range" if len(of) == 1 else "their whole ranges, each at several values of the other"
+    return f"runs that vary {names} slowly over {whose}, with all other variables constant"
+
+
 def nonparametric_effect(model: Model, curve: ForceCurve, span: tuple[float, float]) -> Effect:
     """Return the nonparametric effect ``force += sum_k t_k basis_k(variable)``. The t_k are its parameters.
 
@@ -257,7 +266,7 @@ def nonparametric_effect(model: Model, curve: ForceCurve, span: tuple[float, flo
         place=residual.place,
         formula=f"{force} {'*= 1 +' if residual.relative else '+='} g({variable}), a nonparametric curve",
         source="the residuals of the fit",
-        experiment=f"runs that vary {variable} slowly over its whole range, with all other variables constant",
+        experiment=_experiment_of(of),
         requires=residual.requires,
         kind=EffectKind.NONPARAMETRIC,
         curve=curve,

@@ -13,7 +13,7 @@ takes ``f(x, u, p)`` and ``h(x, u, p)``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property, update_wrapper
@@ -423,6 +423,10 @@ class Effect:
     thrust_difference : str
         Name of the parameter that is half the relative difference of the thrust of both sides. The data determine the
         difference, but not which side differs from its given curve. Empty: the effect has no such parameter.
+    refuted_by : Callable or None
+        Function that returns a clause for reports, why signals contradict the effect that the model does not use, given
+        the channels of each run by name; empty if they do not. A diagnosis does not test a contradicted effect. None:
+        no signal can contradict it.
     """
 
     name: str
@@ -449,6 +453,7 @@ class Effect:
     fixed_point: bool = False
     in_words: Callable[[Mapping[str, tuple[float, float]]], str] | None = None
     thrust_difference: str = ""
+    refuted_by: Callable[[Sequence[Mapping[str, Any]]], str] | None = None
 
     def is_table_of(self, curve: ForceCurve | None) -> bool:
         """Return whether this effect is the nonparametric curve of the force and variables of ``curve``.

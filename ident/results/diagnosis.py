@@ -73,6 +73,9 @@ from seatrial.ident.results.tables import (
 
 MOST_CANDIDATES = 24  # best candidates of a round that are reported; others are reported if they passed
 WORSE_SIMULATION = 1.2  # ratio of the errors of a simulation, from which it is called worse
+# Reasons, as clauses, why candidates that still pass were not tried after the last effect.
+AFTER_CURVE = "after a curve, no second curve is tried"
+NOT_TRIED = "beside the effects that were found too little is left to explain, and a larger --max-effects tries no more"
 AT_BOUND = 1.001  # factor of a lower bound up to which a noise counts as at it
 CHANCE_P = 1e-6  # larger p values of the best score test may occur by chance in data without a missing effect
 
@@ -578,18 +581,17 @@ def diagnosis_caveat(diagnosis: Diagnosis) -> str | None:
     if diagnosis.remaining and diagnosis.untried_scores:
         many = counted(sum(search_round.chosen is not None for search_round in diagnosis.rounds), "effect")
         gone = f", and removed {len(diagnosis.removed)} of them again" if diagnosis.removed else ""
+        limit = len(diagnosis.rounds) - len(diagnosis.removed)  # a removed effect does not count
         sentences.append(
-            f"The search ended when it had added {many}{gone}: it had reached --max-effects; give a larger number to "
-            f"try the other candidates: {_remaining_names(diagnosis)}."
+            f"The search ended when it had added {many}{gone}: it had reached the largest number of effects, "
+            f"--max-effects {limit}; give a larger number to try the other candidates: {_remaining_names(diagnosis)}."
         )
     elif diagnosis.effects and diagnosis.remaining and not doubted:
         many = counted(len(diagnosis.remaining), "other candidate")
         passes, added = ("passes", "It was not") if len(diagnosis.remaining) == 1 else ("pass", "None was")
-        last = diagnosis.rounds[-1]
-        why = f": {last.explanation}" if last.chosen is None else ""
         sentences.append(
             f"A part of the residuals stays unexplained: {many} still {passes} the score test "
-            f"({_remaining_names(diagnosis)}). {added} added{why}."
+            f"({_remaining_names(diagnosis)}). {added} added: {_why_not_added(diagnosis)}."
         )
     return " ".join(sentences) or None
 
@@ -943,23 +945,26 @@ def _model_for_use(diagnosis: Diagnosis, given: GivenModel) -> str:
 def _notes(diagnosis: Diagnosis, given: GivenModel) -> list[str]:
     """Return the notes of a diagnosis of a given model, in this order.
 
-    They are about common errors in the model, candidates that still pass the score test, the reason why the search
-    ended, effects that were removed again, validation runs that the model does not fit (without effects, the answer has
-    them), a noise at its assumed bound, which model to use without effects, and parameters with a flag. A note that
-    does not apply is left out.
+    They are about common errors in the model, candidates that signals contradict, candidates that still pass the score
+    test, the reason why the search ended, effects that were removed again, validation runs that the model does not fit
+    (without effects, the answer has them), a noise at its assumed bound, which model to use without effects, and
+    parameters with a flag. A note that does not apply is left out.
     """
     notes = common_errors_notes(diagnosis.common_errors, "the effects")
+    notes += [f"The data exclude {r.effect.title}, which was not tested: {r.reason}." for r in diagnosis.refuted]
     if diagnosis.remaining and not diagnosis.untried_scores:
         if diagnosis.effects:
-            has_curve = any(e.effect.kind.nonparametric for e in diagnosis.effects)
-            has_curve = has_curve and any(s.nonparametric for s in diagnosis.remaining)
-            again = (
-                " After a curve, no second curve is tried: to try one, run `seatrial ident diagnose` with the model of "
-                "this diagnosis."
-            )
+            again = ""
+            if _lacks_second_curve(diagnosis):
+                again = (
+                    f" {AFTER_CURVE[0].upper()}{AFTER_CURVE[1:]}: to try one, run `seatrial ident diagnose` with the "
+                    "model of this diagnosis."
+                )
+            elif diagnosis.rounds[-1].chosen is not None:
+                again = f" They were not tried: {NOT_TRIED}."
             notes.append(
                 "These candidates still pass the score test after the last effect, but none of them was added: "
-                f"{_remaining_names(diagnosis)}.{again * has_curve}"
+                f"{_remaining_names(diagnosis)}.{again}"
             )
         elif diagnosis.removed:
             notes.append(
@@ -980,6 +985,23 @@ def _notes(diagnosis: Diagnosis, given: GivenModel) -> list[str]:
     else:
         notes.append(f"No effect was added. {_model_for_use(diagnosis, given)}")
     return notes + _flag_notes(diagnosis.after.fit.flags)
+
+
+def _why_not_added(diagnosis: Diagnosis) -> str:
+    """Return the reason, as a clause, why the candidates that still pass were not added to the effects found.
+
+    The search did not end because of the largest number of effects.
+    """
+    last = diagnosis.rounds[-1]
+    if last.chosen is None:
+        return last.explanation
+    return AFTER_CURVE if _lacks_second_curve(diagnosis) else NOT_TRIED
+
+
+def _lacks_second_curve(diagnosis: Diagnosis) -> bool:
+    """Return whether a curve was added and another curve still passes its score test."""
+    has_curve = any(e.effect.kind.nonparametric for e in diagnosis.effects)
+    return has_curve and any(s.nonparametric for s in diagnosis.remaining)
 
 
 def _flag_notes(flags: Sequence[tuple[str, str]]) -> list[str]:

@@ -49,6 +49,7 @@ from seatrial.ident.model import (
 from seatrial.ident.models import KNOWN_SIGNALS, SENSORS, TELEMETRY_AGE, make_model, telemetry_age
 from seatrial.ident.results import ResultWarning, UnusedSignal, frame_warnings
 
+COMMAND_OPTION, SHAFT_OPTION = "command", "shaft"  # options in the name of a model: what its inputs are
 CURVE_INPUTS = ("f_left", "f_right", "X", "X_n")  # inputs that a static thrust curve computes from commands
 
 
@@ -201,8 +202,9 @@ def unused_signals(
     """Return the signals of the logs that the model does not use, with the reasons.
 
     Signals that were derived from others, and the second signal (command or shaft speed) of a thruster of which the
-    model uses the first, are left out. The signals are in alphabetical order. Behind them are signals of the model that
-    only validation logs contain, so that their noise cannot be estimated.
+    model uses the first, are left out, except measured shaft speeds of all logs beside a model of commands: their
+    reason names the model that uses them. The signals are in alphabetical order. Behind them are signals of the model
+    that only validation logs contain, so that their noise cannot be estimated.
 
     Parameters
     ----------
@@ -222,6 +224,7 @@ def unused_signals(
     for name in sorted(there - taken - made):
         logs = tuple(x.run.name for x in loaded if name in x.run.channels)
         found.append(_unused_signal(name, logs, model, there))
+    found = sorted([*found, *_unused_shaft_speeds(model, loaded)], key=lambda signal: signal.signal)
     noise = {o.name: o.noise for o in model.outputs if o.noise and model.parameter(o.noise).free}
     estimated_noise = {noise.get(n) for x in estimation for n in x.run.channels}
     for name in sorted(n for n in noise.keys() & there if noise[n] not in estimated_noise):
@@ -253,6 +256,28 @@ def _unused_signal(name: str, logs: tuple[str, ...], model: Model, there: set[st
         reason = "no model uses this name; the page Import of foreign logs lists the names that models use"
         return UnusedSignal(signal=name, logs=logs, code="unknown-name", reason=reason)
     return UnusedSignal(signal=name, logs=logs, code="not-in-model", reason=reason)
+
+
+def _unused_shaft_speeds(model: Model, loaded: Sequence[LoadedLog]) -> list[UnusedSignal]:
+    """Return the measured shaft speeds that a model of commands does not use; the reason names the model that does.
+
+    The list is empty for other models, and if a log lacks measured shaft speeds.
+    """
+    options = model.source.split(":")
+    if COMMAND_OPTION not in options or not all(_has_measured_shaft_speeds(log) for log in loaded):
+        return []
+    name = ":".join(SHAFT_OPTION if option == COMMAND_OPTION else option for option in options)
+    reason = (
+        "the model computes the shaft speeds from the commands, so that a lag or a limit of the shafts has to be "
+        f"explained by the model; to use the measured ones, fit again with --model {name}"
+    )
+    if slow := [log.run.name for log in loaded if log.propulsion is PropulsionInput.COMMAND]:
+        reason += (
+            f", and compare both models: samples of the shaft speeds are more than {SLOWEST_TELEMETRY:g} s apart in "
+            f"{', '.join(slow)}"
+        )
+    logs = tuple(log.run.name for log in loaded)
+    return [UnusedSignal(signal=n, logs=logs, code="not-in-model", reason=reason) for n in SHAFTS]
 
 
 def unused_lines(found: Sequence[UnusedSignal]) -> list[str]:
@@ -289,11 +314,13 @@ def thrust_from(model: Model, loaded: Sequence[LoadedLog]) -> str:
             if any(_has_renamed_commands(x) for x in loaded)
             else ""
         )
+        # `unused_signals` names the model that uses measured shaft speeds
+        other = "" if _unused_shaft_speeds(model, loaded) else " (--model horizontal:shaft takes them as shaft speeds)"
         reason = (
             ""
             if all(x.propulsion is PropulsionInput.MEASURED for x in loaded)
             else ", as usual for logs without shaft speeds, or with samples of them that are late or more than "
-            f"{SLOWEST_TELEMETRY:g} s apart (--model horizontal:shaft takes the signals as shaft speeds)"
+            f"{SLOWEST_TELEMETRY:g} s apart{other}"
         )
         return (
             "thrust from the commands: the shafts are states with a dead zone, a delay and a time constant"
@@ -334,6 +361,18 @@ def _has_held_shaft_speeds(log: LoadedLog) -> bool:
     The shaft speeds are then treated as commands. False if the log lacks one of them.
     """
     return all(n in log.run.channels and log.run.channels[n].source == n and log.holds.get(n) == "zero" for n in SHAFTS)
+
+
+def _has_measured_shaft_speeds(log: LoadedLog) -> bool:
+    """Return whether a log has shaft speeds of both thrusters that are neither commands nor held or sampled outputs."""
+    channels = log.run.channels
+    return all(
+        shaft in channels
+        and channels[shaft] is not channels.get(command)
+        and not channels[shaft].sampled
+        and log.holds.get(shaft) != "zero"
+        for shaft, command in zip(SHAFTS, COMMANDS, strict=True)
+    )
 
 
 def _has_commands_for_shaft_speeds(log: LoadedLog) -> bool:

@@ -42,6 +42,7 @@ NOISE: dict[str, Maker] = disturbed.MAKERS  # noise that differs from the assume
 _SITE_ORDER = [
     *("thrust-angle", "propeller-walk", "current-shear", "bank", "shallow-water", "payload-shift", "shaft-clip"),
     *("towed-line", "leak", "growing-drag", "fouling", "reverse-mismatch", "lag-mismatch", "derating", "wash"),
+    "load-sag",
 ]
 SITE: dict[str, Maker] = {name: (site.MAKERS | _ALL)[name] for name in _SITE_ORDER}
 EQUIPMENT: dict[str, Maker] = equipment.MAKERS  # late and rounded signals, for the realistic boat

@@ -256,6 +256,32 @@ def _wash(rng: np.random.Generator, scale: float) -> HiddenEffect:
     return HiddenEffect("wash", sentence, {"loss": loss}, thrust=thrust)
 
 
+def _load_sag(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return the hidden effect "load-sag": a common supply whose voltage falls with the current of both thrusters.
+
+    A supply with an internal resistance feeds both speed controllers. Its voltage, over that without a load, is
+    ``v = 1 - k i``. The current ``i``, over that of both thrusters at full speed and full voltage, is ``v`` times the
+    mean of ``|n|^3``, as the torque of the propellers falls with their thrust. So ``v`` is ``1 / (1 + k mean(|n|^3))``,
+    without a delay. The thrust of each thruster is multiplied by ``v``. ``k`` is the voltage drop at full current over
+    the voltage without a load, and is drawn within 15 % of ``0.3 scale``.
+    """
+    k = scale * effect_size(rng, 0.3)  # with both thrusters at full speed, 0.23 of the thrust is lost
+
+    def thrust(
+        n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
+    ) -> tuple[float, float]:
+        """Return the thrust [N], left and right: ``f_l`` and ``f_r`` [N], reduced by the common load.
+
+        ``n_l`` and ``n_r`` are the shaft speeds (-1 to 1), ``a_l`` and ``a_r`` [m/s] the forward velocities of the
+        thrusters through the water, and ``energy`` is the used energy in units of ENERGY_UNIT.
+        """
+        voltage = 1.0 / (1.0 + 0.5 * k * (abs(n_l) ** 3 + abs(n_r) ** 3))
+        return voltage * f_l, voltage * f_r
+
+    sentence = f"both thrusters lose up to {100.0 * k / (1.0 + k):.0f} % of their thrust under their common load"
+    return HiddenEffect("load-sag", sentence, {"k": k}, thrust=thrust)
+
+
 MAKERS: dict[str, Maker] = {
     "advance-ratio": _advance_ratio,
     "reverse-thrust": _reverse_thrust,
@@ -269,4 +295,5 @@ MAKERS: dict[str, Maker] = {
     "lag-mismatch": _lag_mismatch,
     "derating": _derating,
     "wash": _wash,
+    "load-sag": _load_sag,
 }

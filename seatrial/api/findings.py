@@ -52,9 +52,9 @@ class DiagnosisFindings:
     def recommended_experiment(self) -> str | None:
         """Experiments that would show which effect is missing, as sentences, with a command line where there is one.
 
-        They are for ambiguous effects and effects with competing ones. Without an added effect they are for the best
-        effect of each round. None if no experiment is recommended; `no_experiment` has the reason. If the diagnosed
-        model was no file, the command names ``model.toml``: save the model, and give the path of this file.
+        They are for ambiguous effects, effects with competing ones and curves. Without an added effect they are for the
+        best effect of each round. None if no experiment is recommended; `no_experiment` has the reason. If the
+        diagnosed model was no file, the command names ``model.toml``: save the model, and give the path of this file.
         """
         advice = self.result.recommended_experiment
         return None if advice is None else in_python(advice)

@@ -11,7 +11,12 @@ import pytest
 import seatrial as st
 from seatrial.daq.log import open_log
 from seatrial.ident.checks import log_checks
-from seatrial.ident.checks.shaft_gain import check_shaft_gain, compare_shaft_gains, held_of_thrusters
+from seatrial.ident.checks.shaft_gain import (
+    check_shaft_gain,
+    compare_shaft_gains,
+    followed_command,
+    held_of_thrusters,
+)
 from seatrial.ident.data.record import Channel
 from tests.measured.data import import_boat, realistic_boats
 from tests.missions import boat_log, boat_with
@@ -109,3 +114,46 @@ def test_battery_of_a_realistic_boat_is_found_by_check_and_fit(tmp_path: Path) -
             st.fit(logs[0], validate=logs[1], model=model, **how)
         named = [w for w in caught if "run3.mcap: left: the shaft speed at equal commands is" in str(w.message)]
         assert len(named) == n_named
+
+
+LEVELS = (0.2, 0.35, 0.5, 0.65, 0.8, 1.0, -0.5, -0.3, 0.45, 0.95, 0.7)
+
+
+def held_log(limit: float = 2.0, dead: float = 0.0, noise: float = 0.003, sides: tuple[str, ...] = ("left", "right"),
+             levels: tuple[float, ...] = LEVELS) -> dict[str, Channel]:  # fmt: skip
+    """Return commands and shaft speeds of both thrusters, with a limit and a dead zone; ``sides`` are measured."""
+    rng, found = np.random.default_rng(1), {}
+    command = np.repeat(levels, round(HOLD * RATE))
+    t = np.arange(command.size) / RATE
+    n = np.sign(command) * np.clip(np.abs(command) - dead, 0.0, limit)
+    for side in ("left", "right"):
+        found[f"n_cmd_{side}"] = Channel(t, command)
+        if side in sides:
+            found[f"n_{side}"] = Channel(t + 0.01, n + noise * rng.standard_normal(t.size))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("log", "largest"),
+    [
+        (held_log(), 1.0),
+        (held_log(dead=0.08), 1.0),
+        (held_log(levels=tuple(0.8 * x for x in LEVELS)), 0.8),
+        *((held_log(limit), None) for limit in (0.1, 0.3, 0.5, 0.75, 0.9, 0.95)),
+        (held_log(0.85, dead=0.08), None),
+        (held_log(sides=("left",)), None),  # nothing is known of the right shaft
+        (held_log(noise=0.0), None),  # the speed is a copy of the command
+        (held_log(levels=(0.5, 1.0, 0.3)), None),  # too few held commands
+    ],
+)
+def test_shaft_that_follows_its_commands_to_the_largest_has_no_limit(
+    log: dict[str, Channel], largest: float | None
+) -> None:
+    assert followed_command([log]) == (None if largest is None else pytest.approx(largest))
+
+
+def test_run_with_larger_commands_shows_the_limit() -> None:
+    """The shafts of the first run follow its commands, and the commands of the second run are larger."""
+    small, large = held_log(0.9, levels=tuple(0.8 * x for x in LEVELS)), held_log(0.9)
+    assert followed_command([small]) == pytest.approx(0.8)
+    assert followed_command([small, large]) is None

@@ -10,9 +10,9 @@ import pytest
 
 from seatrial.ident.diagnosis.adequacy import reason_without_experiment, recommended_experiment
 from seatrial.ident.diagnosis.findings import Diagnosis
-from seatrial.ident.effects import catalogue
-from seatrial.ident.model import Effect
-from seatrial.ident.models import horizontal_model
+from seatrial.ident.effects import catalogue, nonparametric_effect
+from seatrial.ident.model import Effect, ForceCurve
+from seatrial.ident.models import horizontal_model, with_disturbances
 
 OWN = replace(catalogue()["cubic-drag"], name="skeg-drag", title="drag of the skeg")  # of a file of the user
 
@@ -74,12 +74,29 @@ def blank_score(name: str) -> SimpleNamespace:
             of(effects=("wind",), attributions=[judged("identified")], remaining=[blank_score("lift")]),
             "no experiment can be designed for the candidates that still pass the score test",
         ),
-        (of(effects=("curve",), attributions=[judged("nonparametric")]), "are curves without a name"),
     ],
 )
 def test_a_diagnosis_without_an_experiment_has_the_reason(diagnosis: Diagnosis, reason: str) -> None:
     assert recommended_experiment(diagnosis) is None
     assert reason in reason_without_experiment(diagnosis)
+
+
+@pytest.mark.parametrize(
+    ("curve", "experiment"),
+    [
+        (("X", "u"), "X(u) stands for: runs that vary u slowly over its whole range, with all other variables"),
+        (("N", "u", "r"), "N(u, r) stands for: runs that vary u and r slowly over their whole ranges, each at several"),
+        (("X", "t"), "X(t) stands for: a run that repeats the same sequence of commands from its start to its end"),
+    ],
+)
+def test_a_curve_has_an_experiment_that_covers_its_variable(curve: tuple[str, ...], experiment: str) -> None:
+    effect = nonparametric_effect(with_disturbances(horizontal_model()), ForceCurve(*curve), (0.0, 1.0))
+    refit = SimpleNamespace(effect=effect)
+    of_curve = SimpleNamespace(effect=effect.name, attribution="nonparametric", not_excluded=())
+    rounds = [SimpleNamespace(chosen=refit, refits=[refit])]
+    text = recommended_experiment(of(effects=(effect.name,), attributions=[of_curve], rounds=rounds))
+    assert text is not None
+    assert text.startswith(f"To find what the curve {experiment}")
 
 
 def test_an_experiment_of_two_rounds_is_recommended_once() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, cast
 
@@ -299,8 +300,8 @@ def test_search_that_reached_its_limit_names_the_untried_candidates(monkeypatch:
     after = blank(fit=blank(flags=()))
     found = Diagnosis(after, after, (Round((), (), (chosen,), chosen),), (score,), (), untried_scores=(score,))
     caveat = (
-        "The search ended when it had added 1 effect: it had reached --max-effects; give a larger number to try "
-        "the other candidates: steady wind."
+        "The search ended when it had added 1 effect: it had reached the largest number of effects, "
+        "--max-effects 1; give a larger number to try the other candidates: steady wind."
     )
     assert diagnosis_caveat(found) == caveat  # The caveat is also shown on the screen.
     assert caveat not in _notes(found, GivenModel("model.toml"))
@@ -311,7 +312,7 @@ def test_search_that_reached_its_limit_names_the_untried_candidates(monkeypatch:
 
 
 def test_caveat_of_a_certain_name_has_the_candidates_that_still_pass() -> None:
-    chosen, after = refit("hump", 900.0), blank(fit=blank(flags=()))
+    chosen, after = refit("hump", 900.0), blank(fit=blank(flags=(), model=blank(parameters=(), outputs=())))
     left = (Score("wind", 90.0, 1, 50.0, {}, {}, threshold=12.0),)
     rounds = (Round((), (), (chosen,), chosen), Round(left, ("wind",), (), None))
     certain = (EffectAttribution("hump", "identified"),)
@@ -322,6 +323,13 @@ def test_caveat_of_a_certain_name_has_the_candidates_that_still_pass() -> None:
         "was not added: no candidate that passed could be fitted."
     )
     assert diagnosis_caveat(replace(found, remaining=())) is None
+    # The search ended with an added effect, and not by --max-effects.
+    small = diagnosis_caveat(replace(found, rounds=rounds[:1]))
+    assert small is not None
+    assert small.endswith("(steady wind). It was not added: beside the effects that were found too little is left to "
+                          "explain, and a larger --max-effects tries no more.")  # fmt: skip
+    note = next(n for n in _notes(replace(found, rounds=rounds[:1]), GivenModel("m.toml")) if "still pass" in n)
+    assert "none of them was added: steady wind. They were not tried: beside the effects that were found" in note
     doubted = replace(found, attributions=(EffectAttribution("hump", "ambiguous", ("a lag resembles it",)),))
     assert diagnosis_caveat(doubted) == "It is uncertain whether the missing effect is hump: a lag resembles it."
 
@@ -776,6 +784,32 @@ def test_user_candidate_that_cannot_be_tested_is_listed() -> None:
         "This effect was not tested: a tide (tue/run lacks its input tide; leave that log out, or give one with this "
         "input).",
     )
+
+
+@pytest.mark.parametrize("contradicted", [True, False])
+def test_candidate_that_signals_contradict_is_not_tested(monkeypatch: pytest.MonkeyPatch, contradicted: bool) -> None:
+    """Candidates are only collected here; the search is stopped before the first fit."""
+    limit = replace(catalogue()["shaft-limit"], refuted_by=lambda runs: f"{len(runs)} run" * contradicted)
+    collected: list[str] = []
+
+    def stop(_model: Any, candidates: Mapping[str, Effect], _runs: Any) -> Any:
+        collected.extend(candidates)
+        raise InterruptedError
+
+    monkeypatch.setattr(search, "with_all_candidates", stop)
+    runs = [LogSegment("run", {})]
+    with pytest.raises(InterruptedError):
+        search._prepared_search(
+            with_disturbances(horizontal_model("command")), runs, [], {"lag": catalogue()["lag"], limit.name: limit},
+            10.0, QUIET, search.DEFAULT_POLICY,
+        )  # fmt: skip
+    assert ("shaft-limit" in collected) == (not contradicted)
+    refuted = search._refuted_candidates([limit], runs)
+    assert [(r.effect.name, r.reason) for r in refuted] == [("shaft-limit", "1 run")] * contradicted
+    after = blank(fit=blank(flags=(), converged=True))
+    notes = _notes(Diagnosis(after, after, (), (), (), refuted=refuted), GivenModel("model.toml"))
+    text = "The data exclude a limit of the shaft speed below full command, which was not tested: 1 run."
+    assert (text in notes) == contradicted
 
 
 def test_halved_initial_value_is_clipped_to_its_bounds() -> None:

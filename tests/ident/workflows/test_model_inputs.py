@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from seatrial.ident.data.loading import LoadedLog
+from seatrial.ident.data.loading import LoadedLog, PropulsionInput
 from seatrial.ident.data.record import Channel, LogSegment
-from seatrial.ident.models import horizontal_model
-from seatrial.ident.workflows.model_inputs import hold_lines, unused_signals
+from seatrial.ident.models import horizontal_model, make_model
+from seatrial.ident.workflows.model_inputs import hold_lines, thrust_from, unused_signals, with_derived_signals
 from tests.ident.sliders import slider
 
 C = Channel(np.arange(3.0), np.zeros(3))
@@ -29,6 +29,45 @@ def test_sensor_that_only_a_validation_log_has_is_not_used_unless_its_noise_is_k
     assert (found.signal, found.logs, found.code) == ("place", ("c",), "validation-only")
     assert unused_signals(slider(), *logs) == []
     assert unused_signals(free, [log("a", "w", "speed", "place")], logs[1]) == []
+
+
+SHAFTS, COMMANDS = ("n_left", "n_right"), ("n_cmd_left", "n_cmd_right")
+
+
+def driven_log(name: str, *signals: str, propulsion: PropulsionInput, **holds: str) -> LoadedLog:
+    """Return a log whose signals are arrays of their own, as those of a file."""
+    channels = {s: Channel(np.arange(3.0), np.zeros(3), source=s) for s in signals}
+    return LoadedLog(LogSegment(name, channels), {"path": name}, holds, None, propulsion=propulsion)
+
+
+@pytest.mark.parametrize("source", ["horizontal:command", "horizontal:command:no-current", "horizontal:shaft"])
+def test_fit_to_commands_names_the_model_of_the_measured_shaft_speeds(source: str) -> None:
+    measured = driven_log("a", *SHAFTS, *COMMANDS, propulsion=PropulsionInput.MEASURED)
+    slow = replace(measured, run=replace(measured.run, name="b"), propulsion=PropulsionInput.COMMAND)
+    model = make_model(source)
+    found = unused_signals(model, [measured], [slow])
+    assert [(s.signal, s.logs, s.code) for s in found] == [
+        (n, ("a", "b"), "not-in-model") for n in SHAFTS if "command" in source
+    ]
+    if found:
+        other = source.replace("command", "shaft")
+        assert f"fit again with --model {other}, and compare both models: samples of the" in found[0].reason
+        assert found[0].reason.endswith("more than 0.15 s apart in b")
+        assert unused_signals(model, [measured], [])[0].reason.endswith(f"--model {other}")
+        assert "--model" not in thrust_from(model, [slow])  # one hint is enough
+
+
+@pytest.mark.parametrize(
+    "log",
+    [
+        driven_log("a", *COMMANDS, propulsion=PropulsionInput.COMMAND),
+        with_derived_signals(driven_log("a", *COMMANDS, propulsion=PropulsionInput.COMMAND), "auto", None),
+        driven_log("a", *SHAFTS, *COMMANDS, propulsion=PropulsionInput.COMMAND, n_left="zero", n_right="zero"),
+    ],
+)
+def test_log_without_measured_shaft_speeds_has_no_hint_of_their_model(log: LoadedLog) -> None:
+    measured = driven_log("b", *SHAFTS, *COMMANDS, propulsion=PropulsionInput.MEASURED)
+    assert unused_signals(make_model("horizontal:command"), [measured], [log]) == []
 
 
 @pytest.mark.parametrize(

@@ -185,6 +185,24 @@ def test_battery_sag_grows_with_use() -> None:
     assert surge("battery-sag", 0.8, 200.0) < 0.96 * surge("", 0.8, 200.0)
 
 
+def test_load_sag_takes_thrust_of_both_thrusters_at_once_and_ends_with_the_load() -> None:
+    effect = make_effect("load-sag", 1)
+    k, hook = effect.parameters["k"], effect.thrust
+    assert hook is not None
+
+    def loss(n_l: float, n_r: float) -> tuple[float, float]:
+        """Return the share of the thrust that each thruster loses."""
+        left, right = hook(n_l, n_r, 0.0, 0.0, 10.0, -20.0, 1.0)
+        return 1.0 - left / 10.0, 1.0 + right / 20.0
+
+    assert loss(0.0, 0.0) == (0.0, 0.0)
+    assert loss(1.0, -1.0) == pytest.approx((k / (1.0 + k),) * 2)
+    assert loss(0.0, 0.8) == pytest.approx(loss(0.8, 0.0))
+    # The voltage solves v = 1 - k i, with a current that is v times the mean cube of the shaft speeds.
+    v = 1.0 - loss(0.9, 0.5)[0]
+    assert v == pytest.approx(1.0 - k * v * (0.9**3 + 0.5**3) / 2.0)
+
+
 def test_interaction_acts_only_with_both_thrusters() -> None:
     def forces(n_l: float, n_r: float) -> tuple[float, float]:
         hook = make_effect("thruster-interaction", 1).thrust
