@@ -6,14 +6,15 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def sag(s: Signals) -> None:
-    """Multiply the thrust of each thruster by ``1 - beta_P P``, in place in ``s.f``.
+    """Divide the thrust of each thruster by ``1 + beta_P P``, in place in ``s.f``.
 
-    P is the power of both thrusters relative to both at full speed, ``(|n_left|^3 + |n_right|^3) / 2``. In contrast to
-    the discharge of a battery, the loss ends with the load.
+    P is the power of both thrusters relative to both at full speed, ``(|n_left|^3 + |n_right|^3) / 2``. The current
+    falls with the voltage, so that the loss grows more slowly than the load. In contrast to the discharge of a battery,
+    the loss ends with the load.
     """
     power = sum(abs(n) ** 3 for n in s.n.values()) / len(s.n)
     for side, f in s.f.items():
-        s.f[side] = f * (1 - s.p.beta_P * power)
+        s.f[side] = f / (1 + s.p.beta_P * power)
 
 
 EFFECT = Effect(
@@ -26,13 +27,13 @@ EFFECT = Effect(
             "beta_P",
             0.0,
             "",
-            "relative loss of thrust with all thrusters at full speed",
+            "lost over remaining thrust with all thrusters at full speed",
             prior=(0.0, 0.4),
-            bounds=(0.0, 1.0),
+            bounds=(0.0, 3.0),
             step=0.02,
         ),
     ),
-    formula="f_i *= 1 - beta_P (|n_L|^3 + |n_R|^3) / 2",
+    formula="f_i /= 1 + beta_P (|n_L|^3 + |n_R|^3) / 2",
     source="voltage drop at the internal resistance of a common battery and its cables, with a propeller's power law "
     "n^3; vendor's tables of thrust against voltage",
     causes="thrusters on one battery or one thin cable, and speed controllers without a speed sensor",

@@ -24,7 +24,11 @@ def test_each_thrust_falls_with_the_power_of_both() -> None:
     lossy, plain = model(0.3), model(0.0)
     values = {i.name: 0.0 for i in lossy.inputs}
     states = [0.0] * len(lossy.states)
-    for left, right, kept in ((1.0, 1.0, 0.7), (1.0, 0.0, 0.85), (-1.0, 0.5, 1.0 - 0.3 * (1.0 + 0.125) / 2.0)):
+    for left, right, kept in (
+        (1.0, 1.0, 1 / 1.3),
+        (1.0, 0.0, 1 / 1.15),
+        (-1.0, 0.5, 1 / (1.0 + 0.3 * (1.0 + 0.125) / 2.0)),
+    ):
         u = list((values | {"n_left": left, "n_right": right}).values())
         thrusts = [m.signals(states, u, list(m.values.values())).f for m in (lossy, plain)]
         for side in ("left", "right"):
