@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from math import degrees, isfinite
 from typing import NamedTuple, cast
@@ -73,6 +73,12 @@ from seatrial.ident.results.tables import (
 
 MOST_CANDIDATES = 24  # best candidates of a round that are reported; others are reported if they passed
 WORSE_SIMULATION = 1.2  # ratio of the errors of a simulation, from which it is called worse
+# Force and velocities of the curves that have the form of an inertial force in a turn: this force, and its masses.
+INERTIAL_PRODUCTS = {
+    ("X", "r", "v"): ("m_v v r", "m_v"),
+    ("Y", "r", "u"): ("m_u u r", "m_u and m_v"),
+    ("N", "u", "v"): ("(m_u - m_v) u v", "m_v"),
+}
 # Reasons, as clauses, why candidates that still pass were not tried after the last effect.
 AFTER_CURVE = "after a curve, no second curve is tried"
 NOT_TRIED = "beside the effects that were found too little is left to explain, and a larger --max-effects tries no more"
@@ -981,10 +987,28 @@ def _notes(diagnosis: Diagnosis, given: GivenModel) -> list[str]:
     ]
     if diagnosis.effects:
         notes += [mismatch_sentence(m) for m in reported_mismatches(diagnosis)]
+        notes += inertia_curve_notes([e.effect for e in diagnosis.effects])
         notes += assumed_noise_notes(diagnosis.after.fit.model)
     else:
         notes.append(f"No effect was added. {_model_for_use(diagnosis, given)}")
     return notes + _flag_notes(diagnosis.after.fit.flags)
+
+
+def inertia_curve_notes(effects: Iterable[Effect]) -> list[str]:
+    """Return a note for each added curve over a product of velocities that the inertia of a turning boat contains too.
+
+    ``effects`` are the added effects. The data of a turn cannot tell the curve from an error of the mass.
+    """
+    notes = []
+    for curve in (e.curve for e in effects if e.curve is not None):
+        key = (curve.force, *sorted((curve.variable, curve.second)))
+        if key in INERTIAL_PRODUCTS:
+            product, masses = INERTIAL_PRODUCTS[key]
+            notes.append(
+                f"The curve {curve.force}({curve.variables}) has the form of the inertial force {product} of a turning "
+                f"boat: it can stand for an error of {masses}. Do not take {masses} of this model as physical."
+            )
+    return notes
 
 
 def _why_not_added(diagnosis: Diagnosis) -> str:
