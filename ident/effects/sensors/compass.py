@@ -31,6 +31,15 @@ def turn_body_velocity(s: Signals, angle: Any) -> None:
     s.y["u"], s.y["v"] = cos * s.y["u"] + sin * s.y["v"], -sin * s.y["u"] + cos * s.y["v"]
 
 
+def heading_terms(psi: Any) -> tuple[Any, Any, Any, Any]:
+    """Return sin psi, cos psi, sin 2psi and cos 2psi of a heading psi [rad], a number, an array or a symbol.
+
+    The last two follow from the first two, because trigonometric functions of arrays take most of the time here.
+    """
+    sin, cos = np.sin(psi), np.cos(psi)
+    return sin, cos, 2 * sin * cos, 1 - 2 * sin * sin
+
+
 def deviate(s: Signals) -> None:
     """Add the compass deviation to the output of the heading [rad], in place.
 
@@ -38,9 +47,9 @@ def deviate(s: Signals) -> None:
 
     The deviation is ``dev_s sin psi + dev_c cos psi + dev_2s sin 2psi + dev_2c cos 2psi`` at the true heading psi.
     """
-    p, psi = s.p, s.x.psi
-    quadrantal = p.dev_2s * np.sin(2 * psi) + p.dev_2c * np.cos(2 * psi)
-    deviation = p.dev_s * np.sin(psi) + p.dev_c * np.cos(psi) + quadrantal
+    p = s.p
+    sin, cos, sin_2, cos_2 = heading_terms(s.x.psi)
+    deviation = p.dev_s * sin + p.dev_c * cos + p.dev_2s * sin_2 + p.dev_2c * cos_2
     s.y["psi"] = s.y["psi"] + deviation
     turn_body_velocity(s, deviation)
 

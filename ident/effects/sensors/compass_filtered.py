@@ -7,9 +7,7 @@ model, the delay looks like magnetic interference of the motors, because the mot
 
 from __future__ import annotations
 
-import numpy as np
-
-from seatrial.ident.effects.sensors.compass import turn_body_velocity
+from seatrial.ident.effects.sensors.compass import heading_terms, turn_body_velocity
 from seatrial.ident.model import Effect, Parameter, Signals, State
 
 TERMS = (("1s", "sin psi", 0.15), ("1c", "cos psi", 0.15), ("2s", "sin 2 psi", 0.05), ("2c", "cos 2 psi", 0.05))
@@ -21,9 +19,9 @@ def _set_filter_rate(s: Signals) -> None:
     The deviation D is a sum of sin psi, cos psi, sin 2psi and cos 2psi, and passes a first-order filter with the time
     constant ``T_head``. The state is D less D after the filter. On a constant heading it decays to zero.
     """
-    p, psi = s.p, s.x.psi
-    slope = p.dev_f1s * np.cos(psi) - p.dev_f1c * np.sin(psi)
-    slope = slope + 2.0 * (p.dev_f2s * np.cos(2 * psi) - p.dev_f2c * np.sin(2 * psi))
+    p = s.p
+    sin, cos, sin_2, cos_2 = heading_terms(s.x.psi)
+    slope = p.dev_f1s * cos - p.dev_f1c * sin + 2.0 * (p.dev_f2s * cos_2 - p.dev_f2c * sin_2)
     s.rate["dev_behind"] = slope * s.x.r - s.x.dev_behind / p.T_head
 
 
@@ -34,9 +32,9 @@ def _add_deviation(s: Signals) -> None:
     ``dev_behind`` (`_set_filter_rate`). The output of the body velocity is rotated by the same angle, because it was
     computed with the erroneous heading.
     """
-    p, psi = s.p, s.x.psi
-    deviation = p.dev_f1s * np.sin(psi) + p.dev_f1c * np.cos(psi)
-    deviation = deviation + p.dev_f2s * np.sin(2 * psi) + p.dev_f2c * np.cos(2 * psi) - s.x.dev_behind
+    p = s.p
+    sin, cos, sin_2, cos_2 = heading_terms(s.x.psi)
+    deviation = p.dev_f1s * sin + p.dev_f1c * cos + p.dev_f2s * sin_2 + p.dev_f2c * cos_2 - s.x.dev_behind
     s.y["psi"] = s.y["psi"] + deviation
     turn_body_velocity(s, deviation)
 
