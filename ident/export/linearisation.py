@@ -362,7 +362,8 @@ class LinearModel:
         -------
         dict of str to Array (n_times,)
             Change of each state from the operating point, for a step of one unit of the inputs, in SI units and
-            radians.
+            radians. If the model is not stable (`stable`), the response grows without limit, which no boat does: it is
+            valid only while the changes are small.
 
         Raises
         ------

@@ -487,8 +487,8 @@ class CrossCorrelationRow(CorrelationTest, frozen=True, kw_only=True):
 class ErrorComparison(Part, frozen=True, kw_only=True):
     """RMS prediction error of a channel for one kind of prediction; in a diagnosis without and with the effects.
 
-    The verdict is `fell` or `rose` if the 95 % interval excludes 1 and the change is more than half a per cent;
-    otherwise, and without an interval, `unchanged`.
+    The verdict is `fell` or `rose` if the 95 % interval excludes 1 and the change is more than half a per cent, and
+    otherwise `unchanged`. Without an interval there is none.
     """
 
     before: Annotated[float | None, Meta(description="diagnosis: RMS error without the effects")] = None

@@ -296,7 +296,8 @@ def error_rows(
             unit=units[name],
             low=finite(spans[name].low) if name in spans else None,
             high=finite(spans[name].high) if name in spans else None,
-            verdict=spans[name].verdict if name in spans else None,
+            # without an interval, a large change would be called unchanged
+            verdict=spans[name].verdict if name in spans and math.isfinite(spans[name].low) else None,
             spread=finite(e.spread),
         )
         for name, e in new.items()

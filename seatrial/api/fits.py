@@ -294,7 +294,8 @@ class FitReport(Shown):
         - before and after, the RMS errors of the models without and with the effects of a diagnosis. For a fit, after
           is the error of the model, and before is NaN. A prediction that diverged is NaN;
         - low and high, the 95 % interval of after / before, NaN without one;
-        - verdict on the change: ``fell``, ``rose`` or ``unchanged``, empty without one.
+        - verdict on the change: ``fell``, ``rose`` or, if the interval contains 1, ``unchanged``. It is empty without
+          an interval.
 
         Raises
         ------

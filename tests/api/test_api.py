@@ -518,7 +518,9 @@ def test_errors_before_and_after_a_diagnosis_are_a_table(
     assert len(table) == sum(len(getattr(t, k)) for t in (errors.estimation, errors.validation) for k in
                              ("one_step", "horizon", "simulation"))  # fmt: skip
     ahead = table.query("kind == 'horizon'")
-    assert set(ahead["verdict"]) <= {"fell", "rose", "unchanged"}
+    assert set(ahead["verdict"]) <= {"fell", "rose", "unchanged", ""}
+    assert ((ahead["verdict"] == "") == ahead["low"].isna()).all()  # without an interval, no change is judged
+    assert (ahead["verdict"] != "").any()
     assert_frame_equal(st.load(found.save(tmp_path / "found")).errors_to_pandas(), table, rtol=1e-5)
     of_fit = fit.errors_to_pandas()
     assert of_fit["before"].isna().all()
