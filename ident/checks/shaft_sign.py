@@ -17,6 +17,9 @@ SETTLED_S = 1.5  # a command must keep its sign and size for this time before a 
 MAX_YAW_RATE, MIN_YAW_RATE = 5.0, 0.02  # rad/s: the largest of a boat, and the smallest that differs from rest
 MIN_COMMAND = 0.12  # of full command; a shaft turns at larger commands
 MIN_SAMPLES = 10  # of each direction
+# Commands that show a line of the shaft speed, as shares of full: least range, least size of the largest one, and the
+# largest dead zone
+LEAST_RANGE, LEAST_TOP, MAX_DEAD_ZONE = 0.3, 0.6, 0.3
 MAX_SPEED = 1.5  # of full speed; larger values are no shaft speed
 NEAR_MAX = 0.7  # of the largest value; wrapped values lie above it
 MAX_BETWEEN = 0.1  # share of the samples between real and wrapped values
@@ -43,7 +46,7 @@ def one_sided_shafts(c: Channels) -> dict[str, Finding]:
 
 
 def speed_over_command(c: Channels) -> float | None:
-    """Return the shaft speed over the command, both as shares of full, at steady forward commands.
+    """Return the shaft speed at full command over full speed.
 
     Parameters
     ----------
@@ -55,8 +58,15 @@ def speed_over_command(c: Channels) -> float | None:
     -------
     float or None
         Mean of the thrusters. None if no thruster has both signals and steady forward commands.
+
+    Notes
+    -----
+    It is the value at full command of the straight line through the shaft speeds at steady forward commands. Below a
+    dead zone a shaft does not turn, so that its speed over the command is too small at all commands but the full one.
+    The line is used if the commands differ enough and if it passes zero at a positive command. Otherwise the value is
+    the median of shaft speed over command.
     """
-    found = [_speed_over_command(command, shaft, 1.0) for _, command, shaft in _measured_shafts(c)]
+    found = [_speed_at_full_command(command, shaft) for _, command, shaft in _measured_shafts(c)]
     known = [ratio for ratio in found if ratio is not None and TURNS < ratio < IMPOSSIBLE]
     return float(np.mean(known)) if known else None
 
@@ -158,13 +168,31 @@ def _one_sided_fault(name: str, command: Channel, shaft: Channel) -> Finding | N
 def _speed_over_command(command: Channel, shaft: Channel, sign: float) -> float | None:
     """Return the median of shaft speed over command, at steady commands of one sign (``sign`` +1 or -1).
 
-    A positive result means that the shaft turns in the direction of its command. A command is steady if its size
-    exceeds 0.12 of full command and it varied by less than 0.1 in the last 1.5 s. The result is None for fewer than 10
-    such samples of the shaft speed.
+    A positive result means that the shaft turns in the direction of its command. The result is None for fewer than 10
+    samples of the shaft speed at steady commands (`_at_steady_commands`).
+    """
+    level, speed = _at_steady_commands(command, shaft, sign)
+    return None if level.size < MIN_SAMPLES else float(np.median(sign * speed / level))
+
+
+def _speed_at_full_command(command: Channel, shaft: Channel) -> float | None:
+    """Return the shaft speed at full command over full speed (`speed_over_command`); None without steady commands."""
+    ratio = _speed_over_command(command, shaft, 1.0)
+    if ratio is None:
+        return None
+    level, speed = _at_steady_commands(command, shaft, 1.0)
+    if np.ptp(level) < LEAST_RANGE or np.max(level) < LEAST_TOP:
+        return ratio
+    slope, offset = np.polyfit(level, speed, 1)
+    return float(slope + offset) if -MAX_DEAD_ZONE * slope < offset < 0.0 else ratio
+
+
+def _at_steady_commands(command: Channel, shaft: Channel, sign: float) -> tuple[Array, Array]:
+    """Return the sizes of steady commands of one sign, and the shaft speeds at these times, both (n,).
+
+    A command is steady if its size exceeds 0.12 of full command and it varied by less than 0.1 in the last 1.5 s.
     """
     at = [sample_and_hold(command, shaft.t - late) * sign for late in np.linspace(0.0, SETTLED_S, 7)]
     steady: NDArray[np.bool_] = np.min(at, axis=0) > MIN_COMMAND
     steady &= np.ptp(at, axis=0) < 0.1
-    if np.count_nonzero(steady) < MIN_SAMPLES:
-        return None
-    return float(np.median(shaft.value[steady] / (sign * at[0][steady])))
+    return at[0][steady], shaft.value[steady]
