@@ -13,7 +13,7 @@ from .log_checks import log_evidence as log_evidence
 from .shaft_gain import compare_shaft_gains as compare_shaft_gains
 from .shaft_gain import followed_command as followed_command
 from .shaft_gain import held_of_thrusters as held_of_thrusters
-from .shaft_sign import speed_over_command as speed_over_command
+from .shaft_sign import speed_at_full_command as speed_at_full_command
 from .shafts import check_shafts as check_shafts
 from .signals import ESTIMATED as ESTIMATED
 from .signals import FILTER_NOISE as FILTER_NOISE

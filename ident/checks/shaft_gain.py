@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from seatrial.daq.checks import WARNING, Finding
 from seatrial.ident.checks.sensors import Channels
-from seatrial.ident.checks.shaft_sign import IMPOSSIBLE, TURNS
+from seatrial.ident.checks.shaft_sign import IMPOSSIBLE, TURNS, speed_line
 from seatrial.ident.checks.shafts import held_commands
 from seatrial.ident.model import command_of, commanded_thrusters, shaft_speed_of
 from seatrial.ident.numerics import Array
@@ -190,17 +190,14 @@ def _follows_to(top: float, size: Array, speed: Array) -> bool:
     """Return whether the shaft speed grows with held commands of one direction up to the largest command ``top``.
 
     ``size`` and ``speed`` are the sizes of the commands and of the settled shaft speeds (n,). The speeds at the highest
-    commands are compared with the line through those at the middle ones. The line passes zero at zero command, or at a
-    positive one, as of a shaft with a dead zone: with a limit below the middle commands, the line would be flat.
+    commands are compared with the line through those at the middle ones (`speed_line`).
     """
     high, middle = size >= TOP * top, (size >= MIDDLE[0] * top) & (size <= MIDDLE[1] * top)
     if np.count_nonzero(high) < FEWEST_TOP or np.count_nonzero(middle) < FEWEST or size.max() < FOLLOWS * top:
         return False
     if np.array_equal(size, speed):
         return False
-    slope, offset = np.polyfit(size[middle], speed[middle], 1)
-    if offset > 0.0:
-        slope, offset = np.mean(speed[middle] / size[middle]), 0.0
+    slope, offset = speed_line(size[middle], speed[middle])
     return bool(np.min(speed[high] / (offset + slope * size[high])) >= FOLLOWS)
 
 

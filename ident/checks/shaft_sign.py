@@ -45,7 +45,7 @@ def one_sided_shafts(c: Channels) -> dict[str, Finding]:
     return {n: finding for n, finding in found if finding is not None}
 
 
-def speed_over_command(c: Channels) -> float | None:
+def speed_at_full_command(c: Channels) -> float | None:
     """Return the shaft speed at full command over full speed.
 
     Parameters
@@ -63,8 +63,8 @@ def speed_over_command(c: Channels) -> float | None:
     -----
     It is the value at full command of the straight line through the shaft speeds at steady forward commands. Below a
     dead zone a shaft does not turn, so that its speed over the command is too small at all commands but the full one.
-    The line is used if the commands differ enough and if it passes zero at a positive command. Otherwise the value is
-    the median of shaft speed over command.
+    The line (`speed_line`) is used if the commands differ enough. Otherwise the value is the median of shaft speed over
+    command.
     """
     found = [_speed_at_full_command(command, shaft) for _, command, shaft in _measured_shafts(c)]
     known = [ratio for ratio in found if ratio is not None and TURNS < ratio < IMPOSSIBLE]
@@ -176,15 +176,27 @@ def _speed_over_command(command: Channel, shaft: Channel, sign: float) -> float 
 
 
 def _speed_at_full_command(command: Channel, shaft: Channel) -> float | None:
-    """Return the shaft speed at full command over full speed (`speed_over_command`); None without steady commands."""
-    ratio = _speed_over_command(command, shaft, 1.0)
-    if ratio is None:
-        return None
+    """Return the shaft speed at full command over full speed; None without enough steady forward commands."""
     level, speed = _at_steady_commands(command, shaft, 1.0)
-    if np.ptp(level) < LEAST_RANGE or np.max(level) < LEAST_TOP:
-        return ratio
-    slope, offset = np.polyfit(level, speed, 1)
-    return float(slope + offset) if -MAX_DEAD_ZONE * slope < offset < 0.0 else ratio
+    if level.size < MIN_SAMPLES:
+        return None
+    if np.ptp(level) >= LEAST_RANGE and np.max(level) >= LEAST_TOP:
+        slope, offset = speed_line(level, speed)
+        if offset > -MAX_DEAD_ZONE * slope:
+            return slope + offset
+    return float(np.median(speed / level))
+
+
+def speed_line(command: Array, speed: Array) -> tuple[float, float]:
+    """Return slope and offset of the line through the shaft speeds (n,) at commands (n,) of one direction.
+
+    ``command`` and ``speed`` are sizes over the full ones. The line passes zero at zero command, or at a positive one,
+    as of a shaft with a dead zone: a positive offset would be that of a shaft with a limit of its speed.
+    """
+    slope, offset = np.polyfit(command, speed, 1)
+    if offset > 0.0:
+        return float(np.mean(speed / command)), 0.0
+    return float(slope), float(offset)
 
 
 def _at_steady_commands(command: Channel, shaft: Channel, sign: float) -> tuple[Array, Array]:

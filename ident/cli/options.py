@@ -434,7 +434,9 @@ def robust_option(f: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def reml_option(default: bool | None = True) -> Callable[..., Any]:
-    """Return a decorator that adds ``--reml/--no-reml`` to a command. The option selects restricted maximum likelihood.
+    """Return a decorator that adds the option ``--reml/--no-reml`` to a command.
+
+    The option selects restricted maximum likelihood for the noise parameters.
 
     Parameters
     ----------
@@ -453,14 +455,13 @@ def reml_option(default: bool | None = True) -> Callable[..., Any]:
 def mean_order_option(default: bool | None = True) -> Callable[..., Any]:
     """Return a decorator that adds the option ``--second-order/--no-second-order`` to a command.
 
-    The option selects the order of the Kalman filter. The parameter ``mean_order`` of the command is this order, 2 or
-    1.
+    The command receives the order of the Kalman filter, 2 or 1, as its parameter ``mean_order``.
 
     Parameters
     ----------
     default : bool or None
-        Value if the option is not given. With None, ``mean_order`` is None, and the command uses the order of the fit
-        that it studies.
+        Value if the user does not give the option. If it is None, ``mean_order`` is None, and the command uses the
+        order of the fit that it studies.
     """
     return click.option(
         "--second-order/--no-second-order",

@@ -80,6 +80,7 @@ class TrajectoryLinearisation:
         self.rowwise = vectorised(model)
         self.own = record.for_model(model)
         self._larger: dict[tuple[str, ForceCurve | None], tuple[Model, VectorisedModel]] = {}
+        self._acting: dict[tuple[str, ForceCurve | None], list[bool]] = {}  # results of `_act_through_states`
         self._ends: dict[tuple[str, ForceCurve | None], list[Array]] = {}  # states of effects at the last row
 
     def share_models(self, other: TrajectoryLinearisation) -> None:
@@ -88,7 +89,7 @@ class TrajectoryLinearisation:
         Both linearisations must have the same model. They then share one store: a model that either of them derives
         later is also used by the other.
         """
-        self.rowwise, self._larger = other.rowwise, other._larger
+        self.rowwise, self._larger, self._acting = other.rowwise, other._larger, other._acting
 
     def part(self, rows: slice) -> TrajectoryLinearisation:
         """Return the linearisation of consecutive rows of the record, so that a long record is processed in parts.
@@ -214,22 +215,22 @@ class TrajectoryLinearisation:
         ]
         state_sets = self._effect_states(effect, value_sets, u)
         for scanned, (zero, *moved), (z0, *z_moved) in zip(scans, value_sets, state_sets, strict=True):
+            x_zero = self._with_states(z0)
 
-            def without_own_states(values: Array, z: Array, rowwise: VectorisedModel = rowwise) -> list[Array]:
-                """Return the columns (n_rows,) of rates and outputs, without the rates of the effect's own states z.
+            def without_own_states(values: Array, x: Array, rowwise: VectorisedModel = rowwise) -> list[Array]:
+                """Return the columns (n_rows,) of rates and outputs at x, without the rates of the effect's own states.
 
                 ``values`` are the parameters of the model with the effect, ``rowwise``.
                 """
-                x = np.concatenate([self.x.T, z.T]).T
                 columns = rowwise.columns(x, u, values, self.recorded)
                 return columns[:n] + columns[n + m :]
 
             at_zero = all(p.value == 0.0 for _, p in sizes)
-            base = list(self.base.T) if at_zero else without_own_states(zero, z0)
-            changes = [
-                [after - before for after, before in zip(without_own_states(values, z), base, strict=True)]
-                for values, z in zip(moved, z_moved, strict=True)
-            ]
+            base = list(self.base.T) if at_zero else without_own_states(zero, x_zero)
+            changes = []
+            for values, z in zip(moved, z_moved, strict=True):
+                found = without_own_states(values, x_zero if z is z0 else self._with_states(z))
+                changes.append([after - before for after, before in zip(found, base, strict=True)])
             per_record = effect.kind is EffectKind.BETWEEN_RUNS or all(p.per_record for p in effect.parameters)
             touched = np.flatnonzero([any(c.any() for c in column) for column in zip(*changes, strict=True)])
             delta = np.empty((len(self.x), touched.size, len(changes)))
@@ -247,6 +248,10 @@ class TrajectoryLinearisation:
                 per_record,
                 touched,
             )
+
+    def _with_states(self, z: Array) -> Array:
+        """Return the states of the model followed by those z (n_rows, m) of an effect; the columns are contiguous."""
+        return np.concatenate([self.x.T, z.T]).T
 
     def _effect_states(self, effect: Effect, value_sets: Sequence[Sequence[Array]], u: Array) -> list[list[Array]]:
         """Return the states (n_rows, m) that an effect adds, along the trajectory, for each of the sets of values.
@@ -270,7 +275,9 @@ class TrajectoryLinearisation:
             return [[none] * len(values) for values in value_sets]
         key = (effect.name, effect.curve)
         larger, rowwise = self._larger[key]
-        acting = _act_through_states(rowwise, value_sets[0], len(effect.states))
+        if key not in self._acting:
+            self._acting[key] = _act_through_states(rowwise, value_sets[0], len(effect.states))
+        acting = self._acting[key]
         distinct = [v for values in value_sets for v, acts in zip(values, acting, strict=True) if acts]
         begin = self._ends.get(key, [_initial_states(larger, effect, values) for values in distinct])
         found = self._driven_states(rowwise, begin, distinct, u)
@@ -362,9 +369,9 @@ def _each_moved(values: Array, n: int, sizes: Sequence[tuple[int, Parameter]]) -
 def _act_through_states(rowwise: VectorisedModel, value_set: Sequence[Array], m: int) -> list[bool]:
     """Return for each set of parameter values whether it acts through the last m states of a model, to first order.
 
-    It does if it changes the rates of these states, compared with the first set, and if these states act on other rates
-    or on outputs with the first set. The first set itself is True. A test at two states and one input, which are
-    different numbers without meaning, decides.
+    A set does if it changes the rates of these states, compared with the first set, and if these states act on other
+    rates or on outputs with the first set. The result of the first set itself is True. A test at two states and one
+    input, which are different numbers without meaning, decides.
     """
     n = len(rowwise.model.states)
     x = np.tile(np.linspace(0.31, 0.57, n), (2, 1))

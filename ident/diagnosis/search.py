@@ -1380,12 +1380,8 @@ class _Search:
         """
         if not _adapts_to_all_errors(adaptable):
             return False
-        between = adaptable.effect.kind is EffectKind.BETWEEN_RUNS
-        if (
-            between
-            and other.effect.place in ("hull", "actuator")
-            and any(p.per_record for p in other.effect.parameters)
-        ):
+        per_run = other.effect.place in ("hull", "actuator") and any(p.per_record for p in other.effect.parameters)
+        if per_run and adaptable.effect.kind is EffectKind.BETWEEN_RUNS:
             return True
         try:
             compared = comparison(other.fitted, adaptable.fitted, adaptable.effect, self.policy)

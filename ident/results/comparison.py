@@ -330,9 +330,9 @@ class ComparisonResult(Result, frozen=True, kw_only=True, tag_field="kind", tag=
 
     @property
     def kinds(self) -> tuple[tuple[PredictionKind, float | None], ...]:
-        """Kinds of prediction, each with its horizon [s]; the horizon is None if the kind has none.
+        """Kinds of prediction in the order of ``channels``, each with its horizon [s].
 
-        The order is that of ``channels``.
+        A kind without a horizon, such as the simulation, has None.
         """
         return tuple(dict.fromkeys((row.kind, row.seconds) for row in self.channels))
 

@@ -162,13 +162,13 @@ class _Candidate:
 
     @property
     def per_log(self) -> tuple[str, ...]:
-        """Names of the parameters that are estimated anew for each compared log, such as the current."""
+        """Names of the parameters with their own estimate for each compared log, such as the current."""
         return tuple(p.name for p in self.model.parameters if p.free and p.per_record)
 
     def widens(self, seconds: float | None) -> bool:
-        """Return whether validation data widen the prediction intervals over the horizon ``seconds`` [s].
+        """Return whether validation data widen the prediction intervals of one kind of prediction.
 
-        With None, the intervals are those of the simulation.
+        The kind is the prediction over the horizon ``seconds`` [s], or the simulation if ``seconds`` is None.
         """
         return self.saved.intervals is not None and bool(self.saved.intervals.widening(seconds))
 

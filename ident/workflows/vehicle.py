@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from seatrial.daq.errors import first_names
-from seatrial.ident.checks import device_faults, speed_over_command
+from seatrial.ident.checks import device_faults, speed_at_full_command
 from seatrial.ident.data import LoadedLog, load_all
 from seatrial.ident.diagnosis import (
     COMMON_SEARCH,
@@ -183,7 +183,7 @@ def _command_scale_warning(model: Model, logs: Sequence[LoadedLog]) -> ResultWar
         return None
     if not any(is_of_thruster(i.tap_of or i.name, COMMAND) for i in model.inputs):
         return None
-    known = {log.run.name: ratio for log in logs if (ratio := speed_over_command(log.run.channels)) is not None}
+    known = {log.run.name: ratio for log in logs if (ratio := speed_at_full_command(log.run.channels)) is not None}
     share = float(np.mean([ratio**2 for ratio in known.values()])) if known else 1.0
     if abs(share - 1.0) < LARGEST_SHARE_LOST:
         return None

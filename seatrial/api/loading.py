@@ -79,7 +79,7 @@ class ExportOptions(TypedDict, total=False):
 
 @dataclass(frozen=True, repr=False)
 class Saved(MotionMethods, Shown):
-    """Fit that `load` has read from files. It has the model, the result, or both.
+    """Fit that `load` has read from files: its model, its result, or both.
 
     Attributes
     ----------

@@ -364,7 +364,7 @@ def _verdict(p: float | None, level: float, passed: str, failed: str) -> str:
 
 
 def _or_nan(value: float | None) -> float:
-    """Return the number itself, or NaN if it is None."""
+    """Return a number unchanged, and NaN for None."""
     return math.nan if value is None else value
 
 

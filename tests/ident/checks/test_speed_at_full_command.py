@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from seatrial.ident.checks import speed_over_command
+from seatrial.ident.checks import speed_at_full_command
 from seatrial.ident.data.record import Channel
 
 
@@ -17,4 +17,4 @@ def test_dead_zone_is_no_wrong_scale(dead_zone: float, gain: float) -> None:
     speed = gain * np.clip(command - dead_zone, 0.0, None) / (1.0 - dead_zone) + 0.002 * rng.standard_normal(t.size)
     channels = {f"n_cmd_{side}": Channel(t, command) for side in ("left", "right")}
     channels |= {f"n_{side}": Channel(t.copy(), speed) for side in ("left", "right")}
-    assert speed_over_command(channels) == pytest.approx(gain, abs=0.01)
+    assert speed_at_full_command(channels) == pytest.approx(gain, abs=0.01)
