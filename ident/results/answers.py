@@ -79,6 +79,8 @@ WIDE_INTERVAL = 0.5  # a wider 95 % interval of the fit is replaced by the inter
 NO_DEAD_ZONE = 5e-4  # of full command: a smaller dead zone would be printed as 0.0 %
 RAMP_SHARE = 0.05  # share of the rows, smallest commands first, that may belong to a ramp
 FAR_FROM_MAXIMUM = 0.5  # standard errors by which a fit can still move; less does not matter beside the errors
+# Error of a given antenna position that is reported: m, and standard errors. A tape measure errs by less.
+LARGEST_AWAY, FAR_AWAY = 0.25, 4.0
 UNUSUAL = 3.0  # standard deviations of its prior, from which an estimate is far from its usual size
 LARGEST_ASYMMETRY = 0.5  # of c2 over c1: one direction then has a third of the other's thrust
 UNEQUAL_THRUST = 0.05  # difference of the thrust ahead from the given mean, relative to it, from which it is reported
@@ -376,6 +378,7 @@ def estimation_warnings(
         *scale_warnings(thrust_scale_of(fit.model)),
         *thrust_ahead_warnings(fit),
         *thrust_astern_warnings(fit),
+        *antenna_warnings(fit),
         *unusual_estimates(fit),
     ]
     for away in (d for d in prior_distances(fit) if d.contradicts):
@@ -629,6 +632,31 @@ def thrust_astern_warnings(fit: Fit) -> list[ResultWarning]:
         f"{0.5 * (c1 + abs(c2)):.4g} and c2 = {0.5 * (c1 - abs(c2)):.4g}."
     )
     return [ResultWarning(code="thrust-astern", text=text)]
+
+
+def antenna_warnings(fit: Fit) -> list[ResultWarning]:
+    """Return a warning if the data put the GNSS antenna far from the position that was given.
+
+    Far is more than 0.25 m and more than four standard errors, forward or to starboard. The list is empty if no
+    position was given, or if the model has no estimate of its error (effect ``lever-arm``).
+    """
+    given, places = fit.model.values, []
+    for axis, way in (("x", "forward"), ("y", "to starboard")):
+        name = f"l_{axis}"
+        if f"antenna_{axis}" not in given or name not in fit.names:
+            return []
+        away, error = fit.estimate(name)
+        places.append((way, given[f"antenna_{axis}"], away, error))
+    if not any(abs(away) > LARGEST_AWAY and abs(away) > FAR_AWAY * error for _, _, away, error in places):
+        return []
+    found = " and ".join(f"{at + away:.2f} ± {error:.1g} m {way}" for way, at, away, error in places)
+    there = " and ".join(f"{at:.2f} m {way}" for way, at, _, _ in places)
+    text = (
+        f"The data put the GNSS antenna {found} of the origin, but {there} were given. Check its lever arm "
+        "(lever_arm_m): the signs (forward and to starboard are positive), the unit, and that it is measured from the "
+        "centre of gravity."
+    )
+    return [ResultWarning(code="antenna-contradicted", text=text)]
 
 
 def unusual_estimates(fit: Fit) -> list[ResultWarning]:

@@ -141,6 +141,7 @@ WarningCode = Literal[
     "thrust-ahead",
     "thrust-astern",
     "unusual-estimate",
+    "antenna-contradicted",
     "compared-on-fitted-log",
     "navigated-fitted-log",
     "compared-on-validation-log",

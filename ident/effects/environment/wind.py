@@ -23,19 +23,20 @@ def blow(s: Signals) -> None:
     cos, sin = np.cos(psi), np.sin(psi)
     along, across = cos * p.F_wx + sin * p.F_wy, -sin * p.F_wx + cos * p.F_wy
     squared = p.F_wx * p.F_wx + p.F_wy * p.F_wy + 1e-12
-    wind = 1 / np.sqrt(p.k_air * np.sqrt(squared))  # wind velocity over force, m/s per newton
+    # velocities times the square root of k_air, so that no k_air, not even zero, divides; the squares are forces
+    scale, root = np.sqrt(p.k_air), squared**-0.25
     over_x = cos * s.x.u - sin * s.x.v + getattr(p, "V_x", 0.0)
     over_y = sin * s.x.u + cos * s.x.v + getattr(p, "V_y", 0.0)
-    rel_along = along * wind - cos * over_x - sin * over_y
-    rel_across = across * wind + sin * over_x - cos * over_y
-    speed = np.sqrt(rel_along * rel_along + rel_across * rel_across + 1e-9)
+    rel_along = along * root - scale * (cos * over_x + sin * over_y)
+    rel_across = across * root + scale * (sin * over_x - cos * over_y)
+    speed = np.sqrt(rel_along * rel_along + rel_across * rel_across + 1e-9 * p.k_air + 1e-18)
     # weight of the relative wind; the drag of the boat in air at rest is part of the damping of the hull
     moving = squared / (squared + p.k_air * p.k_air)
-    along = along + moving * (p.k_air * speed * rel_along - along)
-    across = across + moving * (p.k_air * speed * rel_across - across)
+    along = along + moving * (speed * rel_along - along)
+    across = across + moving * (speed * rel_across - across)
     s.X = s.X + p.w_x * along
     s.Y = s.Y + across
-    s.N = s.N + p.w_n * across + p.w_nn * moving * p.k_air * rel_along * rel_across
+    s.N = s.N + p.w_n * across + p.w_nn * moving * rel_along * rel_across
 
 
 EFFECT = Effect(

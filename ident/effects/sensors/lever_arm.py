@@ -12,7 +12,7 @@ def move(s: Signals) -> None:
     """Move the outputs of position and velocity over ground from the origin to the GNSS antenna, in place.
 
     This is for a level boat. The antenna is ``l_x`` forward and ``l_y`` to starboard of the origin of the body frame
-    [m].
+    [m]. If the position of the antenna was given, they are the distances from this position.
     """
     shift(s, s.p.l_x, s.p.l_y)
 
@@ -21,16 +21,20 @@ def move_tilted(s: Signals) -> None:
     """Move the outputs of position and velocity over ground from the origin to the GNSS antenna, in place.
 
     This is for models with measured roll and pitch. The antenna is ``l_x`` forward, ``l_y`` to starboard and ``l_z``
-    below the origin of the body frame [m].
+    below the origin of the body frame [m]. If the position of the antenna was given, they are the distances from it.
     """
     rotations.shift(s, (s.p.l_x, s.p.l_y, s.p.l_z))
 
 
 ARM = (
-    Parameter("l_x", 0.0, "m", "antenna forward of the origin", prior=(0.0, 1.5), step=0.05),
-    Parameter("l_y", 0.0, "m", "antenna to starboard of the origin", prior=(0.0, 1.0), step=0.05),
+    Parameter("l_x", 0.0, "m", "antenna forward of its given position, or of the origin", prior=(0.0, 1.5), step=0.05),
+    Parameter(
+        "l_y", 0.0, "m", "antenna to starboard of its given position, or of the origin", prior=(0.0, 1.0), step=0.05
+    ),
 )
-HEIGHT = Parameter("l_z", 0.0, "m", "antenna below the origin", prior=(0.0, 1.0), step=0.05)
+HEIGHT = Parameter(
+    "l_z", 0.0, "m", "antenna below its given position, or below the origin", prior=(0.0, 1.0), step=0.05
+)
 COMMON: dict[str, Any] = {
     "place": "sensor",
     "source": "Groves 2013, section 2.5",

@@ -27,6 +27,7 @@ from seatrial.ident.models import horizontal_model
 from seatrial.ident.models.nomoto import nomoto_model
 from seatrial.ident.results.answers import (
     NAMES,
+    antenna_warnings,
     candidate_sentence,
     change_sentence,
     check_warnings,
@@ -698,3 +699,23 @@ def test_the_least_stable_heading_is_named() -> None:
     assert course_sentence(course).startswith(
         "At 0.9 m/s on heading 45 deg the boat is directionally unstable: without"
     )
+
+
+@pytest.mark.parametrize(
+    ("away", "error", "warned"), [(-1.0, 0.05, True), (-0.2, 0.01, False), (-0.5, 0.2, False), (-0.5, np.nan, False)]
+)
+def test_antenna_far_from_its_given_position_has_a_warning(away: float, error: float, warned: bool) -> None:
+    estimates = {"l_x": (away, error), "l_y": (0.01, 0.02)}
+    fit: Any = SimpleNamespace(
+        names=tuple(estimates),
+        estimate=estimates.__getitem__,
+        model=SimpleNamespace(values={"antenna_x": 0.5, "antenna_y": 0.0}),
+    )
+    found = antenna_warnings(fit)
+    assert [w.code for w in found] == ["antenna-contradicted"] * warned
+    if warned:
+        assert (
+            "-0.50 ± 0.05 m forward and 0.01 ± 0.02 m to starboard of the origin, but 0.50 m forward" in found[0].text
+        )
+    fit.model.values = {}
+    assert antenna_warnings(fit) == []  # no position was given
