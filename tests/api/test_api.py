@@ -1098,9 +1098,10 @@ def test_diagnosis_names_the_effect(logs: list[Path], found: st.FittedDiagnosis,
     again = st.load(found.save(tmp_path / "found"))
     assert again.answer == found.answer
     assert st.navigate(again, logs[2]).states  # a loaded model can be used like the fitted one
-    both = st.compare([again, found], logs[2])
-    for row in both.result.channels:
-        assert row.errors[0].rms == pytest.approx(row.errors[1].rms, rel=1e-6)
+    loaded, fitted = (st.compare(model, logs[2]).result.channels for model in (again, found))
+    assert [row.errors[0].rms for row in loaded] == pytest.approx([row.errors[0].rms for row in fitted], rel=1e-6)
+    with pytest.raises(SeatrialError, match=r"model 2 is the same model as .*; give another model to compare it with"):
+        st.compare([again, found], logs[2])
     assert again.params["eps_LR"] == pytest.approx(found.params["eps_LR"], rel=1e-6)
 
 
