@@ -427,6 +427,9 @@ class Effect:
         Function that returns a clause for reports, why signals contradict the effect that the model does not use, given
         the channels of each run by name; empty if they do not. A diagnosis does not test a contradicted effect. None:
         no signal can contradict it.
+    takes_over : tuple[str, ...]
+        Names of parameters of the model that describe the same physics in another form. Their estimate of zero beside
+        this effect needs no action.
     """
 
     name: str
@@ -454,6 +457,7 @@ class Effect:
     in_words: Callable[[Mapping[str, tuple[float, float]]], str] | None = None
     thrust_difference: str = ""
     refuted_by: Callable[[Sequence[Mapping[str, Any]]], str] | None = None
+    takes_over: tuple[str, ...] = ()
 
     def is_table_of(self, curve: ForceCurve | None) -> bool:
         """Return whether this effect is the nonparametric curve of the force and variables of ``curve``.

@@ -208,6 +208,8 @@ def _flag_text(flag: str | None, p: Parameter, value: float, reported: ReportedE
             return f"{begin}: the errors of this signal last, and are states of the model. Nothing has to be done"
         why = "the data show less noise than this" if at_low else "the data show more noise than this"
         return f"{begin}: {why}. If the noise of the sensor is known, give it (--fix {p.name}=VALUE)"
+    if at_low and (taken := next((e for e in reported.fit.model.effects if p.name in e.takes_over), None)) is not None:
+        return f"{begin}: the effect {taken.name} describes this in another form. Nothing has to be done"
     if at_low and bound == 0.0:
         return f"{begin}: the data do not show {p.meaning}. Fix it (--fix {p.name}=0), or add logs that excite it"
     return (

@@ -157,19 +157,21 @@ def _battery_sag(rng: np.random.Generator, scale: float) -> HiddenEffect:
 def _dead_band(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "dead-band": propellers with almost no thrust at low shaft speed.
 
-    The thrust is multiplied by ``(beyond / |n|)^2``. ``beyond`` is a smooth version of ``max(|n| - band, 0)`` (softplus
-    with the width ``band / 4``, shifted to zero at ``n = 0``). ``band`` is drawn within 15 % of ``0.06 scale``.
+    The thrust is multiplied by ``(beyond(n) / (beyond(1) |n|))^2``, which is 1 at full speed: the known thrust at full
+    speed was measured with the dead band. ``beyond`` is a smooth version of ``max(|n| - band, 0)`` (softplus with the
+    width ``band / 4``, shifted to zero at ``n = 0``). ``band`` is drawn within 15 % of ``0.06 scale``.
     """
     band = scale * effect_size(rng, 0.06)
     soft = 0.25 * band
 
+    def beyond(size: float) -> float:
+        """Return the part of a shaft speed of magnitude ``size`` beyond the dead band, smooth at its edge."""
+        above = size - band
+        return max(above, 0.0) + soft * (math.log1p(math.exp(-abs(above) / soft)) - math.log1p(math.exp(-4.0)))
+
     def remaining_share(n: float) -> float:
         """Return the fraction of the thrust that is left at shaft speed ``n``; 1 without an effect or at ``n = 0``."""
-        if not band or not n:
-            return 1.0
-        above = abs(n) - band
-        beyond = max(above, 0.0) + soft * (math.log1p(math.exp(-abs(above) / soft)) - math.log1p(math.exp(-4.0)))
-        return (beyond / abs(n)) ** 2
+        return (beyond(abs(n)) / (beyond(1.0) * abs(n))) ** 2 if band and n else 1.0
 
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float

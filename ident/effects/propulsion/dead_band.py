@@ -7,9 +7,12 @@ from seatrial.ident.models import beyond_dead_band
 
 
 def cut(s: Signals) -> None:
-    """Reduce the magnitude of each shaft speed ``s.n`` by the dead band ``n_dead``; inside the band, set it to zero."""
+    """Replace each shaft speed ``s.n`` by its part beyond the dead band ``n_dead``, as a fraction of the largest part.
+
+    Full speed stays full speed: a given thrust at full speed was measured with the dead band.
+    """
     for side, n in s.n.items():
-        s.n[side] = beyond_dead_band(n, s.p.n_dead)
+        s.n[side] = beyond_dead_band(n, s.p.n_dead) / (1.0 - s.p.n_dead)
 
 
 EFFECT = Effect(
@@ -28,11 +31,12 @@ EFFECT = Effect(
             step=0.02,
         ),
     ),
-    formula="n_eff = sgn(n) max(|n| - n_dead, 0)",
+    formula="n_eff = sgn(n) max(|n| - n_dead, 0) / (1 - n_dead)",
     source="ESC data; propellers at low Reynolds number",
     causes="speed controllers or propellers that start late",
     experiment="small steps of both signs around zero",
     requires=("n", "f"),
     one_sided=True,
     alternatives=("reverse-thrust", "coulomb"),
+    takes_over=("dead_zone",),
 )

@@ -223,14 +223,8 @@ def test_dead_band_has_a_gradient_beyond_it() -> None:
     model = carrier(effect) + replace(effect, parameters=(effect.parameters[0].at(0.1),))
     x, u = np.zeros((3, len(model.states))), np.array([[0.05, 0.05], [0.3, 0.3], [-0.3, -0.3]])
     surge = evaluate(model, x, u)[:, 3]
-    thrust = (
-        2
-        * (
-            40.05 * np.sign(u[:, 0]) * np.maximum(np.abs(u[:, 0]) - 0.1, 0) ** 2
-            + 1.11 * np.maximum(np.abs(u[:, 0]) - 0.1, 0) ** 2
-        )
-        / 37.0
-    )
+    beyond = np.maximum(np.abs(u[:, 0]) - 0.1, 0) / 0.9  # full speed stays full speed
+    thrust = 2 * (40.05 * np.sign(u[:, 0]) * beyond**2 + 1.11 * beyond**2) / 37.0
     np.testing.assert_allclose(surge, thrust, atol=1e-9)
 
 

@@ -52,7 +52,7 @@ def forces(n: np.ndarray, x: np.ndarray, p: Values) -> np.ndarray:
 def rates(t: float, x: np.ndarray, p: Values) -> np.ndarray:
     """Return the rates of north, east, psi, u, v, r and of the lagging shaft speeds."""
     n = speeds(t - p.get("tau_delay", 0.0) + p.get("tau_age", 0.0))
-    n = np.sign(n) * np.maximum(np.abs(n) - p.get("n_dead", 0.0), 0.0)
+    n = np.sign(n) * np.maximum(np.abs(n) - p.get("n_dead", 0.0), 0.0) / (1.0 - p.get("n_dead", 0.0))
     slow = (n - x[6:]) / p["T_lag"] if "T_lag" in p else 0 * n
     f = forces(x[6:] if "T_lag" in p else n, x, p)
     psi, u, v, r = x[2:6]

@@ -193,7 +193,7 @@ def test_effects_of_the_thruster_are_kept_and_effects_of_the_tank_are_removed() 
     assert thrust_of(own, 0.5) == pytest.approx(2 * (40.0 * 0.25 + 1.5 * 0.25))
     dead = (boat() + effects["dead-band"]).with_values({"n_dead": 0.1})
     reduced = join(collect_content(saved(dead)), {"": saved(LEFT)})
-    assert thrust_of(reduced, 0.5) == pytest.approx(2 * (40.0 * 0.16 + 1.5 * 0.16))
+    assert thrust_of(reduced, 0.5) == pytest.approx(2 * (40.0 + 1.5) * (0.4 / 0.9) ** 2)
 
 
 def test_model_of_thrusts_is_joined_with_the_thrust_of_the_bench() -> None:

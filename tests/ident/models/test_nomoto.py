@@ -207,7 +207,7 @@ def test_gnss_measures_a_moving_current_like_a_constant_one(psi: float, drifts: 
 @pytest.mark.parametrize(
     ("name", "values", "share"),
     [
-        ("dead-band", {"n_dead": 0.1}, (0.5 / 0.6) ** 2),
+        ("dead-band", {"n_dead": 0.1}, (0.5 / 0.9 / 0.6) ** 2),
         ("thruster-interaction", {"kappa": 0.2}, 1 - 0.2 * 0.6),
         ("battery-sag", {"beta_E": 0.3}, 0.7),
         ("turn-loss", {"loss_r": 0.5}, 1 / (1 + 0.5 * smooth_modulus(0.5, YAW_RATE_WIDTH))),

@@ -10,6 +10,7 @@ import pytest
 import seatrial as st
 from seatrial.api.messages import in_python
 from seatrial.daq.errors import SeatrialWarning
+from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import AT_BOUND, ReportedEstimates
 from seatrial.ident.models import estimator_error
 from seatrial.ident.models.horizontal import horizontal_model
@@ -65,6 +66,16 @@ def test_a_noise_beside_lasting_errors_needs_nothing(fitted: st.FittedVehicle) -
     assert flag == (
         "at its bound 0.0002 rad, the lowest possible value: the errors of this signal last, and are states of the "
         "model. Nothing has to be done"
+    )
+
+
+def test_a_dead_zone_at_zero_beside_a_dead_band_needs_nothing(fitted: st.FittedVehicle) -> None:
+    model = horizontal_model("command") + catalogue()["dead-band"]
+    reported = ReportedEstimates(replace(fitted.fitted.fit, model=model))
+    flag = _flag_text(AT_BOUND, model.parameter("dead_zone"), 0.0, reported)
+    assert flag == (
+        "at its bound 0, the lowest possible value: the effect dead-band describes this in another form. Nothing has "
+        "to be done"
     )
 
 

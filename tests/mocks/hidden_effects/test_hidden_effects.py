@@ -298,6 +298,7 @@ def test_a_dead_band_removes_slow_thrust_and_little_else() -> None:
     assert slow[0] == -slow[1]
     assert 0.0 < slow[0] < 0.2
     assert 0.8 < fast[0] < 1.0
+    assert hook(1.0, -1.0, 0.0, 0.0, 1.0, -1.0, 0.0) == (1.0, -1.0)  # the known thrust at full speed was measured
     assert hook(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0) == (0.0, 0.0)
 
 
