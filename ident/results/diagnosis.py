@@ -64,6 +64,7 @@ from seatrial.ident.results.tables import (
     error_tables,
     finite,
     fit_summary,
+    inertial_curves,
     prediction_change,
     residual_rows,
     thrust_difference_warnings,
@@ -73,12 +74,6 @@ from seatrial.ident.results.tables import (
 
 MOST_CANDIDATES = 24  # best candidates of a round that are reported; others are reported if they passed
 WORSE_SIMULATION = 1.2  # ratio of the errors of a simulation, from which it is called worse
-# Force and velocities of the curves that have the form of an inertial force in a turn: this force, and its masses.
-INERTIAL_PRODUCTS = {
-    ("X", "r", "v"): ("m_v v r", "m_v"),
-    ("Y", "r", "u"): ("m_u u r", "m_u and m_v"),
-    ("N", "u", "v"): ("(m_u - m_v) u v", "m_v"),
-}
 # Reasons, as clauses, why candidates that still pass were not tried after the last effect.
 AFTER_CURVE = "after a curve, no second curve is tried"
 NOT_TRIED = "beside the effects that were found too little is left to explain, and a larger --max-effects tries no more"
@@ -1000,14 +995,12 @@ def inertia_curve_notes(effects: Iterable[Effect]) -> list[str]:
     ``effects`` are the added effects. The data of a turn cannot tell the curve from an error of the mass.
     """
     notes = []
-    for curve in (e.curve for e in effects if e.curve is not None):
-        key = (curve.force, *sorted((curve.variable, curve.second)))
-        if key in INERTIAL_PRODUCTS:
-            product, masses = INERTIAL_PRODUCTS[key]
-            notes.append(
-                f"The curve {curve.force}({curve.variables}) has the form of the inertial force {product} of a turning "
-                f"boat: it can stand for an error of {masses}. Do not take {masses} of this model as physical."
-            )
+    for curve, product, masses in inertial_curves(effects):
+        both = " and ".join(masses)
+        notes.append(
+            f"The curve {curve.force}({curve.variables}) has the form of the inertial force {product} of a turning "
+            f"boat: it can stand for an error of {both}. Do not take {both} of this model as physical."
+        )
     return notes
 
 

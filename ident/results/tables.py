@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -27,7 +27,7 @@ from seatrial.ident.estimation import (
     exceeded_prior,
     run_differences,
 )
-from seatrial.ident.model import Effect, EffectKind, Model, ModelKind, Parameter, segment_name
+from seatrial.ident.model import Effect, EffectKind, ForceCurve, Model, ModelKind, Parameter, segment_name
 from seatrial.ident.models import ESTIMATOR_ERROR, SENSORS_WITH_CORRELATED_ERRORS, force_power
 from seatrial.ident.results.parts import (
     CalibrationRow,
@@ -70,6 +70,12 @@ from seatrial.ident.validation import (
 )
 
 NO_PREDICTION = HorizonPrediction(*(np.zeros(0),) * 3)  # empty: of a channel without a sample after the first horizon
+# Force and velocities of the curves that have the form of an inertial force in a turn: this force, and its masses.
+INERTIAL_PRODUCTS = {
+    ("X", "r", "v"): ("m_v v r", ("m_v",)),
+    ("Y", "r", "u"): ("m_u u r", ("m_u", "m_v")),
+    ("N", "u", "v"): ("(m_u - m_v) u v", ("m_v",)),
+}
 
 
 def finite(value: float | None) -> float | None:
@@ -146,6 +152,7 @@ def fit_summary(fit: Fit, start: Mapping[str, float], calibration: float | None 
                             [
                                 _flag_text(flags.get(name), p, fit.estimate(p.name, i)[0], reported),
                                 _wider_than_prior(p, fit.estimate(p.name, i), reported),
+                                _beside_inertial_curve(p, fit.model.effects),
                             ],
                         )
                     )
@@ -237,6 +244,28 @@ def _wider_than_prior(p: Parameter, estimate: tuple[float, float], reported: Rep
     factor, unit = reported.factor(p.unit), reported.scale.unit(p.unit)
     shown = " ".join(filter(None, [f"{factor * error:.3g} > {factor * of_prior:.3g}", unit]))
     return f"the standard error is larger than that of the prior ({shown}), because {BEYOND_PRIOR}"
+
+
+def _beside_inertial_curve(p: Parameter, effects: Iterable[Effect]) -> str:
+    """Return a sentence if an added curve has the form of an inertial force of a mass, whose parameter is ``p``.
+
+    The text is empty for any other parameter, and without such a curve among ``effects``.
+    """
+    for curve, product, masses in inertial_curves(effects):
+        if p.name in masses and p.free:
+            return f"the curve {curve.force}({curve.variables}) has the form of {product}: this is no physical mass"
+    return ""
+
+
+def inertial_curves(effects: Iterable[Effect]) -> list[tuple[ForceCurve, str, tuple[str, ...]]]:
+    """Return the added curves over a product of velocities that the inertia of a turning boat contains too.
+
+    Each item has the curve, the inertial force of this form, and the names of the masses in it. ``effects`` are the
+    added effects.
+    """
+    curves = [e.curve for e in effects if e.curve is not None and e.kind is EffectKind.NONPARAMETRIC]
+    keys = [(c, (c.force, *sorted((c.variable, c.second)))) for c in curves]
+    return [(c, *INERTIAL_PRODUCTS[key]) for c, key in keys if key in INERTIAL_PRODUCTS]
 
 
 def error_tables(
