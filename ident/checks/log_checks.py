@@ -53,7 +53,7 @@ from seatrial.ident.checks.sensors import (
     velocity_and_acceleration,
 )
 from seatrial.ident.checks.shaft_gain import Held, check_shaft_gain, compare_shaft_gains, held_of_thrusters
-from seatrial.ident.checks.shaft_sign import check_wrapped, one_sided_shafts
+from seatrial.ident.checks.shaft_sign import check_shaft_scale, check_wrapped, one_sided_shafts
 from seatrial.ident.checks.shafts import check_shafts
 from seatrial.ident.checks.signals import (
     check_alternating,
@@ -605,8 +605,8 @@ def check_signals(c: Channels, sides: Mapping[str, float], known_noise: Collecti
     Notes
     -----
     Some checks are skipped if a signal that they rely on has a fault. Their findings would name the wrong cause. A
-    fault of the sample times ends all checks at once, and a wrong time scale or exchanged telemetry ends those that
-    would follow.
+    signal in a wrong unit is not compared with others. A fault of the sample times ends all checks at once, and a wrong
+    time scale or exchanged telemetry ends those that would follow.
     """
     found = list(check_intervals(c))
     yield from found
@@ -631,6 +631,9 @@ def check_signals(c: Channels, sides: Mapping[str, float], known_noise: Collecti
     yield from check_quantised(c)
     yield from check_held(c)
     yield from check_held_inputs(c)
+    # A signal in a wrong unit would accuse the right one with which it is compared.
+    in_wrong_unit = {n for f in ranges if f.level == FAULT and f.check == "units" for n in f.where.split(", ")}
+    c = {name: channel for name, channel in c.items() if name not in in_wrong_unit}
     matches = sensor_matches(c)
     clock = check_time_scale(matches)
     if clock is not None:
@@ -659,6 +662,8 @@ def check_signals(c: Channels, sides: Mapping[str, float], known_noise: Collecti
     right = {n: x for n, x in c.items() if SignalId.parse(n).source not in wrong}
     of_shafts = list(check_shafts(right))
     yield from of_shafts
+    scaled = {f.where for f in of_shafts if f.level == FAULT and f.check == "units"}
+    yield from check_shaft_scale({n: x for n, x in right.items() if SignalId.parse(n).source not in scaled})
     faulty = {f.where for f in of_shafts if f.is_problem}  # a shaft that is limited or drops out has no slope
     yield from check_shaft_gain({n: x for n, x in right.items() if SignalId.parse(n).source not in faulty})
     wrong_inputs = [*of_wraps, *one_sided.values()]
