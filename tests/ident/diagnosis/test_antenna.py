@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import seatrial as st
+from seatrial.daq.config.rig_file import parse_rig
 from seatrial.ident.data import Channel, LogSegment
 from seatrial.ident.diagnosis import antenna_error
 from seatrial.ident.estimation import fit_nominal_model
 from seatrial.ident.models import horizontal_model
 from seatrial.ident.models.components import antenna_component
 from seatrial.ident.results import antenna_warning
-from tests.missions import boat_with, channels_of, record, rig_of, sail
+from tests.missions import boat_with, channels_of, record, sail
 
 
 def behind(arm: float) -> dict[str, Channel]:
@@ -47,11 +48,11 @@ def test_model_without_a_given_position_has_no_test() -> None:
 
 def test_fit_without_score_tests_warns_of_a_wrong_lever_arm(tmp_path: Path) -> None:
     recording, _ = sail(boat_with(None, 2), 120.0, 11)
-    rig = rig_of("boat")
-    wrong = replace(
-        rig, devices=[replace(d, lever_arm_m=(1.0, 0.0, 0.0)) if d.name == "gnss" else d for d in rig.devices]
+    text = files("seatrial.mocks").joinpath("rigs", "boat.toml").read_text(encoding="utf-8")
+    at_bow = parse_rig(
+        text.replace("lever_arm_m = [0.0, 0.0, 0.0]", "lever_arm_m = [1.0, 0.0, 0.0]"), Path("boat.toml")
     )
-    path = record(tmp_path / "run.mcap", wrong, recording.readings)
+    path = record(tmp_path / "run.mcap", at_bow, recording.readings)
     with pytest.warns(st.SeatrialWarning):
         model = st.fit(path, model="horizontal:shaft", score_tests=False)
     assert "antenna-contradicted" in {w.code for w in model.result.warnings}
