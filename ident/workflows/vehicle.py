@@ -169,7 +169,8 @@ def fit_vehicle(request: VehicleRequest, command: str, reporter: Reporter, with_
     if tested is None and request.estimation.method == "prediction-error":
         # A fit with score tests has an estimate of the error of the antenna, if the data show one.
         more += antenna_warning(fitted.model, antenna_error(fitted))
-    return VehicleFit(fitted, msgspec.structs.replace(result, warnings=(*result.warnings, *more)))
+    answer = " ".join(filter(None, [result.answer, problem.choice]))
+    return VehicleFit(fitted, msgspec.structs.replace(result, answer=answer, warnings=(*result.warnings, *more)))
 
 
 def _command_scale_warning(model: Model, logs: Sequence[LoadedLog]) -> ResultWarning | None:
