@@ -255,8 +255,8 @@ class MotionChecksOfIdent:
         """Return findings about sensors and thrusters from the motion in an interval of time of the log `path`."""
         return self._checks.check(path, window)
 
-    def differences(self) -> list[tuple[Path, Finding]]:
-        """Return findings about differences between the checked logs, each with the path of its log."""
+    def differences(self) -> list[tuple[str, Finding]]:
+        """Return findings on the checked logs together, each with the name of its log or the number of logs."""
         return self._checks.differences()
 
     def write_check_page(self, report: CheckReport, out: Path) -> None:

@@ -16,7 +16,7 @@ from seatrial.daq.samples import MEASURED
 def log_findings(
     check_motion: Callable[[Path, TimeWindow], list[Finding]],
     paths: Sequence[Path],
-    differences: Callable[[], list[tuple[Path, Finding]]] | None = None,
+    differences: Callable[[], list[tuple[str, Finding]]] | None = None,
     windows: Sequence[TimeWindow] = (),
 ) -> list[Finding]:
     """Check logs, and return the findings on their devices and on the recorded motion.
@@ -30,8 +30,8 @@ def log_findings(
     paths : sequence of Path
         The logs.
     differences : Callable, optional
-        Function that returns the findings on differences between the logs that ``check_motion`` has checked, each with
-        the path of its log. Not called for one log, and not used if it raises SeatrialError.
+        Function that returns the findings on the logs that ``check_motion`` has checked together, each with the name of
+        its log or the number of logs. Not called for one log, and not used if it raises SeatrialError.
     windows : sequence of TimeWindow
         Interval of time of each log that is checked. Empty: the whole logs.
 
@@ -74,7 +74,7 @@ def log_findings(
         found += [finding._replace(where=f"{prefix}{finding.where}") for finding in here]
     if differences is not None and len(paths) > 1:
         with contextlib.suppress(SeatrialError):  # without ident, each log has the warning already
-            found += [f._replace(where=f"{path.stem}: {f.where}") for path, f in differences()]
+            found += [f._replace(where=f"{name}: {f.where}") for name, f in differences()]
     return found
 
 

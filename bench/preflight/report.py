@@ -31,8 +31,8 @@ class MotionChecks(Protocol):
         """
         ...
 
-    def differences(self) -> list[tuple[Path, Finding]]:
-        """Return the findings on differences between the checked logs, each with the path of its log.
+    def differences(self) -> list[tuple[str, Finding]]:
+        """Return the findings on the checked logs together, each with the name of its log or the number of logs.
 
         Raises SeatrialError if the package ident is not installed.
         """

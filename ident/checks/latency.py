@@ -56,6 +56,8 @@ MAX_SE = 0.2  # s; a delay with a larger standard error is unknown
 # of motion the yaw rate appears up to 0.2 s early if a fifth is unexplained.
 SYSTEMATIC = 0.3
 MIN_DISTANCE = 0.18  # s, of the interval from zero; smaller delays are no finding
+FEWEST_LOGS = 2  # for a mean of their delays
+ALIKE = 1.5  # largest distance of a delay from the mean of several logs, in its own random half intervals
 SHAFT_LAG = 0.2  # s, usual lag of shafts behind their commands
 HEADING_HALF, POSITION_HALF = 0.25, 1.0  # s before and after, over which headings and positions are differenced
 EVERY = 0.25  # s between two increments
@@ -86,6 +88,102 @@ class ThrustSignals(NamedTuple):
     ahead: list[Channel]
     measured: bool
     where: str
+
+
+class SensorDelay(NamedTuple):
+    """Delay between attitude and velocity of one log, or of several logs together.
+
+    Attributes
+    ----------
+    lag
+        Delay [s] of attitude behind velocity. Negative: velocity comes after attitude.
+    random, systematic
+        Half widths [s] of the 95 % interval by the noise of the log, and by the error of the regressions.
+    turned, moved
+        Names of the sensors of attitude and velocity.
+    translation
+        ``velocity`` or ``position``, as the log has it.
+    """
+
+    lag: float
+    random: float
+    systematic: float
+    turned: str
+    moved: str
+    translation: str
+
+    @property
+    def half(self) -> float:
+        """Half width of the 95 % interval [s], with both errors."""
+        return float(np.hypot(self.random, self.systematic))
+
+    @property
+    def late(self) -> tuple[str, str, str]:
+        """What comes late, what comes before it, and the name of the late sensor."""
+        if self.lag > 0.0:
+            return ATTITUDE, self.translation, self.turned
+        return self.translation, ATTITUDE, self.moved
+
+
+def sensor_delay_of(c: Channels, sides: Mapping[str, float]) -> SensorDelay | None:
+    """Return the delay between attitude and velocity by their responses to the thrust.
+
+    Parameters
+    ----------
+    c
+        Channels of a log (`seatrial.ident.data.channels`).
+    sides
+        Position of each thruster to starboard [m]. Only its names are used.
+
+    Returns
+    -------
+    SensorDelay or None
+        None without heading, velocity or thrust, and if a delay behind the thrust is not well estimated.
+    """
+    push, turned, moved = thrust_signals(c, sides), first_source(c, ("r", "psi")), first_source(c, ("vx", "u", "x"))
+    if not push or not moved or "psi" not in c:
+        return None
+    return _delay_between(_yaw_after_thrust(c, push), _speed_after_thrust(c, push), turned, moved)
+
+
+def compare_sensor_delays(logs: Sequence[tuple[str, SensorDelay | None]]) -> list[tuple[str, Finding]]:
+    """Return the delay between attitude and velocity of several logs of one set-up together.
+
+    Parameters
+    ----------
+    logs
+        Name of each log, and the delay in it (`sensor_delay_of`).
+
+    Returns
+    -------
+    list of tuple
+        The number of logs as a name, such as ``4 logs together``, and the finding, with the codes of one log. It is
+        empty unless the interval of the mean excludes zero. It is also empty if one log alone gives ``sensor-late``,
+        with fewer than two delays, and if the delays differ by more than 1.5 of their random half intervals.
+
+    Notes
+    -----
+    The mean has the inverse variances as weights. More logs reduce its random error. Its systematic error is that of
+    one log, because the same boat gives the regressions the same error.
+    """
+    found = [delay for _, delay in logs if delay is not None]
+    if len(found) < FEWEST_LOGS or len({(d.turned, d.moved, d.translation) for d in found}) > 1:
+        return []
+    if any(_level_of_delay(abs(d.lag), d.half) not in (OK, UNKNOWN) for d in found):
+        return []
+    weights = 1.0 / np.array([d.half for d in found]) ** 2
+    weights /= weights.sum()
+    lag = float(weights @ [d.lag for d in found])
+    random = float(np.linalg.norm(weights * [d.random for d in found]))
+    mean = found[0]._replace(lag=lag, random=random, systematic=float(weights @ [d.systematic for d in found]))
+    if abs(lag) < mean.half or any(abs(d.lag - lag) > ALIKE * d.random for d in found):
+        return []
+    finding = _finding_of_delay(mean)
+    if finding.level == OK:
+        end = f"; it is not zero, but below the limit of a warning, {DELAY_WARNING:g} s"
+        advice = "a diagnosis estimates the latency of a sensor, such as gnss-latency"
+        finding = finding._replace(text=_text_of_delay(mean, OK) + end, advice=advice)
+    return [(f"{len(found)} logs together", finding)]
 
 
 def check_latency(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
@@ -125,30 +223,53 @@ def _attitude_velocity_delay(
     delays of the yaw rate and of the surge speed behind the thrust, None if unknown. ``turned``, ``moved``: names of
     the sensors of both, for the finding.
     """
-    translation = "position" if moved == "x" else VELOCITY  # what the log has
-    if not _is_well_estimated(attitude) or not _is_well_estimated(velocity):
-        text = f"the delay between {ATTITUDE} and {translation} is not known: the thrust explains too little of them"
-        yield Finding(UNKNOWN, "delay-unknown", "late", turned, text)
+    found = _delay_between(attitude, velocity, turned, moved)
+    if found is not None:
+        yield _finding_of_delay(found)
         return
+    text = (
+        f"the delay between {ATTITUDE} and {_translation(moved)} is not known: the thrust explains too little of them"
+    )
+    yield Finding(UNKNOWN, "delay-unknown", "late", turned, text)
+
+
+def _translation(moved: str) -> str:
+    """Return what a log has of the translation, by the name of the sensor: ``position`` or ``velocity``."""
+    return "position" if moved == "x" else VELOCITY
+
+
+def _delay_between(
+    attitude: LagEstimate | None, velocity: LagEstimate | None, turned: str, moved: str
+) -> SensorDelay | None:
+    """Return the difference of the delays of attitude and velocity; None if one of them is not well estimated."""
+    if not _is_well_estimated(attitude) or not _is_well_estimated(velocity):
+        return None
     assert attitude is not None
     assert velocity is not None
-    lag, half = attitude.lag - velocity.lag, _half_interval(attitude, velocity)
-    late, ahead, where = (ATTITUDE, translation, turned) if lag > 0.0 else (translation, ATTITUDE, moved)
-    level = _level_of_delay(abs(lag), half)
-    come = "may come" if level == UNKNOWN else "come" if late == ATTITUDE else "comes"
-    text = (
-        f"{late} {come} {abs(lag):.2f} s after {ahead}, compared by their response to the thrust "
-        f"({delay_interval(abs(lag), half)})"
-    )
+    random = float(np.hypot(attitude.half, velocity.half))
+    systematic = SYSTEMATIC * float(np.sqrt(2.0 - attitude.r2 - velocity.r2))
+    return SensorDelay(attitude.lag - velocity.lag, random, systematic, turned, moved, _translation(moved))
+
+
+def _finding_of_delay(found: SensorDelay) -> Finding:
+    """Return the finding on a delay between attitude and velocity."""
+    lag, (late, _, where) = abs(found.lag), found.late
+    level = _level_of_delay(lag, found.half)
+    text, advice = _text_of_delay(found, level), f"check filters, output rate and time stamps of {late}"
     if level == OK:
-        yield Finding(level, "sensors-in-time", "late", where, text + why_no_warning(abs(lag), half))
-        return
-    advice = f"check filters, output rate and time stamps of {late}"
+        return Finding(level, "sensors-in-time", "late", where, text + why_no_warning(lag, found.half))
     if level == UNKNOWN:
         advice += "; a longer log with changes of speed and turns narrows the interval"
-        yield Finding(level, "delay-unknown", "late", where, text, advice)
-        return
-    yield Finding(level, "sensor-late", "late", where, text, f"{advice}; {DELAY_OF_PAIR}")
+        return Finding(level, "delay-unknown", "late", where, text, advice)
+    return Finding(level, "sensor-late", "late", where, text, f"{advice}; {DELAY_OF_PAIR}")
+
+
+def _text_of_delay(found: SensorDelay, level: str) -> str:
+    """Return the text of a finding on a delay between attitude and velocity, of a level, without its end."""
+    late, ahead, _ = found.late
+    come = "may come" if level == UNKNOWN else "come" if late == ATTITUDE else "comes"
+    interval = delay_interval(abs(found.lag), found.half)
+    return f"{late} {come} {abs(found.lag):.2f} s after {ahead}, compared by their response to the thrust ({interval})"
 
 
 def _motion_thrust_delay(

@@ -28,7 +28,7 @@ from seatrial.ident.checks.inputs import (
     check_inputs,
     check_thrust_present,
 )
-from seatrial.ident.checks.latency import check_latency
+from seatrial.ident.checks.latency import SensorDelay, check_latency, compare_sensor_delays, sensor_delay_of
 from seatrial.ident.checks.motion import (
     SURGE_LAGS,
     YAW_LAGS,
@@ -53,7 +53,7 @@ from seatrial.ident.checks.sensors import (
     velocity_and_acceleration,
 )
 from seatrial.ident.checks.shaft_gain import Held, check_shaft_gain, compare_shaft_gains, held_of_thrusters
-from seatrial.ident.checks.shaft_sign import check_wrapped, one_sided_shafts
+from seatrial.ident.checks.shaft_sign import check_shaft_scale, check_wrapped, one_sided_shafts
 from seatrial.ident.checks.shafts import check_shafts
 from seatrial.ident.checks.signals import (
     check_alternating,
@@ -484,14 +484,15 @@ def invalidates_fit(finding: Finding, uses_shaft_speeds: bool = True) -> bool:
 class LogChecks:
     """Checks of the motion in several logs, and of differences between them. Each log is read once.
 
-    The held commands of a checked log with the shaft speeds that they reached, and the angle of its heading, are kept
-    for the comparison.
+    The held commands of a checked log with the shaft speeds that they reached, the angle of its heading, and the delay
+    between its sensors are kept for the comparison.
     """
 
     def __init__(self) -> None:
         """Begin without a log."""
         self._held: list[tuple[Path, str, Mapping[str, Held]]] = []
         self._headings: list[HeadingAngle | None] = []
+        self._delays: list[SensorDelay | None] = []
 
     def check(self, path: Path | str, window: TimeWindow = WHOLE) -> list[Finding]:
         """Return the findings of one log on its signals, and on speed controllers that sent no telemetry.
@@ -510,26 +511,30 @@ class LogChecks:
             with open_log(path) as log:
                 found, _ = _signals_in(log, window)
                 names = _check_names(log.sources(Scalar))
-                findings = [*_silent_controllers(log), *names, *_check_segments(found, sides_of(log), log.start)]
+                sides = sides_of(log)
+                findings = [*_silent_controllers(log), *names, *_check_segments(found, sides, log.start)]
         except SeatrialError as error:
             return [Finding("warning", "log-not-readable", "motion", Path(path).name, str(error))]
         self._held.append((Path(path), window.label, held_of_thrusters(found)))
-        # With wrong axes, signs or units the angle has no meaning.
-        self._headings.append(None if any(map(invalidates_fit, findings)) else heading_angle(found))
+        # With wrong axes, signs or units the angle and the delay have no meaning.
+        usable = not any(map(invalidates_fit, findings))
+        self._headings.append(heading_angle(found) if usable else None)
+        self._delays.append(sensor_delay_of(found, sides) if usable else None)
         return findings
 
-    def differences(self) -> list[tuple[Path, Finding]]:
-        """Return the findings on differences between the checked logs, each with the path of its log.
+    def differences(self) -> list[tuple[str, Finding]]:
+        """Return the findings of the checked logs together, each with the name of its log or the number of logs.
 
-        They are shafts whose speed at equal commands differs, and another angle of the heading sensor.
+        They are shafts whose speed at equal commands differs, another angle of the heading sensor, and the mean of the
+        delays between attitude and velocity.
         """
         names = [path.stem + window for path, window, _ in self._held]
         if len(set(names)) < len(names):
             names = [str(path) + window for path, window, _ in self._held]
-        paths = {name: path for name, (path, _, _) in zip(names, self._held, strict=True)}
         gains = compare_shaft_gains([(name, held) for name, (_, _, held) in zip(names, self._held, strict=True)])
         headings = compare_headings(list(zip(names, self._headings, strict=True)))
-        return [(paths[name], finding) for name, finding in (*gains, *headings)]
+        delays = compare_sensor_delays(list(zip(names, self._delays, strict=True)))
+        return [*gains, *headings, *delays]
 
 
 def _check_names(signals: Iterable[str]) -> Iterator[Finding]:
@@ -605,8 +610,8 @@ def check_signals(c: Channels, sides: Mapping[str, float], known_noise: Collecti
     Notes
     -----
     Some checks are skipped if a signal that they rely on has a fault. Their findings would name the wrong cause. A
-    fault of the sample times ends all checks at once, and a wrong time scale or exchanged telemetry ends those that
-    would follow.
+    signal in a wrong unit is not compared with others. A fault of the sample times ends all checks at once, and a wrong
+    time scale or exchanged telemetry ends those that would follow.
     """
     found = list(check_intervals(c))
     yield from found
@@ -631,6 +636,10 @@ def check_signals(c: Channels, sides: Mapping[str, float], known_noise: Collecti
     yield from check_quantised(c)
     yield from check_held(c)
     yield from check_held_inputs(c)
+    # A signal in a wrong unit would accuse the right one with which it is compared. A yaw rate accuses itself: its
+    # comparison with the heading shows whether both are in degrees.
+    in_wrong_unit = {n for f in ranges if f.level == FAULT and f.check == "units" for n in f.where.split(", ")} - {"r"}
+    c = {name: channel for name, channel in c.items() if name not in in_wrong_unit}
     matches = sensor_matches(c)
     clock = check_time_scale(matches)
     if clock is not None:
@@ -659,6 +668,8 @@ def check_signals(c: Channels, sides: Mapping[str, float], known_noise: Collecti
     right = {n: x for n, x in c.items() if SignalId.parse(n).source not in wrong}
     of_shafts = list(check_shafts(right))
     yield from of_shafts
+    scaled = {f.where for f in of_shafts if f.level == FAULT and f.check == "units"}
+    yield from check_shaft_scale({n: x for n, x in right.items() if SignalId.parse(n).source not in scaled})
     faulty = {f.where for f in of_shafts if f.is_problem}  # a shaft that is limited or drops out has no slope
     yield from check_shaft_gain({n: x for n, x in right.items() if SignalId.parse(n).source not in faulty})
     wrong_inputs = [*of_wraps, *one_sided.values()]

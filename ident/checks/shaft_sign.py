@@ -1,4 +1,7 @@
-"""Checks of shaft speeds that are wrong in one direction: zero, wrapped to 65536 - n, or without their sign."""
+"""Checks of shaft speeds against full speed and against their commands.
+
+Shaft speeds may be wrong in one direction: zero, wrapped to 65536 - n, or without their sign. Or their scale is wrong.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,18 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from seatrial.daq.checks import FAULT, Finding
+from seatrial.daq.checks import FAULT, WARNING, Finding
 from seatrial.ident.checks.sensors import Channels
+from seatrial.ident.checks.signals import largest_inputs
 from seatrial.ident.data import Channel, sample_and_hold
-from seatrial.ident.model import SHAFT_SPEED, command_of, commanded_thrusters, is_of_thruster, shaft_speed_of
+from seatrial.ident.model import (
+    SHAFT_SPEED,
+    SignalId,
+    command_of,
+    commanded_thrusters,
+    is_of_thruster,
+    shaft_speed_of,
+)
 from seatrial.ident.numerics import Array
 
 SETTLED_S = 1.5  # a command must keep its sign and size for this time before a shaft is compared with it
@@ -20,6 +31,12 @@ MIN_SAMPLES = 10  # of each direction
 # Commands that show a line of the shaft speed, as shares of full: least range, least size of the largest one, and the
 # largest dead zone
 LEAST_RANGE, LEAST_TOP, MAX_DEAD_ZONE = 0.3, 0.6, 0.3
+# A scale is wrong if the shaft speed exceeds full speed, or the command at full command, by this factor. A propeller
+# turns some 10 % faster under way than at the bollard.
+MAX_OVER = 1.15
+# A line is straight if its offset is below this share of the speed at full command, and its residuals have a smaller
+# root mean square than the second share.
+STRAIGHT_OFFSET, STRAIGHT_RESIDUAL = 0.05, 0.05
 MAX_SPEED = 1.5  # of full speed; larger values are no shaft speed
 NEAR_MAX = 0.7  # of the largest value; wrapped values lie above it
 MAX_BETWEEN = 0.1  # share of the samples between real and wrapped values
@@ -69,6 +86,68 @@ def speed_at_full_command(c: Channels) -> float | None:
     found = [_speed_at_full_command(command, shaft) for _, command, shaft in _measured_shafts(c)]
     known = [ratio for ratio in found if ratio is not None and TURNS < ratio < IMPOSSIBLE]
     return float(np.mean(known)) if known else None
+
+
+def check_shaft_scale(c: Channels) -> Iterator[Finding]:
+    """Yield a warning for each shaft speed or command whose scale is too large for shares of full speed.
+
+    Parameters
+    ----------
+    c
+        Channels (signals) of a log by name. Signals with a fault of their unit are not among them.
+
+    Yields
+    ------
+    Finding
+        ``above-full-speed`` for a shaft speed or command above 1.15 (99 % quantile of its size).
+        ``shaft-above-command`` for any other shaft speed that is more than 1.15 times the command at full command.
+
+    Notes
+    -----
+    A shaft speed below its command is no finding: a low battery, the load of the propeller or a limit of the controller
+    can be the reason. A shaft speed that does not grow with the command along a straight line is not compared with it.
+    If a controller linearises the thrust, for example, the speed grows with the root of the command.
+    """
+    over = {n: top for n, top in largest_inputs(c).items() if top > MAX_OVER}
+    found = ((n, _straight_ratio(command, shaft)) for n, command, shaft in _measured_shafts(c))
+    ratios = {shaft_speed_of(n): ratio for n, ratio in found if ratio is not None and ratio > MAX_OVER}
+    for signal, top in over.items():
+        # The ratio is exact; the largest speed of a log may be below full speed.
+        factor, text = ratios.get(signal, top), f"reaches {top:.2f}, but 1 is full speed"
+        text += f"; it is {factor:.2f} times the command at full command" if signal in ratios else ""
+        advice = f"{_divide_scale(signal, factor)}; with a wrong scale, a fit changes masses and thrust to match"
+        yield Finding(WARNING, "above-full-speed", "units", signal, text, advice)
+    for signal in sorted(ratios.keys() - over.keys()):
+        command, ratio = command_of(SignalId.parse(signal).source), ratios[signal]
+        if command not in over:
+            text = f"is {ratio:.2f} times the command at full command, but 1 is full speed for both"
+            advice = _divide_scale(signal, ratio)
+            if not any(is_of_thruster(n, SHAFT_SPEED) for n in over):  # all shafts have one scale
+                advice += f"; if {command} is below 1 at full command, multiply its scale by {ratio:.2f} instead"
+            yield Finding(WARNING, "shaft-above-command", "units", signal, text, advice)
+
+
+def _divide_scale(signal: str, factor: float) -> str:
+    """Return the advice to divide the scale of a shaft speed or command by a factor."""
+    of_rig = f", or multiply rpm_max in the rig file by {factor:.2f}" if is_of_thruster(signal, SHAFT_SPEED) else ""
+    return f"divide the scale of {signal} in the import map by {factor:.2f}{of_rig}"
+
+
+def _straight_ratio(command: Channel, shaft: Channel) -> float | None:
+    """Return the shaft speed at full command over full speed, or None unless a straight line shows it well.
+
+    The steady forward commands must cover a range of 0.3 and reach 0.6 of full command. The line may have a dead zone,
+    but no positive offset, as that of a root has.
+    """
+    level, speed = _at_steady_commands(command, shaft, 1.0)
+    if level.size < MIN_SAMPLES or np.ptp(level) < LEAST_RANGE or np.max(level) < LEAST_TOP:
+        return None
+    slope, offset = np.polyfit(level, speed, 1)
+    full = float(slope + offset)
+    straight = -MAX_DEAD_ZONE * slope < offset < STRAIGHT_OFFSET * full
+    if not straight or np.std(speed - slope * level - offset) > STRAIGHT_RESIDUAL * full:
+        return None
+    return full
 
 
 def _measured_shafts(c: Channels) -> list[tuple[str, Channel, Channel]]:

@@ -103,7 +103,7 @@ def check_intervals(c: Channels) -> Iterator[Finding]:
             return
 
 
-def _largest_inputs(c: Channels) -> dict[str, float]:
+def largest_inputs(c: Channels) -> dict[str, float]:
     """Return the 99 % quantile of the size of each command and shaft speed, by its name, sorted by name."""
     names = sorted(n for n in c if is_of_thruster(n, COMMAND, SHAFT_SPEED))
     return {name: float(np.quantile(np.abs(c[name].value), 0.99)) for name in names}
@@ -129,7 +129,7 @@ def check_ranges(c: Channels) -> Iterator[Finding]:
         for a yaw rate above 5 rad/s (99 % quantile), and for headings in degrees or converted twice.
         ``positions-in-degrees`` for a track of less than 0.1 in both directions, far from its origin.
     """
-    for name, most in (largest := _largest_inputs(c)).items():
+    for name, most in (largest := largest_inputs(c)).items():
         if most > MAX_N:
             # All thrusters get one scale, so that equal speeds stay equal.
             top = max(n for other, n in largest.items() if _quantity_of(other) == _quantity_of(name))

@@ -2,6 +2,7 @@ from .acceptance import is_immaterial as is_immaterial
 from .acceptance import removal_reason as removal_reason
 from .adequacy import reason_without_experiment as reason_without_experiment
 from .adequacy import recommended_experiment as recommended_experiment
+from .antenna import antenna_error as antenna_error
 from .certainty import NAME_RECORDS as NAME_RECORDS
 from .common_errors import COMMON_SEARCH as COMMON_SEARCH
 from .findings import CommonErrorsFit as CommonErrorsFit

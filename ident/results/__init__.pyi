@@ -1,5 +1,6 @@
 from .answers import NOT_WEIGHED as NOT_WEIGHED
 from .answers import SIMULATION_COVERS as SIMULATION_COVERS
+from .answers import antenna_warning as antenna_warning
 from .answers import check_warnings as check_warnings
 from .answers import course_sentence as course_sentence
 from .answers import curve_notes as curve_notes

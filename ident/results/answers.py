@@ -635,21 +635,37 @@ def thrust_astern_warnings(fit: Fit) -> list[ResultWarning]:
 
 
 def antenna_warnings(fit: Fit) -> list[ResultWarning]:
+    """Return a warning if the fit puts the GNSS antenna far from the position that was given (`antenna_warning`).
+
+    The list is empty if no position was given, or if the model has no estimate of its error (effect ``lever-arm``).
+    """
+    return antenna_warning(fit.model, {n: fit.estimate(n) for n in ("l_x", "l_y") if n in fit.names})
+
+
+def antenna_warning(model: Model, away: Mapping[str, tuple[float, float]]) -> list[ResultWarning]:
     """Return a warning if the data put the GNSS antenna far from the position that was given.
 
-    Far is more than 0.25 m and more than four standard errors, forward or to starboard. The list is empty if no
-    position was given, or if the model has no estimate of its error (effect ``lever-arm``).
+    Parameters
+    ----------
+    model
+        Model. Its values ``antenna_x`` and ``antenna_y`` [m] are the given position.
+    away
+        Estimate and standard error [m] of ``l_x`` and ``l_y``, the distances from it forward and to starboard.
+
+    Returns
+    -------
+    list
+        One warning if a distance is more than 0.25 m and more than four standard errors. Empty otherwise, and if no
+        position was given or a distance is missing.
     """
-    given, places = fit.model.values, []
+    given, places = model.values, []
     for axis, way in (("x", "forward"), ("y", "to starboard")):
-        name = f"l_{axis}"
-        if f"antenna_{axis}" not in given or name not in fit.names:
+        if f"antenna_{axis}" not in given or f"l_{axis}" not in away:
             return []
-        away, error = fit.estimate(name)
-        places.append((way, given[f"antenna_{axis}"], away, error))
-    if not any(abs(away) > LARGEST_AWAY and abs(away) > FAR_AWAY * error for _, _, away, error in places):
+        places.append((way, given[f"antenna_{axis}"], *away[f"l_{axis}"]))
+    if not any(abs(off) > LARGEST_AWAY and abs(off) > FAR_AWAY * error for _, _, off, error in places):
         return []
-    found = " and ".join(f"{at + away:.2f} ± {error:.1g} m {way}" for way, at, away, error in places)
+    found = " and ".join(f"{at + off:.2f} ± {error:.1g} m {way}" for way, at, off, error in places)
     there = " and ".join(f"{at:.2f} m {way}" for way, at, _, _ in places)
     text = (
         f"The data put the GNSS antenna {found} of the origin, but {there} were given. Check its lever arm "

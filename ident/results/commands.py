@@ -176,7 +176,7 @@ def vehicle_result(
             *frames_assumed(fitted),
             *estimation_warnings(fitted.fit, fitted.records, posed.hull),
             *short_data_warnings(fitted, evaluation.horizon),
-            *thrust_difference_warnings(uncertainty),
+            *thrust_difference_warnings(uncertainty, fitted.fit, posed.hull.get("mass")),
             *failed_run_warnings(fitted.failed),
         ),
         notes=(

@@ -823,6 +823,8 @@ def common_errors_notes(found: CommonErrorsFit | None, beside: str) -> list[str]
 
 
 LEAST_GROWTH = 1.05  # smallest factor of a standard error that a note lists
+# Mass in surge over the weighed mass, of most boats: the added mass of a slender hull is 5 to 30 % of the mass
+LIKELY_MASS = (1.0, 1.35)
 LEAST_DIFFERENCE = 0.05  # smallest relative deviation of the thrust of each side for a warning
 
 
@@ -857,23 +859,59 @@ def model_uncertainty_notes(found: ModelUncertainty | None, fit: Fit) -> list[st
     ]
 
 
-def thrust_difference_warnings(found: ModelUncertainty | None) -> list[ResultWarning]:
+def thrust_difference_warnings(found: ModelUncertainty | None, fit: Fit, weighed: float | None) -> list[ResultWarning]:
     """Return a warning if the thrust of both sides may differ by so much that masses and forces are uncertain.
 
     Parameters
     ----------
     found : ModelUncertainty or None
         Uncertainty of the model. The list is empty for None, and if each side deviates by less than 5 %.
+    fit : Fit
+        Fit whose standard errors include this uncertainty.
+    weighed : float or None
+        Weighed mass of the boat [kg]; None: unknown.
     """
     if found is None or found.thrust_difference < LEAST_DIFFERENCE:
         return []
     share, whole = (f"{100 * part * found.thrust_difference:.0f} %" for part in (1, 2))
     text = (
-        f"The thrusts of both sides differ by {whole} of their mean. The data do not show which side deviates from the "
-        f"given thrust. So all masses, damping and forces may be {share} too large or too small, and their standard "
-        "errors include this. Measure the thrust of both sides as they are now (seatrial bench)."
+        f"The thrusts of both sides differ by {whole} of their mean. The motion does not show which side deviates from "
+        f"the given thrust. So all masses, damping and forces may be {share} too large or too small, and their "
+        f"standard errors include this. {_side_by_weighed_mass(found, fit, weighed)}Measure the thrust of both sides "
+        "as they are now (seatrial bench)."
     )
     return [ResultWarning(code="thrust-sides-differ", text=text)]
+
+
+def _side_by_weighed_mass(found: ModelUncertainty, fit: Fit, weighed: float | None) -> str:
+    """Return a sentence on the side for which the weighed mass [kg] speaks, with a space at its end, or empty text.
+
+    The stronger or the weaker side may have the given thrust. Each of both gives a mass in surge. The text is empty
+    unless one of them is 1 to 1.35 times the weighed mass, and the other one outside by more than two standard errors.
+    """
+    if weighed is None or "m_u" not in fit.names or "m_u" not in found.parameters:
+        return ""
+    mass, error = fit.estimate("m_u")
+    of_scale = float(found.scale_shift[found.parameters.index("m_u")])
+    # The scale is what the two cases decide: its part of the standard error does not count.
+    own = (math.sqrt(error**2 - of_scale**2) if error > abs(of_scale) else error) / weighed
+    strong, weak = (1.0 + way * found.thrust_difference for way in (1.0, -1.0))
+    if not weak > 0.0 or not math.isfinite(own):
+        return ""
+    low, high = LIKELY_MASS
+    ratio = {scale: mass / weighed / scale for scale in (strong, weak)}
+    likely = [scale for scale in ratio if low <= ratio[scale] <= high]
+    outside = [s for s in ratio if ratio[s] - 2.0 * own / s > high or ratio[s] + 2.0 * own / s < low]
+    if len(likely) != 1 or len(outside) != 1:
+        return ""
+    of_strong = likely == [strong]
+    side, other = ("stronger", "weaker") if of_strong else ("weaker", "stronger")
+    change = "has lost thrust" if of_strong else "gives more thrust"
+    return (
+        f"The weighed mass is evidence, though no proof, that the {side} side has the given thrust and the {other} one "
+        f"{change}: m_u is then {ratio[likely[0]]:.2f} times the weighed {weighed:g} kg, otherwise "
+        f"{ratio[outside[0]]:.2f} times, and 1.05 to 1.3 times is usual. "
+    )
 
 
 def _error_growth(found: ModelUncertainty, fit: Fit) -> dict[str, float]:

@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from seatrial.daq.checks import advice_on_other_name
-from seatrial.daq.errors import SeatrialError
+from seatrial.daq.errors import SeatrialError, first_names
 from seatrial.ident.characterisation import (
     THRUSTER_RATE,
     ThrustCurve,
@@ -278,6 +278,33 @@ def _unused_shaft_speeds(model: Model, loaded: Sequence[LoadedLog]) -> list[Unus
         )
     logs = tuple(log.run.name for log in loaded)
     return [UnusedSignal(signal=n, logs=logs, code="not-in-model", reason=reason) for n in SHAFTS]
+
+
+def inputs_sentence(model: Model, loaded: Sequence[LoadedLog]) -> str:
+    """Return a sentence on an automatic choice of commands as inputs, although the logs have measured shaft speeds.
+
+    Parameters
+    ----------
+    model : Model
+        Model that ``auto`` has chosen.
+    loaded : sequence of LoadedLog
+        Logs with derived signals.
+
+    Returns
+    -------
+    str
+        The inputs, the reason, and the model with the other ones. Empty for other inputs, and if a log lacks measured
+        shaft speeds.
+    """
+    slow = [log.run.name for log in loaded if log.propulsion is PropulsionInput.COMMAND]
+    if not slow or not (unused := _unused_shaft_speeds(model, loaded)):
+        return ""
+    measured = " and ".join(signal.signal for signal in unused)
+    return (
+        f"The thrust is that of the commands, not of the measured {measured}, whose samples are more than "
+        f"{SLOWEST_TELEMETRY:g} s apart ({first_names(slow)}): --model horizontal:shaft takes the measured ones, and a "
+        "comparison shows which model predicts better."
+    )
 
 
 def unused_lines(found: Sequence[UnusedSignal]) -> list[str]:

@@ -16,6 +16,7 @@ from seatrial.ident.data import LoadedLog, load_all
 from seatrial.ident.diagnosis import (
     COMMON_SEARCH,
     ModelAssessment,
+    antenna_error,
     assess_model,
     untested_uncertainty,
     with_model_uncertainty,
@@ -31,7 +32,7 @@ from seatrial.ident.estimation import (
 from seatrial.ident.model import COMMAND, Model, ParameterOrigin, is_of_thruster, with_outlier_model
 from seatrial.ident.models import is_own_model
 from seatrial.ident.reporter import Reporter
-from seatrial.ident.results import FitContext, ResultWarning, VehicleResult, provenance, vehicle_result
+from seatrial.ident.results import FitContext, ResultWarning, VehicleResult, antenna_warning, provenance, vehicle_result
 from seatrial.ident.validation import evaluate
 from seatrial.ident.workflows.check import check_first, require_thrust_and_length
 from seatrial.ident.workflows.dynamics import dynamics_of
@@ -164,9 +165,12 @@ def fit_vehicle(request: VehicleRequest, command: str, reporter: Reporter, with_
             parameters_of_effects(problem.model, request.effects),
         ),
     )
-    if (warning := _command_scale_warning(fitted.fit.model, loaded)) is not None:
-        result = msgspec.structs.replace(result, warnings=(*result.warnings, warning))
-    return VehicleFit(fitted, result)
+    more = [*filter(None, [_command_scale_warning(fitted.fit.model, loaded)])]
+    if tested is None and request.estimation.method == "prediction-error":
+        # A fit with score tests has an estimate of the error of the antenna, if the data show one.
+        more += antenna_warning(fitted.model, antenna_error(fitted))
+    answer = " ".join(filter(None, [result.answer, problem.choice]))
+    return VehicleFit(fitted, msgspec.structs.replace(result, answer=answer, warnings=(*result.warnings, *more)))
 
 
 def _command_scale_warning(model: Model, logs: Sequence[LoadedLog]) -> ResultWarning | None:
@@ -174,9 +178,9 @@ def _command_scale_warning(model: Model, logs: Sequence[LoadedLog]) -> ResultWar
 
     It concerns models whose inputs are commands, on logs that have the shaft speeds too. A low battery is the usual
     reason. Nothing in the logs or the options says for which of both a thrust was given. The text therefore has the
-    given value and the one to give instead, for a reader who has corrected it already, and for each case the scale in
-    the import map with which commands and shaft speeds agree, so that the warning does not come again. None if the
-    thrust was not given, if no log has both signals, or if the speeds are those of the commands.
+    given value and the one to give instead, for a reader who has corrected it already, and the scale in the import map
+    with which commands and shaft speeds agree, so that the warning does not come again. None if the thrust was not
+    given, if no log has both signals, or if the speeds are those of the commands.
     """
     c1 = next((p for p in model.parameters if p.name == "c1"), None)
     if c1 is None or c1.origin not in (ParameterOrigin.GIVEN, ParameterOrigin.PRIOR):
@@ -190,12 +194,11 @@ def _command_scale_warning(model: Model, logs: Sequence[LoadedLog]) -> ResultWar
     listed = first_names([f"{own:.2f} ({name})" for name, own in known.items()])
     ratio = math.sqrt(share)
     text = (
-        f"The shafts turn at {listed} times the commanded speed, and the model takes c1 = {c1.value:.4g} N as the "
-        f"thrust at full command. Was it measured at full command? If yes, the masses are right: "
-        f"divide the scale of the shaft speeds in the import map by {ratio:.2f}, or multiply rpm_max in the rig file "
-        f"by it, and this warning ends. If it was measured at full shaft speed, all masses are {1 / share:.2f} times "
-        f"their true value: give {share:.2f} of the thrust (c1 = {share * c1.value:.4g} N), or fit with the shaft "
-        f"speeds, or multiply the scale of the commands in the import map by {ratio:.2f}."
+        f"At full command the shafts turn at {listed} times full speed, so that their thrust is {share:.2f} of that at "
+        f"full speed. The model takes c1 = {c1.value:.4g} N as the thrust at full command. If it was measured at full "
+        f"shaft speed, all masses are {1 / share:.2f} times their true value: give c1 = {share * c1.value:.4g} N, and "
+        f"{share:.2f} of c2. If it was measured at full command, the masses are right: divide the scale of the shaft "
+        f"speeds in the import map by {ratio:.2f} (or multiply rpm_max in the rig file by it), and this warning ends."
     )
     return ResultWarning(code="command-scale", text=text)
 

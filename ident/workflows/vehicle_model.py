@@ -31,6 +31,7 @@ from seatrial.ident.workflows.model_inputs import (
     choose_model,
     hold_lines,
     in_one_frame,
+    inputs_sentence,
     model_of_logs,
     require_one_frame,
     thrust_from,
@@ -124,6 +125,8 @@ class VehicleProblem:
         Line of text on the signals that the thrust is computed from; empty if the thrust itself is an input.
     unused
         Signals of the logs that the model does not use.
+    choice
+        Sentence on commands that were chosen as inputs although the logs have measured shaft speeds; empty otherwise.
     """
 
     model: Model
@@ -133,6 +136,7 @@ class VehicleProblem:
     noise_bounds: list[str]
     thrust: str
     unused: list[UnusedSignal]
+    choice: str = ""
 
 
 def with_calibration(model: Model, curve: ThrustCurve, user_defined: bool) -> tuple[Model, list[str]]:
@@ -285,8 +289,9 @@ def vehicle_problem(
     check_names(nominal_model(model), request.profiles, len(loaded))
     segments, validation = ([x.run for x in part] for part in (loaded, validation_logs))
     unused = unused_signals(model, loaded, validation_logs)
+    choice = inputs_sentence(model, [*loaded, *validation_logs]) if source == "auto" else ""
     return VehicleProblem(
-        model, segments, validation, [*notes, *fixed_notes], floors, thrust_from(model, loaded), unused
+        model, segments, validation, [*notes, *fixed_notes], floors, thrust_from(model, loaded), unused, choice
     )
 
 

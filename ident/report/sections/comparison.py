@@ -143,10 +143,10 @@ def opening_blocks(result: ComparisonResult) -> list[Any]:
     columns = (
         ("", ""),
         ("model", ""),
-        ("parameters", "num"),
         (title, "num"),
-        ("95 %", "num"),
         ("verdict", ""),
+        ("95 %", "num"),
+        ("parameters", "num"),
         ("better", "num"),
         ("worse", "num"),
         ("not distinguishable", "num"),
@@ -160,10 +160,10 @@ def opening_blocks(result: ComparisonResult) -> list[Any]:
             [
                 Cell(f"({m.label})", "strong"),
                 Cell(f"{m.name}, {m.model}", "wide"),
-                Cell(f"{m.n_free} + {len(m.per_log)} per log" if m.per_log else str(m.n_free), "num"),
                 Cell("1" if m is result.models[0] else ratio_words(change), "num"),
-                Cell(interval_words(change), "num"),
                 Cell(verdict, "" if change is None else MARKS[change.verdict][1]),
+                Cell(interval_words(change), "num"),
+                Cell(f"{m.n_free} + {len(m.per_log)} per log" if m.per_log else str(m.n_free), "num"),
                 *(Cell("–" if m is result.models[0] else str(n), "num") for n in result.counts(m.label).values()),
             ]
         )
@@ -267,11 +267,11 @@ def errors_section(result: ComparisonResult) -> Section:
         ("model", ""),
         ("error", "num"),
         ("unit", ""),
-        ("fit", "num"),
-        (INSIDE, "num"),
         (f"ratio to ({reference})", "num"),
         ("95 %", "num"),
         ("verdict", ""),
+        ("fit", "num"),
+        (INSIDE, "num"),
         ("ratio to the best", "num"),
         ("95 %", "num"),
     )
@@ -330,14 +330,14 @@ def _error_cells(row: ComparedChannel, e: ComparedError) -> list[Cell | str]:
     ratio = e.against_reference
     mark, style = ("", "") if ratio is None else MARKS[ratio.verdict]
     return [
-        Cell(f"({e.model})", "strong" if e.model == row.best else ""),
+        Cell(f"({e.model})", "strong" if e.model == row.best else "tight"),
         Cell(error_words(None if e.rms is None else factor * e.rms), "num"),
         Cell(unit, "nowrap"),
-        Cell(formatting.percent(e.fit), "num"),
-        Cell(_inside_with_verdict(e), "num"),
         Cell(mark + ratio_words(ratio), f"num {style}".strip()),
         Cell(interval_words(ratio), "num"),
         Cell("–" if ratio is None else verdict_words(ratio), style),
+        Cell(formatting.percent(e.fit), "num"),
+        Cell(_inside_with_verdict(e), "num"),
         Cell("best" if e.model == row.best else ratio_words(e.against_best), "num"),
         Cell(interval_words(e.against_best), "num"),
     ]

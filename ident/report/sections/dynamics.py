@@ -134,6 +134,7 @@ def _pole_blocks(dynamics: Dynamics, drive: str) -> list[Any]:
     any_lost = any_growing = any_shortest = False
     named = all(p.mainly for p in points)
     for point in points:
+        rows.append([Cell(f"{point.speed:g} m/s, {drive} {_inputs_in_words(point)}", "group")])
         errors = np.full(point.real.size, np.nan) if point.error is None else point.error
         for k, (real, imaginary, error) in enumerate(zip(point.real, point.imaginary, errors, strict=True)):
             if imaginary < 0.0:
@@ -146,14 +147,12 @@ def _pole_blocks(dynamics: Dynamics, drive: str) -> list[Any]:
             if is_undetermined(float(real), float(error)):
                 any_lost, constant, grows = True, "not determined", "may be unstable" if real > 0.0 else ""
             any_growing = any_growing or bool(grows)
-            command = _inputs_in_words(point)
-            head = [Cell(f"{point.speed:g} m/s", "num"), Cell(command, "num")] if k == 0 else ["", ""]
             names = [Cell(point.mainly[k], "symbol")] if named else []
-            rows.append([*head, Cell(pole, "num"), Cell(constant, "num"), *names, Cell(grows, "bad nowrap")])
-    columns = [("speed", "num"), (drive, "num"), ("pole [1/s]", "num"), ("time constant", "num")]
+            rows.append([Cell(pole, "num"), Cell(constant, "num"), *names, Cell(grows, "bad")])
+    columns = [("pole [1/s]", "num"), ("time constant", "num")]
     columns += [("mainly", "")] if named else []
     columns += [("stability", "")] if any_growing else []
-    rows = rows if any_growing else [row[:-1] for row in rows]
+    rows = rows if any_growing else [row if len(row) == 1 else row[:-1] for row in rows]
     blocks: list[Any] = [Heading("Poles on a straight course", "of the model linearised at each speed")]
     notes = ["Not determined: the standard error of the pole is more than half of its size."] * any_lost
     notes += [SHORTEST] * any_shortest

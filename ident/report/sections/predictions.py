@@ -287,7 +287,7 @@ def _calibration_blocks(canvas: Canvas, role: str, data: CalibrationTable, secon
         "Share of the errors inside the prediction intervals over the nominal share. A curve below the diagonal is "
         "overconfident."
     )
-    return [Table(COLUMNS, lines), Prose(note, "quiet"), *([Prose(axes, "quiet"), Grid(plots, 220)] if plots else [])]
+    return [Table(COLUMNS, lines), Prose(note, "quiet"), *([Prose(axes, "quiet"), Grid(plots, 320)] if plots else [])]
 
 
 def _calibration_cells(channel: str, row: CalibrationRow) -> list[Cell | str]:

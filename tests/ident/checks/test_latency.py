@@ -11,7 +11,13 @@ import numpy as np
 import pytest
 
 from seatrial.daq.checks import Finding
-from seatrial.ident.checks.latency import _attitude_velocity_delay, check_latency
+from seatrial.ident.checks.latency import (
+    SensorDelay,
+    _attitude_velocity_delay,
+    check_latency,
+    compare_sensor_delays,
+    sensor_delay_of,
+)
 from seatrial.ident.checks.sensors import LagEstimate, why_no_warning
 from seatrial.ident.data import Channel
 
@@ -181,3 +187,43 @@ def test_pauses_of_a_receiver_are_ignored() -> None:
         out = (c[name].t % 40.0) < 6.0
         c[name] = Channel(c[name].t[~out], c[name].value[~out])
     assert not alarms(c)
+
+
+def delays(*of_logs: tuple[float, float], systematic: float = 0.1) -> list[tuple[str, SensorDelay | None]]:
+    """Return delays [s] of several logs, each with its random half interval [s]."""
+    return [
+        (f"run{k}", SensorDelay(lag, random, systematic, "compass", "gnss", "velocity"))
+        for k, (lag, random) in enumerate(of_logs, 1)
+    ]
+
+
+def test_delay_of_several_logs_is_their_mean() -> None:
+    """Each log alone hardly shows the delay. The systematic error does not become less with the number of logs."""
+    of_logs = delays((-0.30, 0.10), (-0.18, 0.10), (-0.27, 0.10), (-0.24, 0.10))
+    ((name, finding),) = compare_sensor_delays([*of_logs, ("drift", None)])
+    assert (name, finding.level, finding.where) == ("4 logs together", "ok", "gnss")
+    assert "velocity comes 0.25 s after heading and yaw rate" in finding.text
+    assert "(95 %: 0.14 to 0.36 s); it is not zero, but below the limit of a warning, 0.3 s" in finding.text
+    ((_, longer),) = compare_sensor_delays(delays((-0.28, 0.15), (-0.29, 0.15), (-0.27, 0.15), systematic=0.02))
+    assert (longer.level, longer.code) == ("warning", "sensor-late")
+
+
+@pytest.mark.parametrize(
+    "of_logs",
+    [
+        ((-0.25, 0.05),),
+        ((0.05, 0.1), (-0.02, 0.1)),
+        ((-0.20, 0.02), (-0.10, 0.02)),
+        ((-0.70, 0.05), (-0.66, 0.05)),
+    ],
+    ids=["one log", "zero", "unlike", "each log has a finding"],
+)
+def test_no_common_delay_is_claimed(of_logs: tuple[tuple[float, float], ...]) -> None:
+    assert compare_sensor_delays(delays(*of_logs)) == []
+
+
+def test_common_delay_has_the_estimate_of_each_log() -> None:
+    found = sensor_delay_of(log(ATTITUDE, VELOCITY, SHAFTS, late=VELOCITY, by=0.2), SIDES)
+    assert found is not None
+    assert found.lag == pytest.approx(-0.2, abs=found.half)
+    assert sensor_delay_of(log(ATTITUDE, SHAFTS), SIDES) is None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from seatrial.ident.checks.log_checks import check_signals
 from seatrial.ident.checks.sensors import Match, gyro_and_heading
 from seatrial.ident.checks.signals import check_ranges
 from seatrial.ident.data import Channel
@@ -47,3 +48,15 @@ def test_advice_on_the_scale_is_the_same_for_both_sides() -> None:
     assert {f.advice for f in check_ranges(percent)} == {
         'set unit = "%" for all thrusters in the import map, or correct rpm_max in the rig file'
     }
+
+
+def test_heading_in_a_wrong_unit_does_not_accuse_the_gyro() -> None:
+    """Radians that were converted as if they were degrees turn 57.3 times too slowly for the right yaw rate."""
+    t = 0.1 * np.arange(1200)
+    psi = 0.3 * t + 0.5 * np.sin(0.4 * t)
+    rate = 0.3 + 0.2 * np.cos(0.4 * t) + 0.002 * np.random.default_rng(1).standard_normal(t.size)
+    read = np.radians(np.mod(psi + np.pi, 2.0 * np.pi) - np.pi)
+    c = {"psi": Channel(t, read, "rad"), "r": Channel(t, rate, "rad/s")}
+    faults = [f for f in check_signals(c, {}) if f.level == "fault"]
+    assert [(f.code, f.where) for f in faults] == [("angle-in-degrees", "psi")]
+    assert "radians were converted as if they were degrees" in faults[0].text

@@ -115,3 +115,30 @@ def test_report_can_be_printed(kind: str, most: int, tmp_path: Path) -> None:
     content = pdf.read_bytes()
     assert content.startswith(b"%PDF")
     assert 1 <= len(re.findall(rb"/Type\s*/Page\b", content)) <= most
+
+
+PAPER = """<!doctype html><body><script>
+addEventListener("load", () => setTimeout(() => {
+  const inner = document.querySelector("iframe").contentWindow;
+  inner.dispatchEvent(new Event("beforeprint"));
+  const found = document.createElement("pre");
+  found.title = Array.from(inner.document.querySelectorAll(".plot"))
+    .filter((plot) => plot.offsetParent && /^(Bode|Reliability)/.test(plot.ariaLabel))
+    .map((plot) => plot.clientWidth).join(" ");
+  document.body.append(found);
+}, 3000));
+</script>"""
+
+
+def test_two_printed_plots_beside_each_other_are_wide_enough(tmp_path: Path) -> None:
+    """A page of paper is 680 pixels wide. Plots with a legend and Bode plots need 300 of them."""
+    page, frame = seen("diagnosis")[0], tmp_path / "paper.html"
+    frame.write_text(f'{PAPER}<iframe src="{page.as_uri()}" width="800" height="9000"></iframe>', encoding="utf-8")
+    for _ in range(TRIES):
+        run = chromium(
+            tmp_path, "--window-size=900,1600", "--allow-file-access-from-files", "--dump-dom", frame.as_uri()
+        )
+        if match := re.search(r'<pre title="([\d ]+)">', run.stdout):
+            break
+    assert match, run.stderr
+    assert all(300 <= int(width) <= 680 for width in match[1].split())

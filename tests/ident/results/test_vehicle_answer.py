@@ -67,7 +67,13 @@ from seatrial.ident.results.parts import (
     Provenance,
     ResidualTests,
 )
-from seatrial.ident.results.tables import cross_rows, format_number, prediction_change, residual_row
+from seatrial.ident.results.tables import (
+    cross_rows,
+    format_number,
+    prediction_change,
+    residual_row,
+    thrust_difference_warnings,
+)
 from seatrial.ident.studies.cases import make_case
 from seatrial.ident.studies.monte_carlo import make_record
 from seatrial.ident.validation.evaluation import residual_tests
@@ -719,3 +725,38 @@ def test_antenna_far_from_its_given_position_has_a_warning(away: float, error: f
         )
     fit.model.values = {}
     assert antenna_warnings(fit) == []  # no position was given
+
+
+@pytest.mark.parametrize(
+    ("mass", "error", "weighed", "sentence"),
+    [
+        (
+            290.0,
+            8.0,
+            228.0,
+            "the stronger side has the given thrust and the weaker one has lost thrust: m_u is then 1.09",
+        ),
+        (
+            230.0,
+            8.0,
+            228.0,
+            "the weaker side has the given thrust and the stronger one gives more thrust: m_u is then 1.21",
+        ),
+        (290.0, 40.0, 228.0, ""),
+        (258.0, 8.0, 228.0, ""),
+        (400.0, 8.0, 228.0, ""),
+        (290.0, 8.0, None, ""),
+    ],
+    ids=["stronger", "weaker", "wide", "both likely", "none likely", "not weighed"],
+)
+def test_weighed_mass_is_evidence_on_the_side_with_the_given_thrust(
+    mass: float, error: float, weighed: float | None, sentence: str
+) -> None:
+    """The thrusts differ by 33 %: with the thrust of the stronger side, masses are 1 / 1.165 times the estimate."""
+    of_scale = 0.165 * mass
+    fit: Any = SimpleNamespace(names=("m_u",), estimate=lambda _: (mass, float(np.hypot(error, of_scale))))
+    found = ModelUncertainty(("m_u",), (), np.zeros((0, 1)), np.zeros((1, 1)), 0.165, np.array([of_scale]))
+    (warning,) = thrust_difference_warnings(found, fit, weighed)
+    assert ("The weighed mass is evidence" in warning.text) == bool(sentence)
+    assert sentence in warning.text
+    assert warning.text.endswith("Measure the thrust of both sides as they are now (seatrial bench).")

@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from seatrial.ident.data.loading import LoadedLog, PropulsionInput
+from seatrial.ident.data.loading import LoadedLog, PropulsionInput, load_run
 from seatrial.ident.data.record import Channel, LogSegment
+from seatrial.ident.estimation import EstimationOptions
 from seatrial.ident.models import horizontal_model, make_model
-from seatrial.ident.workflows.model_inputs import hold_lines, thrust_from, unused_signals, with_derived_signals
+from seatrial.ident.workflows.model_inputs import (
+    hold_lines,
+    inputs_sentence,
+    thrust_from,
+    unused_signals,
+    with_derived_signals,
+)
+from seatrial.ident.workflows.vehicle_model import VehicleRequest, vehicle_problem
 from tests.ident.sliders import slider
+from tests.missions import boat_log, boat_with
 
 C = Channel(np.arange(3.0), np.zeros(3))
 
@@ -55,6 +65,12 @@ def test_fit_to_commands_names_the_model_of_the_measured_shaft_speeds(source: st
         assert found[0].reason.endswith("more than 0.15 s apart in b")
         assert unused_signals(model, [measured], [])[0].reason.endswith(f"--model {other}")
         assert "--model" not in thrust_from(model, [slow])  # one hint is enough
+    chosen = inputs_sentence(model, [measured, slow])
+    assert bool(chosen) == bool(found)
+    assert inputs_sentence(model, [measured]) == ""  # their samples are close enough
+    if chosen:
+        assert "not of the measured n_left and n_right, whose samples are more than 0.15 s apart (b)" in chosen
+        assert ": --model horizontal:shaft takes the measured ones" in chosen
 
 
 @pytest.mark.parametrize(
@@ -100,3 +116,17 @@ def test_log_with_commands_in_place_of_shaft_speeds_is_named(fitted: str, differ
     lines = hold_lines(saved, [log])
     assert bool(lines) is differs
     assert all("n_left and n_right: held commands, but the model was fitted to measured values" in x for x in lines)
+
+
+def test_answer_of_an_automatic_model_says_why_it_takes_the_commands(tmp_path: Path) -> None:
+    path = boat_log(tmp_path / "run.mcap", boat_with(None, 1), 60.0, 7)
+    measured = load_run(path, "estimation")
+    slow = {n: Channel(c.t[::5], c.value[::5]) for n, c in measured.run.channels.items() if n in SHAFTS}
+    log = replace(
+        measured,
+        run=replace(measured.run, channels=measured.run.channels | slow),
+        propulsion=PropulsionInput.COMMAND,
+    )
+    request = VehicleRequest((), (), Path(), EstimationOptions(reml=True, mean_order=2))
+    assert "whose samples are more than 0.15 s apart (run)" in vehicle_problem(request, [log], []).choice
+    assert vehicle_problem(replace(request, model="horizontal:command"), [log], []).choice == ""
