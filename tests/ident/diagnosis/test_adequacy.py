@@ -152,7 +152,7 @@ def test_every_alternative_that_is_not_excluded_has_its_reason() -> None:
     found, _ = attributions_of(*rounds, left=(score("fouling", 9.0), score("battery-sag", 8.0)))
     assert found.not_excluded == ("battery-sag", "fouling")
     (reason,) = [r for r in found.reasons if "which act in a similar way" in r]
-    assert "('fouling') and of" in reason
+    assert "('fouling') and the" in reason
     assert "('battery-sag')" in reason
 
 
