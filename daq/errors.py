@@ -32,6 +32,18 @@ class SeatrialError(Exception):
     detail = ""
 
 
+class UnknownName(SeatrialError, KeyError):
+    """Error about a name that a mapping or a model lacks. It is a KeyError too, as Python's mappings need one."""
+
+    def __str__(self) -> str:
+        """Return the message. That of a KeyError would be between quotes."""
+        return str(self.args[0]) if self.args else ""
+
+
+class UnknownAttribute(SeatrialError, AttributeError):
+    """Error about an attribute that an object lacks. It is an AttributeError too, as ``hasattr`` needs one."""
+
+
 class SafetyStop(SeatrialError):
     """Error of a run that was ended for safety. Zero was commanded, and the log so far is kept. Exit status: 3."""
 
@@ -109,7 +121,7 @@ def file_hint(path: Path) -> str:
 
 
 class NamedValues(dict[str, V]):
-    """Dictionary of values by name, whose KeyError for an unknown name names the most similar one.
+    """Dictionary of values by name, whose `UnknownName` for an unknown name names the most similar one.
 
     Without a similar name, the message has all names, or the first `MAX_NAMES` of them and the number of the others.
 
@@ -127,8 +139,8 @@ class NamedValues(dict[str, V]):
         self._what = what
 
     def __missing__(self, name: object) -> V:
-        """Raise KeyError with the most similar name."""
-        raise KeyError(f"there is no {self._what} {name!r}; {names_hint(str(name), self)}")
+        """Raise `UnknownName`, a KeyError, with the most similar name."""
+        raise UnknownName(f"there is no {self._what} {name!r}; {names_hint(str(name), self)}")
 
 
 def names_hint(name: str, known: Iterable[str]) -> str:
@@ -136,7 +148,7 @@ def names_hint(name: str, known: Iterable[str]) -> str:
 
     Of more than `MAX_NAMES` known names, it has the first ones and the number of the others.
     """
-    known = list(known)
+    known = [str(other) for other in known]  # such as the horizons of predictions, which are numbers
     if near := closest_name(name, known):
         return f"did you mean {near!r}?"
     return f"the names are {first_names(known)}" if known else "there are none"

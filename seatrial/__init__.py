@@ -16,7 +16,7 @@ _attribute, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 def __getattr__(name: str) -> object:
     """Import a public name at its first use. The version is that of the installed package.
 
-    The AttributeError of an unknown name names the most similar public one.
+    The `UnknownAttribute` of an unknown name, which is an AttributeError, names the most similar public one.
     """
     if name == "__version__":
         from importlib.metadata import version  # imported here, because it takes a fifth of `import seatrial`
@@ -27,8 +27,9 @@ def __getattr__(name: str) -> object:
     except AttributeError:
         if name in __all__ or name.startswith("_"):
             raise
-        from seatrial.daq.errors import closest_name  # imported here, because only this error needs it
+        # imported here, because only this error needs it
+        from seatrial.daq.errors import UnknownAttribute, closest_name
 
         near = closest_name(name, __all__)
         hint = f"; did you mean {near!r}?" if near else f"; it has {', '.join(__all__)}"
-        raise AttributeError(f"module 'seatrial' has no attribute {name!r}{hint}", name=name, obj=None) from None
+        raise UnknownAttribute(f"module 'seatrial' has no attribute {name!r}{hint}", name=name, obj=None) from None

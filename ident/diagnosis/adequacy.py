@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -33,6 +34,7 @@ from seatrial.ident.experiment_design import reason_without_mission
 from seatrial.ident.model import Effect, EffectKind, Parameter
 from seatrial.ident.models import SENSOR_ERRORS, THRUST_LOSSES
 
+MOST_ADVISED = 3  # candidates that the advice on an experiment names
 MOST_SIZES = 4  # sizes of an effect that a reason for ambiguity lists
 SIZE_IS_KNOWN = 1.96  # standard errors from zero, from which the 95 % interval of a size does not contain zero
 
@@ -209,8 +211,8 @@ def _strong_remaining_test_reasons(strong: Sequence[Score], n: int) -> list[str]
         return []
     best = max(strong, key=lambda s: s.criterion(n))
     return [
-        f"with this effect the score tests still find {_finding_in_words(best)}, with an expected ΔBIC of "
-        f"{best.criterion(n):.0f}"
+        f"even with it in the model, the score tests still find {_finding_in_words(best)} (expected ΔBIC "
+        f"{best.criterion(n):.0f}), which may be the true cause"
     ]
 
 
@@ -226,8 +228,8 @@ def _many_remaining_tests_reasons(remaining: Sequence[Score], n_tests: int, poli
     if len(remaining) <= max(policy.max_remaining_tests, policy.max_remaining_test_share * n_tests):
         return []
     return [
-        f"with this effect {len(remaining)} score tests are still significant; "
-        f"the strongest finds {_finding_in_words(remaining[0])}"
+        f"even with it in the model, {len(remaining)} score tests still find something, most of all "
+        f"{_finding_in_words(remaining[0])}: another effect may be the true cause"
     ]
 
 
@@ -248,10 +250,8 @@ def _remaining_alternative_reasons(alternatives: Sequence[str]) -> list[str]:
     """
     if not alternatives:
         return []
-    found = " and of ".join(map(_titled, alternatives))
-    if len(alternatives) == 1:
-        return [f"with this effect the score test of {found}, one of its alternatives, is still significant"]
-    return [f"with this effect the score tests of {found}, its alternatives, are still significant"]
+    found, acts = " and ".join(map(_titled, alternatives)), "acts" if len(alternatives) == 1 else "act"
+    return [f"even with it in the model, the score tests still find {found}, which {acts} in a similar way"]
 
 
 def _titled(name: str) -> str:
@@ -270,7 +270,9 @@ def _form_correction_reasons(chosen: Sequence[Refit], refit: Refit, policy: Sear
     """
     strong = [c.effect for c in chosen if refit.criterion < policy.form_share * c.criterion]
     related = [e for e in strong if e.name in refit.effect.alternatives or refit.effect.name in e.alternatives]
-    return [f"this effect may only correct the formula of {related[0].title}"] if related else []
+    if not related:
+        return []
+    return [f"it is small beside {related[0].title}, and may only correct the formula of that effect"]
 
 
 def _undetermined_size_reasons(
@@ -294,7 +296,8 @@ def _undetermined_size_reasons(
     for p in of_effect.values():
         if p.full_name in stuck:
             name, value, _, unit = _reported_estimate(fit, p)
-            return [f"its parameter {name} ({p.meaning}) is at its bound, {value:.3g} {unit}".rstrip()]
+            bound = f"{value:.3g} {unit}".rstrip()
+            return [f"its parameter {name} ({p.meaning}) is at its bound, {bound}, and so no estimate"]
     if any(c.effect.is_table_of(effect.nonparametric_of) for c in chosen):
         return []
     sizes = [i for i, p in of_effect.items() if p.value == 0.0 and fit.errors[i] > 0]
@@ -414,13 +417,13 @@ def _nonparametric_curve_reasons(
     if unaffected:  # a small curve beside an effect that keeps its size with it is no reason against that effect
         small = {c.effect.name for c in chosen if c.criterion < policy.max_curve_share * own}
         beside = [effect for effect in beside if effect.name not in small]
-    reasons = [f"{effect.title} had to be added beside this effect" for effect in beside]
+    reasons = [f"it is not enough alone: {effect.title} had to be added too" for effect in beside]
     better = [
         q
         for q in search_round.refits
         if q.nonparametric and is_accepted(q, policy) and q.criterion > search_round.chosen.criterion
     ]
-    return reasons + [f"{q.effect.title} would explain more" for q in better[:1]]
+    return reasons + [f"{q.effect.title} would explain more than it" for q in better[:1]]
 
 
 def _competing_refits(search_round: Round, policy: SearchPolicy) -> list[Refit]:
@@ -466,10 +469,10 @@ def _comparison_in_words(competitor: Refit, behind: float, policy: SearchPolicy)
     """
     title = competitor.effect.title
     if behind < 0:
-        better = "significantly better" if is_validated(competitor, policy) else "better"
+        no = "not significantly" if is_validated(competitor, policy) else "no"
         gain = f"its ΔBIC is {-behind:.0f} better"
-        return f"{title} explains the estimation data better ({gain}), but not the validation data {better}"
-    return f"{title} explains nearly as much (its ΔBIC is {behind:.0f} worse)"
+        return f"{title} explains the estimation data better ({gain}), but predicts the validation data {no} better"
+    return f"{title} explains the data nearly as well (its ΔBIC is {behind:.0f} worse)"
 
 
 def _untested_alternative_reasons(effect: Effect, untested: Collection[str]) -> list[str]:
@@ -479,7 +482,7 @@ def _untested_alternative_reasons(effect: Effect, untested: Collection[str]) -> 
     were not tested. The list is empty if no alternative is among them.
     """
     lost = [name for name in effect.alternatives if name in untested]
-    return [f"its alternative, {_titled(name)}, could not be tested on these data" for name in lost]
+    return [f"{_titled(name)} acts in a similar way, and could not be tested on these data" for name in lost]
 
 
 def _explained_by_parameters_reasons(effect: Effect, explained: Collection[str]) -> list[str]:
@@ -491,10 +494,11 @@ def _explained_by_parameters_reasons(effect: Effect, explained: Collection[str])
     unexplained rest of such an alternative is only a difference of form, which looks like the effect.
     """
     if effect.name in explained:
-        return ["the model's estimated parameters explain nearly all of this effect"]
+        return ["other parameters of the model take up nearly all of it, so that these data cannot test it"]
     names = [name for name in effect.alternatives if name in explained]
     return [
-        f"the model's estimated parameters explain nearly all of {_titled(name)}, one of its alternatives"
+        f"{_titled(name)} acts in a similar way, and these data cannot test it, because other parameters of the model "
+        "take up nearly all of it"
         for name in names
     ]
 
@@ -505,7 +509,7 @@ def _failed_candidate_reasons(search_round: Round) -> list[str]:
     Such a candidate may be the right one. Only the first is named; the list is empty if there is none.
     """
     return [
-        f"{u.effect.title} passes the score test too, but could not be fitted: {u.reason}"
+        f"{u.effect.title} may be the true cause too: it passes the score test, but could not be fitted ({u.reason})"
         for u in search_round.untested[:1]
     ]
 
@@ -601,17 +605,37 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
     return " ".join(dict.fromkeys(lines)) or None  # an effect can come closest in several rounds
 
 
+def _advice_on_remaining(diagnosis: Diagnosis) -> str:
+    """Return what to do about the candidates that still pass beside the added effects, without the last full stop.
+
+    ``MODEL`` in a command stands for the file of the diagnosed model.
+    """
+    known = catalogue()
+    names = [s.name for s in diagnosis.remaining if s.name in known][:MOST_ADVISED]
+    if not names:
+        return (
+            "What still passes the score test are curves and differences between runs, which no experiment of the "
+            "catalogue tests: record longer and more varied runs, and diagnose again"
+        )
+    advice = (
+        f"Candidates that still pass the score test may be missing too: {', '.join(map(_titled, names))}. To test one, "
+        f"fit the model again with --effect {names[0]}, and compare both models on logs of neither fit"
+    )
+    pairs = [f"{a},{b}" for a, b in combinations(names, 2) if a not in known[b].nests and b not in known[a].nests]
+    if pairs and not reason_without_mission(diagnosis.before.model):
+        advice += f". `seatrial mission design MODEL --discriminate {pairs[0]}` designs a mission that tells two apart"
+    return advice
+
+
 def reason_without_experiment(diagnosis: Diagnosis) -> str:
     """Return why no experiment is recommended for a diagnosis, as a clause; see `recommended_experiment`.
 
-    The text assumes that `recommended_experiment` returns None.
+    Sentences on what to do may follow the clause; the last full stop is missing. The text assumes that
+    `recommended_experiment` returns None.
     """
     if diagnosis.effects:
         if diagnosis.remaining:
-            return (
-                "the effects that were added have no competing effect, and no experiment can be designed for the "
-                "candidates that still pass the score test, since the model has none of them"
-            )
+            return f"the effects that were added have no competing effect. {_advice_on_remaining(diagnosis)}"
         return "no competing effect is left for the effects that were added"
     if any(r.refits for r in diagnosis.rounds):
         return "the catalogue has no experiment for the effects that came closest"

@@ -9,9 +9,9 @@ from numbers import Real
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from seatrial.daq.errors import NamedValues, SeatrialError, closest_name
+from seatrial.daq.errors import NamedValues, SeatrialError, UnknownName, closest_name
 from seatrial.ident.effects import SHORTEST_OWN_LAG
 from seatrial.ident.estimation import PARAMETER_STEP, ParameterCovariance, principal_directions
 from seatrial.ident.export.codegen import without_nuisance
@@ -311,6 +311,12 @@ class LinearModel:
         return bool((self.poles.real < 0.0).all())
 
     @property
+    def growth(self) -> float:
+        """Growth rate [1/s] of the fastest unstable motion, 0 if none grows. A free motion (pole 0) does not grow."""
+        largest = float(self.poles.real.max(initial=0.0))
+        return largest if largest > STATIC * np.abs(self.poles).max(initial=0.0) else 0.0
+
+    @property
     def stability(self) -> str:
         """Stability in words: ``stable``, or each motion that does not decay, by its states, and what it does.
 
@@ -348,7 +354,7 @@ class LinearModel:
         turn = {n: 1.0 if n.endswith("_left") else -1.0 for n in sides}
         return {"straight": dict.fromkeys(sides, 1.0), "turn": turn}
 
-    def step_response(self, inputs: Inputs, t: Array | None = None) -> dict[str, Array]:
+    def step_response(self, inputs: Inputs, t: ArrayLike | None = None) -> dict[str, Array]:
         """Return the response of each state to a unit step of the inputs at t = 0, with their dead time.
 
         Parameters
@@ -367,13 +373,11 @@ class LinearModel:
 
         Raises
         ------
-        KeyError
-            If the model has no such input.
         SeatrialError
-            If ``inputs`` is neither a name nor a dict of weights.
+            If the model has no such input (`UnknownName`, which is a KeyError too), if ``inputs`` is neither a name nor
+            a dict of weights, or if a time is no number of at least 0.
         """
-        at = np.asarray(self.times if t is None else t, dtype=float)
-        at = np.linspace(0.0, float(at), TIMES) if at.ndim == 0 else at
+        at = self.response_times(t)
         columns: dict[float, Array] = {}  # inputs with the same dead time have one column of B
         for name, weight in self._weights(inputs).items():
             delay = self.delays.get(name, 0.0)
@@ -383,7 +387,7 @@ class LinearModel:
             found += _response_to_a_step(self.A, b, np.maximum(at - delay, 0.0))
         return NamedValues({state: found[:, k] for k, state in enumerate(self.states)}, "state")
 
-    def frequency_response(self, inputs: Inputs, frequency: Array | None = None) -> dict[str, Complex]:
+    def frequency_response(self, inputs: Inputs, frequency: ArrayLike | None = None) -> dict[str, Complex]:
         """Return the frequency response of each state to the inputs, with their dead time.
 
         Parameters
@@ -402,12 +406,11 @@ class LinearModel:
 
         Raises
         ------
-        KeyError
-            If the model has no such input.
         SeatrialError
-            If ``inputs`` is neither a name nor a dict of weights.
+            If the model has no such input (`UnknownName`, which is a KeyError too), if ``inputs`` is neither a name nor
+            a dict of weights, or if a frequency is no number above 0.
         """
-        f = self.frequencies if frequency is None else np.asarray(frequency, dtype=float)
+        f = self._frequencies(frequency)
         w, weights = 2.0 * np.pi * f, self._weights(inputs)
         driven = np.zeros((f.size, len(self.states)), dtype=np.complex128)
         for name, weight in weights.items():
@@ -418,7 +421,7 @@ class LinearModel:
         found = np.linalg.solve(whole, driven[..., None])[..., 0].astype(np.complex128)
         return NamedValues({state: found[:, k] for k, state in enumerate(self.states)}, "state")
 
-    def bode(self, inputs: Inputs, frequency: Array | None = None) -> dict[str, Bode]:
+    def bode(self, inputs: Inputs, frequency: ArrayLike | None = None) -> dict[str, Bode]:
         """Return gain and phase of the frequency response of each state, with their standard errors.
 
         A state that does not respond to the inputs, such as the yaw rate to equal changes of both sides, is left out.
@@ -432,12 +435,11 @@ class LinearModel:
 
         Raises
         ------
-        KeyError
-            If the model has no such input.
         SeatrialError
-            If ``inputs`` is neither a name nor a dict of weights.
+            If the model has no such input (`UnknownName`, which is a KeyError too), if ``inputs`` is neither a name nor
+            a dict of weights, or if a frequency is no number above 0.
         """
-        f = self.frequencies if frequency is None else np.asarray(frequency, dtype=float)
+        f = self._frequencies(frequency)
         found = self.frequency_response(inputs, f)
         moved = [m.frequency_response(inputs, f) for m in self.moved]
         size = self._sizes(inputs)
@@ -554,6 +556,31 @@ class LinearModel:
         high = max(DECADE * fastest, LAGS * np.sqrt(fastest / delays.min(initial=np.inf)))
         return np.geomspace(corners.min() / DECADE, high, FREQUENCIES) / (2.0 * np.pi)
 
+    def response_times(self, given: ArrayLike | None) -> Array:
+        """Return the times (n,) [s] of a step response that the user gives; `times` for None.
+
+        One number is the end of 200 equidistant times from 0 on. SeatrialError is raised if they are not numbers of at
+        least 0.
+        """
+        if given is None:
+            return self.times
+        found = _numbers("t", given, "times [s], at least 0")
+        if (found < 0.0).any():
+            raise SeatrialError(f"t {found.min():g} s: give times of at least 0, as the step is at t = 0")
+        return np.linspace(0.0, float(found), TIMES) if found.ndim == 0 else found
+
+    def _frequencies(self, given: ArrayLike | None) -> Array:
+        """Return frequencies (n,) [Hz] of the user as an array; `frequencies` for None.
+
+        SeatrialError is raised if they are not numbers above 0.
+        """
+        if given is None:
+            return self.frequencies
+        found = np.atleast_1d(_numbers("frequency", given, "frequencies [Hz], above 0"))
+        if (found <= 0.0).any():
+            raise SeatrialError(f"frequency {found.min():g} Hz: give frequencies above 0")
+        return found
+
     @property
     def _modes(self) -> tuple[Complex, Complex]:
         """Eigenvalues (n,) of A in the order of `poles`, and their eigenvectors (n, n) as columns."""
@@ -564,8 +591,8 @@ class LinearModel:
     def _weights(self, inputs: Inputs) -> dict[str, float]:
         """Return the weight of each input that a name or a mapping of the user stands for.
 
-        Raise KeyError for a name that is no input or motion, and SeatrialError if ``inputs`` is neither a text nor a
-        mapping.
+        Raise `UnknownName` for a name that is no input or motion, and SeatrialError if ``inputs`` is neither a text nor
+        a mapping of numbers.
         """
         if not isinstance(inputs, str | Mapping):
             example = f'"{self.inputs[0]}", or weights by name, such as {{"{self.inputs[0]}": 1.0}}'
@@ -576,10 +603,12 @@ class LinearModel:
             if name not in known:
                 if name in self.states:
                     text = f"{name!r} is a state, not an input; name an input, and take the item {name!r} of the result"
-                    raise KeyError(f"{text}; the inputs are {', '.join(known)}")
+                    raise UnknownName(f"{text}; the inputs are {', '.join(known)}")
                 near = closest_name(MOTION_WORDS.get(name, name), list(known))
                 hint = f"did you mean {near!r}? " if near else ""
-                raise KeyError(f"the model has no input {name!r}; {hint}its inputs are {', '.join(known)}")
+                raise UnknownName(f"the model has no input {name!r}; {hint}its inputs are {', '.join(known)}")
+            if isinstance(weight, bool) or not isinstance(weight, Real):
+                raise SeatrialError(f"inputs: the weight of {name} is {weight!r:.60}; give a number, such as 1.0")
             for part, share in known[name].items():
                 weights[part] = weights.get(part, 0.0) + weight * share
         return weights
@@ -605,6 +634,20 @@ class LinearModel:
         for pole, constant, error, names in zip(self.poles, constants, errors, self.mainly, strict=True):
             lines.append(f"pole {pole_text(pole)} 1/s, {time_text(constant, error)}, mainly {names}")
         return "\n".join(lines)
+
+
+def _numbers(name: str, values: ArrayLike, what: str) -> Array:
+    """Return the argument ``name`` as an array. SeatrialError if it has a value that is no finite number.
+
+    ``what`` says what to give, such as ``times [s]``.
+    """
+    try:
+        found = np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        raise SeatrialError(f"{name}: give {what}, and not {values!r:.60}") from None
+    if found.ndim > 1 or not np.isfinite(found).all():
+        raise SeatrialError(f"{name}: give one number or a list of finite numbers: {what}")
+    return found
 
 
 def _response_to_a_step(A: Array, b: Array, since: Array) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from numbers import Real
 from typing import Protocol
 
 import numpy as np
@@ -61,7 +62,7 @@ class StateFeedback:
         Raises
         ------
         SeatrialError
-            If a state is missing, or if there is no state of a name.
+            If ``x`` is no dict of numbers, if a state is missing, or if there is no state of a name.
 
         Warns
         -----
@@ -69,9 +70,14 @@ class StateFeedback:
             If the heading is more than five turns, or the wanted one more than one turn although the heading is not:
             its unit is then probably the degree.
         """
+        if not isinstance(x, Mapping):
+            example = {n: round(float(v), 3) for n, v in zip(self.states, self.x0, strict=True)}
+            raise SeatrialError(f"x: give a dict of the states by name, such as {example}, and not {_shown(x)}")
         if missing := [n for n in self.states if n not in x]:
             raise SeatrialError(f"the state {missing[0]} is missing; the feedback needs {', '.join(self.states)}")
         _check_names("state", wanted, self.states)
+        _check_numbers({n: x[n] for n in self.states})
+        _check_numbers(wanted)
         goal = {n: wanted.get(n, float(v)) for n, v in zip(self.states, self.x0, strict=True)}
         error = np.array([x[n] - goal[n] for n in self.states])
         turn = [n == HEADING for n in self.states]
@@ -148,8 +154,9 @@ def lqr(linear: LinearSystem, Q: Mapping[str, float], R: Mapping[str, float] | N
         if not isinstance(given, Mapping):
             example = {"u": 4.0, "r": 1.0} if what == "Q" else dict.fromkeys(linear.inputs[:1], 2.0)
             kind = "states" if what == "Q" else "inputs"
-            shown = "a matrix" if np.ndim(given) else f"{given!r}"
+            shown = _shown(given)
             raise SeatrialError(f"{what}: give the weights of {kind} by name, such as {example}, and not {shown}")
+        _check_numbers(given)
     known = (*linear.states, *((HEADING,) if "r" in linear.states else ()))
     _check_names("state", Q, known)
     _check_names("input", R, linear.inputs)
@@ -203,6 +210,19 @@ def _warn_of_degrees(psi: float, wanted: float) -> None:
         warn(f"the state psi = {psi:g} rad; if these are degrees, give np.radians({psi:g})")
     elif abs(psi) <= TURN < abs(wanted) < np.inf:
         warn(f"psi = {wanted:g} rad is the wanted heading; if these are degrees, give np.radians({wanted:g})")
+
+
+def _shown(value: object) -> str:
+    """Return a value of the user for a message: as Python writes it, or what it is if it has several numbers."""
+    kind = "a matrix" if isinstance(value, np.ndarray) else f"a {type(value).__name__}"
+    return kind if isinstance(value, np.ndarray | list | tuple) else f"{value!r:.60}"
+
+
+def _check_numbers(given: Mapping[str, float]) -> None:
+    """Raise SeatrialError if one of the values by name is not a number."""
+    for name, value in given.items():
+        if isinstance(value, bool) or np.ndim(value) or not isinstance(value, Real | np.ndarray):
+            raise SeatrialError(f"{name} is {_shown(value)}: give a number, in SI units and radians")
 
 
 def _check_names(kind: str, given: Mapping[str, float], known: tuple[str, ...]) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from seatrial.daq.errors import UnknownName
 from seatrial.ident.export.codegen import without_nuisance
 from seatrial.ident.export.conditions import chosen_conditions
 from seatrial.ident.export.rates import Rates
@@ -37,9 +38,9 @@ class SteadyMotion:
     sd: Array
 
     def of(self, state: str) -> tuple[Array, Array]:
-        """Return the values and the standard errors (n_inputs,) of one state. KeyError if there is none."""
+        """Return the values and the standard errors (n_inputs,) of one state. `UnknownName` if there is none."""
         if state not in self.states:
-            raise KeyError(f"the model has no state {state!r}; its states are {', '.join(self.states)}")
+            raise UnknownName(f"the model has no state {state!r}; its states are {', '.join(self.states)}")
         j = self.states.index(state)
         return self.x[:, j], self.sd[:, j]
 

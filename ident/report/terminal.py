@@ -28,7 +28,7 @@ from seatrial.ident.report.sections.comparison import (
     verdict_words,
 )
 from seatrial.ident.report.sections.parameters import interval, segment_in_words
-from seatrial.ident.report.sections.predictions import by_role, error_words, horizons
+from seatrial.ident.report.sections.predictions import by_role, error_words, horizons, unmarked_rises
 from seatrial.ident.results import (
     NOT_WEIGHED,
     SIMULATION_COVERS,
@@ -539,6 +539,8 @@ def print_result(result: Result, console: Console) -> None:
             console.print()
             print_table(console, table, indent=1)
     if isinstance(result, DiagnosisResult) and table is not None:
+        if words := _larger_errors(result):
+            print_prose(console, Text(words))
         print_prose(console, Text(result.errors_caveat, style="dim"))
     if isinstance(result, DiagnosisResult) and result.no_experiment:
         print_prose(console, Text(result.next_experiment, style="dim"))
@@ -718,6 +720,12 @@ def _errors_table(errors: Errors, seconds: float) -> Table | None:
         unit = next(formatting.degrees_for(row.unit)[1] for row in found if row is not None)
         table.add_row(Text(channel, style="bold"), Text(unit), *(_error_text(row) for row in found))
     return table
+
+
+def _larger_errors(result: DiagnosisResult) -> str:
+    """Return the sentence on errors of the last table that are larger with the effects, but not marked; often ""."""
+    _, data = by_role(result.errors.validation, result.errors.estimation)[0]
+    return unmarked_rises(horizons(data, result.horizon_seconds)) if result.effects else ""
 
 
 def _error_text(row: ErrorComparison | None) -> Text:

@@ -141,9 +141,11 @@ from .result_file import read_result as read_result
 from .result_file import to_json as to_json
 from .result_file import write_result as write_result
 from .tables import causes_sentence as causes_sentence
+from .tables import cross_rows as cross_rows
 from .tables import error_rows as error_rows
 from .tables import finite as finite
 from .tables import format_number as format_number
 from .tables import name_probabilities as name_probabilities
 from .tables import provenance as provenance
 from .tables import record_inputs as record_inputs
+from .tables import residual_row as residual_row

@@ -12,7 +12,7 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from seatrial.ident.numerics import Array
-from seatrial.ident.results.parts import Part, Result, Verdict, same_length
+from seatrial.ident.results.parts import CrossCorrelationRow, Part, ResidualTests, Result, Verdict, same_length
 
 PredictionKind = Literal["one_step", "horizon", "simulation"]
 ComparisonVerdict = Literal["better", "worse", "indistinguishable", "no-interval"]
@@ -243,6 +243,16 @@ class ComparedModel(Part, frozen=True, kw_only=True):
         InformationCriteria | None, Meta(description="null: the first model, or as `no_criteria` says")
     ] = None
     no_criteria: Annotated[str, Meta(description="reason why there are no information criteria; may be empty")] = ""
+    residuals: Annotated[
+        tuple[ResidualTests, ...],
+        Meta(
+            description="its residuals one step ahead on the compared logs, by a filter of first order, with their "
+            "tests; empty: the logs are cut into blocks, or a result of an earlier version"
+        ),
+    ] = ()
+    cross: Annotated[
+        tuple[CrossCorrelationRow, ...], Meta(description="correlation of these residuals with the inputs")
+    ] = ()
 
     def ahead(self, seconds: float) -> ComparedRatio | None:
         """Return the error over a horizon of ``seconds`` [s] against the first model; None for the first model itself.

@@ -127,7 +127,7 @@ def diagnosis_result(
     warnings : sequence of ResultWarning
         Warnings of the fit with the effects.
     notes : sequence of str
-        Sentences that precede the other notes of the result.
+        Sentences that precede the other notes of the result, except those which qualify the names of the effects.
     given : GivenModel
         Model that was given to the diagnosis. The file of the diagnosed model replaces MODEL in the command of the
         recommended experiment, which takes the sizes of the effects from it.
@@ -167,11 +167,12 @@ def diagnosis_result(
             *_untested_warnings(diagnosis),
         ),
         notes=(
+            *(assumed_noise_notes(diagnosis.after.fit.model) if diagnosis.effects else ()),
+            *alternative_notes(rounds, effects),
             *notes,
             *prior_notes(diagnosis.after.fit),
             *([] if given.weighed_mass is None else mass_notes(diagnosis.after.fit, given.weighed_mass)),
             *_notes(diagnosis, given),
-            *alternative_notes(rounds, effects),
             *refit_error_notes(rounds, effects),
             *_blocks_note(evaluation),
             *outlier_lines(after.estimation_residuals, after.model),
@@ -228,7 +229,9 @@ def diagnosis_result(
         ),
         parameters_before_after=_parameter_change_rows(diagnosis),
         recommended_experiment=None if recommended is None else with_model_of_design(recommended, given.diagnosed),
-        no_experiment=reason_without_experiment(diagnosis) if recommended is None else "",
+        no_experiment=(
+            with_model_of_design(reason_without_experiment(diagnosis), given.diagnosed) if recommended is None else ""
+        ),
     )
 
 
@@ -479,7 +482,8 @@ def _fell_enough(diagnosis: Diagnosis, prediction: parts.PredictionChangeRow | N
 def what_is_lacking(diagnosis: Diagnosis, *, fell: bool) -> str:
     """Return the beginning of the answer, ``The model lacks ...``, with the titles of the effects, without a full stop.
 
-    Identified effects come first, then ambiguous effects as "an effect that resembles ...", then nonparametric effects.
+    Identified effects come first, then an ambiguous effect as "an effect that resembles ...", several of them as a list
+    ("effects that resemble: A; B"), then nonparametric effects.
     Nonparametric effects come first if the most important effect is nonparametric. If ambiguous effects come first, the
     text begins with "The missing effect resembles ...". The diagnosis must have at least one effect.
 
@@ -503,14 +507,13 @@ def what_is_lacking(diagnosis: Diagnosis, *, fell: bool) -> str:
         rest = [*identified, *(f"an effect that resembles {title}" for title in ambiguous)]
         return f"{found}, and also {_joined_titles(rest)}" if rest else found
     if identified and ambiguous:
-        found = (
-            f"The model lacks {_joined_titles(identified)}, and an effect that resembles {_joined_titles(ambiguous)}"
-        )
+        found = f"The model lacks {_joined_titles(identified)}, and {_resembling(ambiguous)}"
     elif identified:
         found = f"The model lacks {_joined_titles(identified)}"
     else:
         found = _resemblance_clause(ambiguous)
-    return f"{found}, and also {_joined_titles(nonparametric)}" if nonparametric else found
+    comma = ";" if len(ambiguous) > 1 else ","  # after a list whose items are separated by semicolons
+    return f"{found}{comma} and also {_joined_titles(nonparametric)}" if nonparametric else found
 
 
 def _is_size_undetermined(effect: Effect, diagnosis: Diagnosis) -> bool:
@@ -560,25 +563,36 @@ def _named_value(p: parts.EffectParameter) -> str:
 
 
 def _resemblance_clause(titles: Sequence[str]) -> str:
-    """Return ``The missing effect resembles TITLE`` (plural for several titles), the beginning of an answer."""
-    missing = "The missing effect resembles" if len(titles) == 1 else "The missing effects resemble"
-    return f"{missing} {_joined_titles(titles)}"
+    """Return ``The missing effect resembles TITLE``, the beginning of an answer; for several titles, a list of them."""
+    if len(titles) == 1:
+        return f"The missing effect resembles {titles[0]}"
+    return f"The model lacks {_resembling(titles)}"
+
+
+def _resembling(titles: Sequence[str]) -> str:
+    """Return ``an effect that resembles TITLE``; for several titles, a list with one effect for each of them."""
+    return (
+        f"an effect that resembles {titles[0]}" if len(titles) == 1 else f"effects that resemble: {'; '.join(titles)}"
+    )
 
 
 def diagnosis_caveat(diagnosis: Diagnosis) -> str | None:
-    """Return the caveat of a diagnosis: an uncertain name of an effect, and residuals that are left unexplained.
+    """Return the caveat of a diagnosis: uncertain names of effects, and residuals that are left unexplained.
 
-    For the name, only the first reason of the first ambiguous effect is given. If the search ended by --max-effects,
-    the number of added effects and the candidates that were not tried are given. Otherwise, if all names are certain
-    and candidates still pass the score test, their number, the strongest and the reason why none was added are given.
+    For each uncertain name, the first reason is given, and then what can decide it. If the search ended by
+    --max-effects, the number of added effects and the candidates that were not tried are given. Otherwise, if all names
+    are certain and candidates still pass the score test, their number, the strongest and the reason why none was added
+    are given.
     The result is None if none of these applies.
     """
     titles = {r.effect.name: r.effect.title for r in diagnosis.effects}
     doubted = [j for j in diagnosis.attributions if j.attribution == "ambiguous" and j.reasons]
+    which = "the missing effect" if len(doubted) == 1 else "one of the missing effects"
     sentences = [
-        f"It is uncertain whether the missing effect is {titles.get(j.effect, j.effect)}: {j.reasons[0]}."
-        for j in doubted[:1]
+        f"It is not certain that {which} is {titles.get(j.effect, j.effect)}: {j.reasons[0]}." for j in doubted
     ]
+    if doubted and recommended_experiment(diagnosis):
+        sentences.append("The recommended experiment (*Next experiment* in the report) can decide this.")
     if diagnosis.remaining and diagnosis.untried_scores:
         many = counted(sum(search_round.chosen is not None for search_round in diagnosis.rounds), "effect")
         gone = f", and removed {len(diagnosis.removed)} of them again" if diagnosis.removed else ""
@@ -948,8 +962,8 @@ def _notes(diagnosis: Diagnosis, given: GivenModel) -> list[str]:
 
     They are about common errors in the model, candidates that signals contradict, candidates that still pass the score
     test, the reason why the search ended, effects that were removed again, validation runs that the model does not fit
-    (without effects, the answer has them), a noise at its assumed bound, which model to use without effects, and
-    parameters with a flag. A note that does not apply is left out.
+    (without effects, the answer has them), which model to use without effects, and parameters with a flag. A note that
+    does not apply is left out.
     """
     notes = common_errors_notes(diagnosis.common_errors, "the effects")
     notes += [f"The data exclude {r.effect.title}, which was not tested: {r.reason}." for r in diagnosis.refuted]
@@ -983,7 +997,6 @@ def _notes(diagnosis: Diagnosis, given: GivenModel) -> list[str]:
     if diagnosis.effects:
         notes += [mismatch_sentence(m) for m in reported_mismatches(diagnosis)]
         notes += inertia_curve_notes([e.effect for e in diagnosis.effects])
-        notes += assumed_noise_notes(diagnosis.after.fit.model)
     else:
         notes.append(f"No effect was added. {_model_for_use(diagnosis, given)}")
     return notes + _flag_notes(diagnosis.after.fit.flags)

@@ -12,6 +12,7 @@ from .evaluation import SmoothedForce as SmoothedForce
 from .evaluation import evaluate as evaluate
 from .evaluation import horizon_prediction as horizon_prediction
 from .evaluation import prediction_changes as prediction_changes
+from .evaluation import residual_tests as residual_tests
 from .evaluation import shown_inputs as shown_inputs
 from .evaluation import smoothed_forces as smoothed_forces
 from .prediction_errors import MAX_STARTS as MAX_STARTS

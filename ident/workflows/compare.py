@@ -41,7 +41,9 @@ from seatrial.ident.results import (
     ComparedTrace,
     ComparisonResult,
     ResultWarning,
+    cross_rows,
     provenance,
+    residual_row,
     warm_up_notes,
     write_result,
 )
@@ -417,6 +419,8 @@ def _result(
             masses=masses_of(c.saved),
             differences=model_differences(compared[0].saved, c.saved) if models else None,
             changes=tuple(own),
+            residuals=tuple(residual_row(r) for part in by.values() for r in part.residuals),
+            cross=tuple(row for part in by.values() for r in part.residuals for row in cross_rows(r)),
         )
         if models:
             pair = ((models[0], compared[0]), (row, c))

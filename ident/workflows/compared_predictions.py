@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -23,12 +23,14 @@ from seatrial.ident.model import Model
 from seatrial.ident.numerics import Array
 from seatrial.ident.results import PredictionKind
 from seatrial.ident.validation import (
+    ChannelResiduals,
     PredictionErrors,
     horizon_errors,
     horizon_forecasts,
     horizon_prediction,
     one_step_calibration,
     one_step_errors,
+    residual_tests,
     simulation_run,
     standardised_errors,
 )
@@ -118,6 +120,8 @@ class PredictedRecord:
         Errors over their standard deviations at the times of `errors`, by kind of prediction and channel. NaN for an
         outlier one step ahead, and infinite where a prediction diverged. Channels without standard deviations are left
         out.
+    residuals
+        Standardised innovations with their tests, by channel; empty for a block in time of a record.
     """
 
     t: Array
@@ -126,6 +130,7 @@ class PredictedRecord:
     errors: Mapping[Kind, Mapping[str, PredictionErrors]]
     curves: Mapping[Kind, Mapping[str, Curve]]
     standardised: Mapping[Kind, Mapping[str, Array]] = field(default_factory=dict)
+    residuals: Sequence[ChannelResiduals] = ()
 
 
 def predict_record(task: PredictionTask) -> list[PredictedRecord]:
@@ -193,7 +198,8 @@ def _predictions(view: RecordEvaluation, task: PredictionTask) -> PredictedRecor
     }
     counts = np.isfinite(record.y).sum(axis=0).tolist()
     samples = {name: n for name, n in zip(record.outputs, counts, strict=True) if n}
-    return PredictedRecord(record.t, samples, view.ll, errors, curves, z)
+    tests = residual_tests(model, record, view.run.standardised, "validation") if task.block is None else ()
+    return PredictedRecord(record.t, samples, view.ll, errors, curves, z, tests)
 
 
 def widened(predicted: PredictedRecord, intervals: IntervalCalibration | None) -> PredictedRecord:

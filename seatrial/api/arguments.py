@@ -8,7 +8,7 @@ from functools import wraps
 from inspect import signature
 from numbers import Real
 from pathlib import Path
-from typing import Any, Literal, ParamSpec, TypeVar
+from typing import Any, Literal, ParamSpec, TypeVar, cast
 
 import numpy as np
 
@@ -27,9 +27,22 @@ ABOVE_ZERO = {
     "mass": ("a mass", "kg"),
     "inertia": ("an inertia", "kg m2"),
     "max_speed": ("a speed", "m/s"),
+    "slew": ("a rate", "1/s"),
+    "shortest": ("a time", "s"),
 }
 # Options with a range: smallest and largest value, as those of the command, and the unit in words
-WITHIN = {"energy": (1e-6, 1.0, " (full power)"), "current": (0.0, 2.0, " m/s")}
+WITHIN = {
+    "energy": (1e-6, 1.0, " (full power)"),
+    "current": (0.0, 2.0, " m/s"),
+    "n_max": (1e-6, 1.0, " (full command)"),
+}
+# Options that are a whole number: the smallest and largest value, as those of the command; None without a largest one
+WHOLE: dict[str, tuple[int, int | None]] = {
+    "max_effects": (1, None),
+    "evaluations": (500, None),
+    "steps": (2, 1000),
+    "seed": (0, None),
+}
 PATHS = ("effects_file",)  # options that are the path of a file
 
 
@@ -113,6 +126,15 @@ def check_within(name: str, value: object) -> None:
         raise SeatrialError(f"{name} {shortened(value)}: give a number from {low:g} to {high:g}{unit}")
 
 
+def check_whole(name: str, value: object) -> None:
+    """Raise SeatrialError if the option ``name`` of `WHOLE` is no whole number in its range."""
+    low, high = WHOLE[name]
+    whole = not isinstance(value, bool) and isinstance(value, int | np.integer)
+    if not whole or not low <= int(cast(Any, value)) <= (high or math.inf):
+        form = f"of at least {low}" if high is None else f"from {low} to {high}"
+        raise SeatrialError(f"{name} {shortened(value)}: give a whole number {form}")
+
+
 def as_sides(name: str, value: object) -> tuple[float, float]:
     """Return the argument ``name`` as the sides (north, east) [m] of an area.
 
@@ -181,9 +203,8 @@ def check_values(given: Mapping[str, Any]) -> None:
     Raises
     ------
     SeatrialError
-        If ``horizon``, ``mass``, ``duration``, ``inertia`` or ``max_speed`` is no number above zero, if ``energy``,
-        ``current`` or ``rate`` is no number in its range, ``max_effects`` no whole number of at least 1, or a path
-        neither text nor a Path.
+        If an option of `ABOVE_ZERO` is no number above zero, if one of `WITHIN` or ``rate`` is no number in its range,
+        one of `WHOLE` no whole number in its range, or a path neither text nor a Path.
     """
     for name, value in given.items():
         if value is None:
@@ -196,5 +217,5 @@ def check_values(given: Mapping[str, Any]) -> None:
             check_rate(value)
         elif name in PATHS:
             as_path(value, name)
-        elif name == "max_effects" and (isinstance(value, bool) or not isinstance(value, int) or value < 1):
-            raise SeatrialError(f"max_effects {shortened(value)}: give a whole number of at least 1")
+        elif name in WHOLE:
+            check_whole(name, value)

@@ -17,14 +17,14 @@ from seatrial.api.figures import Figure
 from seatrial.api.fits import FittedResult, Logs, model_path, refuse_log, window_of
 from seatrial.api.logs import Log, PathLike, as_paths
 from seatrial.api.messages import Messages, errors_of_users, text_of, warn_of_result
-from seatrial.api.series import ByRecord, ComparedPredictions, Prediction
+from seatrial.api.series import ByRecord, ComparedPredictions, Prediction, Series
 from seatrial.api.shown import Content, Shown, number
-from seatrial.daq.errors import SeatrialError
+from seatrial.daq.errors import NamedValues, SeatrialError
 from seatrial.daq.log import import_library
 from seatrial.ident.numerics import wrap
 
 if TYPE_CHECKING:
-    from seatrial.ident.results import ComparisonResult
+    from seatrial.ident.results import ComparedModel, ComparisonResult
 
 AnyModel = Any  # PathLike, FittedVehicle, FittedDiagnosis or Saved, which is imported only if it is needed
 RATIO = ("ratio", "low", "high", "blocks", "verdict")  # columns of the ratio of an error to that of the first model
@@ -134,13 +134,13 @@ class Comparison(Shown):
             prediction is within half a turn of the sample.
         """
         names = {m.label: m.name for m in self.result.models}
-        found = ComparedPredictions()
+        found = ComparedPredictions(m.name for m in self.result.models)
         for x in self.result.traces:
             for p in x.predictions:
                 t, predicted, sd = p.t[p.unseen], p.predicted[p.unseen], p.sd[p.unseen]
                 measured = np.interp(t, x.t, x.measured, left=np.nan, right=np.nan)
                 horizon: float | Literal["simulation"] = "simulation" if p.seconds is None else p.seconds
-                by_record = found.setdefault(names[p.model], {}).setdefault(horizon, ByRecord[Prediction]())
+                by_record = found[names[p.model]].setdefault(horizon, ByRecord[Prediction]())
                 if x.angle:
                     predicted = measured - wrap(measured - predicted, True)
                 samples = Prediction(t, measured, predicted, sd, x.unit)
@@ -148,6 +148,85 @@ class Comparison(Shown):
                     by_record[x.record] = {}
                 by_record[x.record][x.channel] = samples
         return found
+
+    def residuals(self, model: str | None = None) -> ByRecord[Series]:
+        """Return the standardised residuals of a model one step ahead on the compared logs, by record and channel.
+
+        They are innovations divided by their standard deviations, without outliers, as `FittedVehicle.residuals`. The
+        filter of a comparison is of first order, so that they may differ a little from those of the fit. A channel
+        with fewer than 60 samples in a record is missing.
+
+        Parameters
+        ----------
+        model : str, optional
+            Name of the model, one of `names`. None: the first one.
+
+        Returns
+        -------
+        ByRecord of Series
+            By record and channel; `to_pandas` gives one table of all. White noise of variance 1 if the model is
+            complete.
+
+        Raises
+        ------
+        SeatrialError
+            If there is no model of this name, or if the comparison has no residuals, as one of logs that are cut into
+            blocks of time.
+        """
+        found = ByRecord[Series]()
+        for row in self._with_residuals(model).residuals:
+            if row.record not in found:
+                found[row.record] = {}
+            found[row.record][row.channel] = Series(row.t, row.e)
+        return found
+
+    def residual_tests(self, model: str | None = None) -> Any:
+        """Return the tests of the `residuals` as a ``pandas.DataFrame`` with a row for each test.
+
+        The tests are those of whiteness, of normality and of the correlation with each input. The index and the columns
+        are those of `FittedVehicle.residual_tests`.
+
+        Parameters
+        ----------
+        model : str, optional
+            Name of the model, one of `names`. None: the first one.
+
+        Raises
+        ------
+        SeatrialError
+            As `residuals`, or if pandas is not installed.
+        """
+        return tables.residual_frame(self._with_residuals(model), "validation")
+
+    def plot_residuals(self, *channels: str, model: str | None = None) -> Figure:
+        """Return a figure of the `residuals` over time, with lines at ± 2.
+
+        Parameters
+        ----------
+        *channels : str
+            Names of the channels to draw, such as ``"psi"``; without names all are drawn.
+        model : str, optional
+            Name of the model, one of `names`. None: the first one.
+
+        Raises
+        ------
+        SeatrialError
+            As `residuals`, or if there is no channel with one of the names.
+        """
+        from seatrial.api.plots import residual_figure
+
+        return residual_figure(self.residuals(model), channels)
+
+    def _with_residuals(self, model: str | None) -> ComparedModel:
+        """Return the row of a model by its name; None: the first one. SeatrialError if it has no residuals."""
+        rows = NamedValues({m.name: m for m in self.result.models}, "model")
+        row = self.result.models[0] if model is None else rows[model]
+        if not row.residuals:
+            raise SeatrialError(
+                "this comparison has no residuals: its logs are cut into blocks of time or have fewer than 60 samples "
+                "of each channel, or it was made by an earlier version of seatrial; compare again with st.compare"
+            )
+        return row
 
     def plot(self, *channels: str, horizon: float | Literal["simulation"] | None = None) -> Figure:
         """Return a figure of the measured channels with the predictions of all models, each with its 95 % band.

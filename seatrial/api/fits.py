@@ -48,28 +48,10 @@ LISTS = (
     "profiles",
     "homogeneity",
     "per_log",
+    "chosen",
 )  # options with a list of names, for which one name may be given
 # Options with values of parameters by name, with an example of each for the messages
 PARAMETER_VALUES = {"fixed": '{"c1": 6.85}', "initial": '{"m_u": 30.0}', "priors": '{"c1": (6.85, 0.3)}'}
-
-# Attributes of results in other libraries (statsmodels, scipy), and those with the same meaning here
-OTHER_NAMES = {
-    "bse": "standard_errors",
-    "stderr": "standard_errors",
-    "conf_int": "to_pandas",
-    "pvalues": "to_pandas",
-    "tvalues": "to_pandas",
-    "llf": "log_likelihood",
-    "loglik": "log_likelihood",
-    "loglike": "log_likelihood",
-    "cov_params": "cov_to_pandas",
-    "resid": "residuals",
-    "test_serial_correlation": "residual_tests",
-    "test_normality": "residual_tests",
-    "fittedvalues": "predict",
-    "forecast": "predict",
-    "x": "params",
-}
 
 
 class FitOptions(TypedDict, total=False):
@@ -341,10 +323,6 @@ class FittedResult(FitReport):
     """
 
     fitted: FittedModel
-
-    def __getattr__(self, name: str) -> Any:
-        """Raise AttributeError. The message has the attribute with this meaning, or with the most similar name."""
-        raise unknown_attribute(self, name)
 
     @property
     def cov(self) -> NDArray[np.float64]:
@@ -660,6 +638,9 @@ class FittedDiagnosis(DiagnosisFindings, MotionMethods, FittedResult):
         if advice := result.recommended_experiment:  # its command needs the model.toml of this folder
             advice = with_model_of_design(advice, str(out / "model.toml"), "model.toml")
             result = structs.replace(result, recommended_experiment=advice)
+        elif result.no_experiment:  # so may the advice in place of an experiment
+            reason = with_model_of_design(result.no_experiment, str(out / "model.toml"), "model.toml")
+            result = structs.replace(result, no_experiment=reason)
         write_diagnosed_model(DiagnosedModel(self.found, result, self.effects_file), out)
         return out
 
@@ -911,18 +892,6 @@ def _paths_or_none(logs: Logs) -> list[Path]:
     if cut := [x.path.name for x in several if isinstance(x, Log) and (x.start > 0.0 or np.isfinite(x.end))]:
         raise SeatrialError(f"validation logs are always used as a whole: open {', '.join(cut)} without start and end")
     return as_paths(several) if several else []
-
-
-def unknown_attribute(thing: object, name: str) -> AttributeError:
-    """Return the error about an attribute that a result lacks, with the one of this meaning or of a similar name.
-
-    An attribute of `OTHER_NAMES` is suggested only if the result has it.
-    """
-    known = [n for n in dir(type(thing)) if not n.startswith("_")]
-    same = OTHER_NAMES.get(name)
-    near = same if same in known else closest_name(name, known)
-    hint = f"; did you mean {near!r}?" if near and not name.startswith("_") else ""
-    return AttributeError(f"{type(thing).__name__!r} object has no attribute {name!r}{hint}", name=name, obj=None)
 
 
 def known_options(given: Mapping[str, Any], options: type) -> dict[str, Any]:

@@ -15,13 +15,13 @@ from numpy.typing import ArrayLike, NDArray
 from seatrial.api import tables
 from seatrial.api.arguments import Role, as_path, named_arguments, shortened
 from seatrial.api.findings import DiagnosisFindings
-from seatrial.api.fits import FittedResult, MotionMethods, known_options, model_path, unknown_attribute
+from seatrial.api.fits import FittedResult, MotionMethods, known_options, model_path
 from seatrial.api.logs import Log, PathLike
 from seatrial.api.messages import errors_of_users, text_of
 from seatrial.api.plots import comparison_figure, prediction_figure
 from seatrial.api.series import Series, Simulation
-from seatrial.api.shown import Content, Shown, number
-from seatrial.daq.errors import NamedValues, SeatrialError, closest_name, counted, file_hint, warn
+from seatrial.api.shown import Content, Shown, number, unknown_attribute
+from seatrial.daq.errors import NamedValues, SeatrialError, UnknownAttribute, closest_name, counted, file_hint, warn
 from seatrial.daq.log import import_library
 
 if TYPE_CHECKING:
@@ -37,6 +37,15 @@ FARTHEST = 10.0  # largest input of a simulation, as a multiple of the largest o
 LARGEST_ANGLE = 4.0 * math.pi  # rad, or rad/s; larger initial values of a boat are degrees
 ROWS_PER_SAMPLE = 10.0  # of a simulation, for the rate above which a sensor would be averaged
 TEXT_TABLES = (".csv", ".tsv", ".txt", ".dat")  # suffixes of texts that probably contain a table
+# Format for a program whose name is not the name of its format, and what it is
+FORMATS_OF_PROGRAMS = {
+    **dict.fromkeys(("simulink", "matlab", "modelica", "openmodelica", "fmi", "fmpy"), "fmu"),
+    **dict.fromkeys(("cpp", "c++", "arduino"), "c"),
+    **dict.fromkeys(("ros", "yaml"), "ros2"),
+    **dict.fromkeys(("numpy", "py"), "python"),
+    **dict.fromkeys(("gz", "sdf"), "gazebo"),
+}
+FORMAT_WORDS = {"fmu": " (FMI 2.0 co-simulation, for Simulink, OpenModelica and others)"}
 MODEL_COLUMNS = ("value", "se", "unit", "meaning")  # of the table of a model without its result
 
 
@@ -156,11 +165,14 @@ class Saved(MotionMethods, Shown):
         return tables.labelled_covariance(self.cov, self.free)
 
     def __getattr__(self, name: str) -> Any:
-        """Raise AttributeError. If a fit has an attribute of this name, the message says how to obtain it."""
+        """Raise `UnknownAttribute`. If a fit has an attribute of this name, the message says how to obtain it."""
         if name in NEED_LOGS:
-            raise AttributeError(
+            computed = self._as_computed(with_files=False)  # a comparison has its residuals
+            if computed is not None and hasattr(computed, name):
+                return getattr(computed, name)
+            raise UnknownAttribute(
                 f"a loaded result has no {name}, which needs the logs: fit them again with st.fit or st.diagnose, or "
-                "evaluate the model on logs with st.compare"
+                "evaluate the model on logs with st.compare, whose result has residuals, residual_tests and predictions"
             )
         raise unknown_attribute(self, name)
 
@@ -224,6 +236,8 @@ class Saved(MotionMethods, Shown):
     def residual_tests(self, on: Role = "estimation") -> Any:
         """Return the tests of the residuals as a ``pandas.DataFrame``, as `FittedVehicle.residual_tests`.
 
+        Those of a comparison are of its first model on the compared logs, as `Comparison.residual_tests`.
+
         Parameters
         ----------
         on : ``estimation`` or ``validation``
@@ -235,6 +249,8 @@ class Saved(MotionMethods, Shown):
             If no result of a fit was loaded, if pandas is not installed, or if there are no residual tests of
             validation data.
         """
+        if self.result is not None and self.result.__struct_config__.tag == "comparison":
+            return self._as_computed(with_files=False).residual_tests()
         self._require_fit("residuals")
         return tables.residual_frame(self.result, on)
 
@@ -533,10 +549,10 @@ def simulate(
             first[k] = value
         run = integrate(structure, record, x0=first)
     at = np.searchsorted(run.t, times - times[0] - SAME_TIME)
-    found = Simulation()
+    found: dict[str, Series] = {}
     found |= {o.name: Series(times, run.y[at, j]) for j, o in enumerate(structure.outputs)}
     found |= {s.name: Series(times, run.x[at, j]) for j, s in enumerate(structure.states)}
-    return found
+    return Simulation(found)
 
 
 def _initial_states(structure: Model, start: Any) -> dict[int, float]:
@@ -597,7 +613,12 @@ def _checked_inputs(
     form = "{" + ", ".join(f"{n!r}: 0.5 + 0 * t" for n in needed) + "}"
     if not hasattr(inputs, "items") or isinstance(inputs, Log):
         raise SeatrialError(f"inputs: give a dict with the values of each input by name, such as {form}")
-    named = {str(name): np.asarray(values, dtype=float) for name, values in inputs.items()}
+    named = {}
+    for name, values in inputs.items():
+        try:
+            named[str(name)] = np.asarray(values, dtype=float)
+        except (TypeError, ValueError):
+            raise SeatrialError(f"input {name}: {shortened(values)} is no array of numbers; give {form}") from None
     for name, values in named.items():
         if name not in known:
             near = closest_name(name, needed)
@@ -678,7 +699,11 @@ def export(
 
     given: dict[str, Any] = known_options(options, ExportOptions)
     if format not in (targets := get_args(Target)):
-        raise SeatrialError(f"there is no format {format!r}; choose {', '.join(targets)}")
+        meant = FORMATS_OF_PROGRAMS.get(str(format).lower()) or closest_name(str(format), targets)
+        hint = f"did you mean {meant!r}{FORMAT_WORDS.get(meant, '')}? The formats are" if meant else "choose"
+        raise SeatrialError(f"there is no format {format!r}; {hint} {', '.join(targets)}")
+    if not isinstance(given.get("name", ""), str):
+        raise SeatrialError(f"name {shortened(given['name'])}: give a text, the prefix of functions and of the file")
     out, benches, force = as_path(folder, "folder"), given.pop("thruster", {}), given.pop("force", False)
     if not isinstance(benches, str | Path | Mapping):
         example = '{"left": "left/model.toml"}'

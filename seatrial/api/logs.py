@@ -18,7 +18,7 @@ from seatrial.api.messages import OF_IMPORT, OF_WINDOW, errors_of_users, in_pyth
 from seatrial.api.series import Series
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.checks import FAULT, WARNING, Finding, findings_lines, findings_summary, worst_first
-from seatrial.daq.errors import SeatrialError, closest_name, counted, file_hint, first_names, warn
+from seatrial.daq.errors import SeatrialError, UnknownName, closest_name, counted, file_hint, first_names, warn
 from seatrial.daq.log import import_library, log_file
 
 if TYPE_CHECKING:
@@ -95,14 +95,14 @@ class Log(Shown, Mapping[str, Signal]):
         return float(max(s.t[-1] for s in self.signals.values()) - first)
 
     def __getitem__(self, name: str) -> Signal:
-        """Return the signal of this name. KeyError names the similar signal, or all signals, if there is none."""
+        """Return the signal of this name. `UnknownName` names the similar signal, or all signals, if there is none."""
         if name not in self.signals:
             from seatrial.daq.importers.recognise import read_name  # imported here, as only this error needs it
 
             text = str(name)  # a number is no name, but may be given by mistake
             near = closest_name(ALIASES.get(text) or read_name(text).meaning or text, self.signals)
             hint = f"did you mean {near!r}? It" if near else "it"
-            raise KeyError(f"{self.path.name} has no signal {name!r}; {hint} has {', '.join(self.signals)}")
+            raise UnknownName(f"{self.path.name} has no signal {name!r}; {hint} has {', '.join(self.signals)}")
         return self.signals[name]
 
     def __iter__(self) -> Iterator[str]:

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from io import BytesIO
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from seatrial.api.arguments import as_path, named_arguments
+from seatrial.api.arguments import as_path, check_number, named_arguments, shortened
 from seatrial.api.figures import Figure
 from seatrial.api.fits import FittedResult, model_path
 from seatrial.api.loading import Saved
@@ -187,6 +188,46 @@ class Linearisation(Shown, LinearModel):
             "conditions": dict(self.conditions),
         }
 
+    def step_response(self, inputs: Inputs, t: ArrayLike | None = None) -> dict[str, NDArray[np.float64]]:
+        """Return the response of each state to a unit step of the inputs at t = 0, with their dead time.
+
+        Parameters
+        ----------
+        inputs : str, or dict of str to float
+            Name of an input or of one of the `motions`, or a weight for each of several of these names.
+        t : Array (n_times,) or float, optional
+            Times [s], at least 0. None: `times`. One number is the end of 200 equidistant times from 0 on.
+
+        Returns
+        -------
+        dict of str to Array (n_times,)
+            Change of each state from the operating point, for a step of one unit of the inputs, in SI units and
+            radians.
+
+        Raises
+        ------
+        SeatrialError
+            If the model has no such input, if ``inputs`` is neither a name nor a dict of weights, or if a time is no
+            number of at least 0.
+
+        Warns
+        -----
+        SeatrialWarning
+            If a pole is unstable. The response then grows without limit, which no boat does: it is valid only while the
+            changes are small.
+        """
+        found = super().step_response(inputs, t)
+        self._warn_of_growth()
+        return found
+
+    def _warn_of_growth(self) -> None:
+        """Warn that a step response grows without limit, if a pole is unstable."""
+        if rate := self.growth:
+            warn(
+                f"the linear model at {self.speed:g} m/s is unstable: its step response grows by a factor of e in "
+                f"{1.0 / rate:.3g} s without limit, which no boat does; use it only while the changes are small"
+            )
+
     def plot_step(self, inputs: Inputs | None = None, size: float = STEP, t: ArrayLike | None = None) -> Figure:
         """Return a figure of the step responses, with a panel for each state that responds, and 95 % bands.
 
@@ -197,19 +238,26 @@ class Linearisation(Shown, LinearModel):
         size : float
             Size of the step, in the unit of the inputs. The linear model holds for small steps.
         t : Array (n_times,), optional
-            Times [s], at least 0. None: `times`.
+            Times [s], at least 0, or the end of them. None: `times`.
 
         Raises
         ------
-        KeyError
-            If the model has no such input.
+        SeatrialError
+            If the model has no such input, or if ``size`` or a time is no number.
+
+        Warns
+        -----
+        SeatrialWarning
+            If a pole is unstable, so that the response grows.
         """
         from seatrial.ident.report import Panel, band, degrees_for, line_trace, stacked
 
-        at = self.times if t is None else np.asarray(t, dtype=float)
+        check_number("size", size, "the unit of the inputs")
+        at = self.response_times(t)
+        self._warn_of_growth()
         panels = []
         for name, chosen in self._chosen(inputs).items():
-            found = self.step_response(chosen, at)
+            found = super().step_response(chosen, at)
             moved = [m.step_response(chosen, at) for m in self.moved]
             for state in self.responding(chosen):
                 factor, unit = degrees_for(self.units[state])
@@ -240,10 +288,9 @@ class Linearisation(Shown, LinearModel):
 
         Raises
         ------
-        KeyError
-            If the model has no such input.
         SeatrialError
-            If none of the states responds to the inputs.
+            If the model has no such input, if a frequency is no number above 0, or if none of the states responds to
+            the inputs.
         """
         from seatrial.ident.report import (
             DASHES,
@@ -258,10 +305,9 @@ class Linearisation(Shown, LinearModel):
             stacked,
         )
 
-        f = None if frequency is None else np.asarray(frequency, dtype=float)
         gain, phase, shown = Panel("gain [dB]"), Panel("phase [deg]"), list[Bode]()
         for name, chosen in self._chosen(inputs).items():
-            for state, bode in self.bode(chosen, f).items():
+            for state, bode in self.bode(chosen, frequency).items():
                 if states and state not in states:
                     continue
                 factor, unit = degrees_for(self.units[state])
@@ -511,7 +557,7 @@ def linearise(
     from seatrial.ident.export import chosen_conditions, sway_slopes
     from seatrial.ident.export import linearise as about_speed
 
-    _warn_of_degrees(at)
+    _check_conditions(at)
     with errors_of_users():
         structure, ranges, known = _estimates(model)
         found = about_speed(structure, speed, known, chosen_conditions(structure, ranges, at))
@@ -585,11 +631,15 @@ def steady(
     from seatrial.ident.export import chosen_conditions
     from seatrial.ident.workflows.dynamics import steady_curves
 
-    if points < 3:
-        raise SeatrialError(f"points {points}: give at least 3")
-    if bad := [m for m in means or () if not 0.0 <= m <= 1.0]:
-        raise SeatrialError(f"means {bad[0]:g}: give parts of the largest command, from 0 to 1")
-    _warn_of_degrees(at)
+    if isinstance(points, bool) or not isinstance(points, int) or points < 3:
+        raise SeatrialError(f"points {shortened(points)}: give a whole number of at least 3")
+    if isinstance(means, str | Mapping) or not isinstance(means, Iterable | None):
+        raise SeatrialError(f"means: give a list of numbers from 0 to 1, such as [0.0, 0.5], not {shortened(means)}")
+    for mean in means or ():
+        if not isinstance(mean, Real) or not 0.0 <= mean <= 1.0:
+            shown = f"{mean:g}" if isinstance(mean, int | float) else shortened(mean)
+            raise SeatrialError(f"means {shown}: give parts of the largest command, from 0 to 1")
+    _check_conditions(at)
     with errors_of_users():
         structure, ranges, known = _estimates(model)
         conditions = chosen_conditions(structure, ranges, at)
@@ -604,9 +654,18 @@ def steady(
     return Steady(tuple(curves), conditions, ranges.get("u"), ranges.get("r"))
 
 
-def _warn_of_degrees(at: Mapping[str, float] | None) -> None:
-    """Warn if the heading of the conditions `at` is more than one turn: its unit is then probably the degree."""
-    psi = (at or {}).get("psi", 0.0)
+def _check_conditions(at: object) -> None:
+    """Raise SeatrialError if the conditions ``at`` are neither None nor a dict of numbers.
+
+    Warn if their heading is more than one turn: its unit is then probably the degree.
+    """
+    if at is None:
+        return
+    if not isinstance(at, Mapping):
+        raise SeatrialError(f'at: give a dict of conditions by name, such as {{"psi": 0.5}}, not {shortened(at)}')
+    for name, value in at.items():
+        check_number(f"at: {name}", value, "SI units and radians")
+    psi = at.get("psi", 0.0)
     if 2.0 * np.pi < abs(psi) < np.inf:
         warn(f"psi = {psi:g} rad; if these are degrees, give np.radians({psi:g})")
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from numbers import Real
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Literal, TypedDict, TypeVar, Unpack
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, TypeVar, Unpack, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from seatrial.api.arguments import (
     check_rate,
     named_arguments,
     output_folder,
+    shortened,
 )
 from seatrial.api.calls import python_call
 from seatrial.api.fits import (
@@ -35,6 +37,7 @@ from seatrial.api.fits import (
 from seatrial.api.logs import PathLike, as_paths
 from seatrial.api.messages import OF_THRUSTER, Messages, errors_of_users, warn_of_result, with_texts_in_python
 from seatrial.api.shown import Content, Shown, number
+from seatrial.daq.errors import SeatrialError
 from seatrial.daq.files import write_output
 from seatrial.daq.log import import_library
 
@@ -96,7 +99,7 @@ class DesignOptions(TypedDict, total=False):
         Names of the parameters of the criterion; empty for all that the sensors observe.
     between : tuple of two str
         Names of two effects that the mission distinguishes; empty for a design by the criterion. The search usually
-        takes 2 to 10 minutes.
+        takes 2 to 10 minutes; ``progress=True`` prints how far it is.
     area : tuple of two float
         Sides (north, east) [m] of the area for the whole track, which begins with a heading of north.
     max_speed : float
@@ -115,7 +118,7 @@ class DesignOptions(TypedDict, total=False):
         Sample rates [Hz] by name of the sensor. Others have the rate of the data that the model was fitted to, or 10 Hz
         if it is unknown.
     evaluations : int
-        Number of simulations of the mission in the search for the best commands.
+        Number of simulations of the mission in the search for the best commands, at least 500.
     seed : int
         Seed of all random draws.
     progress : bool
@@ -488,6 +491,7 @@ def design(
     from seatrial.ident.workflows.design import DesignRequest, make_design
 
     given, file = known_options(options, DesignOptions), as_path(out, "out")
+    _check_design(given)
     reporter = Messages(given.pop("progress", False))
     area, speed, energy, current = (given.pop(name, None) for name in ("area", "max_speed", "energy", "current"))
     limits = DesignLimits(None if area is None else as_sides("area", area), speed, energy, current or 0.0)
@@ -498,6 +502,27 @@ def design(
         found = make_design(str(source), request, file, command, reporter, force)
     warn_of_result(found, reporter)
     return with_texts_in_python(found)
+
+
+def _check_design(given: Mapping[str, Any]) -> None:
+    """Raise SeatrialError if options of a design (`DesignOptions`) are no names, or are not as the command wants them.
+
+    These are ``criterion``, ``chosen``, ``between`` and ``rates``.
+    """
+    from seatrial.ident.experiment_design import Kind
+
+    criterion, between, rates = given.get("criterion", "D"), given.get("between", ()), given.get("rates", {})
+    if criterion not in (known := get_args(Kind)):
+        raise SeatrialError(f"criterion {shortened(criterion)}: choose {', '.join(known)}")
+    if criterion == "Ds" and not given.get("chosen"):
+        raise SeatrialError("criterion Ds needs the parameters to estimate; give them as chosen=('d_v', 'm_v')")
+    if isinstance(between, str) or not isinstance(between, Sequence) or len(between) not in (0, 2):
+        raise SeatrialError(f"between {shortened(between)}: give exactly two effects, such as ('delay', 'lag')")
+    if not isinstance(rates, Mapping):
+        raise SeatrialError(f'rates {shortened(rates)}: give a dict by sensor, in Hz, such as {{"position": 1.0}}')
+    for sensor, rate in rates.items():
+        if isinstance(rate, bool) or not isinstance(rate, Real) or not 0.0 < float(rate) < np.inf:
+            raise SeatrialError(f"rates: {sensor}: {shortened(rate)}: give a number above zero, in Hz")
 
 
 def _with_files(work: Callable[[Path], T], own: Mapping[str, str] | None = None) -> tuple[T, Files]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
@@ -104,7 +104,7 @@ T = TypeVar("T", Series, Prediction)
 class ByRecord(NamedValues[dict[str, T]]):
     """Residuals or predictions: a dict by record of a dict by channel, which also makes a table in pandas.
 
-    An unknown record or channel raises KeyError with the names that exist.
+    An unknown record or channel raises `UnknownName`, a KeyError, with the names that exist.
 
     Parameters
     ----------
@@ -143,11 +143,21 @@ class ByRecord(NamedValues[dict[str, T]]):
         return pandas.concat(parts, ignore_index=True) if parts else pandas.DataFrame(columns=["record", "channel"])
 
 
-class ComparedPredictions(dict[str, dict[float | Literal["simulation"], ByRecord[Prediction]]]):
+class ComparedPredictions(NamedValues[dict[float | Literal["simulation"], ByRecord[Prediction]]]):
     """Predictions of several models: a dict by name of the model of a dict by horizon, which also makes a table.
 
     A horizon is a time [s], or ``"simulation"``. For each, the predictions are a `ByRecord`: by record and channel.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Names of the models, for which the dict begins without predictions.
     """
+
+    def __init__(self, names: Iterable[str]) -> None:
+        """Begin without predictions."""
+        found: Any = {name: NamedValues({}, f"horizon of {name}") for name in names}
+        super().__init__(found, "model")
 
     def to_pandas(self) -> Any:
         """Return all predictions as a ``pandas.DataFrame`` with a row for each predicted sample.
@@ -174,8 +184,18 @@ class ComparedPredictions(dict[str, dict[float | Literal["simulation"], ByRecord
         return table[[*first, *(c for c in table.columns if c not in first)]]
 
 
-class Simulation(dict[str, Series]):
-    """Simulated states and outputs: a dict by name, which also makes a table in pandas. `simulate` returns it."""
+class Simulation(NamedValues[Series]):
+    """Simulated states and outputs: a dict by name, which also makes a table in pandas. `simulate` returns it.
+
+    Parameters
+    ----------
+    values : dict of str to Series
+        The signals by name.
+    """
+
+    def __init__(self, values: Mapping[str, Series]) -> None:
+        """Copy the signals."""
+        super().__init__(values, "state or output")
 
     def to_pandas(self) -> Any:
         """Return all signals as the columns of a ``pandas.DataFrame``, whose index is the time [s].

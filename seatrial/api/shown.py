@@ -4,9 +4,30 @@ from __future__ import annotations
 
 import html
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+
+from seatrial.daq.errors import UnknownAttribute, closest_name
+
+# Attributes of results in other libraries (statsmodels, scipy), and those with the same meaning here
+OTHER_NAMES = {
+    "bse": "standard_errors",
+    "stderr": "standard_errors",
+    "conf_int": "to_pandas",
+    "pvalues": "to_pandas",
+    "tvalues": "to_pandas",
+    "llf": "log_likelihood",
+    "loglik": "log_likelihood",
+    "loglike": "log_likelihood",
+    "cov_params": "cov_to_pandas",
+    "resid": "residuals",
+    "test_serial_correlation": "residual_tests",
+    "test_normality": "residual_tests",
+    "fittedvalues": "predict",
+    "forecast": "predict",
+    "x": "params",
+}
 
 
 class Content(NamedTuple):
@@ -35,6 +56,10 @@ class Shown:
 
     __slots__ = ()
 
+    def __getattr__(self, name: str) -> Any:
+        """Raise `UnknownAttribute`. The message has the attribute with this meaning, or with the most similar name."""
+        raise unknown_attribute(self, name)
+
     def _content(self) -> Content:
         """Return what a notebook shows of the result."""
         raise NotImplementedError
@@ -58,3 +83,15 @@ def as_html(content: Content) -> str:
 def number(value: float | None, digits: int = 4) -> str:
     """Return a number as text with significant digits, by default four; empty for None and NaN."""
     return "" if value is None or np.isnan(value) else f"{value:.{digits}g}"
+
+
+def unknown_attribute(thing: object, name: str) -> UnknownAttribute:
+    """Return the error about an attribute that a result lacks, with the one of this meaning or of a similar name.
+
+    An attribute of `OTHER_NAMES` is suggested only if the result has it.
+    """
+    known = [n for n in dir(type(thing)) if not n.startswith("_")]
+    same = OTHER_NAMES.get(name)
+    near = same if same in known else closest_name(name, known)
+    hint = f"; did you mean {near!r}?" if near and not name.startswith("_") else ""
+    return UnknownAttribute(f"{type(thing).__name__!r} object has no attribute {name!r}{hint}", name=name, obj=None)

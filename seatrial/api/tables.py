@@ -18,7 +18,7 @@ from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import import_library
 
 if TYPE_CHECKING:
-    from seatrial.ident.results import FitResult, ParameterRow, Result, WhitenessTests
+    from seatrial.ident.results import ComparedModel, FitResult, ParameterRow, Result, WhitenessTests
 
 NORMAL_95 = 1.959964  # standard deviations of a normal distribution on each side of its 95 % interval
 WIDTH = 100  # columns of a summary
@@ -258,8 +258,10 @@ def frame(result: FitResult) -> Any:
     return import_library("pandas").DataFrame(rows, columns=list(Statistics._fields)).set_index("name")
 
 
-def residual_tests(result: FitResult, on: Role = "estimation") -> list[ResidualTest]:
+def residual_tests(result: FitResult | ComparedModel, on: Role = "estimation") -> list[ResidualTest]:
     """Return the tests of the residuals; of a diagnosis, those of the model with the effects.
+
+    ``result`` is that of a fit, or a model of a comparison, whose logs have the role ``validation``.
 
     ``on`` is the role of the records, ``estimation`` or ``validation``. SeatrialError is raised for another word, and
     if the result has no tests of validation data.
@@ -290,7 +292,7 @@ def residual_tests(result: FitResult, on: Role = "estimation") -> list[ResidualT
     ]  # fmt: skip
 
 
-def residual_frame(result: FitResult, on: Role = "estimation") -> Any:
+def residual_frame(result: FitResult | ComparedModel, on: Role = "estimation") -> Any:
     """Return the `residual_tests` of a fit as a ``pandas.DataFrame``; SeatrialError without pandas.
 
     The index names the test of each row, as `_test_labels` does: pandas prints the index in full, but leaves out

@@ -484,6 +484,27 @@ def test_residual_tests_have_the_verdicts_of_report_and_answer(
         assert whiteness["p"].iloc[0] == row.after.ljung_box_p
 
 
+def test_a_saved_model_has_residuals_on_a_new_log(fit: st.FittedVehicle, logs: list[Path], tmp_path: Path) -> None:
+    """As resid(z, m) of MATLAB: on the log of the validation they are nearly those of the fit."""
+    with pytest.warns(st.SeatrialWarning, match="run2"):  # its validation log
+        judged = st.compare(fit.save(tmp_path / "vehicle"), logs[1])
+    own, new = fit.residuals(on="validation")["run2"]["r"], judged.residuals()["run2"]["r"]
+    np.testing.assert_allclose(new.t, own.t)
+    assert np.corrcoef(new.value, own.value)[0, 1] > 0.99
+    tests = judged.residual_tests()
+    assert {"ljung-box", "periodogram", "normality", "cross-correlation"} == set(tests["test"])
+    assert set(tests["record"]) == {"run2"}
+    loaded = st.load(judged.save(tmp_path / "judged"))
+    assert len(loaded.residual_tests()) == len(tests)
+    np.testing.assert_allclose(loaded.residuals()["run2"]["r"].value, new.value, atol=1e-3)
+    assert "r, run2: residual" in str(loaded.plot_residuals("r").to_dict())
+    assert "One-step prediction errors divided by" in (tmp_path / "judged/report.html").read_text(encoding="utf-8")
+    with pytest.raises(st.SeatrialError, match="there is no model 'other'"):
+        judged.residuals("other")
+    with pytest.raises(st.SeatrialError, match=r"there is no horizon of .* 3\.0; the names are "):
+        judged.predictions()[judged.names[0]][3.0]
+
+
 def test_the_limit_of_a_residual_test_is_in_its_table(fit: st.FittedVehicle) -> None:
     table = fit.residual_tests()
     limits = table.groupby("test")["limit"].unique().map(list).to_dict()
@@ -726,9 +747,11 @@ def test_an_unknown_name_gives_the_similar_one(logs: list[Path], fit: st.FittedV
         (lambda: fit.linearise(0.5).bode("r"), "'r' is a state, not an input; name an input, and take the item 'r'"),
         (lambda: fit.linearise(0.5).bode("turn")["yaw"], "there is no state that responds 'yaw'; the names are v, r"),
     ):
-        with pytest.raises(KeyError) as raised:
+        with pytest.raises(st.SeatrialError) as raised:
             call()
-        assert message in raised.value.args[0]
+        assert isinstance(raised.value, KeyError)
+        assert message in str(raised.value)
+        assert str(raised.value) == raised.value.args[0]  # a plain KeyError prints it between quotes
     with pytest.raises(
         AttributeError, match="module 'seatrial' has no attribute 'linearize'; did you mean 'linearise'"
     ):
@@ -871,6 +894,12 @@ def test_an_unstable_pole_has_no_time_constant(fit: st.FittedVehicle) -> None:
     table = unstable.to_pandas()
     assert np.isnan(table.loc[table["real"] > 0.0, ["time_constant", "se"]]).all(axis=None)
     assert sorted(table["time_constant"].dropna()) == [1.0, 2.0]
+    grows = "unstable: its step response grows by a factor of e in 2.78 s without limit"
+    with pytest.warns(st.SeatrialWarning, match=grows) as step:
+        unstable.step_response("turn", 5.0)
+    with pytest.warns(st.SeatrialWarning, match=grows) as figure:
+        unstable.plot_step(t=5.0)
+    assert len(step) == len(figure) == 1
     shown = unstable._repr_html_()
     assert "-2.778" not in shown
     assert "<td>grows by a factor of e in 2.778 s</td>" in shown
@@ -986,7 +1015,7 @@ def test_steady_motion_is_that_of_a_long_simulation(fit: st.FittedVehicle, tmp_p
     assert steady.turn_rates == saved.saved_model().validity["r"]
     with pytest.raises(SeatrialError, match="means 2: give parts of the largest command"):
         fit.steady(means=(2.0,))
-    with pytest.raises(SeatrialError, match="points 2: give at least 3"):
+    with pytest.raises(SeatrialError, match="points 2: give a whole number of at least 3"):
         fit.steady(points=2)
 
 
@@ -1030,8 +1059,12 @@ def test_notebooks_show_every_result(
     expected = found.cov[np.ix_(at, at)]
     scale = np.sqrt(np.outer(expected.diagonal(), expected.diagonal()))
     np.testing.assert_allclose(again.cov / scale, expected / scale, atol=1e-5)  # the file rounds the correlations
-    with pytest.raises(AttributeError, match="a loaded result has no residuals, which needs the logs: fit them again"):
+    with pytest.raises(
+        st.SeatrialError, match="a loaded result has no residuals, which needs the logs: fit them"
+    ) as no:
         again.residuals()
+    assert isinstance(no.value, AttributeError)
+    assert not hasattr(again, "residuals")
     only_model = st.load(tmp_path / "fit/model.toml")
     assert only_model.to_pandas().loc["m_u", "value"] == pytest.approx(fit.params["m_u"], rel=1e-6)
     compared = st.compare({"a<b": fit, "with": found}, logs[2])
@@ -1084,7 +1117,7 @@ def test_export_writes_the_file_of_the_command(fit: st.FittedVehicle, tmp_path: 
         st.export(fit, tmp_path, "python", mass=30.0)
     with pytest.raises(SeatrialError, match="give mass and inertia"):
         st.export(fit, tmp_path, "gazebo")
-    with pytest.raises(SeatrialError, match="there is no format 'matlab'; choose python, casadi"):
+    with pytest.raises(SeatrialError, match=r"there is no format .matlab.; did you mean .fmu. \(FMI"):
         st.export(fit, tmp_path, "matlab")  # type: ignore[arg-type]
     with pytest.raises(SeatrialError, match="there is no option 'thrusters'; did you mean 'thruster'"):
         st.export(fit, tmp_path, "c", thrusters="x")  # type: ignore[call-arg]
@@ -1634,6 +1667,44 @@ def test_a_malformed_gnss_outage_gives_a_one_line_error(
         (lambda logs, fit: st.design(fit, "x.toml", max_speed=0), "max_speed 0: give a speed above zero, in m/s"),
         (lambda logs, fit: st.design(fit, "x.toml", energy=2.0), "energy 2.0: give a number from 1e-06 to 1 (full p"),
         (lambda logs, fit: st.design(fit, "x.toml", current="1"), "current '1': give a number from 0 to 2 m/s"),
+        (
+            lambda logs, fit: st.design(fit, "x.toml", evaluations=100),
+            "evaluations 100: give a whole number of at leas",
+        ),
+        (lambda logs, fit: st.design(fit, "x.toml", steps=1), "steps 1: give a whole number from 2 to 1000"),
+        (lambda logs, fit: st.design(fit, "x.toml", criterion="T"), "criterion 'T': choose D, A, E, Ds"),
+        (lambda logs, fit: st.design(fit, "x.toml", criterion="Ds"), "criterion Ds needs the parameters to estimate"),
+        (
+            lambda logs, fit: st.design(fit, "x.toml", between="wind,lag"),
+            "between 'wind,lag': give exactly two effects",
+        ),
+        (lambda logs, fit: st.design(fit, "x.toml", rates=5.0), "rates 5.0: give a dict by sensor, in Hz, such as"),
+        (
+            lambda logs, fit: st.design(fit, "x.toml", rates={"gyros": "5"}),
+            "rates: gyros: '5': give a number above zero",
+        ),
+        (
+            lambda logs, fit: st.export(fit, "x", "simulink"),
+            "did you mean 'fmu' (FMI 2.0 co-simulation, for Simulink, O",
+        ),
+        (lambda logs, fit: st.export(fit, "x", "pyton"), "did you mean 'python'? The formats are python, casadi, c,"),
+        (lambda logs, fit: st.export(fit, "x", "c", name=3), "name 3: give a text, the prefix of functions and of the"),
+        (
+            lambda logs, fit: fit.linearise(0.5, at=3),
+            'at: give a dict of conditions by name, such as {"psi": 0.5}, not',
+        ),
+        (lambda logs, fit: fit.linearise(0.5, at={"psi": "a"}), "at: psi 'a': give a number, in SI units and radians"),
+        (lambda logs, fit: fit.steady(points="9"), "points '9': give a whole number of at least 3"),
+        (lambda logs, fit: fit.steady(means=0.5), "means: give a list of numbers from 0 to 1, such as [0.0, 0.5], not"),
+        (
+            lambda logs, fit: fit.linearise(0.5).plot_step(size="1"),
+            "size '1': give a number, in the unit of the inputs",
+        ),
+        (lambda logs, fit: fit.linearise(0.5).eigenvalues, "'Linearisation' object has no attribute 'eigenvalues'"),
+        (
+            lambda logs, fit: st.simulate(fit, [0, 1], {"n_left": "ab"}),
+            "input n_left: 'ab' is no array of numbers; give",
+        ),
         (lambda logs, fit: st.open_log(logs[0], 500.0), "no data are left from 500 s on"),
         (lambda logs, fit: st.fit(logs[0], effects="umbilical"), "did you mean towed-line (a line or umbilical that"),
         (lambda logs, fit: st.fit(logs[0], effects="towed"), "did you mean towed-line (a line or"),

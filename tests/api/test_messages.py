@@ -6,10 +6,13 @@ import warnings
 from types import SimpleNamespace
 from typing import Any
 
+import click
 import pytest
 
+from seatrial.api.arguments import WHOLE
 from seatrial.api.messages import OF_THRUSTER, Messages, in_python, warn_of_result
 from seatrial.daq.errors import SeatrialWarning
+from seatrial.ident.cli.commands import design
 
 
 @pytest.mark.parametrize(
@@ -53,3 +56,11 @@ def test_each_warning_of_a_result_is_issued_once() -> None:
         warn_of_result(result, messages)
     assert [str(w.message) for w in issued] == ["not used: give model", "the data contradict the prior"]
     assert {w.category for w in issued} == {SeatrialWarning}
+
+
+def test_whole_numbers_of_a_design_have_the_limits_of_the_command() -> None:
+    options = {p.name: p.type for p in design.params if isinstance(p.type, click.IntRange)}
+    for name in ("evaluations", "steps", "seed"):
+        kind = options[name]
+        assert isinstance(kind, click.IntRange)
+        assert WHOLE[name] == (kind.min, kind.max)

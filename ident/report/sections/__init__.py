@@ -75,7 +75,9 @@ def body(canvas: Canvas, result: Result) -> list[Section]:
         found += [campaigns.estimates_section(canvas, result), campaigns.logs_section(result)]
     elif isinstance(result, ComparisonResult):
         found = [comparison.errors_section(result), comparison.overlay_section(canvas, result)]
-        if not result.is_evaluation:
+        if result.is_evaluation:
+            found.append(residuals.evaluation_section(canvas, result))
+        else:
             errors, overlay = found
             found = [comparison.differences_section(result), comparison.best_section(result), errors]
             found += [comparison.likelihood_section(result), overlay]

@@ -215,7 +215,13 @@ def _change_blocks(table: Sequence[ParameterChange]) -> list[Any]:
         return []
     columns = (("parameter", ""), ("before", "num"), ("after", "num"), ("unit", ""), ("change", "num"))
     note = "change in standard errors of the value before"
-    return [Heading("Before and after the effects", note), Table(columns, [_change_cells(row) for row in table])]
+    why = (
+        "The standard errors before are those of that fit alone. On the page of the fit that was diagnosed they can be "
+        "several times as large, since they include by how much each missing effect may shift the estimate. The "
+        "standard errors after include this for the candidates that still pass the score tests."
+    )
+    shown = Table(columns, [_change_cells(row) for row in table])
+    return [Heading("Before and after the effects", note), Prose(why), shown]
 
 
 def _change_cells(row: ParameterChange) -> list[Cell | str]:

@@ -25,6 +25,7 @@ from seatrial.ident.results import (
 )
 
 T = TypeVar("T")
+LARGE_RISE = 1.2  # ratio of the errors after and before, from which a rise without a mark is named
 Kinds = Sequence[tuple[str, Mapping[str, ErrorComparison]]]
 
 
@@ -90,12 +91,37 @@ def errors_section(errors: Errors, seconds: float, caveat: str = "") -> Section:
     has_before = compared(errors)
     table = _before_after_table if has_before else _error_table
     roles = by_role(errors.validation, errors.estimation)
-    tabs = [(f"{role} data", table(horizons(data, seconds))) for role, data in roles]
+    tabs = []
+    for role, data in roles:
+        kinds = horizons(data, seconds)
+        words = unmarked_rises(kinds) if has_before else ""
+        tabs.append((f"{role} data", [*table(kinds), *([Prose(words)] if words else [])]))
     lead = "Root mean square of the difference of measured and predicted values."
     if has_before:
         lead += " ▼ and ▲: the error fell or rose by more than 0.5 %, and the 95 % interval of the ratio excludes 1."
     lead = f"{lead} {caveat}".rstrip()
     return Section("errors", "Error before and after" if has_before else "Prediction error", tabbed(tabs), lead)
+
+
+def unmarked_rises(kinds: Kinds) -> str:
+    """Return a sentence on the channels whose error rose with the effects by a fifth or more, but without a mark.
+
+    These are the predictions without an interval, such as a simulation, and those whose interval includes 1. The text
+    is empty without such a channel. ``kinds`` is that of a table of errors before and after.
+    """
+    found = []
+    for title, table in kinds:
+        for name, row in table.items():
+            factor, unit = formatting.degrees_for(row.unit)
+            if row.verdict != "rose" and row.before and row.after and row.after >= LARGE_RISE * row.before:
+                sizes = " → ".join(formatting.plain(factor * value) for value in (row.before, row.after))
+                found.append(f"{title.lower()}, {formatting.titled(name)} ({f'{sizes} {unit}'.rstrip()})")
+    if not found:
+        return ""
+    return (
+        "Larger with the effects, but without a mark, because no interval shows whether it is chance: "
+        f"{'; '.join(found)}."
+    )
 
 
 def _before_after_table(kinds: Kinds) -> list[Any]:

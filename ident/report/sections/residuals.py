@@ -6,7 +6,7 @@ standard deviation.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -15,7 +15,15 @@ from seatrial.ident.numerics import Array
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Canvas, Cell, Grid, Heading, Key, OnScreen, Plot, Section, Table, tabbed
 from seatrial.ident.report.record_tabs import RecordTab, of_record, record_tabs, roles_of
-from seatrial.ident.results import CorrelationTest, CrossCorrelationRow, FitResult, ResidualTests, WhitenessTests
+from seatrial.ident.results import (
+    ComparisonResult,
+    CorrelationTest,
+    CrossCorrelationRow,
+    DiagnosisResult,
+    FitResult,
+    ResidualTests,
+    WhitenessTests,
+)
 
 T = TypeVar("T", WhitenessTests, CorrelationTest)
 # 95 % quantile of sqrt(m) times the largest distance of the cumulative periodogram of white noise from the diagonal,
@@ -35,9 +43,32 @@ def section(canvas: Canvas, result: FitResult) -> Section:
     result
         Result of a fit, with whiteness tests and correlations.
     """
+    # The answer of a diagnosis has no sentence on the residuals.
+    top = "The sentence at the top of the page tests all channels of the estimation data together."
+    end = "" if isinstance(result, DiagnosisResult) else top
+    return _section(canvas, result.residuals, result.cross, roles_of(result.logs, result.traces), end)
+
+
+def evaluation_section(canvas: Canvas, result: ComparisonResult) -> Section:
+    """Return the section of the residuals of one model on the logs of its evaluation; empty without residuals.
+
+    Figures are added to ``canvas``.
+    """
+    (model,) = result.models
+    return _section(canvas, model.residuals, model.cross, roles_of(result.logs))
+
+
+def _section(
+    canvas: Canvas,
+    found: Sequence[ResidualTests],
+    correlations: Sequence[CrossCorrelationRow],
+    roles: Mapping[str, str],
+    end: str = "",
+) -> Section:
+    """Return the section of residuals with a tab for each record; ``end`` is the last sentence of its lead."""
     tabs = []
-    for tab in record_tabs([*result.residuals, *result.cross], roles_of(result.logs, result.traces)):
-        rows, cross = of_record(result.residuals, tab), of_record(result.cross, tab)
+    for tab in record_tabs([*found, *correlations], roles):
+        rows, cross = of_record(found, tab), of_record(correlations, tab)
         tabs.append(
             (
                 tab.title,
@@ -50,10 +81,9 @@ def section(canvas: Canvas, result: FitResult) -> Section:
     lead = (
         "One-step prediction errors divided by their predicted standard deviation. The residuals of a complete model "
         "are white: 95 % of the values are inside the grey bands. Each channel is tested alone, by both tests "
-        "together at 1 % (Bonferroni): ✗ if either p is below 0.5 %. The sentence at the top of the page tests all "
-        "channels of the estimation data together."
-    )
-    compared = any(r.after is not None for r in result.residuals) or any(c.after is not None for c in result.cross)
+        f"together at 1 % (Bonferroni): ✗ if either p is below 0.5 %. {end}"
+    ).rstrip()
+    compared = any(r.after is not None for r in found) or any(c.after is not None for c in correlations)
     key = [Key([("before-dots", "before"), ("after-dots", "after the effects were added")])] if compared else []
     return Section("residuals", "Residuals", [*key, *tabbed(tabs)], lead)
 

@@ -110,7 +110,8 @@ def test_remaining_score_makes_an_effect_ambiguous_above_a_threshold(worth: floa
     assert found.attribution == attribution
     if found.reasons:
         assert found.reasons == (
-            "with this effect the score tests still find that N depends on u and r, with an expected ΔBIC of 21",
+            "even with it in the model, the score tests still find that N depends on u and r (expected ΔBIC 21), which "
+            "may be the true cause",
         )
 
 
@@ -128,8 +129,8 @@ def test_effect_that_keeps_its_size_stays_identified_despite_remaining_scores() 
     # An alternative that was not fitted beside the effect may still be there in its place.
     (first, _) = assess_alternatives(rounds, replace(evidence, beside=frozenset({"other-0"})))
     assert first.reasons == (
-        "with this effect the score test of a constant or speed-dependent yaw moment ('yaw-bias'), one of its "
-        "alternatives, is still significant",
+        "even with it in the model, the score tests still find a constant or speed-dependent yaw moment ('yaw-bias'), "
+        "which acts in a similar way",
     )
 
 
@@ -150,8 +151,8 @@ def test_every_alternative_that_is_not_excluded_has_its_reason() -> None:
     rounds = (one_round(sag, refit("battery-sag", 80.0), refit("fouling", 20.0)), one_round(refit("wind", 140.0)))
     found, _ = attributions_of(*rounds, left=(score("fouling", 9.0), score("battery-sag", 8.0)))
     assert found.not_excluded == ("battery-sag", "fouling")
-    (reason,) = [r for r in found.reasons if "its alternatives, are still significant" in r]
-    assert "('fouling') and of" in reason
+    (reason,) = [r for r in found.reasons if "which act in a similar way" in r]
+    assert "('fouling') and the" in reason
     assert "('battery-sag')" in reason
 
 
@@ -194,7 +195,7 @@ def test_number_of_remaining_scores_is_judged_by_the_number_of_tests(n_left: int
 def test_nonparametric_effect_added_beside_an_effect_makes_it_ambiguous() -> None:
     wind, table = attributions_of(one_round(refit("heading-moment", 700.0)), one_round(refit("unknown Y(psi)", 1000.0)))
     assert (wind.attribution, table.attribution) == ("ambiguous", "nonparametric")
-    assert "unknown Y(psi) had to be added beside this effect" in wind.reasons
+    assert "it is not enough alone: unknown Y(psi) had to be added too" in wind.reasons
 
 
 def test_validated_nonparametric_effect_that_explains_more_makes_an_effect_ambiguous() -> None:
@@ -209,14 +210,14 @@ def test_competing_models_with_a_close_criterion_are_listed() -> None:
     )
     assert found.attribution == "ambiguous"
     assert found.not_excluded == ("filter-lag", "lag")
-    assert found.reasons == ("filter lag explains nearly as much (its ΔBIC is 5 worse)",)
+    assert found.reasons == ("filter lag explains the data nearly as well (its ΔBIC is 5 worse)",)
 
 
 def test_competing_model_that_fits_better_but_fails_validation_is_reported() -> None:
-    for t, better in ((1.0, "better"), (5.0, "significantly better")):
+    for t, better in ((1.0, "no"), (5.0, "not significantly")):
         (found,) = attributions_of(one_round(refit("pendulum", 400.0), refit("compass", 439.0, t=t)))
         gain = "compass explains the estimation data better (its ΔBIC is 39 better)"
-        assert found.reasons == (f"{gain}, but not the validation data {better}",)
+        assert found.reasons == (f"{gain}, but predicts the validation data {better} better",)
 
 
 def test_untested_alternative_is_not_excluded() -> None:
@@ -234,14 +235,16 @@ def test_alternative_that_the_fitted_parameters_imitate_is_not_excluded() -> Non
     (found,) = assess_alternatives([one_round(linear)], AttributionEvidence((), N, nominal=[hidden]))
     assert (found.attribution, found.not_excluded) == ("ambiguous", ("reverse-thrust",))
     why = (
-        "the model's estimated parameters explain nearly all of the loss of thrust in reverse ('reverse-thrust'), "
-        "one of its alternatives"
+        "the loss of thrust in reverse ('reverse-thrust') acts in a similar way, and these data cannot test it, "
+        "because other parameters of the model take up nearly all of it"
     )
     assert found.reasons == (why,)
     (itself,) = assess_alternatives(
         [one_round(refit("reverse-thrust", 90.0))], AttributionEvidence((), N, nominal=[hidden])
     )
-    assert itself.reasons == ("the model's estimated parameters explain nearly all of this effect",)
+    assert itself.reasons == (
+        "other parameters of the model take up nearly all of it, so that these data cannot test it",
+    )
     (seen,) = assess_alternatives(
         [one_round(linear)], AttributionEvidence((), N, nominal=[replace(hidden, tolerance=2e-3)])
     )
@@ -254,7 +257,8 @@ def test_alternative_whose_refit_failed_is_not_excluded() -> None:
     (found,) = attributions_of(replace(one_round(refit("heading-moment", 300.0)), untested=(lost,)))
     assert found.attribution == "ambiguous"
     assert found.reasons == (
-        "mismatch passes the score test too, but could not be fitted: tau_b is outside its bounds",
+        "mismatch may be the true cause too: it passes the score test, but could not be fitted (tau_b is outside its "
+        "bounds)",
     )
 
 
@@ -399,7 +403,7 @@ def test_small_alternative_of_a_strong_effect_is_ambiguous_as_a_correction_of_it
     )
     assert (curve.attribution, limit.attribution) == ("identified", attribution)
     if limit.reasons:
-        assert limit.reasons == ("this effect may only correct the formula of speed curve",)
+        assert limit.reasons == ("it is small beside speed curve, and may only correct the formula of that effect",)
     (_, unrelated) = attributions_of(one_round(refit("speed-curve", 4357.0)), one_round(refit("rod-flex", criterion)))
     assert unrelated.attribution == "identified"
 
@@ -421,7 +425,7 @@ def test_remaining_score_is_described_in_words(name: str, description: str) -> N
         one_round(refit("lever-arm", 500.0)), left=(score(name, DEFAULT_POLICY.max_remaining_criterion + 1),)
     )
     assert found.reasons[0].startswith(
-        f"with this effect the score tests still find {description}, with an expected ΔBIC of "
+        f"even with it in the model, the score tests still find {description} (expected ΔBIC "
     )
 
 
@@ -461,7 +465,7 @@ HUMP = (Parameter("A", 0.0, "N", "height of the hump"), Parameter("w", 0.2, "m/s
     [
         (6.0, 0.13, (), None),
         (-6.0, 0.13, (), None),
-        (6.0, 1.0, (("w", AT_BOUND),), "its parameter w (its width) is at its bound, 1 m/s"),
+        (6.0, 1.0, (("w", AT_BOUND),), "its parameter w (its width) is at its bound, 1 m/s, and so no estimate"),
         (6.0, 0.13, (("d_u", AT_BOUND), ("w", "half of its information comes from its prior")), None),
         (-3.1, 0.37, (), "its size is 3.1 standard errors from zero (a sure name needs 4): A = -3.1 ± 1 N"),
     ],
@@ -503,7 +507,7 @@ def test_caveat_has_no_newtons_if_the_thrust_is_unknown() -> None:
     assert found.reasons == ("its size is 2.0 standard errors from zero (a sure name needs 4): A/T = 0.1 ± 0.05",)
     fit.flags = (("A", AT_BOUND),)
     (found,) = attributions_of(one_round(refit("hump", 800.0, fit=fit, parameters=(free,))))
-    assert found.reasons == ("its parameter A/T (height of the hump) is at its bound, 0.1",)
+    assert found.reasons == ("its parameter A/T (height of the hump) is at its bound, 0.1, and so no estimate",)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pytest
 from seatrial.ident.diagnosis.adequacy import reason_without_experiment, recommended_experiment
 from seatrial.ident.diagnosis.findings import Diagnosis
 from seatrial.ident.effects import catalogue, nonparametric_effect
-from seatrial.ident.model import Effect, ForceCurve
+from seatrial.ident.model import Effect, EffectKind, ForceCurve
 from seatrial.ident.models import horizontal_model, with_disturbances
 
 OWN = replace(catalogue()["cubic-drag"], name="skeg-drag", title="drag of the skeg")  # of a file of the user
@@ -72,13 +72,24 @@ def blank_score(name: str) -> SimpleNamespace:
         (of(effects=("wind",), attributions=[judged("identified")]), "no competing effect is left"),
         (
             of(effects=("wind",), attributions=[judged("identified")], remaining=[blank_score("lift")]),
-            "no experiment can be designed for the candidates that still pass the score test",
+            "To test one, fit the model again with --effect lift, and compare both models on logs of neither fit",
         ),
     ],
 )
 def test_a_diagnosis_without_an_experiment_has_the_reason(diagnosis: Diagnosis, reason: str) -> None:
     assert recommended_experiment(diagnosis) is None
     assert reason in reason_without_experiment(diagnosis)
+
+
+def test_candidates_beside_the_effects_get_the_command_that_tells_two_of_them_apart() -> None:
+    left = [blank_score("lift"), blank_score("current-drift")]
+    before = SimpleNamespace(model=horizontal_model())
+    found = of(effects=("wind",), attributions=[judged("identified")], remaining=left, before=before)
+    command = "`seatrial mission design MODEL --discriminate lift,current-drift` designs a mission that tells two apart"
+    assert command in reason_without_experiment(found)
+    curves = [SimpleNamespace(name="N(u, r)", kind=EffectKind.NONPARAMETRIC)]
+    alone = of(effects=("wind",), attributions=[judged("identified")], remaining=curves)
+    assert "record longer and more varied runs" in reason_without_experiment(alone)
 
 
 @pytest.mark.parametrize(

@@ -47,6 +47,7 @@ from seatrial.ident.results.diagnosis import (
     diagnosis_answer,
     diagnosis_caveat,
     reported_mismatches,
+    what_is_lacking,
 )
 from seatrial.ident.validation.prediction_errors import PredictionChange
 from seatrial.mocks.plant.boat import Boat
@@ -264,6 +265,22 @@ def test_curve_without_a_better_prediction_is_described_as_a_resemblance(fell: b
     assert (f"One step ahead the validation data support it: {support} Prediction" in answer) is not fell
 
 
+@pytest.mark.parametrize("first", ["identified", "ambiguous"])
+def test_headline_lists_several_ambiguous_effects_as_several(first: str) -> None:
+    """One effect that resembles two others would be another claim."""
+    names = ("mismatch", "dead-band", "wind")
+    chosen = [Refit(Effect(n, f"a {n}", {}), blank(), 90.0, 1, 82.0, 30.0, 4.0) for n in names]
+    judged = [EffectAttribution(n, "ambiguous") for n in names]
+    judged[0] = EffectAttribution("mismatch", first)  # type: ignore[arg-type]
+    found = Diagnosis(
+        blank(), blank(fit=blank(flags=())), tuple(Round((), (), (c,), c) for c in chosen), (), (), tuple(judged),
+        tuple(EffectImportance(n, 90.0, 1.3, 41.2, 5.34) for n in names),
+    )  # fmt: skip
+    begin = "The model lacks a mismatch, and effects" if first == "identified" else "The model lacks effects"
+    listed = "a dead-band; a wind" if first == "identified" else "a mismatch; a dead-band; a wind"
+    assert what_is_lacking(found, fell=True) == f"{begin} that resemble: {listed}"
+
+
 @pytest.mark.parametrize(("error", "change", "said"), [(0.07, SAME, True), (0.002, SAME, False), (0.07, FELL, False)])
 def test_headline_says_that_the_size_of_an_effect_is_not_determined(
     error: float, change: PredictionChange, said: bool
@@ -306,9 +323,9 @@ def test_search_that_reached_its_limit_names_the_untried_candidates(monkeypatch:
     assert diagnosis_caveat(found) == caveat  # The caveat is also shown on the screen.
     assert caveat not in _notes(found, GivenModel("model.toml"))
     doubted = replace(found, attributions=(EffectAttribution("hump", "ambiguous", ("a lag resembles it",)),))
-    assert (
-        diagnosis_caveat(doubted) == f"It is uncertain whether the missing effect is hump: a lag resembles it. {caveat}"
-    )
+    next_step = "The recommended experiment (*Next experiment* in the report) can decide this."
+    doubt = f"It is not certain that the missing effect is hump: a lag resembles it. {next_step}"
+    assert diagnosis_caveat(doubted) == f"{doubt} {caveat}"
 
 
 def test_caveat_of_a_certain_name_has_the_candidates_that_still_pass() -> None:
@@ -331,7 +348,14 @@ def test_caveat_of_a_certain_name_has_the_candidates_that_still_pass() -> None:
     note = next(n for n in _notes(replace(found, rounds=rounds[:1]), GivenModel("m.toml")) if "still pass" in n)
     assert "none of them was added: steady wind. They were not tried: beside the effects that were found" in note
     doubted = replace(found, attributions=(EffectAttribution("hump", "ambiguous", ("a lag resembles it",)),))
-    assert diagnosis_caveat(doubted) == "It is uncertain whether the missing effect is hump: a lag resembles it."
+    next_step = "The recommended experiment (*Next experiment* in the report) can decide this."
+    doubt = "It is not certain that the missing effect is hump: a lag resembles it."
+    assert diagnosis_caveat(doubted) == f"{doubt} {next_step}"
+    both = (*doubted.attributions, EffectAttribution("wind", "ambiguous", ("steady-pull is as good",)))
+    assert diagnosis_caveat(replace(doubted, attributions=both)) == (
+        "It is not certain that one of the missing effects is hump: a lag resembles it. It is not certain that one of "
+        f"the missing effects is wind: steady-pull is as good. {next_step}"
+    )
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 import time
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -422,3 +423,31 @@ def test_time_constant_with_a_large_error_is_not_determined() -> None:
         found = linearise(model, 0.7, ParameterCovariance(("d_r",), np.array([[sd**2]])))
         assert ("time constant not determined" in repr(found)) == lost
         assert np.isfinite(found.time_constants).all()  # the number is kept
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda m: m.bode("turn", ["a"]), "frequency: give frequencies .* and not"),
+        (lambda m: m.bode("turn", [0.0, 1.0]), "frequency 0 Hz: give frequencies above 0"),
+        (lambda m: m.step_response("turn", [-1.0, 1.0]), "t -1 s: give times of at least 0"),
+        (lambda m: m.step_response("turn", float("nan")), "t: give one number or a list of finite numbers"),
+        (lambda m: m.step_response({"turn": "1"}), "inputs: the weight of turn is '1'; give a number"),
+        (lambda m: m.lqr({"u": "4"}), "u is '4': give a number, in SI units and radians"),
+        (lambda m: m.lqr({"u": 4.0, "r": 1.0})([0.8, 0.0, 0.0]), "x: give a dict of the states by name, .* not a list"),
+        (lambda m: m.lqr({"u": 4.0})({"u": None, "v": 0.0, "r": 0.0}), "u is None: give a number"),
+        (lambda m: m.bode("yaw"), "^the model has no input 'yaw'; did you mean 'turn'"),
+    ],
+)
+def test_wrong_arguments_are_named_in_one_line(call: Callable[[LinearModel], object], message: str) -> None:
+    with pytest.raises(SeatrialError, match=message):
+        call(linearise(saved(horizontal_model("shaft")), 0.7))
+
+
+def test_only_a_growing_motion_has_a_growth_rate() -> None:
+    """An integrator, as a heading without a controller, is not stable, but does not grow."""
+    stable = linearise(saved(horizontal_model("shaft")), 0.7)
+    assert stable.growth == 0.0
+    n = len(stable.states)
+    assert replace(stable, A=np.diag([0.0, *[-1.0] * (n - 1)])).growth == 0.0
+    assert replace(stable, A=np.diag([0.4, *[-1.0] * (n - 1)])).growth == 0.4

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from seatrial.ident.report.sections.predictions import horizons, unmarked_rises
 from seatrial.ident.results.diagnosis import _worse_simulation_sentence
 from seatrial.ident.results.parts import ErrorComparison, Errors, ErrorTable
 
@@ -26,3 +27,15 @@ def test_worse_simulation_is_said_with_its_worst_channel() -> None:
         "(mean of all channels), most in heading, by 140 %."
     )
     assert "estimation data" in _worse_simulation_sentence(Errors(estimation=table(x=1.5)))
+
+
+def test_a_channel_that_rises_without_a_mark_is_named_below_the_table() -> None:
+    rises = ErrorComparison(before=9.39, after=13.6, unit="m", spread=1.0)
+    shown = ErrorComparison(before=1.0, after=2.0, unit="m/s", spread=1.0, verdict="rose")
+    small = ErrorComparison(before=1.0, after=1.1, unit="m", spread=1.0)
+    errors = ErrorTable(one_step={}, horizon={"u": shown}, simulation={"x": rises, "y": small})
+    assert unmarked_rises(horizons(errors, 10.0)) == (
+        "Larger with the effects, but without a mark, because no interval shows whether it is chance: simulation, "
+        "North x (9.39 → 13.6 m)."
+    )
+    assert unmarked_rises(horizons(table(y=1.1), 10.0)) == ""

@@ -260,7 +260,12 @@ def test_two_processes_give_the_numbers_of_one(
     request = CompareRequest(models, logs[1:], (2.0, 5.0), names=("good", "bad"), workers=Workers(2, "loky"))
     two = compare_models(request, "", Kept())
     assert two.channels == compared.channels
-    assert two.models == compared.models
+    plain = [[msgspec.structs.replace(m, residuals=(), cross=()) for m in x.models] for x in (two, compared)]
+    assert plain[0] == plain[1]
+    for own, other in zip(two.models, compared.models, strict=True):
+        assert own.residuals
+        for a, b in zip(own.residuals, other.residuals, strict=True):
+            np.testing.assert_array_equal(a.e, b.e)
     np.testing.assert_array_equal(two.traces[3].predictions[1].sd, compared.traces[3].predictions[1].sd)
 
 
@@ -383,7 +388,7 @@ def test_the_page_runs_as_written(
     monkeypatch.chdir(tmp_path)
     text = (Path(__file__).parents[3] / "docs/how-to/compare.md").read_text(encoding="utf-8")
     blocks, place = re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL), dict[str, Any]()
-    assert len(blocks) == 2
+    assert len(blocks) == 3
     for block in blocks:
         exec(compile(block, "compare.md", "exec"), place)
     shown = capsys.readouterr().out
@@ -392,6 +397,8 @@ def test_the_page_runs_as_written(
     assert "inside_95" in shown
     assert "Measured (grey) and predicted: Simulation" in (tmp_path / "overlay.html").read_text(encoding="utf-8")
     assert (tmp_path / "comparison/report.html").exists()
+    assert "cross-correlation" in shown
+    assert "Standardised residuals" in (tmp_path / "residuals.html").read_text(encoding="utf-8")
 
 
 def test_figure_has_each_model_in_its_own_colour_and_dash(compared: ComparisonResult) -> None:
