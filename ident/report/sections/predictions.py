@@ -115,7 +115,7 @@ def unmarked_rises(kinds: Kinds) -> str:
             factor, unit = formatting.degrees_for(row.unit)
             if row.verdict != "rose" and row.before and row.after and row.after >= LARGE_RISE * row.before:
                 sizes = " → ".join(formatting.plain(factor * value) for value in (row.before, row.after))
-                found.append(f"{title.lower()}, {formatting.titled(name)} ({f'{sizes} {unit}'.rstrip()})")
+                found.append(f"{title.lower()}, {formatting.named(name)} ({f'{sizes} {unit}'.rstrip()})")
     if not found:
         return ""
     return (
