@@ -453,25 +453,26 @@ def _competing_model_reasons(search_round: Round, policy: SearchPolicy) -> list[
     The reason compares the competing model with the largest criterion with the chosen effect of the round.
     """
     assert search_round.chosen is not None
-    return [
-        _comparison_in_words(q, search_round.chosen.criterion - q.criterion, policy)
-        for q in _competing_refits(search_round, policy)[:1]
-    ]
+    return [_comparison_in_words(q, search_round.chosen, policy) for q in _competing_refits(search_round, policy)[:1]]
 
 
-def _comparison_in_words(competitor: Refit, behind: float, policy: SearchPolicy) -> str:
+def _comparison_in_words(competitor: Refit, chosen: Refit, policy: SearchPolicy) -> str:
     """Return a clause for reports that compares a competing model with the chosen effect.
 
-    ``behind`` is the criterion (ΔBIC) of the chosen effect less that of the competitor. If it is negative,
-    the competitor explains the estimation data better, but not the validation data (or not significantly better, if
-    they support it too: `is_validated`), and the clause states both. Otherwise the clause states how much less it
-    explains.
+    If the criterion (ΔBIC) of the competitor is larger, it explains the estimation data better, but not the validation
+    data (or not significantly better, if they support it too: `is_validated`), and the clause states both. Otherwise
+    the clause states how much less it explains. A difference that would exclude it in a perfect model does not do so
+    here, if it is a small share of what both explain (``max_distance_share``): the clause then says why.
     """
-    title = competitor.effect.title
+    title, behind = competitor.effect.title, chosen.criterion - competitor.criterion
     if behind < 0:
         no = "not significantly" if is_validated(competitor, policy) else "no"
         gain = f"its ΔBIC is {-behind:.0f} better"
         return f"{title} explains the estimation data better ({gain}), but predicts the validation data {no} better"
+    if behind > policy.max_distance:
+        share = 100 * competitor.criterion / chosen.criterion
+        why = "the formula of the right effect may be wrong by as much"
+        return f"{title} explains {share:.0f} % as much (its ΔBIC is {behind:.0f} worse), and {why}"
     return f"{title} explains the data nearly as well (its ΔBIC is {behind:.0f} worse)"
 
 

@@ -15,7 +15,7 @@ def lose(s: Signals) -> None:
 
 
 def compare_sides(estimates: Mapping[str, tuple[float, float]]) -> str:
-    """Return a clause for reports: which share of its given thrust each thruster gives in reverse.
+    """Return a clause for reports: which share of the thrust astern of the estimated curve each thruster gives.
 
     Parameters
     ----------
@@ -23,7 +23,10 @@ def compare_sides(estimates: Mapping[str, tuple[float, float]]) -> str:
         Estimate and standard error by parameter. Only ``rho_left`` and ``rho_right`` are used, the lost shares.
     """
     left, right = (share_in_words(1 - value, se) for value, se in (estimates["rho_left"], estimates["rho_right"]))
-    return f"in reverse the left thruster gives {left} % of its given thrust, the right one {right} %"
+    return (
+        f"in reverse the left thruster gives {left} % of the thrust of the estimated curve (c1 - c2), the right one "
+        f"{right} %"
+    )
 
 
 EFFECT = Effect(

@@ -214,8 +214,8 @@ def attribution_words(effect: EffectRow) -> str:
         reasons = [*effect.reasons, *([f"{rule}: {', '.join(alternatives)}"] if alternatives else [])]
         return "ambiguous; " + "; ".join(reasons) + odds
     return {
-        "identified": "identified: the effect keeps its size beside the candidates that remain, and no competing model "
-        "comes close",
+        "identified": "identified: the effect keeps its size beside the candidates that remain, and no other effect "
+        "explains about as much (a curve may, but it is no explanation)",
         "nonparametric": "nonparametric: no known effect explains the residual; the curve is estimated from the data",
     }[effect.attribution] + odds
 

@@ -213,6 +213,13 @@ def test_competing_models_with_a_close_criterion_are_listed() -> None:
     assert found.reasons == ("filter lag explains the data nearly as well (its ΔBIC is 5 worse)",)
 
 
+def test_a_competing_model_close_in_its_share_is_compared_by_its_share() -> None:
+    (found,) = attributions_of(one_round(refit("thrust-angle", 1250.0), refit("propeller-walk", 1203.0)))
+    title = catalogue()["propeller-walk"].title
+    share = f"{title} explains 96 % as much (its ΔBIC is 47 worse)"
+    assert found.reasons == (f"{share}, and the formula of the right effect may be wrong by as much",)
+
+
 def test_competing_model_that_fits_better_but_fails_validation_is_reported() -> None:
     for t, better in ((1.0, "no"), (5.0, "not significantly")):
         (found,) = attributions_of(one_round(refit("pendulum", 400.0), refit("compass", 439.0, t=t)))

@@ -375,7 +375,8 @@ def test_losses_of_thrust_are_told_by_side() -> None:
     told = catalogue()["reverse-mismatch"].in_words
     assert told is not None
     assert told({"rho_left": (0.02, 0.04), "rho_right": (0.55, 0.03)}) == (
-        "in reverse the left thruster gives 98 ± 4 % of its given thrust, the right one 45 ± 3 %"
+        "in reverse the left thruster gives 98 ± 4 % of the thrust of the estimated curve (c1 - c2), the right one "
+        "45 ± 3 %"
     )
     told = catalogue()["fouling"].in_words
     assert told is not None
