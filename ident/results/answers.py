@@ -34,7 +34,7 @@ from seatrial.ident.estimation import (
     thrust_scale_of,
     unexcited_motion,
 )
-from seatrial.ident.model import Model, ModelKind, ParameterOrigin, drive_word
+from seatrial.ident.model import Model, ModelKind, Parameter, ParameterOrigin, drive_word
 from seatrial.ident.models import ESTIMATOR_ERROR
 from seatrial.ident.numerics import is_undetermined
 from seatrial.ident.results.parts import (
@@ -81,6 +81,7 @@ RAMP_SHARE = 0.05  # share of the rows, smallest commands first, that may belong
 FAR_FROM_MAXIMUM = 0.5  # standard errors by which a fit can still move; less does not matter beside the errors
 # Error of a given antenna position that is reported: m, and standard errors. A tape measure errs by less.
 LARGEST_AWAY, FAR_AWAY = 0.25, 4.0
+ALIKE = 0.9  # size of the correlation of two estimates, above which the data hardly tell one from the other
 UNUSUAL = 3.0  # standard deviations of its prior, from which an estimate is far from its usual size
 LARGEST_ASYMMETRY = 0.5  # of c2 over c1: one direction then has a third of the other's thrust
 UNEQUAL_THRUST = 0.05  # difference of the thrust ahead from the given mean, relative to it, from which it is reported
@@ -395,7 +396,7 @@ def estimation_warnings(
         text = (
             f"The data contradict the prior of {p.full_name}: {mean:.4g} ± {sd:.2g} {p.unit} was given, the estimate "
             f"is {value:.4g} {p.unit}, and the data alone are {abs(away.distance):.1f} standard deviations of both "
-            "away. Check the prior and the other given values (thrust, arms, units)."
+            f"away. {_acting_alike(fit, p)}Check the prior and the other given values (thrust, arms, units)."
         )
         warnings.append(ResultWarning(code="prior-contradicted", text=text))
     if fit.converged and (left := fit.distance_left) is not None and left > FAR_FROM_MAXIMUM:
@@ -427,6 +428,26 @@ def estimation_warnings(
         )
         warnings.append(ResultWarning(code="inertia-too-small", text=text))
     return warnings + mass_warnings(fit, hull.get("mass")) + cut_records(records) + stuck_sensors(records)
+
+
+def _acting_alike(fit: Fit, p: Parameter) -> str:
+    """Return a sentence on added effects whose parameters act like a change of a parameter, with a space at its end.
+
+    They do if the size of their correlation is above 0.9. The text is empty without such an effect, and for a parameter
+    ``p`` that the fit has not estimated.
+    """
+    if p.name not in fit.names:
+        return ""
+    row = dict(zip(fit.names, np.abs(fit.correlation[fit.names.index(p.name)]), strict=True))
+    of_effects = [q.name for e in fit.model.effects for q in e.parameters if q.name != p.name]
+    alike = [name for name in of_effects if row.get(name, 0.0) > ALIKE]
+    if not alike:
+        return ""
+    given = (p.prior or (p.value,))[0]
+    return (
+        f"The data hardly tell a change of {p.name} from one of {' and '.join(alike)}, of an added effect: to hold the "
+        f"given value, fit and diagnose again with --fix {p.name}={given:.4g}. "
+    )
 
 
 def mass_warnings(fit: Fit, weighed: float | None) -> list[ResultWarning]:
