@@ -28,6 +28,11 @@ def cpu_seconds(work: Callable[[], object], limit: float) -> float:
     return float(least)
 
 
+def slowness(repeats: int = 15) -> float:
+    """Return the CPU time of the yardstick over that on the reference machine: the median of ``repeats`` times."""
+    return float(np.median([_spent(_yardstick) for _ in range(repeats)])) / REFERENCE
+
+
 def _spent(work: Callable[[], object]) -> float:
     began = time.process_time()
     work()

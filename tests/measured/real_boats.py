@@ -21,6 +21,7 @@ from typing import Any
 from seatrial.ident.diagnosis.certainty import NAME_RECORDS
 from seatrial.ident.results.parts import DiagnosisResult, VehicleResult
 from seatrial.ident.results.result_file import AnyResult, read_result
+from tests.machine import slowness
 from tests.measured import prediction_intervals
 from tests.measured.data import import_boat, realistic_boats
 from tests.recovery.cases import code_state
@@ -61,7 +62,8 @@ which no file declares; the boats `none` have only the small ones. Each boat goe
 
 *Ambiguous* means that the data do not distinguish several effects. The columns of
 the masses have the error of `ident vehicle` in per cent, and in standard errors in parentheses. {held} of {kept} are
-within three standard errors.
+within three standard errors. The last column has the CPU seconds of `ident vehicle` and `ident diagnose` on the reference
+machine of `tests/machine.py`. They were measured on machines that need {slowness} times as long for its yardstick.
 
 ## How certain a name is
 
@@ -115,7 +117,7 @@ def run_boat(case: BoatCase) -> Row:
             work = Path(name)
             import_boat(case.boat, RUNS, work)
             logs = (f"{RUNS[0]}.mcap", f"{RUNS[1]}.mcap", "--validate", f"{RUNS[2]}.mcap")
-            begun = spent()
+            begun, before = spent(), slowness()
             seatrial(work, "ident", "vehicle", *logs, "--out", "vehicle")
             fitted = spent()
             seatrial(work, "ident", "diagnose", "vehicle/model.toml", *logs, "--out", "found")
@@ -125,6 +127,7 @@ def run_boat(case: BoatCase) -> Row:
                 "diagnosis": estimates(found, truth["physical"]),
                 **answer(found),
                 "cpu": [round(fitted - begun, 1), round(spent() - fitted, 1)],
+                "slowness": round((before + slowness()) / 2, 2),
             }
     except Exception as problem:  # The table continues and counts the failure.
         return row | {"error": f"{type(problem).__name__}: {problem}"}
@@ -167,7 +170,8 @@ def table(rows: Sequence[Row]) -> list[list[str]]:
         found = ", ".join(f"{name} ({attribution})" for name, attribution in row["found"]) or "nothing"
         ratio = "" if row["ratio"] is None else "{:.2f} ({:.2f} to {:.2f})".format(*row["ratio"])
         masses = [_error(row["vehicle"]["masses"].get(name)) for name in MASSES]
-        lines.append([row["key"], row["hidden"], found, ratio, *masses, " + ".join(f"{s:.0f}" for s in row["cpu"])])
+        cpu = " + ".join(f"{s / row['slowness']:.0f}" for s in row["cpu"])
+        lines.append([row["key"], row["hidden"], found, ratio, *masses, cpu])
     return lines
 
 
@@ -201,7 +205,11 @@ def document(rows: Sequence[Row]) -> str:
     held = sum(abs(z) <= 3 for z in kept)
     intervals = prediction_intervals.table([*read(prediction_intervals.OUT).values()])
     tables = {"table": table(rows), "certainty": certainty(rows), "intervals": intervals}
-    return TEXT.format(held=held, kept=len(kept), **{name: as_markdown(lines) for name, lines in tables.items()})
+    slow = [r["slowness"] for r in rows if "error" not in r]
+    ends = f"{min(slow):.2g} to {max(slow):.2g}"
+    return TEXT.format(
+        held=held, kept=len(kept), slowness=ends, **{name: as_markdown(lines) for name, lines in tables.items()}
+    )
 
 
 def main(words: Sequence[str] | None = None) -> int:

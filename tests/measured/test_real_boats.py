@@ -15,16 +15,26 @@ ROW = {
     "found": [["wind", "identified"]],
     "ratio": [0.5, 0.4, 0.612],
     "cpu": [20.4, 61.0],
+    "slowness": 2.0,
 }
 
 
 def test_line_of_a_boat_has_the_answer_and_the_errors_of_the_masses() -> None:
     masses = ["+3 % (+1.3)", "-12 % (-3.4)", "+1 %"]
-    assert table([ROW])[1] == ["asv1-none", "none", "wind (identified)", "0.50 (0.40 to 0.61)", *masses, "20 + 61"]
+    assert table([ROW])[1] == [
+        "asv1-none",
+        "none",
+        "wind (identified)",
+        "0.50 (0.40 to 0.61)",
+        *masses,
+        "10 + 30",
+    ]  # on a machine half as fast as the reference
     assert line(ROW) == "asv1-none: wind identified (81 s)"
     failed = {"key": "b", "hidden": "wind", "code": "0", "error": "RuntimeError: no"}
     assert table([failed])[1][2] == "failed: RuntimeError: no"
-    assert "1 of 2 are" in document([ROW, failed]).replace("\n", " ")
+    text = document([ROW, failed]).replace("\n", " ")
+    assert "1 of 2 are" in text
+    assert "machines that need 2 to 2 times as long" in text
 
 
 @pytest.mark.study
