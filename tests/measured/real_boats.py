@@ -62,8 +62,8 @@ which no file declares; the boats `none` have only the small ones. Each boat goe
 
 *Ambiguous* means that the data do not distinguish several effects. The columns of
 the masses have the error of `ident vehicle` in per cent, and in standard errors in parentheses. {held} of {kept} are
-within three standard errors. The last column has the CPU seconds of `ident vehicle` and `ident diagnose` on the reference
-machine of `tests/machine.py`. They were measured on machines that need {slowness} times as long for its yardstick.
+within three standard errors. The last column has the CPU seconds of `ident vehicle` and `ident diagnose` on the
+reference machine of `tests/machine.py`, measured on machines that need {slowness} times as long for its yardstick.
 
 ## How certain a name is
 
