@@ -27,6 +27,7 @@ from seatrial.ident.estimation import (
     Fit,
     FittedModel,
     HomogeneityTest,
+    PriorDistance,
     ThrustScale,
     between_runs_title,
     least_yaw_inertia,
@@ -394,8 +395,8 @@ def estimation_warnings(
             continue
         text = (
             f"The data contradict the prior of {p.full_name}: {mean:.4g} ± {sd:.2g} {p.unit} was given, the estimate "
-            f"is {value:.4g} {p.unit}, and the data alone are {abs(away.distance):.1f} standard deviations of both "
-            "away. Check the prior and the other given values (thrust, arms, units)."
+            f"is {value:.4g} {p.unit}. {_data_alone(away)}, {abs(away.distance):.1f} standard deviations of both away. "
+            "Check the prior and the other given values (thrust, arms, units)."
         )
         warnings.append(ResultWarning(code="prior-contradicted", text=text))
     if fit.converged and (left := fit.distance_left) is not None and left > FAR_FROM_MAXIMUM:
@@ -483,12 +484,26 @@ def prior_notes(fit: Fit) -> list[str]:
         mean, sd = p.prior or (math.nan, math.nan)
         notes.append(
             f"The estimate of {p.full_name} is {away.estimate:.4g} {p.unit}, where {mean:.4g} ± {sd:.2g} {p.unit} was "
-            "given. The data alone are "
-            f"{abs(away.plain_distance):.1f} standard deviations away if no effect is missing from the model, and "
-            f"{abs(away.distance):.1f} if the effects that may be missing count. Check the given value. If it is "
-            "right, an effect is missing that acts like a change of it."
+            f"given. {_data_alone(away)}: {abs(away.plain_distance):.1f} standard deviations of both away if no effect "
+            f"is missing from the model, and {abs(away.distance):.1f} if the effects that may be missing count. Check "
+            "the given value. If it is right, an effect is missing that acts like a change of it."
         )
     return notes
+
+
+def _data_alone(away: PriorDistance) -> str:
+    """Return the beginning of a sentence on the value of a parameter that the data alone give.
+
+    The estimate lies between this value and the prior. Its direction only is stated if the value is not known.
+    """
+    p, value = away.parameter, away.data_value
+    if value is not None:
+        return f"The data alone give about {value:.3g} {p.unit}".rstrip()
+    direction = "larger" if away.distance > 0.0 else "smaller"
+    return (
+        f"The prior has {100.0 * away.weight:.0f} % of the information and holds the estimate near the given value. "
+        f"The data alone give a {direction} value"
+    )
 
 
 def _has_mass_to_weigh(fit: Fit) -> bool:
