@@ -67,8 +67,9 @@ def in_python(text: str, own: Mapping[str, str] = MappingProxyType({})) -> str:
     """Return a message with commands and their options replaced by functions and arguments of the Python interface.
 
     For example, ``--fix e_psi=0.03`` becomes ``fixed={'e_psi': 0.03}``, and a command without arguments between
-    backticks becomes the function that it calls. Values after each other become one argument for each option. Options without an entry in the tables stay. So does a command with
-    arguments, which can be run as it is, except the guess of an import map alone, which becomes ``st.import_log``.
+    backticks becomes the function that it calls. Values after each other become one argument for each option. Options
+    without an entry in the tables stay. So does a command with arguments, which can be run as it is, except the guess
+    of an import map alone, which becomes ``st.import_log``.
     ``own`` has the arguments of a function that differ from those of the others, by the option.
     """
     arguments = {**ARGUMENTS, **own}
