@@ -86,6 +86,8 @@ UNUSUAL = 3.0  # standard deviations of its prior, from which an estimate is far
 LARGEST_ASYMMETRY = 0.5  # of c2 over c1: one direction then has a third of the other's thrust
 UNEQUAL_THRUST = 0.05  # difference of the thrust ahead from the given mean, relative to it, from which it is reported
 USUAL_ADDED = 1.3  # usual largest mass in surge of a slender hull, as a multiple of the weighed mass
+LEAST_ADDED = 0.9  # smallest multiple for a thrust in a wrong unit, which may be a little too small besides
+UNITS_OF_THRUST = {"kgf": 9.81, "lbf": 4.448, "gf": 0.00981}  # N, of data sheets and scales
 MOST_ADDED = 2.0  # largest plausible mass in surge, as a multiple of the weighed mass, whatever its standard error is
 FULL_SPEED = 0.95  # of full speed; a thrust that was measured up to this speed is not called extrapolated
 SHORT_BENCH_S = 20.0  # as SHORT_DATA_S, of a thruster: some held commands of 4 s, forward and in reverse
@@ -457,7 +459,7 @@ def implausible_mass(mass: float, error: float, weighed: float) -> list[ResultWa
     found = f"The estimated mass in surge, m_u, is {plus_minus(mass, error)} kg, and the boat weighs {weighed:g} kg"
     cause = (
         "Check the weighed mass (kilograms of the whole boat as it ran), and the given thrust, to which all masses are "
-        "in proportion (its unit, and the thrust at full speed)"
+        f"in proportion (its unit, and the thrust at full speed{_as_if_in_unit(mass / weighed)})"
     )
     if mass + 2.0 * np.nan_to_num(error) < weighed:
         text = f"{found}: m_u contains the added mass of the water too and cannot be smaller. {cause}."
@@ -469,6 +471,17 @@ def implausible_mass(mass: float, error: float, weighed: float) -> list[ResultWa
     else:
         return []
     return [ResultWarning(code="mass-implausible", text=text)]
+
+
+def _as_if_in_unit(ratio: float) -> str:
+    """Return the end of a sentence if the thrust may be in another unit than newtons; empty if none explains the mass.
+
+    ``ratio`` is the estimated mass in surge over the weighed one. With the right unit it is plausible.
+    """
+    for unit, newtons in UNITS_OF_THRUST.items():
+        if LEAST_ADDED <= ratio * newtons <= PLAUSIBLE_MASS_RATIO:
+            return f"; the mass is as if the thrust were given in {unit}, 1 {unit} = {newtons:g} N"
+    return ""
 
 
 def prior_notes(fit: Fit) -> list[str]:

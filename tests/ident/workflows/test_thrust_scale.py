@@ -27,7 +27,7 @@ from seatrial.ident.estimation.model_file import load_model
 from seatrial.ident.estimation.thrust_scale import PriorDistance, thrust_scale_of
 from seatrial.ident.model.parameter import Parameter, ParameterOrigin
 from seatrial.ident.results import answers
-from seatrial.ident.results.answers import mass_notes, mass_warnings, prior_notes
+from seatrial.ident.results.answers import implausible_mass, mass_notes, mass_warnings, prior_notes
 
 if TYPE_CHECKING:
     from seatrial.ident.estimation.maximum_likelihood import Fit
@@ -244,6 +244,16 @@ def test_weighed_mass_says_nothing_about_ratios_and_within_the_errors(
         assert "Check the weighed mass (kilograms of the whole boat as it ran), and the given thrust" in warning.text
     above_twice = SimpleNamespace(model=model, estimate=lambda _: (20.5, np.nan))
     assert [w.code for w in mass_warnings(cast("Fit", above_twice), 10.0)] == ["mass-implausible"]
+
+
+@pytest.mark.parametrize(
+    ("mass", "unit"),
+    [(4.2, "kgf, 1 kgf = 9.81 N"), (9.3, "lbf, 1 lbf = 4.448 N"), (4200.0, "gf, 1 gf = 0.00981 N"), (16.0, None)],
+)
+def test_unit_of_the_thrust_that_explains_a_wrong_mass_is_named(mass: float, unit: str | None) -> None:
+    (warning,) = implausible_mass(mass, 0.04 * mass, 32.0)
+    assert ("as if the thrust were given in" in warning.text) == (unit is not None)
+    assert unit is None or f"the mass is as if the thrust were given in {unit})" in warning.text
 
 
 @pytest.mark.parametrize(
