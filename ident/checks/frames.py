@@ -293,18 +293,23 @@ def mirrored_signals(signs: Mapping[Relation, int]) -> tuple[str, ...] | None:
     return found[0] if len(found) == 1 else tuple(sorted({n for names in found for n in names} or related))
 
 
+def _change_sign(signals: str) -> str:
+    """Return the advice to change the sign of some signals. The checks do not know whether the map has one already."""
+    return f"change the sign of {signals} in the import map (sign = -1, or remove it if it is there)"
+
+
 # Code, signals, text and advice of the finding for each signal that is mirrored.
 MIRRORED = {
     "heading": ("heading-sense", "psi", "the heading counts anticlockwise",
-                "psi is clockwise from north; set sign = -1 of psi in the import map"),
+                f"psi is clockwise from north; {_change_sign('psi')}"),
     "gyro": ("gyro-sign-reversed", "r", "the yaw rate has the opposite sign",
-             "r is positive clockwise, seen from above; set sign = -1 of r in the import map, or correct the mounting"),
+             f"r is positive clockwise, seen from above; {_change_sign('r')}, or correct the mounting"),
     "position": ("position-axes", "x, y", "the positions are mirrored",
                  "x is north, y is east; correct their columns or signs in the import map"),
     "velocity": ("velocity-axes", "vx, vy", "the velocities are mirrored",
                  "vx is north, vy is east; correct their columns or signs in the import map"),
     "gyro heading": ("heading-sense", "psi and r", "heading and yaw rate count anticlockwise",
-                     "psi and r are clockwise, seen from above; set sign = -1 of both in the import map"),
+                     f"psi and r are clockwise, seen from above; {_change_sign('both')}"),
     "position velocity": ("position-axes", "x, y, vx, vy", "positions and velocities are mirrored",
                           "x and vx are north, y and vy are east; correct their columns or signs in the import map"),
 }  # fmt: skip
@@ -372,7 +377,7 @@ def half_turn(text: str) -> Finding:
     Finding
         Fault ``heading-half-turn`` of the signal ``psi``, with advice on the offset of psi and on the signs.
     """
-    advice = "set offset = 180 of psi (deg), or sign = -1 of both axes of the reversed signals, in the import map"
+    advice = f"set offset = 180 of psi (deg) in the import map, or {_change_sign('both axes of the reversed signals')}"
     return Finding("fault", "heading-half-turn", "frame", "psi", text, advice)
 
 

@@ -605,7 +605,8 @@ def check_signals(c: Channels, sides: Mapping[str, float], known_noise: Collecti
     Yields
     ------
     Finding
-        In the order of the checks: time, outliers, ranges, sensors, shafts, frames, motion, delays.
+        In the order of the checks: time, outliers, exchanged telemetry, ranges, sensors, shafts, frames, motion,
+        delays.
 
     Notes
     -----
@@ -628,9 +629,16 @@ def check_signals(c: Channels, sides: Mapping[str, float], known_noise: Collecti
     if "r" in wraps:
         c = {name: channel for name, channel in c.items() if name != "r"}
     yield from check_thrust_present(c)
-    of_inputs = [*check_inputs({n: x for n, x in c.items() if n not in wraps}), *check_frozen_force(c)]
-    ranges = [*of_wraps, *(f for f in check_ranges(c) if f.where not in wraps), *check_frozen(c)]
-    ranges += [*check_alternating(c), *of_inputs]
+    unwrapped = {n: x for n, x in c.items() if n not in wraps}
+    exchanged = list(check_exchanged_telemetry(unwrapped))
+    yield from exchanged  # before its consequences
+    ranges = [*of_wraps, *(f for f in check_ranges(c) if f.where not in wraps)]
+    in_wrong_unit = {n for f in ranges if f.level == FAULT and f.check == "units" for n in f.where.split(", ")}
+    of_inputs = [*check_inputs(unwrapped), *check_frozen_force(c)]
+    # Against the command of another thruster, or in another unit, a speed that follows its command would be stuck.
+    not_comparable = in_wrong_unit | {shaft_speed_of(side) for f in exchanged for side in f.where.split(" and ")}
+    of_inputs = [f for f in of_inputs if f.code != "shaft-speed-stuck" or f.where not in not_comparable]
+    ranges += [*check_frozen(c), *check_alternating(c), *of_inputs]
     yield from ranges
     yield from check_smoothing(c, known_noise)
     yield from check_quantised(c)
@@ -638,8 +646,7 @@ def check_signals(c: Channels, sides: Mapping[str, float], known_noise: Collecti
     yield from check_held_inputs(c)
     # A signal in a wrong unit would accuse the right one with which it is compared. A yaw rate accuses itself: its
     # comparison with the heading shows whether both are in degrees.
-    in_wrong_unit = {n for f in ranges if f.level == FAULT and f.check == "units" for n in f.where.split(", ")} - {"r"}
-    c = {name: channel for name, channel in c.items() if name not in in_wrong_unit}
+    c = {name: channel for name, channel in c.items() if name not in in_wrong_unit - {"r"}}
     matches = sensor_matches(c)
     clock = check_time_scale(matches)
     if clock is not None:
@@ -653,14 +660,10 @@ def check_signals(c: Channels, sides: Mapping[str, float], known_noise: Collecti
     # Wrong axes explain it better, if they are found below.
     disagreeing = [f for f in of_sensors if f.code == "position-and-velocity-disagree"]
     yield from (f for f in of_sensors if f not in disagreeing)
-    unwrapped = {n: x for n, x in c.items() if n not in wraps}
-    # The telemetry of another thruster cannot show the sign, the response or the side of this one.
-    exchanged = list(check_exchanged_telemetry(unwrapped))
-    yield from exchanged
-    if exchanged:
+    if exchanged:  # The telemetry of another thruster cannot show the sign, the response or the side of this one.
         yield from disagreeing
         return
-    one_sided = one_sided_shafts(unwrapped)
+    one_sided = one_sided_shafts({n: x for n, x in c.items() if n not in wraps})
     yield from one_sided.values()
     # Zero speed in one direction would look like a dead band.
     stuck = {f.where for f in of_inputs if f.code == "shaft-speed-stuck"}

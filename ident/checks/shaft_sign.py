@@ -34,6 +34,9 @@ LEAST_RANGE, LEAST_TOP, MAX_DEAD_ZONE = 0.3, 0.6, 0.3
 # A scale is wrong if the shaft speed exceeds full speed, or the command at full command, by this factor. A propeller
 # turns some 10 % faster under way than at the bollard.
 MAX_OVER = 1.15
+# A scale may be too small if the shaft speeds of all thrusters are below this share of the command at full command. On
+# simulated boats with a sagging battery the share falls to 0.87.
+LEAST_UNDER = 0.82
 # A line is straight if its offset is below this share of the speed at full command, and its residuals have a smaller
 # root mean square than the second share.
 STRAIGHT_OFFSET, STRAIGHT_RESIDUAL = 0.05, 0.05
@@ -89,7 +92,7 @@ def speed_at_full_command(c: Channels) -> float | None:
 
 
 def check_shaft_scale(c: Channels) -> Iterator[Finding]:
-    """Yield a warning for each shaft speed or command whose scale is too large for shares of full speed.
+    """Yield a warning for each shaft speed or command whose scale seems wrong for shares of full speed.
 
     Parameters
     ----------
@@ -101,16 +104,19 @@ def check_shaft_scale(c: Channels) -> Iterator[Finding]:
     Finding
         ``above-full-speed`` for a shaft speed or command above 1.15 (99 % quantile of its size).
         ``shaft-above-command`` for any other shaft speed that is more than 1.15 times the command at full command.
+        ``shaft-below-command`` for all shaft speeds, if each is less than 0.82 times the command at full command.
 
     Notes
     -----
-    A shaft speed below its command is no finding: a low battery, the load of the propeller or a limit of the controller
-    can be the reason. A shaft speed that does not grow with the command along a straight line is not compared with it.
-    If a controller linearises the thrust, for example, the speed grows with the root of the command.
+    A shaft speed a little below its command is no finding: a low battery, the load of the propeller or a limit of the
+    controller can be the reason. All shafts have one scale, so that one slow shaft is none either. A shaft speed that
+    does not grow with the command along a straight line is not compared with it. If a controller linearises the thrust,
+    for example, the speed grows with the root of the command.
     """
     over = {n: top for n, top in largest_inputs(c).items() if top > MAX_OVER}
     found = ((n, _straight_ratio(command, shaft)) for n, command, shaft in _measured_shafts(c))
-    ratios = {shaft_speed_of(n): ratio for n, ratio in found if ratio is not None and ratio > MAX_OVER}
+    known = {shaft_speed_of(n): ratio for n, ratio in found if ratio is not None}
+    ratios = {n: ratio for n, ratio in known.items() if ratio > MAX_OVER}
     for signal, top in over.items():
         # The ratio is exact; the largest speed of a log may be below full speed.
         factor, text = ratios.get(signal, top), f"reaches {top:.2f}, but 1 is full speed"
@@ -125,6 +131,14 @@ def check_shaft_scale(c: Channels) -> Iterator[Finding]:
             if not any(is_of_thruster(n, SHAFT_SPEED) for n in over):  # all shafts have one scale
                 advice += f"; if {command} is below 1 at full command, multiply its scale by {ratio:.2f} instead"
             yield Finding(WARNING, "shaft-above-command", "units", signal, text, advice)
+    if known and not over and all(TURNS < ratio < LEAST_UNDER for ratio in known.values()):
+        each = ", ".join(dict.fromkeys(f"{ratio:.2f}" for ratio in known.values()))
+        text = f"only {each} times the command at full command: full speed may be a smaller number than the scale says"
+        advice = (
+            "set the scale in the import map to 1 / (number at full speed), or correct rpm_max in the rig file; if a "
+            "low battery or a limit of the controller keeps the shafts below full speed, nothing has to be done"
+        )
+        yield Finding(WARNING, "shaft-below-command", "units", ", ".join(known), text, advice)
 
 
 def _divide_scale(signal: str, factor: float) -> str:

@@ -93,6 +93,7 @@ from .standard_errors import VAGUE as VAGUE
 from .stochastic_simulation import SampledInputs as SampledInputs
 from .stochastic_simulation import simulate_stochastic as simulate_stochastic
 from .thrust_scale import PLAUSIBLE_MASS_RATIO as PLAUSIBLE_MASS_RATIO
+from .thrust_scale import PriorDistance as PriorDistance
 from .thrust_scale import ReportedEstimates as ReportedEstimates
 from .thrust_scale import ReportedUnits as ReportedUnits
 from .thrust_scale import ThrustScale as ThrustScale

@@ -414,7 +414,8 @@ def exceeded_prior(p: Parameter, value: float, error: float) -> float | None:
     """Return the standard deviation of the prior of a parameter if the standard error of its estimate exceeds it.
 
     Only priors that the user gave for this boat are considered. The error must exceed the standard deviation by more
-    than one per cent. `BEYOND_PRIOR` describes what such an error contains.
+    than one per cent. With the transform "log" it must do so for the logarithm too: an estimate that is larger than the
+    mean of the prior has a larger error by this alone. `BEYOND_PRIOR` describes what such an error contains.
 
     Parameters
     ----------
@@ -426,10 +427,11 @@ def exceeded_prior(p: Parameter, value: float, error: float) -> float | None:
     Returns
     -------
     float or None
-        Standard deviation in the unit of the parameter. None if the error does not exceed it, or if the user gave no
-        prior.
+        Standard deviation as it was given, in the unit of the parameter. None if the error does not exceed it, or if
+        the user gave no prior.
     """
-    if not p.free or p.provenance is ParameterOrigin.ESTIMATED or (prior := p.free_prior()) is None:
+    free_prior = p.free_prior()
+    if not p.free or p.provenance is ParameterOrigin.ESTIMATED or p.prior is None or free_prior is None:
         return None
-    of_prior = prior[1] * p.slope(value)
-    return of_prior if error > LEAST_EXCESS * of_prior else None
+    given, at_estimate = p.prior[1], free_prior[1] * p.slope(value)
+    return given if error > LEAST_EXCESS * max(given, at_estimate) else None

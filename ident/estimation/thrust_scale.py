@@ -29,6 +29,7 @@ BUILT_IN, ESTIMATED = ParameterOrigin.BUILT_IN, ParameterOrigin.ESTIMATED
 # times the forward thrust.
 ASYMMETRY = 0.1
 PRIOR_WIDTHS = 3.0  # data and prior contradict each other if they differ by more standard deviations
+LEAST_SHOWN_DATA = 0.2  # the data's share of a parameter's information, from which the value of the data alone is shown
 LEAST_DATA = 0.01  # lower limit of the data's share of a parameter's information, in the test against the prior
 LEAST_GYRATION = 0.15  # least radius of gyration in yaw over the hull's length; real hulls have 0.2 to 0.3
 # Largest plausible mass in surge over the weighed mass: the added mass of a hull at the surface is 5 to 30 % of the
@@ -371,12 +372,15 @@ class PriorDistance:
         Distance in common standard deviations; positive if the data are above the mean of the prior.
     plain_distance
         The same if the form of the model is taken to be right.
+    weight
+        Share of the prior in the information on the parameter.
     """
 
     parameter: Parameter
     estimate: float
     distance: float
     plain_distance: float
+    weight: float
 
     @property
     def contradicts(self) -> bool:
@@ -387,6 +391,21 @@ class PriorDistance:
     def contradicts_if_model_is_right(self) -> bool:
         """Whether data and prior would contradict each other if no effect were missing from the model."""
         return abs(self.plain_distance) > PRIOR_WIDTHS
+
+    @property
+    def data_value(self) -> float | None:
+        """Value that the data alone give, in the unit of the parameter.
+
+        The estimate is the mean of this value and of that of the prior, weighted by their informations, in the
+        coordinate of the search. None if the data have less than a fifth of the information: the value would be
+        extrapolated from the estimate by more than four times its distance from the prior, where the likelihood is not
+        quadratic.
+        """
+        prior = self.parameter.free_prior()
+        if prior is None or 1.0 - self.weight < LEAST_SHOWN_DATA:
+            return None
+        moved = self.parameter.to_free(self.estimate) - prior[0]
+        return self.parameter.from_free(prior[0] + moved / (1.0 - self.weight))
 
 
 def prior_distances(fit: Fit) -> list[PriorDistance]:
@@ -434,7 +453,7 @@ def prior_distances(fit: Fit) -> list[PriorDistance]:
         of_model = model_variance / (p.slope(value) * prior[1] * by_data) ** 2
         plain = moved / by_data / np.sqrt(1.0 + weight / by_data)
         widened = moved / by_data / np.sqrt(1.0 + inflation * weight / by_data + of_model)
-        found.append(PriorDistance(p, value, float(widened), float(plain)))
+        found.append(PriorDistance(p, value, float(widened), float(plain), weight))
     return found
 
 

@@ -62,8 +62,12 @@ def write(content: Content) -> str:
         | {n for n in FUNCTION_CALL.findall(body) if n in _math_functions()}
         | {n for n in ("inf", "nan") if re.search(rf"\b{n}\b", limits + body)}
     )
-    about = "Simulation has one value for each physical input and keeps their past; inputs_from gives u without a past."
-    head = [*header(content, "Python"), "", about]
+    about = [
+        "Simulation has one value for each physical input and keeps their past; inputs_from gives u without a past."
+    ]
+    if content.inputs != content.physical_inputs:
+        about.append("PHYSICAL_INPUTS has their names. INPUTS has those of the inputs of f and h, with delayed copies.")
+    head = [*header(content, "Python"), "", *about]
     parts = [*("# " + line if line else "#" for line in head), ""]
     parts += ["from difflib import get_close_matches", f"from math import {', '.join(imported)}", ""]
     return "\n".join([*parts, *constants(content), limits, "", body])

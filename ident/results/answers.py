@@ -27,6 +27,7 @@ from seatrial.ident.estimation import (
     Fit,
     FittedModel,
     HomogeneityTest,
+    PriorDistance,
     ThrustScale,
     between_runs_title,
     least_yaw_inertia,
@@ -86,6 +87,8 @@ UNUSUAL = 3.0  # standard deviations of its prior, from which an estimate is far
 LARGEST_ASYMMETRY = 0.5  # of c2 over c1: one direction then has a third of the other's thrust
 UNEQUAL_THRUST = 0.05  # difference of the thrust ahead from the given mean, relative to it, from which it is reported
 USUAL_ADDED = 1.3  # usual largest mass in surge of a slender hull, as a multiple of the weighed mass
+LEAST_ADDED = 0.9  # smallest multiple for a thrust in a wrong unit, which may be a little too small besides
+UNITS_OF_THRUST = {"kgf": 9.81, "lbf": 4.448, "gf": 0.00981}  # N, of data sheets and scales
 MOST_ADDED = 2.0  # largest plausible mass in surge, as a multiple of the weighed mass, whatever its standard error is
 FULL_SPEED = 0.95  # of full speed; a thrust that was measured up to this speed is not called extrapolated
 SHORT_BENCH_S = 20.0  # as SHORT_DATA_S, of a thruster: some held commands of 4 s, forward and in reverse
@@ -395,8 +398,8 @@ def estimation_warnings(
             continue
         text = (
             f"The data contradict the prior of {p.full_name}: {mean:.4g} ± {sd:.2g} {p.unit} was given, the estimate "
-            f"is {value:.4g} {p.unit}, and the data alone are {abs(away.distance):.1f} standard deviations of both "
-            f"away. {_acting_alike(fit, p)}Check the prior and the other given values (thrust, arms, units)."
+            f"is {value:.4g} {p.unit}. {_data_alone(away)}, {abs(away.distance):.1f} standard deviations of both away. "
+            f"{_acting_alike(fit, p)}Check the prior and the other given values (thrust, arms, units)."
         )
         warnings.append(ResultWarning(code="prior-contradicted", text=text))
     if fit.converged and (left := fit.distance_left) is not None and left > FAR_FROM_MAXIMUM:
@@ -477,7 +480,7 @@ def implausible_mass(mass: float, error: float, weighed: float) -> list[ResultWa
     found = f"The estimated mass in surge, m_u, is {plus_minus(mass, error)} kg, and the boat weighs {weighed:g} kg"
     cause = (
         "Check the weighed mass (kilograms of the whole boat as it ran), and the given thrust, to which all masses are "
-        "in proportion (its unit, and the thrust at full speed)"
+        f"in proportion (its unit, and the thrust at full speed{_as_if_in_unit(mass / weighed)})"
     )
     if mass + 2.0 * np.nan_to_num(error) < weighed:
         text = f"{found}: m_u contains the added mass of the water too and cannot be smaller. {cause}."
@@ -489,6 +492,17 @@ def implausible_mass(mass: float, error: float, weighed: float) -> list[ResultWa
     else:
         return []
     return [ResultWarning(code="mass-implausible", text=text)]
+
+
+def _as_if_in_unit(ratio: float) -> str:
+    """Return the end of a sentence if the thrust may be in another unit than newtons; empty if none explains the mass.
+
+    ``ratio`` is the estimated mass in surge over the weighed one. With the right unit it is plausible.
+    """
+    for unit, newtons in UNITS_OF_THRUST.items():
+        if LEAST_ADDED <= ratio * newtons <= PLAUSIBLE_MASS_RATIO:
+            return f"; the mass is as if the thrust were given in {unit}, 1 {unit} = {newtons:g} N"
+    return ""
 
 
 def prior_notes(fit: Fit) -> list[str]:
@@ -504,12 +518,26 @@ def prior_notes(fit: Fit) -> list[str]:
         mean, sd = p.prior or (math.nan, math.nan)
         notes.append(
             f"The estimate of {p.full_name} is {away.estimate:.4g} {p.unit}, where {mean:.4g} ± {sd:.2g} {p.unit} was "
-            "given. The data alone are "
-            f"{abs(away.plain_distance):.1f} standard deviations away if no effect is missing from the model, and "
-            f"{abs(away.distance):.1f} if the effects that may be missing count. Check the given value. If it is "
-            "right, an effect is missing that acts like a change of it."
+            f"given. {_data_alone(away)}: {abs(away.plain_distance):.1f} standard deviations of both away if no effect "
+            f"is missing from the model, and {abs(away.distance):.1f} if the effects that may be missing count. Check "
+            "the given value. If it is right, an effect is missing that acts like a change of it."
         )
     return notes
+
+
+def _data_alone(away: PriorDistance) -> str:
+    """Return the beginning of a sentence on the value of a parameter that the data alone give.
+
+    The estimate lies between this value and the prior. Its direction only is stated if the value is not known.
+    """
+    p, value = away.parameter, away.data_value
+    if value is not None:
+        return f"The data alone give about {value:.3g} {p.unit}".rstrip()
+    direction = "larger" if away.distance > 0.0 else "smaller"
+    return (
+        f"The prior has {100.0 * away.weight:.0f} % of the information and holds the estimate near the given value. "
+        f"The data alone give a {direction} value"
+    )
 
 
 def _has_mass_to_weigh(fit: Fit) -> bool:

@@ -41,6 +41,9 @@ VALUE = r"(?:[-+]?\w+(?:\.\w+)*(?:(?<=e)[-+]\d+)?|\.\.\.)"
 VALUE_OF_PARAMETER = re.compile(
     rf"(?P<option>--(?:fix|initial|prior)) (?P<name>[A-Za-z]\w*)=(?P<value>{VALUE})(?::(?P<sd>{VALUE}))?"
 )
+VALUES_OF_PARAMETERS = re.compile(  # several of them in sequence
+    "{0}(?: {0})*".format(re.sub(r"\?P<\w+>", "?:", VALUE_OF_PARAMETER.pattern))
+)
 OPTION = re.compile(r"(?<![\w-])(?:--[a-z]+(?:-[a-z]+)*|-o(?![\w-]))")
 GUESS = "seatrial import --guess "  # command that st.import_log without a map replaces, before the paths
 
@@ -64,8 +67,9 @@ def in_python(text: str, own: Mapping[str, str] = MappingProxyType({})) -> str:
     """Return a message with commands and their options replaced by functions and arguments of the Python interface.
 
     For example, ``--fix e_psi=0.03`` becomes ``fixed={'e_psi': 0.03}``, and a command without arguments between
-    backticks becomes the function that it calls. Options without an entry in the tables stay. So does a command with
-    arguments, which can be run as it is, except the guess of an import map alone, which becomes ``st.import_log``.
+    backticks becomes the function that it calls. Values after each other become one argument for each option. Options
+    without an entry in the tables stay. So does a command with arguments, which can be run as it is, except the guess
+    of an import map alone, which becomes ``st.import_log``.
     ``own`` has the arguments of a function that differ from those of the others, by the option.
     """
     arguments = {**ARGUMENTS, **own}
@@ -76,19 +80,23 @@ def in_python(text: str, own: Mapping[str, str] = MappingProxyType({})) -> str:
             return _as_import(part)
         if between_backticks and part.startswith("seatrial "):
             return FUNCTIONS.get(part, part)
-        part = VALUE_OF_PARAMETER.sub(_as_dictionary, part)
+        part = VALUES_OF_PARAMETERS.sub(_as_dictionaries, part)
         return OPTION.sub(lambda found: arguments.get(found.group(), found.group()), part)
 
     return "`".join(replaced(part, i % 2 == 1) for i, part in enumerate(text.split("`")))
 
 
-def _as_dictionary(option: re.Match[str]) -> str:
-    """Return a match of `VALUE_OF_PARAMETER` as an argument of Python, such as ``fixed={'e_psi': 0.03}``.
+def _as_dictionaries(options: re.Match[str]) -> str:
+    """Return a match of `VALUES_OF_PARAMETERS` as arguments of Python, such as ``fixed={'y_left': -1, 'y_right': 1}``.
 
-    A prior with its standard deviation is a pair: ``priors={'c1': (40, 2)}``.
+    Python refuses an argument that is given twice, so all values of an option are in one dictionary. A prior with its
+    standard deviation is a pair: ``priors={'c1': (40, 2)}``.
     """
-    value = option["value"] if option["sd"] is None else f"({option['value']}, {option['sd']})"
-    return f"{ARGUMENTS[option['option']]}={{'{option['name']}': {value}}}"
+    found: dict[str, list[str]] = {}
+    for option in VALUE_OF_PARAMETER.finditer(options.group()):
+        value = option["value"] if option["sd"] is None else f"({option['value']}, {option['sd']})"
+        found.setdefault(ARGUMENTS[option["option"]], []).append(f"'{option['name']}': {value}")
+    return ", ".join(f"{argument}={{{', '.join(values)}}}" for argument, values in found.items())
 
 
 def _as_import(command: str) -> str:

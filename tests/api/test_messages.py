@@ -19,7 +19,9 @@ from seatrial.ident.cli.commands import design
     ("text", "expected"),
     [
         ("give another --max-effects; --fix e_psi=0.03.", "give another max_effects; fixed={'e_psi': 0.03}."),
-        ("--fix y_left=... --initial m_u=VALUE, or", "fixed={'y_left': ...} initial={'m_u': VALUE}, or"),
+        ("--fix y_left=... --initial m_u=VALUE, or", "fixed={'y_left': ...}, initial={'m_u': VALUE}, or"),
+        ("(--fix y_left=POSITIVE --fix y_right=-0.3)", "(fixed={'y_left': POSITIVE, 'y_right': -0.3})"),
+        ("--prior c1=40:2 --fix a=1 --prior c2=8:1.", "priors={'c1': (40, 2), 'c2': (8, 1)}, fixed={'a': 1}."),
         ("run `seatrial ident diagnose` to see", "run `st.diagnose` to see"),
         ("the option `--model`", "the option `model`"),
         ("give `--fix c1=40` and --validate", "give `fixed={'c1': 40}` and validate"),

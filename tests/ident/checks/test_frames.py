@@ -42,6 +42,13 @@ def test_one_mirrored_signal_is_named(signal: str) -> None:
     assert mirrored_signals(signs(signal)) == (signal,)
 
 
+@pytest.mark.parametrize("signal", ["psi", "r"])
+def test_advice_on_a_wrong_sign_suits_a_map_with_a_sign_and_one_without(run: dict[str, Channel], signal: str) -> None:
+    c = run | {signal: replace(run[signal], value=-run[signal].value)}
+    (found,) = [f for f in check_signals(c, {"left": -0.3, "right": 0.3}) if f.level == "fault"]
+    assert f"change the sign of {signal} in the import map (sign = -1, or remove it if it is there)" in found.advice
+
+
 def test_two_mirrored_signals_of_one_device_are_named() -> None:
     assert mirrored_signals(signs()) is None
     assert mirrored_signals({}) is None

@@ -118,6 +118,23 @@ def test_exchanged_telemetry_is_reported_and_not_swapped_sides() -> None:
     assert "the shaft speed of left follows the command of right" in found.text
 
 
+@pytest.mark.parametrize("scale", [1.0, 3000.0])
+def test_speed_that_follows_another_command_or_is_in_rpm_is_not_stuck(scale: float) -> None:
+    """A measured speed without noise stays the same while one command is constant and the other one changes."""
+    rng = np.random.default_rng(4)
+    t = np.arange(0.0, 200.0, 0.1)
+    c = {}
+    for side in ("left", "right"):
+        command = np.repeat(rng.uniform(-0.5, 1.0, 20), 100)
+        shaft = np.round(scale * np.interp(t - 0.15, t, command), 3)
+        c |= {f"n_cmd_{side}": Channel(t, command, hold="zero"), f"n_{side}": Channel(t + 1e-3, shaft, hold="linear")}
+    in_rpm = ["n-out-of-range"] * 2 if scale > 1.0 else []
+    assert faults(c) == in_rpm
+    c["n_left"], c["n_right"] = c["n_right"], c["n_left"]
+    assert any(f.code == "shaft-speed-stuck" for f in check_inputs(c))
+    assert faults(c) == ["telemetry-exchanged", *in_rpm]
+
+
 def test_exchanged_telemetry_is_found_although_both_sides_are_driven_alike() -> None:
     """Most of both commands is the thrust ahead, so that each shaft also follows the command of the other side."""
     rng = np.random.default_rng(5)

@@ -13,7 +13,7 @@ from seatrial.ident.data import Channel
 from seatrial.ident.numerics import Array
 
 HOLD_S = 6.0
-CODES = {"above-full-speed", "shaft-above-command"}
+CODES = {"above-full-speed", "shaft-above-command", "shaft-below-command"}
 
 
 def log_of(speed: Callable[[Array], Array], most: float = 1.0, scale: float = 1.0) -> dict[str, Channel]:
@@ -50,12 +50,24 @@ def test_scale_of_commands_above_full_command_is_named() -> None:
     assert found[0].advice.startswith("divide the scale of n_cmd_left in the import map by 1.30; ")
 
 
+def test_scale_that_is_too_small_is_suspected_if_all_shafts_are_slow() -> None:
+    """The number of 3600 was given as full speed, and the shafts reach 2900: 0.8 of the command everywhere."""
+    slow = log_of(lambda n: 2900.0 / 3600.0 * n)
+    (found,) = [f for f in check_signals(slow, {}) if f.code in CODES]
+    assert (found.level, found.code, found.where) == ("warning", "shaft-below-command", "n_left, n_right")
+    assert found.text.startswith("only 0.81 times the command at full command: ")
+    assert "1 / (number at full speed)" in found.advice
+    assert "low battery or a limit of the controller" in found.advice
+    right = log_of(lambda n: n)
+    assert not list(check_shaft_scale(slow | {"n_right": right["n_right"]}))  # one slow shaft is no wrong scale
+
+
 @pytest.mark.parametrize(
     "speed",
     [
         lambda n: n,
         lambda n: 1.1 * n,
-        lambda n: 0.6 * n,
+        lambda n: 0.87 * n,
         lambda n: n * (1.0 - 0.2 * n**2),
         lambda n: np.minimum(n, 0.6),
         lambda n: (n - 0.1) / 0.9,

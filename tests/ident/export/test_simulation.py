@@ -313,6 +313,16 @@ def test_model_without_inputs_is_simulated(tmp_path: Path) -> None:
     np.testing.assert_allclose([row[1] for row in in_c], wanted, rtol=1e-6)
 
 
+def test_header_of_python_names_the_constant_of_the_physical_inputs() -> None:
+    """INPUTS has dozens of delayed copies, which is no size of an input vector for a simulation."""
+    about = "# PHYSICAL_INPUTS has their names. INPUTS has those of the inputs of f and h, with delayed copies.\n"
+    for model, copies in ((COMMAND, True), (horizontal_model(), False)):
+        text, space = export(saved(model), "python"), dict[str, Any]()
+        exec(text, space)
+        assert (space["INPUTS"] != space["PHYSICAL_INPUTS"]) == copies
+        assert (about in text) == copies
+
+
 def test_ros2_parameters_list_physical_inputs_and_delays() -> None:
     yaml = pytest.importorskip("ruamel.yaml", reason="no YAML reader here (ruamel.yaml)")
     reader = yaml.YAML(typ="safe", pure=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import re
 import shutil
+import subprocess
 import tempfile
 from functools import cache
 from html import unescape
@@ -31,12 +32,15 @@ addEventListener("load", () => setTimeout(() => {
     const found = document.createElement("pre");
     const titles = Array.from(frame.contentDocument.querySelectorAll(".annotation-text"));
     const end = Math.ceil(Math.max(0, ...titles.map((title) => title.getBoundingClientRect().right)));
-    found.title = [root.clientWidth, root.scrollWidth, plot.getAttribute("width"), end].join(" ");
+    const lists = Array.from(frame.contentDocument.querySelectorAll("[role=tablist]"));
+    const hidden = Math.max(0, ...lists.map((list) => list.scrollWidth - list.clientWidth));
+    found.title = [root.clientWidth, root.scrollWidth, plot.getAttribute("width"), end, hidden].join(" ");
     found.textContent = root.outerHTML;
     document.body.append(found);
   }
 }, 3000));
 </script>"""
+CARD, FORMULA = '<article class="effect">.*?</article>', '(<p class="formula">)(.*?)(</p>)'
 TRIES = 3  # On a busy machine, the virtual time of the browser may end before its first frame.
 
 
@@ -47,20 +51,28 @@ def with_long_titles(path: Path) -> None:
     write_report(loaded(content | {"traces": traces}), path)
 
 
-MAKERS = PAGES | {"long titles": with_long_titles}
+def with_many_tabs(path: Path) -> None:
+    """Write the page of a diagnosis of five logs, each of which has a tab."""
+    content = CONTENTS["diagnosis"]()
+    traces = [trace | {"record": f"{trace['record']}_{i}"} for i in range(5) for trace in content["traces"]]
+    write_report(loaded(content | {"traces": traces}), path)
+
+
+MAKERS = PAGES | {"long titles": with_long_titles, "many tabs": with_many_tabs}
 
 
 class Drawn(NamedTuple):
     """A page drawn in a frame.
 
     It has the width of the page, the width that it needs, the width of its first figure, the end of its longest panel
-    title, and its text.
+    title, the largest width of tabs that are out of sight, and its text.
     """
 
     wide: int
     needed: int
     plot: int
     titles: int
+    hidden_tabs: int
     text: str
 
 
@@ -74,7 +86,7 @@ def seen(kind: str) -> tuple[Path, Drawn, str]:
     frame.write_text(f'{FRAME}<iframe src="{page.name}" width="{WIDTH}" height="{HEIGHT}"></iframe>', encoding="utf-8")
     for _ in range(TRIES):
         run = chromium(folder, "--window-size=500,1600", "--dump-dom", frame.as_uri())
-        match = re.search(r'<pre title="(\d+) (\d+) (\d+) (\d+)">(.*?)</pre>', run.stdout, re.DOTALL)
+        match = re.search(r'<pre title="(\d+) (\d+) (\d+) (\d+) (\d+)">(.*?)</pre>', run.stdout, re.DOTALL)
         if match:
             break
     assert match, run.stderr
@@ -97,13 +109,14 @@ def test_browser_draws_every_figure_without_errors(kind: str) -> None:
         assert len(drawn) == len(page.figures())
 
 
-@pytest.mark.parametrize("kind", [*KINDS, "long titles"])
+@pytest.mark.parametrize("kind", [*KINDS, "long titles", "many tabs"])
 def test_no_report_is_wider_than_a_phone(kind: str) -> None:
     _, page, _ = seen(kind)
     assert page.wide <= WIDTH
     assert page.needed <= page.wide  # Otherwise the page must be scrolled sideways.
     assert 200 < page.plot < page.wide
     assert page.titles <= WIDTH - 16  # the padding of the page
+    assert page.hidden_tabs == 0  # A list of tabs that scrolls looks complete.
 
 
 @pytest.mark.parametrize(
@@ -115,6 +128,24 @@ def test_report_can_be_printed(kind: str, most: int, tmp_path: Path) -> None:
     content = pdf.read_bytes()
     assert content.startswith(b"%PDF")
     assert 1 <= len(re.findall(rb"/Type\s*/Page\b", content)) <= most
+
+
+@pytest.mark.skipif(shutil.which("pdftotext") is None, reason="no pdftotext here (poppler-utils)")
+def test_no_printed_page_ends_with_the_head_of_an_effect(tmp_path: Path) -> None:
+    """One card is printed at many heights of the page."""
+    text = seen("diagnosis")[0].read_text(encoding="utf-8")
+    (style, *_), (card, *_) = (re.findall(part, text, re.DOTALL) for part in ("<style>.*?</style>", CARD))
+    card = re.sub("<h2>.*?</h2>", "<h2>TITLE</h2>", re.sub(FORMULA, r"\1\2 FORMULA\3", card))
+    spaced = "".join(
+        f'<p style="break-before: page; height: {mm}mm; margin: 0"></p>{card}' for mm in range(150, 265, 3)
+    )
+    page, pdf = tmp_path / "cards.html", tmp_path / "cards.pdf"
+    page.write_text(f"<!doctype html><meta charset=utf-8>{style}<main>{spaced}</main>", encoding="utf-8")
+    chromium(tmp_path, f"--print-to-pdf={pdf}", "--no-pdf-header-footer", page.as_uri())
+    run = subprocess.run(["pdftotext", "-layout", pdf, "-"], capture_output=True, text=True, check=True)
+    ends = [part.strip().splitlines()[-1] for part in run.stdout.split("\f") if part.strip()]
+    assert len(ends) > 40
+    assert not [line for line in ends if "TITLE" in line or "FORMULA" in line]
 
 
 PAPER = """<!doctype html><body><script>

@@ -12,7 +12,9 @@ import seatrial as st
 from seatrial.daq.errors import SeatrialWarning
 from seatrial.ident.estimation.maximum_likelihood import Fit
 from seatrial.ident.estimation.model_file import load_model
+from seatrial.ident.estimation.prior_knowledge import exceeded_prior
 from seatrial.ident.export.formats import export
+from seatrial.ident.model import Parameter, ParameterOrigin
 from seatrial.ident.results.parts import FitSummary, ParameterRow
 from seatrial.ident.results.tables import fit_summary
 from tests.missions import boat_log, boat_with
@@ -52,6 +54,16 @@ def test_a_larger_error_is_explained_and_a_smaller_one_is_not(fitted: st.FittedV
     assert f"{LARGER} (2.4 > 2 N), because it also contains what the model does not explain: " in flag
     assert flag.startswith(row_of(fit_summary(fit, {}), "c1").flag or LARGER)  # another remark comes first
     assert [row.name for row in summary.parameters if LARGER in (row.flag or "")] == ["c1"]
+
+
+def test_the_standard_deviation_is_quoted_as_it_was_given() -> None:
+    """The search uses the logarithm of c1, whose standard deviation is relative to the mean of the prior."""
+    c1 = Parameter("c1", 29.0, "N", transform="log", prior=(29.0, 1.06), origin=ParameterOrigin.PRIOR)
+    for value in (27.9, 29.0, 29.47):
+        assert exceeded_prior(c1, value, 2.04) == 1.06
+        assert exceeded_prior(c1, value, 1.06) is None
+    assert exceeded_prior(c1, 14.5, 0.8) is None  # smaller than what was given, although the logarithm is less certain
+    assert exceeded_prior(c1, 58.0, 2.0) is None  # the same share of a larger estimate
 
 
 @pytest.mark.parametrize("target", ["python", "c", "casadi"])

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import re
+from math import cos, sin
 from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, cast
 
 import pytest
 
 from seatrial.ident.cli.commands import ident
+from seatrial.ident.models.components import shift
 from tests.ident.workflows.test_use_a_model import run
 from tests.test_docs import blocks, how_to
+
+if TYPE_CHECKING:
+    from seatrial.ident.model import Signals
 
 PAGE = how_to("control")
 WIND = {"F_wx": -3.0, "F_wy": 2.0, "w_x": 0.3}  # N, N, and the frontal area over the lateral one
@@ -40,6 +47,18 @@ def output(code: str, number: int = 0) -> str:
 def test_controller_of_the_page(block: int, folder: Path) -> None:
     code = blocks(PAGE, "python")[block]
     assert run(code, folder) == output(code)
+
+
+def test_velocity_of_the_antenna_is_turned_into_that_of_the_boat() -> None:
+    """The formulas for boats without odometry invert the output equations of the models."""
+    u, v, r, psi, l_x, l_y = 1.1, -0.2, 0.9, 2.3, 0.3, -0.15
+    over_ground = {"vx": u * cos(psi) - v * sin(psi), "vy": u * sin(psi) + v * cos(psi), "x": 0.0, "y": 0.0}
+    shift(cast("Signals", SimpleNamespace(x=SimpleNamespace(psi=psi, r=r), y=over_ground)), l_x, l_y)
+    known = {"v_n": over_ground["vx"], "v_e": over_ground["vy"], "r": r, "psi": psi, "l_x": l_x, "l_y": l_y}
+    found = re.search("`u = (v_n [^`]+)`, `v = (v_e [^`]+)`", PAGE.read_text(encoding="utf-8"))
+    assert found is not None
+    products = [re.sub(r"(?<=\w) (?=\w)", " * ", formula) for formula in found.groups()]
+    assert [eval(formula, {"cos": cos, "sin": sin}, known) for formula in products] == pytest.approx([u, v])
 
 
 @pytest.mark.parametrize("block", [1, 2, 3], ids=["pid", "lqr", "ramp"])

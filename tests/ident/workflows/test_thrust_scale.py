@@ -13,7 +13,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ from seatrial.ident.estimation.model_file import load_model
 from seatrial.ident.estimation.thrust_scale import PriorDistance, thrust_scale_of
 from seatrial.ident.model.parameter import Parameter, ParameterOrigin
 from seatrial.ident.results import answers
-from seatrial.ident.results.answers import mass_notes, mass_warnings, prior_notes
+from seatrial.ident.results.answers import implausible_mass, mass_notes, mass_warnings, prior_notes
 
 if TYPE_CHECKING:
     from seatrial.ident.estimation.maximum_likelihood import Fit
@@ -247,6 +247,16 @@ def test_weighed_mass_says_nothing_about_ratios_and_within_the_errors(
 
 
 @pytest.mark.parametrize(
+    ("mass", "unit"),
+    [(4.2, "kgf, 1 kgf = 9.81 N"), (9.3, "lbf, 1 lbf = 4.448 N"), (4200.0, "gf, 1 gf = 0.00981 N"), (16.0, None)],
+)
+def test_unit_of_the_thrust_that_explains_a_wrong_mass_is_named(mass: float, unit: str | None) -> None:
+    (warning,) = implausible_mass(mass, 0.04 * mass, 32.0)
+    assert ("as if the thrust were given in" in warning.text) == (unit is not None)
+    assert unit is None or f"the mass is as if the thrust were given in {unit})" in warning.text
+
+
+@pytest.mark.parametrize(
     ("error", "weighed", "begin", "more"),
     [
         (0.2, 11.0, "The mass in surge, m_u, is 1.09 times the weighed mass of 11 kg", None),
@@ -278,15 +288,35 @@ def test_a_prior_that_only_missing_effects_excuse_has_a_note(monkeypatch: pytest
     c1 = Parameter("c1", 12.0, "N", "thrust", prior=(12.0, 0.6), origin=ParameterOrigin.PRIOR)
     noise = replace(c1, name="e_r")
     found = [
-        PriorDistance(c1, 15.0, 1.5, 4.2),
-        PriorDistance(replace(c1, name="c2"), 15.0, 3.4, 4.2),  # There is a warning.
-        PriorDistance(replace(c1, name="y_arm"), 12.5, 0.5, 0.8),
-        PriorDistance(noise, 15.0, 1.5, 4.2),
+        PriorDistance(c1, 15.0, 1.5, 4.2, 0.5),
+        PriorDistance(replace(c1, name="c2"), 15.0, 3.4, 4.2, 0.5),  # There is a warning.
+        PriorDistance(replace(c1, name="y_arm"), 12.5, 0.5, 0.8, 0.5),
+        PriorDistance(noise, 15.0, 1.5, 4.2, 0.5),
     ]
     monkeypatch.setattr(answers, "prior_distances", lambda _: found)
-    (note,) = prior_notes(cast("Fit", SimpleNamespace(model=SimpleNamespace(noises=("e_r",)))))
-    assert note.startswith("The estimate of c1 is 15 N, where 12 ± 0.6 N was given. The data alone are 4.2 standard ")
-    assert "1.5 if the effects that may be missing count" in note
+    fit = cast("Fit", SimpleNamespace(model=SimpleNamespace(noises=("e_r",))))
+    (note,) = prior_notes(fit)
+    assert note.startswith(
+        "The estimate of c1 is 15 N, where 12 ± 0.6 N was given. The data alone give about 18 N: 4.2 standard "
+        "deviations of both away if no effect is missing from the model, and 1.5 if the effects that may be missing "
+    )
+    # An estimate near the given value does not contradict the distance of the data.
+    for estimate, sign, direction in ((12.2, 1.0, "larger"), (11.8, -1.0, "smaller")):
+        found[:] = [PriorDistance(c1, estimate, 1.5 * sign, 4.2 * sign, 0.98)]
+        (note,) = prior_notes(fit)
+        assert (
+            "The prior has 98 % of the information and holds the estimate near the given value. The data alone give a "
+            f"{direction} value: 4.2 standard deviations of both away"
+        ) in note
+
+
+@pytest.mark.parametrize("transform", ["none", "log"])
+def test_the_data_alone_and_the_prior_give_the_estimate(transform: Literal["none", "log"]) -> None:
+    c1 = Parameter("c1", 12.0, "N", transform=transform, prior=(12.0, 0.6))
+    prior, weight, data = c1.to_free(12.0), 0.7, c1.to_free(14.0)
+    estimate = c1.from_free(weight * prior + (1.0 - weight) * data)
+    assert PriorDistance(c1, estimate, 3.0, 3.0, weight).data_value == pytest.approx(14.0)
+    assert PriorDistance(c1, estimate, 3.0, 3.0, 0.85).data_value is None
 
 
 @pytest.mark.study
