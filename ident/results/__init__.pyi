@@ -1,3 +1,4 @@
+from .answers import MOST_OF_ERROR as MOST_OF_ERROR
 from .answers import NOT_WEIGHED as NOT_WEIGHED
 from .answers import SIMULATION_COVERS as SIMULATION_COVERS
 from .answers import antenna_warning as antenna_warning

@@ -70,6 +70,7 @@ from seatrial.ident.workflows.comparison_errors import (
     at_common_samples,
     calibration_at,
     channel_rows,
+    concentration_notes,
     limited_samples,
     ratio_row,
 )
@@ -389,6 +390,7 @@ def _result(
     units = {o.name: o.unit for c in compared for o in c.model.outputs}
     channels = list[ComparedChannel]()
     changes: list[list[ComparedKind]] = [[] for _ in compared]
+    events: list[str] = []
     for kind in kinds:
         errors = at_common_samples([{r: p.errors[kind] for r, p in by.items()} for by in predicted])
         lengths = dict.fromkeys(units, max(block, BLOCK_LENGTHS * (kind.seconds or 0.0)))
@@ -402,6 +404,10 @@ def _result(
             found = prediction_change_by_record(errors[0], other, kind.seconds or 0.0, length)
             if (ratio := ratio_row(found)) is not None:
                 own.append(ComparedKind(kind=kind.kind, seconds=kind.seconds, block=length, against_reference=ratio))
+        if kind.seconds == horizons[0]:
+            at = [(k, c) for k, own in enumerate(changes) for c in own if c.seconds == kind.seconds]
+            undecided = [k for k, c in at if c.against_reference.verdict not in ("better", "worse")]
+            events = concentration_notes(errors, letters, horizons[0], undecided)
     models = list[ComparedModel]()
     for label, c, by, own in zip(letters, compared, predicted, changes, strict=True):
         with_effects = any(not e.kind.nuisance for e in c.model.effects)
@@ -455,7 +461,7 @@ def _result(
             *_warnings(models),
             *_warnings_of_effects(compared, letters, by_record[0]),
         ),
-        notes=(*notes, *_notes_on_logs(models), *short, *([chance] if verdicts else [])),
+        notes=(*notes, *events, *_notes_on_logs(models), *short, *([chance] if verdicts else [])),
         horizons=horizons,
         models=tuple(models),
         weighed_mass=weighed,

@@ -7,14 +7,23 @@ from functools import cache, reduce
 
 import numpy as np
 
-from seatrial.ident.results import ComparedChannel, ComparedError, ComparedRatio, ComparisonVerdict, finite
+from seatrial.ident.results import (
+    MOST_OF_ERROR,
+    ComparedChannel,
+    ComparedError,
+    ComparedRatio,
+    ComparisonVerdict,
+    finite,
+)
 from seatrial.ident.validation import (
     Calibration,
     ErrorRatio,
     PredictionErrors,
+    concentrated_errors,
     pooled_calibration,
     pooled_errors,
     prediction_change_by_record,
+    without_spans,
 )
 from seatrial.ident.workflows.compared_predictions import SIMULATION, Kind, PredictedRecord
 
@@ -185,3 +194,46 @@ def ratio_row(found: ErrorRatio | None) -> ComparedRatio | None:
     known = low is not None and high is not None
     verdict: ComparisonVerdict = VERDICTS[found.verdict] if known else "no-interval"
     return ComparedRatio(ratio=found.ratio, low=low, high=high, blocks=found.blocks, verdict=verdict)
+
+
+def concentration_notes(
+    models: Sequence[ErrorsByRecord], labels: Sequence[str], horizon: float, undecided: Sequence[int]
+) -> list[str]:
+    """Return a note on the times that have most of the squared errors over a horizon; empty without such times.
+
+    For each model concerned it has the channels, their share and the times. For models without a verdict against the
+    first one, it has the ratio of their error to that of the first model without all these times.
+
+    Parameters
+    ----------
+    models : sequence of mapping
+        Errors of each model by record and channel, at common samples.
+    labels : sequence of str
+        Label of each model.
+    horizon : float
+        Prediction horizon [s].
+    undecided : sequence of int
+        Indices of the models that are neither better nor worse than the first one.
+    """
+    found = {k: part for k, own in enumerate(models) if (part := concentrated_errors(own, horizon)) is not None}
+    if not found:
+        return []
+    each = []
+    for k, part in found.items():
+        times: dict[str, list[str]] = {}
+        for span in part.spans:
+            times.setdefault(span.record, []).append(f"{span.begin:g} to {span.end:g} s")
+        where = ", ".join(f"{' and '.join(spans)} of {record}" for record, spans in times.items())
+        low, high = (f"{100.0 * share:.0f}" for share in (min(part.shares.values()), max(part.shares.values())))
+        share = high if low == high else f"{low} to {high}"
+        model = f"({labels[k]}) " if len(models) > 1 else ""
+        each.append(f"{model}{share} % of that of {', '.join(part.shares)} in {where}")
+    rest = [without_spans(own, {span for part in found.values() for span in part.spans}) for own in models]
+    ratios = {k: prediction_change_by_record(rest[0], rest[k], horizon).ratio for k in undecided}
+    words = [f"that of ({labels[k]}) is {ratio:.2g} times" for k, ratio in ratios.items() if np.isfinite(ratio)]
+    without = f" Without these seconds, of the errors over all channels {' and '.join(words)} that of ({labels[0]})."
+    return [
+        f"{MOST_OF_ERROR} {horizon:g} s ahead: {'; '.join(each)} (since the start of the record)."
+        f"{without if words else ''} These seconds decide the errors: look there for a gap, an outlier, or a motion "
+        "that depends on chance, as the side to which an unstable boat turns."
+    ]

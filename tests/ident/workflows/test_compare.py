@@ -40,6 +40,7 @@ from seatrial.ident.report.sections.comparison import _best_cell, _error_cells, 
 from seatrial.ident.report.terminal import compared_tables
 from seatrial.ident.results import ComparisonResult, LogScore
 from seatrial.ident.results.result_file import read_result
+from seatrial.ident.validation import prediction_errors
 from seatrial.ident.validation.prediction_errors import PredictionErrors
 from seatrial.ident.workflows.compare import (
     CompareRequest,
@@ -51,7 +52,13 @@ from seatrial.ident.workflows.compare import (
     records_of_same_time,
 )
 from seatrial.ident.workflows.compared_predictions import ONE_STEP, SIMULATION, PredictedRecord
-from seatrial.ident.workflows.comparison_errors import at_common_samples, calibration_at, channel_rows, limited_samples
+from seatrial.ident.workflows.comparison_errors import (
+    at_common_samples,
+    calibration_at,
+    channel_rows,
+    concentration_notes,
+    limited_samples,
+)
 from seatrial.ident.workflows.comparison_likelihood import (
     _is_nested,
     _n_estimates,
@@ -472,6 +479,39 @@ def test_model_that_limits_the_common_samples_is_named() -> None:
     parts = [{"run": PredictedRecord(t, {}, t, {ONE_STEP: own["run"]}, {})} for own in (whole, whole, few)]
     (warning,) = _limited_warnings(parts, labels(3))
     assert warning.text.endswith("One step ahead they are limited: r 9 of 100 samples, by (c).")
+
+
+def test_seconds_that_have_most_of_the_errors_are_named() -> None:
+    t = np.arange(0.0, 300.0, 0.1)
+    event = np.where((t >= 286.0) & (t < 289.0), 40.0, 1.0)
+    own = [{"run": {"r": errors(t, e), "psi": errors(t, e), "x": errors(t, np.full(t.size, 2.0))}}
+           for e in (np.full(t.size, 2.0), event)]  # fmt: skip
+    (note,) = concentration_notes(own, labels(2), 10.0, [1])
+    assert note.startswith(
+        "A small part of the time has most of the squared error 10 s ahead: (b) 94 % of that of r, psi in 285 to 290 s "
+        "of run (since the start of the record). Without these seconds, of the errors over all channels that of (b) is "
+        "0.63 times that of (a). "
+    )
+    (decided,) = concentration_notes(own, labels(2), 10.0, [])
+    assert "Without" not in decided
+    (alone,) = concentration_notes(own[1:], labels(1), 10.0, [])
+    assert ": 94 % of that of r, psi in 285 to 290 s of run (" in alone
+    assert concentration_notes(own[:1], labels(1), 10.0, []) == []
+
+
+def test_note_on_the_errors_is_in_every_output(
+    models: list[Path], logs: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(prediction_errors, "SMALL_PART", 0.5)
+    monkeypatch.setattr(prediction_errors, "LEAST_SHARE", 0.0)
+    monkeypatch.setattr(prediction_errors, "MOST_SPANS", 100)
+    result = compare_models(CompareRequest(models, logs[2:], (3.0,), names=("good", "bad")), "", Kept())
+    note = result.notes[0]
+    assert note.startswith("A small part of the time has most of the squared error 3 s ahead: (a) ")
+    assert ("Without these seconds" in note) is (result.models[1].changes[1].against_reference.verdict != "worse")
+    assert Comparison(result).notes == list(result.notes)
+    assert "A small part of the time has most" in text_of(result)
+    assert "A small part of the time has most" in render(result)
 
 
 def test_rows_name_the_best_model_and_those_not_distinguishable_from_it() -> None:
