@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cache, reduce
 
 import numpy as np
 
+from seatrial.ident.numerics import Array
 from seatrial.ident.results import (
     MOST_OF_ERROR,
     ComparedChannel,
@@ -26,6 +28,7 @@ from seatrial.ident.validation import (
     without_spans,
 )
 from seatrial.ident.workflows.compared_predictions import SIMULATION, Kind, PredictedRecord
+from seatrial.ident.workflows.dynamics import Z95
 
 VERDICTS: Mapping[str, ComparisonVerdict] = {"fell": "better", "rose": "worse", "unchanged": "indistinguishable"}
 MOST_SAMPLES_LOST = 0.1  # share of the samples of a channel that a comparison may leave out without a word
@@ -105,13 +108,24 @@ def calibration_at(
     Returns
     -------
     dict of str to Calibration
-        Calibration by channel, of all records together. Channels without standard deviations are left out.
+        Calibration by channel, of all records together. Channels without standard deviations are left out. If the 95 %
+        intervals of a channel are useless, its ``inside_95`` is NaN: they are wider than the range of its values, so
+        that (almost) all errors are inside whatever the prediction is.
     """
     by_record = []
+    widths: dict[str, list[Array]] = {}
+    ranges: dict[str, float] = {}
     for record, by_name in errors.items():
         own, z = predicted[record].errors[kind], predicted[record].standardised.get(kind, {})
         by_record.append({n: z[n][np.searchsorted(own[n].t, e.t)] for n, e in by_name.items() if n in z})
-    return pooled_calibration(by_record, together=kind == SIMULATION)
+        for n, curve in predicted[record].curves.get(kind, {}).items():
+            if n in by_name and by_name[n].about.size:
+                at = np.minimum(np.searchsorted(curve.t, by_name[n].t), curve.t.size - 1)
+                widths.setdefault(n, []).append(2.0 * Z95 * curve.sd[at])
+                ranges[n] = max(ranges.get(n, 0.0), float(np.ptp(by_name[n].about)))
+    useless = {n for n, found in widths.items() if np.median(np.concatenate(found)) > ranges[n]}
+    tested = pooled_calibration(by_record, together=kind == SIMULATION)
+    return {n: replace(c, inside_95=float("nan")) if n in useless else c for n, c in tested.items()}
 
 
 def channel_rows(
@@ -163,7 +177,7 @@ def channel_rows(
                 model=labels[k],
                 rms=error,
                 fit=None if error is None or not spread else 1.0 - error / spread,
-                inside_95=None if (found := tested[k].get(name)) is None else found.inside_95,
+                inside_95=None if (found := tested[k].get(name)) is None else finite(found.inside_95),
                 intervals=None if found is None else found.verdict,
                 against_reference=against(0, k, name) if 0 in rms else None,
                 against_best=None if best is None else against(best, k, name),
