@@ -30,7 +30,9 @@ from seatrial.ident.report.sections.comparison import (
 from seatrial.ident.report.sections.parameters import interval, segment_in_words
 from seatrial.ident.report.sections.predictions import by_role, error_words, horizons, unmarked_rises
 from seatrial.ident.results import (
+    MOST_OF_ERROR,
     NOT_WEIGHED,
+    RUNS_AWAY,
     SIMULATION_COVERS,
     CampaignErrors,
     CampaignsResult,
@@ -507,7 +509,8 @@ def print_result(result: Result, console: Console) -> None:
     """Print the warnings, the answer, the caveat of a diagnosis and the tables of a result to the console.
 
     The notes of a run over many logs follow its tables, and so do the names of the common errors in a vehicle model,
-    and notes on what no table shows: no weighed mass, and simulations of short records.
+    and notes on what no table shows: no weighed mass, simulations of short records or that run
+    away, and times of most of the errors.
     The prediction errors of a diagnosis, its last table, are followed by the sentences on how they are computed, and by
     the reason why no experiment is recommended, if there is none. The report has a recommended experiment.
 
@@ -551,7 +554,7 @@ def print_result(result: Result, console: Console) -> None:
         )
         print_prose(console, Text(text, style="dim"))
     for note in result.notes:
-        if note == NOT_WEIGHED or note.startswith(SIMULATION_COVERS):
+        if note == NOT_WEIGHED or note.startswith((SIMULATION_COVERS, MOST_OF_ERROR, RUNS_AWAY)):
             print_prose(console, Text(note, style="dim"))
     for note in result.notes if isinstance(result, FleetResult | CampaignsResult) else ():
         console.print()

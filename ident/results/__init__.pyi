@@ -1,4 +1,6 @@
+from .answers import MOST_OF_ERROR as MOST_OF_ERROR
 from .answers import NOT_WEIGHED as NOT_WEIGHED
+from .answers import RUNS_AWAY as RUNS_AWAY
 from .answers import SIMULATION_COVERS as SIMULATION_COVERS
 from .answers import antenna_warning as antenna_warning
 from .answers import check_warnings as check_warnings

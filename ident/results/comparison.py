@@ -49,14 +49,15 @@ class ComparedError(Part, frozen=True, kw_only=True):
         float | None,
         Meta(
             description="share of the errors inside the 95 % intervals, widened as those of `traces`; one step ahead "
-            "without outliers; null: no intervals, or a result of an earlier version"
+            "without outliers; null: no intervals, intervals that are wider than the range of the measured values, or "
+            "a result of an earlier version"
         ),
     ] = None
     intervals: Annotated[
         Verdict | None,
         Meta(
             description="verdict on these intervals that allows for correlated errors: `overconfident` (too narrow) or "
-            "`underconfident` (too wide) beyond 10 %; `right`; `insufficient_data`; null as `inside_95`"
+            "`underconfident` (too wide) beyond 10 %; `right`; `insufficient_data`; null: no intervals"
         ),
     ] = None
     against_reference: Annotated[
@@ -349,6 +350,8 @@ class ComparisonResult(Result, frozen=True, kw_only=True, tag_field="kind", tag=
     def inside_95(self, kind: PredictionKind, seconds: float | None, label: str) -> float | None:
         """Return the share of the errors of a model inside its 95 % intervals, over all channels; None if unknown.
 
+        Channels with useless intervals (without ``inside_95``) are left out. If most channels have such, it is None.
+
         Parameters
         ----------
         kind, seconds
@@ -356,12 +359,15 @@ class ComparisonResult(Result, frozen=True, kw_only=True, tag_field="kind", tag=
         label
             Label of the model.
         """
-        found = [
+        tested = [
             (row.n, e.inside_95)
             for row in self.channels
             for e in row.errors
-            if (row.kind, row.seconds, e.model) == (kind, seconds, label) and e.inside_95 is not None
+            if (row.kind, row.seconds, e.model) == (kind, seconds, label) and e.intervals is not None
         ]
+        found = [(n, share) for n, share in tested if share is not None]
+        if 2 * len(found) < len(tested):
+            return None
         total = sum(n for n, _ in found)
         return sum(n * share for n, share in found) / total if total else None
 

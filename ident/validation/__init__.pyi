@@ -18,9 +18,11 @@ from .evaluation import smoothed_forces as smoothed_forces
 from .prediction_errors import MAX_STARTS as MAX_STARTS
 from .prediction_errors import MIN_STRIDE as MIN_STRIDE
 from .prediction_errors import WARM_UP as WARM_UP
+from .prediction_errors import ConcentratedErrors as ConcentratedErrors
 from .prediction_errors import ErrorRatio as ErrorRatio
 from .prediction_errors import PredictionChange as PredictionChange
 from .prediction_errors import PredictionErrors as PredictionErrors
+from .prediction_errors import concentrated_errors as concentrated_errors
 from .prediction_errors import correlated_blocks as correlated_blocks
 from .prediction_errors import horizon_errors as horizon_errors
 from .prediction_errors import largest_errors as largest_errors
@@ -28,6 +30,7 @@ from .prediction_errors import one_step_errors as one_step_errors
 from .prediction_errors import pooled_errors as pooled_errors
 from .prediction_errors import prediction_change_by_record as prediction_change_by_record
 from .prediction_errors import simulation_run as simulation_run
+from .prediction_errors import without_spans as without_spans
 from .whiteness import OUTLIER_SDS as OUTLIER_SDS
 from .whiteness import SpectralPeak as SpectralPeak
 from .whiteness import WhitenessDiagnostics as WhitenessDiagnostics

@@ -8,7 +8,7 @@ concentrated out.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
@@ -31,6 +31,10 @@ CORRELATION_LENGTHS = 4.0  # block length of the jackknife for simulations, in c
 FEWEST_BLOCKS, ENOUGH_BLOCKS = 4, 15
 DIVERGED = 1e9  # in any unit: a prediction with a larger error has diverged
 RUNAWAY = 10.0  # ranges of the measured values: a simulation farther from their middle has diverged
+SMALL_PART = 0.05  # share of the time whose share of the squared errors is tested
+PARTS_PER_HORIZON = 2  # intervals of a horizon from which the small part is chosen
+MOST_SPANS = 3  # a small part in more places is no event that a reader can look at
+LEAST_SHARE = 0.1  # of the squared errors of a channel that an interval of the small part has
 LEAST_CHANGE = 0.005  # of a ratio: reports round to one per cent, so a smaller change is shown as no change
 
 
@@ -490,7 +494,112 @@ def largest_errors(by_record: Mapping[str, Mapping[str, PredictionErrors]], hori
     1e9 in the unit of the channel, so a prediction that diverged has a finite share.
     """
     seconds = BLOCK_HORIZONS * horizon
-    sums: dict[tuple[str, float], dict[str, float]] = {}
+    found = _shares(by_record, seconds)
+    if not found:
+        return None
+    n_channels = len({name for of in found.values() for name in of})
+    shares = {at: sum(of.values()) / n_channels for at, of in found.items()}
+    record, block = max(shares, key=lambda at: shares[at])
+    end = min((block + 1) * seconds, _last_time(by_record[record]))
+    return LargestErrors(record, block * seconds, end, shares[record, block])
+
+
+class Span(NamedTuple):
+    """Interval of time [s] of a record, with its begin and without its end."""
+
+    record: str
+    begin: float
+    end: float
+
+
+@dataclass(frozen=True)
+class ConcentratedErrors:
+    """Small part of the time that has most of the squared prediction errors of at least one channel.
+
+    Attributes
+    ----------
+    spans
+        The part: at most three intervals of time, in the order of the records and of time.
+    shares
+        Share of the part in the squared errors (0 to 1) of each channel of which it has more than half.
+    """
+
+    spans: tuple[Span, ...]
+    shares: Mapping[str, float]
+
+
+def concentrated_errors(
+    by_record: Mapping[str, Mapping[str, PredictionErrors]], horizon: float
+) -> ConcentratedErrors | None:
+    """Return the small part of the time that has most of the squared errors of a channel; None if there is none.
+
+    The time of each record is divided into intervals of half a horizon. The part has the intervals with the largest
+    shares in the errors of any channel: at most 5 % of all intervals, each with at least 10 % of the squared errors of
+    a channel, and together at most three intervals of time.
+
+    Parameters
+    ----------
+    by_record
+        Errors over the horizon, by record and channel.
+    horizon
+        Prediction horizon [s].
+    """
+    seconds = horizon / PARTS_PER_HORIZON
+    shares = _shares(by_record, seconds)
+    part: list[tuple[str, int]] = []
+    spans: list[Span] = []
+    for at in sorted(shares, key=lambda at: -max(shares[at].values())):
+        joined = _joined([*part, at], list(by_record), seconds)
+        few = len(part) + 1 <= SMALL_PART * len(shares) and len(joined) <= MOST_SPANS
+        if not few or max(shares[at].values()) < LEAST_SHARE:
+            break
+        part, spans = [*part, at], joined
+    sums = {name: sum(shares[at].get(name, 0.0) for at in part) for name in {n for of in shares.values() for n in of}}
+    names = dict.fromkeys(name for channels in by_record.values() for name in channels)
+    most = {name: sums[name] for name in names if sums.get(name, 0.0) > 0.5}
+    return ConcentratedErrors(tuple(spans), most) if most else None
+
+
+def without_spans(
+    by_record: Mapping[str, Mapping[str, PredictionErrors]], spans: Iterable[Span]
+) -> dict[str, dict[str, PredictionErrors]]:
+    """Return the errors, by record and channel, without those in some intervals of time."""
+    spans = tuple(spans)
+
+    def rest(record: str, errors: PredictionErrors) -> PredictionErrors:
+        """Return the errors of a channel of a record outside the intervals."""
+        keep = np.ones(errors.t.size, dtype=bool)
+        for span in spans:
+            if span.record == record:
+                keep &= (errors.t < span.begin) | (errors.t >= span.end)
+        return PredictionErrors(
+            errors.t[keep], errors.e[keep], errors.about[keep] if errors.about.size else errors.about
+        )
+
+    return {record: {name: rest(record, e) for name, e in by.items()} for record, by in by_record.items()}
+
+
+def _joined(part: Sequence[tuple[str, int]], records: Sequence[str], seconds: float) -> list[Span]:
+    """Join neighbouring intervals of ``seconds`` [s], each a record and its number, to longer ones."""
+    spans: list[Span] = []
+    for record, block in sorted(part, key=lambda at: (records.index(at[0]), at[1])):
+        span = Span(record, block * seconds, (block + 1) * seconds)
+        if spans and spans[-1].record == record and spans[-1].end == span.begin:
+            span = Span(record, spans.pop().begin, span.end)
+        spans.append(span)
+    return spans
+
+
+def _shares(
+    by_record: Mapping[str, Mapping[str, PredictionErrors]], seconds: float
+) -> dict[tuple[str, int], dict[str, float]]:
+    """Return the share of each interval of time in the squared errors of each channel over all records.
+
+    The intervals are ``seconds`` [s] long, from time 0 of each record on. Errors are limited to 1e9 in the unit of the
+    channel. Channels without errors other than zero are left out. The keys are the record and the number of the
+    interval.
+    """
+    sums: dict[tuple[str, int], dict[str, float]] = {}
     totals: dict[str, float] = {}
     for record, channels in by_record.items():
         for name, errors in channels.items():
@@ -498,14 +607,9 @@ def largest_errors(by_record: Mapping[str, Mapping[str, PredictionErrors]], hori
             totals[name] = totals.get(name, 0.0) + float(squares.sum())
             blocks, index = np.unique(np.floor(errors.t / seconds), return_inverse=True)
             for block, total in zip(blocks, np.bincount(index, squares, blocks.size), strict=True):
-                sums.setdefault((record, float(block)), {})[name] = float(total)
-    counted = [name for name, total in totals.items() if total > 0.0]
-    if not counted:
-        return None
-    shares = {at: float(np.mean([of.get(n, 0.0) / totals[n] for n in counted])) for at, of in sums.items()}
-    record, block = max(shares, key=lambda at: shares[at])
-    end = min((block + 1.0) * seconds, _last_time(by_record[record]))
-    return LargestErrors(record, block * seconds, end, shares[record, block])
+                sums.setdefault((record, int(block)), {})[name] = float(total)
+    counted = {at: {n: x / totals[n] for n, x in of.items() if totals[n] > 0.0} for at, of in sums.items()}
+    return {at: of for at, of in counted.items() if of}
 
 
 class _BlockSums(NamedTuple):

@@ -33,6 +33,7 @@ from seatrial.ident.parallel import Workers, run_many
 from seatrial.ident.report import write_report
 from seatrial.ident.reporter import Reporter
 from seatrial.ident.results import (
+    RUNS_AWAY,
     ComparedChannel,
     ComparedKind,
     ComparedModel,
@@ -70,6 +71,7 @@ from seatrial.ident.workflows.comparison_errors import (
     at_common_samples,
     calibration_at,
     channel_rows,
+    concentration_notes,
     limited_samples,
     ratio_row,
 )
@@ -79,11 +81,13 @@ from seatrial.ident.workflows.comparison_likelihood import (
     used_logs,
     why_not_comparable,
 )
+from seatrial.ident.workflows.dynamics import course_at_speeds
 from seatrial.ident.workflows.model_differences import model_differences
 from seatrial.ident.workflows.model_inputs import check_horizon, hold_lines, in_one_frame, model_of_logs
 
 BLOCK_LENGTHS = 2.0  # block length of the log score, in times over which residuals may be correlated
 SAME_TIME = 1e-6  # s: records whose starts and ends differ by less cover the same time
+RUNAWAY_GROWTH = float(np.log(10.0))  # growth of a yaw rate, as a logarithm, with which a simulation runs away
 CHANCE = 0.05  # share of the verdicts on two equal models that are wrong
 
 Predictions = Mapping[str, Sequence[PredictedRecord]]  # those of one model: by record, for each block or the whole
@@ -389,6 +393,7 @@ def _result(
     units = {o.name: o.unit for c in compared for o in c.model.outputs}
     channels = list[ComparedChannel]()
     changes: list[list[ComparedKind]] = [[] for _ in compared]
+    events: list[str] = []
     for kind in kinds:
         errors = at_common_samples([{r: p.errors[kind] for r, p in by.items()} for by in predicted])
         lengths = dict.fromkeys(units, max(block, BLOCK_LENGTHS * (kind.seconds or 0.0)))
@@ -402,6 +407,10 @@ def _result(
             found = prediction_change_by_record(errors[0], other, kind.seconds or 0.0, length)
             if (ratio := ratio_row(found)) is not None:
                 own.append(ComparedKind(kind=kind.kind, seconds=kind.seconds, block=length, against_reference=ratio))
+        if kind.seconds == horizons[0]:
+            at = [(k, c) for k, own in enumerate(changes) for c in own if c.seconds == kind.seconds]
+            undecided = [k for k, c in at if c.against_reference.verdict not in ("better", "worse")]
+            events = concentration_notes(errors, letters, horizons[0], undecided)
     models = list[ComparedModel]()
     for label, c, by, own in zip(letters, compared, predicted, changes, strict=True):
         with_effects = any(not e.kind.nuisance for e in c.model.effects)
@@ -442,6 +451,7 @@ def _result(
         f"{CHANCE * verdicts:.1g} would be wrong by chance."
     )
     short = warm_up_notes((name, float(part.t[-1] - part.t[0])) for by in predicted for name, part in by.items())
+    simulated = max(float(part.t[-1] - part.t[0]) for part in predicted[0].values()) - WARM_UP
     result = ComparisonResult(
         created=made.created,
         seatrial=made.seatrial,
@@ -455,7 +465,14 @@ def _result(
             *_warnings(models),
             *_warnings_of_effects(compared, letters, by_record[0]),
         ),
-        notes=(*notes, *_notes_on_logs(models), *short, *([chance] if verdicts else [])),
+        notes=(
+            *notes,
+            *events,
+            *_runaway_notes(compared, simulated, horizons[0]),
+            *_notes_on_logs(models),
+            *short,
+            *([chance] if verdicts else []),
+        ),
         horizons=horizons,
         models=tuple(models),
         weighed_mass=weighed,
@@ -603,6 +620,26 @@ def _notes_on_logs(models: Sequence[ComparedModel]) -> list[str]:
     own = [f"({m.label}) {', '.join(m.per_log)}" if len(models) > 1 else ", ".join(m.per_log) for m in models
            if m.per_log]  # fmt: skip
     return [f"Estimated anew for each {'compared ' * (len(models) > 1)}log: {'; '.join(own)}."] if own else []
+
+
+def _runaway_notes(compared: Sequence[_Candidate], simulated: float, horizon: float) -> list[str]:
+    """Return the note that names the unstable models, whose simulation runs away; empty without any.
+
+    A small yaw rate of these models grows at least tenfold in ``simulated`` [s], the time of the longest simulation.
+    """
+    courses = [
+        (label, course_at_speeds(c.saved.model, c.saved.validity))
+        for label, c in zip(labels(len(compared)), compared, strict=True)
+    ]
+    found = [
+        f"{f'({label}) at' if len(compared) > 1 else 'at'} {course.speed:.3g} m/s in {1.0 / course.pole:.2g} s"
+        for label, course in courses
+        if course is not None and course.pole * simulated > RUNAWAY_GROWTH
+    ]
+    return [
+        f"{RUNS_AWAY}, as no controller holds the heading; without one a small yaw rate grows by a factor of e: "
+        f"{', '.join(found)}. The errors {horizon:g} s ahead are those to compare models by."
+    ] if found else []  # fmt: skip
 
 
 def _traces(

@@ -3,20 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cache, reduce
 
 import numpy as np
 
-from seatrial.ident.results import ComparedChannel, ComparedError, ComparedRatio, ComparisonVerdict, finite
+from seatrial.ident.numerics import Array
+from seatrial.ident.results import (
+    MOST_OF_ERROR,
+    ComparedChannel,
+    ComparedError,
+    ComparedRatio,
+    ComparisonVerdict,
+    finite,
+)
 from seatrial.ident.validation import (
     Calibration,
     ErrorRatio,
     PredictionErrors,
+    concentrated_errors,
     pooled_calibration,
     pooled_errors,
     prediction_change_by_record,
+    without_spans,
 )
 from seatrial.ident.workflows.compared_predictions import SIMULATION, Kind, PredictedRecord
+from seatrial.ident.workflows.dynamics import Z95
 
 VERDICTS: Mapping[str, ComparisonVerdict] = {"fell": "better", "rose": "worse", "unchanged": "indistinguishable"}
 MOST_SAMPLES_LOST = 0.1  # share of the samples of a channel that a comparison may leave out without a word
@@ -96,13 +108,24 @@ def calibration_at(
     Returns
     -------
     dict of str to Calibration
-        Calibration by channel, of all records together. Channels without standard deviations are left out.
+        Calibration by channel, of all records together. Channels without standard deviations are left out. If the 95 %
+        intervals of a channel are useless, its ``inside_95`` is NaN: they are wider than the range of its values, so
+        that (almost) all errors are inside whatever the prediction is.
     """
     by_record = []
+    widths: dict[str, list[Array]] = {}
+    ranges: dict[str, float] = {}
     for record, by_name in errors.items():
         own, z = predicted[record].errors[kind], predicted[record].standardised.get(kind, {})
         by_record.append({n: z[n][np.searchsorted(own[n].t, e.t)] for n, e in by_name.items() if n in z})
-    return pooled_calibration(by_record, together=kind == SIMULATION)
+        for n, curve in predicted[record].curves.get(kind, {}).items():
+            if n in by_name and by_name[n].about.size:
+                at = np.minimum(np.searchsorted(curve.t, by_name[n].t), curve.t.size - 1)
+                widths.setdefault(n, []).append(2.0 * Z95 * curve.sd[at])
+                ranges[n] = max(ranges.get(n, 0.0), float(np.ptp(by_name[n].about)))
+    useless = {n for n, found in widths.items() if np.median(np.concatenate(found)) > ranges[n]}
+    tested = pooled_calibration(by_record, together=kind == SIMULATION)
+    return {n: replace(c, inside_95=float("nan")) if n in useless else c for n, c in tested.items()}
 
 
 def channel_rows(
@@ -154,7 +177,7 @@ def channel_rows(
                 model=labels[k],
                 rms=error,
                 fit=None if error is None or not spread else 1.0 - error / spread,
-                inside_95=None if (found := tested[k].get(name)) is None else found.inside_95,
+                inside_95=None if (found := tested[k].get(name)) is None else finite(found.inside_95),
                 intervals=None if found is None else found.verdict,
                 against_reference=against(0, k, name) if 0 in rms else None,
                 against_best=None if best is None else against(best, k, name),
@@ -185,3 +208,46 @@ def ratio_row(found: ErrorRatio | None) -> ComparedRatio | None:
     known = low is not None and high is not None
     verdict: ComparisonVerdict = VERDICTS[found.verdict] if known else "no-interval"
     return ComparedRatio(ratio=found.ratio, low=low, high=high, blocks=found.blocks, verdict=verdict)
+
+
+def concentration_notes(
+    models: Sequence[ErrorsByRecord], labels: Sequence[str], horizon: float, undecided: Sequence[int]
+) -> list[str]:
+    """Return a note on the times that have most of the squared errors over a horizon; empty without such times.
+
+    For each model concerned it has the channels, their share and the times. For models without a verdict against the
+    first one, it has the ratio of their error to that of the first model without all these times.
+
+    Parameters
+    ----------
+    models : sequence of mapping
+        Errors of each model by record and channel, at common samples.
+    labels : sequence of str
+        Label of each model.
+    horizon : float
+        Prediction horizon [s].
+    undecided : sequence of int
+        Indices of the models that are neither better nor worse than the first one.
+    """
+    found = {k: part for k, own in enumerate(models) if (part := concentrated_errors(own, horizon)) is not None}
+    if not found:
+        return []
+    each = []
+    for k, part in found.items():
+        times: dict[str, list[str]] = {}
+        for span in part.spans:
+            times.setdefault(span.record, []).append(f"{span.begin:g} to {span.end:g} s")
+        where = ", ".join(f"{' and '.join(spans)} of {record}" for record, spans in times.items())
+        low, high = (f"{100.0 * share:.0f}" for share in (min(part.shares.values()), max(part.shares.values())))
+        share = high if low == high else f"{low} to {high}"
+        model = f"({labels[k]}) " if len(models) > 1 else ""
+        each.append(f"{model}{share} % of that of {', '.join(part.shares)} in {where}")
+    rest = [without_spans(own, {span for part in found.values() for span in part.spans}) for own in models]
+    ratios = {k: prediction_change_by_record(rest[0], rest[k], horizon).ratio for k in undecided}
+    words = [f"that of ({labels[k]}) is {ratio:.2g} times" for k, ratio in ratios.items() if np.isfinite(ratio)]
+    without = f" Without these seconds, of the errors over all channels {' and '.join(words)} that of ({labels[0]})."
+    return [
+        f"{MOST_OF_ERROR} {horizon:g} s ahead: {'; '.join(each)} (since the start of the record)."
+        f"{without if words else ''} These seconds decide the errors: look there for a gap, an outlier, or a motion "
+        "that depends on chance, as the side to which an unstable boat turns."
+    ]

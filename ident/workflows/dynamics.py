@@ -103,6 +103,28 @@ def dynamics_of(fitted: FittedModel) -> Dynamics | None:
     )  # fmt: skip
 
 
+def course_at_speeds(model: Model, ranges: Mapping[str, tuple[float, float]]) -> CourseStability | None:
+    """Return the least stable pole of sway and yaw of a model at the speeds of its data, without a 95 % interval.
+
+    Parameters
+    ----------
+    model : Model
+        The fitted model.
+    ranges : mapping
+        Range of each signal in the fitted data by name, that of the forward speed ``u`` [m/s] among them.
+
+    Returns
+    -------
+    CourseStability or None
+        None for a bench model, without a range of ``u`` above zero, or if no linear model has a pole of sway and yaw.
+    """
+    fastest = ranges.get("u", (0.0, 0.0))[1]
+    if model.kind is not ModelKind.VEHICLE or fastest <= 0.0:
+        return None
+    linear = _linear_models(model, _operating_speeds(fastest), None, chosen_conditions(model, ranges))
+    return _course_stability(linear, ranges["u"]) if linear else None
+
+
 def _differ_by_heading(headings: Sequence[HeadingPoint]) -> bool:
     """Return whether a straight course needs other inputs on another heading, by more than 1 % of the largest."""
     inputs = np.array([list(point.inputs.values()) for point in headings])

@@ -71,6 +71,11 @@ class Comparison(Shown):
         return next(m.name for m in self.result.models if m.label == self.result.best)
 
     @property
+    def notes(self) -> list[str]:
+        """Notes of the result, one text for each: assumptions, and the times that have most of the errors."""
+        return tables.note_texts(self.result)
+
+    @property
     def masses(self) -> dict[str, dict[str, tuple[float, float]]]:
         """Masses ``m_u``, ``m_v`` and yaw inertia ``m_r`` of each model by its name, as (value, standard error).
 

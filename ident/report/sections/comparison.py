@@ -59,7 +59,8 @@ INSIDE = "inside the 95 % interval"
 ABOUT_INSIDE = (
     "Inside the 95 % interval: share of the errors, which should be about 95 %. Successive errors are correlated, so "
     "that a share may differ from it by chance: too narrow or too wide are only intervals for which a test with the "
-    "number of independent errors says so."
+    "number of independent errors says so. A dash: there are no intervals, or they are wider than the range of the "
+    "measured values, so that they say nothing."
 )
 BAND = 0.13  # opacity of the 95 % band of one of several models
 

@@ -18,6 +18,7 @@ from seatrial.ident.numerics.signal_processing import wrap
 from seatrial.ident.validation.prediction_errors import (
     WARM_UP,
     PredictionErrors,
+    concentrated_errors,
     correlated_blocks,
     horizon_errors,
     largest_errors,
@@ -26,6 +27,7 @@ from seatrial.ident.validation.prediction_errors import (
     prediction_change,
     prediction_change_by_record,
     simulation_run,
+    without_spans,
 )
 from tests.ident.sliders import D, M, slide, slider
 from tests.ident.toys import turning, turning_record, values_of
@@ -269,6 +271,25 @@ def test_interval_with_the_largest_errors_is_found() -> None:
     assert late is not None
     assert (late.begin, late.end) == (80.0, pytest.approx(94.9))
     assert largest_errors({"one": {"x": PredictionErrors(t, np.zeros(t.size))}}, 10.0) is None
+
+
+def test_small_part_of_the_time_with_most_of_the_errors_is_found() -> None:
+    t = 0.1 * np.arange(3000)
+    ones = np.ones(t.size)
+    burst = np.where((t >= 42.0) & (t < 48.0), 20.0, 1.0)
+    errors = {"even": PredictionErrors(t, ones, ones), "burst": PredictionErrors(t, burst, ones)}
+    found = concentrated_errors({"one": errors}, 10.0)
+    assert found is not None
+    assert found.spans == (("one", 40.0, 50.0),)
+    assert found.shares == {"burst": pytest.approx((60 * 400 + 40) / (60 * 400 + 2940))}
+    rest = without_spans({"one": errors, "two": errors}, found.spans)
+    assert (rest["one"]["burst"].rms, rest["one"]["burst"].about.size, rest["two"]["burst"].e.size) == (1, 2900, 3000)
+    # The same seconds of a short log are no small part, and events in many places are none either.
+    short = {name: PredictionErrors(e.t[:900], e.e[:900]) for name, e in errors.items()}
+    assert concentrated_errors({"one": short}, 10.0) is None
+    events = PredictionErrors(t, np.where(t % 40.0 < 3.0, 20.0, 1.0))
+    assert concentrated_errors({"one": {"burst": events}}, 10.0) is None
+    assert concentrated_errors({"one": {"even": errors["even"]}}, 10.0) is None
 
 
 def test_models_with_other_rows_predict_the_same_samples_of_equal_intervals() -> None:

@@ -38,9 +38,11 @@ from seatrial.ident.report.formatting import with_error
 from seatrial.ident.report.page import render
 from seatrial.ident.report.sections.comparison import _best_cell, _error_cells, overlay_panels
 from seatrial.ident.report.terminal import compared_tables
-from seatrial.ident.results import ComparisonResult, LogScore
+from seatrial.ident.results import ComparisonResult, CourseStability, LogScore
 from seatrial.ident.results.result_file import read_result
+from seatrial.ident.validation import prediction_errors
 from seatrial.ident.validation.prediction_errors import PredictionErrors
+from seatrial.ident.workflows import compare
 from seatrial.ident.workflows.compare import (
     CompareRequest,
     _limited_warnings,
@@ -50,14 +52,21 @@ from seatrial.ident.workflows.compare import (
     labels,
     records_of_same_time,
 )
-from seatrial.ident.workflows.compared_predictions import ONE_STEP, SIMULATION, PredictedRecord
-from seatrial.ident.workflows.comparison_errors import at_common_samples, calibration_at, channel_rows, limited_samples
+from seatrial.ident.workflows.compared_predictions import ONE_STEP, SIMULATION, Curve, PredictedRecord
+from seatrial.ident.workflows.comparison_errors import (
+    at_common_samples,
+    calibration_at,
+    channel_rows,
+    concentration_notes,
+    limited_samples,
+)
 from seatrial.ident.workflows.comparison_likelihood import (
     _is_nested,
     _n_estimates,
     log_score,
     why_not_comparable,
 )
+from seatrial.ident.workflows.dynamics import course_at_speeds
 from seatrial.ident.workflows.model_differences import model_differences
 from tests.ident.reports import Kept
 from tests.missions import boat_log, boat_with
@@ -474,6 +483,63 @@ def test_model_that_limits_the_common_samples_is_named() -> None:
     assert warning.text.endswith("One step ahead they are limited: r 9 of 100 samples, by (c).")
 
 
+def test_seconds_that_have_most_of_the_errors_are_named() -> None:
+    t = np.arange(0.0, 300.0, 0.1)
+    event = np.where((t >= 286.0) & (t < 289.0), 40.0, 1.0)
+    own = [{"run": {"r": errors(t, e), "psi": errors(t, e), "x": errors(t, np.full(t.size, 2.0))}}
+           for e in (np.full(t.size, 2.0), event)]  # fmt: skip
+    (note,) = concentration_notes(own, labels(2), 10.0, [1])
+    assert note.startswith(
+        "A small part of the time has most of the squared error 10 s ahead: (b) 94 % of that of r, psi in 285 to 290 s "
+        "of run (since the start of the record). Without these seconds, of the errors over all channels that of (b) is "
+        "0.63 times that of (a). "
+    )
+    (decided,) = concentration_notes(own, labels(2), 10.0, [])
+    assert "Without" not in decided
+    (alone,) = concentration_notes(own[1:], labels(1), 10.0, [])
+    assert ": 94 % of that of r, psi in 285 to 290 s of run (" in alone
+    assert concentration_notes(own[:1], labels(1), 10.0, []) == []
+
+
+def test_note_on_the_errors_is_in_every_output(
+    models: list[Path], logs: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(prediction_errors, "SMALL_PART", 0.5)
+    monkeypatch.setattr(prediction_errors, "LEAST_SHARE", 0.0)
+    monkeypatch.setattr(prediction_errors, "MOST_SPANS", 100)
+    result = compare_models(CompareRequest(models, logs[2:], (3.0,), names=("good", "bad")), "", Kept())
+    note = result.notes[0]
+    assert note.startswith("A small part of the time has most of the squared error 3 s ahead: (a) ")
+    assert ("Without these seconds" in note) is (result.models[1].changes[1].against_reference.verdict != "worse")
+    assert Comparison(result).notes == list(result.notes)
+    assert "A small part of the time has most" in text_of(result)
+    assert "A small part of the time has most" in render(result)
+
+
+def test_simulations_of_unstable_models_are_said_to_run_away(
+    models: list[Path], logs: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    request = CompareRequest(models, logs[2:], (3.0,), names=("good", "bad"))
+    # the log has 60 s, 15 s of which are filtered
+    found = [CourseStability(speed=1.2, pole=pole, low=None, high=None) for pole in (-0.2, 0.5, 0.01)]
+    for courses, named in ((found[:2], "(b) at 1.2 m/s in 2 s. "), ((found[0], found[2]), ""), ((None, None), "")):
+        left = list(courses)
+        monkeypatch.setattr(compare, "course_at_speeds", lambda *_, left=left: left.pop(0))
+        result = compare_models(request, "", Kept())
+        notes = [note for note in result.notes if note.startswith("The simulation of a directionally unstable model")]
+        assert len(notes) == bool(named)
+        assert all(named in note for note in notes)
+        assert ("directionally unstable model" in text_of(result)) is bool(named)
+
+
+def test_course_of_a_saved_model_is_at_the_speeds_of_its_data(models: list[Path]) -> None:
+    saved = load_model(models[0])
+    course = course_at_speeds(saved.model, saved.validity)
+    assert course is not None
+    assert course.speed <= saved.validity["u"][1]
+    assert course_at_speeds(saved.model, {}) is None
+
+
 def test_rows_name_the_best_model_and_those_not_distinguishable_from_it() -> None:
     rng, t = np.random.default_rng(1), np.arange(0.0, 200.0, 0.1)
     noise = [rng.normal(size=t.size) for _ in range(3)]
@@ -721,6 +787,23 @@ def test_wrong_intervals_are_only_named_if_the_test_says_so() -> None:
         assert row.errors[0].inside_95 == pytest.approx(float(np.mean(np.abs(z) < 1.96)), abs=1e-3)
     (row,) = channel_rows(ONE_STEP, [{"run": {"r": e}}], labels(1), {"r": "rad/s"}, {"r": 10.0})
     assert (row.errors[0].inside_95, row.errors[0].intervals) == (None, None)
+
+
+def test_share_inside_useless_intervals_is_not_shown(compared: ComparisonResult) -> None:
+    """All errors of a heading lie within a band of three turns, whatever the model predicts."""
+    t = np.arange(0.0, 200.0, 0.1)
+    e, sd = errors(t, np.sin(t / 60.0)), np.where(t < 50.0, 0.1, 5.0)
+    for factor, shown in ((1.0, False), (0.1, True)):
+        z, curve = {"psi": e.e / sd}, {"psi": Curve(t, e.e, factor * sd)}
+        part = PredictedRecord(t, {"psi": t.size}, t, {SIMULATION: {"psi": e}}, {SIMULATION: curve}, {SIMULATION: z})
+        tested = calibration_at(SIMULATION, {"run": {"psi": e}}, {"run": part})
+        (row,) = channel_rows(SIMULATION, [{"run": {"psi": e}}], labels(1), {"psi": "rad"}, {"psi": 10.0}, [tested])
+        assert (row.errors[0].inside_95 is None) is not shown
+        assert row.errors[0].intervals is not None
+        result = msgspec.structs.replace(compared, channels=(row,))
+        assert (result.inside_95("simulation", None, "a") is None) is not shown
+        names = [str(cell) for cell in compared_tables(result)[0].columns[0].cells]
+        assert ("in 95 %" in names) is shown
 
 
 WORDS_OF_A_COMPARISON = ("(a)", "best", "Best", "better", "worse", "differs", "Likelihood", "log score", "ratio")
