@@ -18,7 +18,6 @@ from .evaluation import smoothed_forces as smoothed_forces
 from .prediction_errors import MAX_STARTS as MAX_STARTS
 from .prediction_errors import MIN_STRIDE as MIN_STRIDE
 from .prediction_errors import WARM_UP as WARM_UP
-from .prediction_errors import ConcentratedErrors as ConcentratedErrors
 from .prediction_errors import ErrorRatio as ErrorRatio
 from .prediction_errors import PredictionChange as PredictionChange
 from .prediction_errors import PredictionErrors as PredictionErrors
