@@ -62,8 +62,9 @@ which no file declares; the boats `none` have only the small ones. Each boat goe
 
 *Ambiguous* means that the data do not distinguish several effects. The columns of
 the masses have the error of `ident vehicle` in per cent, and in standard errors in parentheses. {held} of {kept} are
-within three standard errors. The last column has the CPU seconds of `ident vehicle` and `ident diagnose` on the
-reference machine of `tests/machine.py`, measured on machines that need {slowness} times as long for its yardstick.
+within three standard errors. The last column has the CPU seconds of `ident vehicle` and `ident diagnose`, with the
+compilation of models that were not in the cache. The machine needs {slowness} times as long as the reference machine
+for the yardstick of `tests/machine.py`, and other work beside it made the times longer.
 
 ## How certain a name is
 
@@ -170,8 +171,7 @@ def table(rows: Sequence[Row]) -> list[list[str]]:
         found = ", ".join(f"{name} ({attribution})" for name, attribution in row["found"]) or "nothing"
         ratio = "" if row["ratio"] is None else "{:.2f} ({:.2f} to {:.2f})".format(*row["ratio"])
         masses = [_error(row["vehicle"]["masses"].get(name)) for name in MASSES]
-        cpu = " + ".join(f"{s / row['slowness']:.0f}" for s in row["cpu"])
-        lines.append([row["key"], row["hidden"], found, ratio, *masses, cpu])
+        lines.append([row["key"], row["hidden"], found, ratio, *masses, " + ".join(f"{s:.0f}" for s in row["cpu"])])
     return lines
 
 
