@@ -519,7 +519,7 @@ class LogChecks:
         # With wrong axes, signs or units the angle and the delay have no meaning.
         usable = not any(map(invalidates_fit, findings))
         self._headings.append(heading_angle(found) if usable else None)
-        self._delays.append(sensor_delay_of(found, sides) if usable else None)
+        self._delays.append(sensor_delay_of(_longest_segment(found), sides) if usable else None)
         return findings
 
     def differences(self) -> list[tuple[str, Finding]]:
@@ -535,6 +535,17 @@ class LogChecks:
         headings = compare_headings(list(zip(names, self._headings, strict=True)))
         delays = compare_sensor_delays(list(zip(names, self._delays, strict=True)))
         return [*gains, *headings, *delays]
+
+
+def _longest_segment(c: Channels) -> Channels:
+    """Return the signals of the longest segment between the gaps of a log; all signals of a log without gaps."""
+    gaps = silent_times(c)
+    return max(_segments(c, gaps), key=_duration, default={}) if gaps else c
+
+
+def _segments(c: Channels, gaps: Sequence[tuple[float, float]]) -> list[Channels]:
+    """Return the signals of each segment between the gaps of a log, without segments that are too short to check."""
+    return [part for part in parts_between(c, gaps) if part and _duration(part) >= SHORTEST_PIECE_S]
 
 
 def _check_names(signals: Iterable[str]) -> Iterator[Finding]:
@@ -567,8 +578,9 @@ def _check_segments(c: Channels, sides: Mapping[str, float], start: float) -> li
     if not gaps:
         return list(check_signals(c, sides))
     worst: dict[tuple[str, str], Finding] = {}
-    parts = [part for part in parts_between(c, gaps) if part and _duration(part) >= SHORTEST_PIECE_S]
-    for part in sorted(parts, key=_duration, reverse=True):  # of equal findings, keep that of the longest part
+    for part in sorted(
+        _segments(c, gaps), key=_duration, reverse=True
+    ):  # of equal findings, keep that of the longest part
         begin, end = (seconds(t - start) for t in _time_span(part))
         for finding in check_signals(part, sides):
             key = finding.check, finding.where

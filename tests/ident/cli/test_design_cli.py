@@ -465,7 +465,7 @@ def test_no_track_is_predicted_if_many_simulated_boats_have_no_finite_one(
 
 def test_warnings_of_a_design_are_python_warnings(tmp_path: Path) -> None:
     with pytest.warns(st.SeatrialWarning) as caught:
-        found = st.design("horizontal:shaft", tmp_path / "d.toml", duration=60.0, steps=5, evaluations=60)
+        found = st.design("horizontal:shaft", tmp_path / "d.toml", duration=30.0, steps=5, evaluations=500)
     texts = [str(w.message) for w in caught if issubclass(w.category, st.SeatrialWarning)]
     assert {"shaft-lag-built-in", "rates-assumed"} <= {w.code for w in found.warnings}
     assert len(texts) == len(set(texts)) == len(found.warnings)
