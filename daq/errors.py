@@ -36,7 +36,7 @@ class UnknownName(SeatrialError, KeyError):
     """Error about a name that a mapping or a model lacks. It is a KeyError too, as Python's mappings need one."""
 
     def __str__(self) -> str:
-        """Return the message. That of a KeyError would be between quotes."""
+        """Return the message without the quotes that a KeyError adds."""
         return str(self.args[0]) if self.args else ""
 
 

@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.daq.checks import OK, UNKNOWN, Finding
+from seatrial.ident.checks.recent_results import RecentResults
 from seatrial.ident.checks.sensors import (
     DELAY_FAULT,
     DELAY_OF_PAIR,
@@ -119,7 +120,7 @@ class SensorDelay(NamedTuple):
 
     @property
     def late(self) -> tuple[str, str, str]:
-        """What comes late, what comes before it, and the name of the late sensor."""
+        """Late quantity, the quantity before which it should come, and name of the late sensor."""
         if self.lag > 0.0:
             return ATTITUDE, self.translation, self.turned
         return self.translation, ATTITUDE, self.moved
@@ -140,10 +141,10 @@ def sensor_delay_of(c: Channels, sides: Mapping[str, float]) -> SensorDelay | No
     SensorDelay or None
         None without heading, velocity or thrust, and if a delay behind the thrust is not well estimated.
     """
-    push, turned, moved = thrust_signals(c, sides), first_source(c, ("r", "psi")), first_source(c, ("vx", "u", "x"))
-    if not push or not moved or "psi" not in c:
+    moved = first_source(c, ("vx", "u", "x"))
+    if not moved or "psi" not in c:
         return None
-    return _delay_between(_yaw_after_thrust(c, push), _speed_after_thrust(c, push), turned, moved)
+    return _delay_between(*_delays_behind_thrust(c, sides), first_source(c, ("r", "psi")), moved)
 
 
 def compare_sensor_delays(logs: Sequence[tuple[str, SensorDelay | None]]) -> list[tuple[str, Finding]]:
@@ -205,7 +206,7 @@ def check_latency(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
     push = thrust_signals(c, sides)
     if "psi" not in c:
         return
-    attitude, velocity = (f(c, push) if push else None for f in (_yaw_after_thrust, _speed_after_thrust))
+    attitude, velocity = _delays_behind_thrust(c, sides)
     turned, moved = first_source(c, ("r", "psi")), first_source(c, ("vx", "u", "x"))
     if moved and push:
         yield from _attitude_velocity_delay(attitude, velocity, turned, moved)
@@ -472,6 +473,22 @@ def mean_rate(s: Array, half: float) -> Array:
     """
     k = round(half / SENSOR_GRID_S)
     return (np.pad(s, k, mode="edge")[2 * k :] - np.pad(s, k, mode="edge")[: -2 * k]) / (2.0 * k * SENSOR_GRID_S)
+
+
+_delays = RecentResults[tuple[LagEstimate | None, LagEstimate | None]]()
+
+
+def _delays_behind_thrust(c: Channels, sides: Mapping[str, float]) -> tuple[LagEstimate | None, LagEstimate | None]:
+    """Return the delays [s] of yaw rate and surge speed behind the thrust; None if a delay cannot be estimated.
+
+    The delays in the same channels are estimated only once: a check of one log and one of several logs need them.
+    """
+    push = thrust_signals(c, sides)
+    if not push:
+        return None, None
+    arrays = [array for name in sorted(c) for array in (c[name].t, c[name].value)]
+    options = tuple(sides), tuple(sorted(c))
+    return _delays.get(arrays, lambda: (_yaw_after_thrust(c, push), _speed_after_thrust(c, push)), options)
 
 
 def _yaw_after_thrust(c: Channels, push: ThrustSignals) -> LagEstimate | None:

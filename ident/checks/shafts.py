@@ -5,17 +5,16 @@ The boat's response to its thrusters is checked by `seatrial.ident.checks.motion
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterator
 from enum import Enum
 from itertools import pairwise
 from typing import NamedTuple
-from weakref import ref
 
 import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.daq.checks import Finding
+from seatrial.ident.checks.recent_results import RecentResults
 from seatrial.ident.checks.sensors import Channels
 from seatrial.ident.data import Channel, sample_and_hold
 from seatrial.ident.model import command_of, commanded_thrusters, shaft_speed_of
@@ -227,8 +226,7 @@ def _scale_findings(name: str, found: Response) -> Iterator[Finding]:
         )
 
 
-# Responses found last, by the arrays of both channels
-_found: deque[tuple[tuple[ref[Array], ...], Response | NoResponse]] = deque(maxlen=16)
+_responses = RecentResults[Response | NoResponse]()
 
 
 def response(commands: Channel, shaft: Channel) -> Response | NoResponse:
@@ -249,12 +247,7 @@ def response(commands: Channel, shaft: Channel) -> Response | NoResponse:
         The response with the least squared error, or the reason for which it is unknown.
     """
     arrays = commands.t, commands.value, shaft.t, shaft.value
-    for of, found in tuple(_found):
-        if all(known() is array for known, array in zip(of, arrays, strict=True)):
-            return found
-    found = _estimated_response(commands, shaft)
-    _found.append((tuple(ref(array) for array in arrays), found))
-    return found
+    return _responses.get(arrays, lambda: _estimated_response(commands, shaft))
 
 
 def _estimated_response(commands: Channel, shaft: Channel) -> Response | NoResponse:

@@ -637,9 +637,9 @@ class LinearModel:
 
 
 def _numbers(name: str, values: ArrayLike, what: str) -> Array:
-    """Return the argument ``name`` as an array. SeatrialError if it has a value that is no finite number.
+    """Return the argument ``name`` as an array. Raise SeatrialError if one of its values is not a finite number.
 
-    ``what`` says what to give, such as ``times [s]``.
+    The message asks for ``what``, such as ``times [s]``.
     """
     try:
         found = np.asarray(values, dtype=float)

@@ -343,14 +343,15 @@ class ComparisonResult(Result, frozen=True, kw_only=True, tag_field="kind", tag=
     def kinds(self) -> tuple[tuple[PredictionKind, float | None], ...]:
         """Kinds of prediction in the order of ``channels``, each with its horizon [s].
 
-        A kind without a horizon, such as the simulation, has None.
+        The horizon is None for a kind that has none, such as the simulation.
         """
         return tuple(dict.fromkeys((row.kind, row.seconds) for row in self.channels))
 
     def inside_95(self, kind: PredictionKind, seconds: float | None, label: str) -> float | None:
-        """Return the share of the errors of a model inside its 95 % intervals, over all channels; None if unknown.
+        """Return the share of the errors of a model that lie inside its 95 % intervals, over all channels.
 
-        Channels with useless intervals (without ``inside_95``) are left out. If most channels have such, it is None.
+        Channels with useless intervals (``inside_95`` is None) are left out. The result is None if most channels are
+        left out, and if the model has no intervals.
 
         Parameters
         ----------

@@ -61,7 +61,7 @@ class Shown:
         raise unknown_attribute(self, name)
 
     def _content(self) -> Content:
-        """Return what a notebook shows of the result."""
+        """Return the parts of the result that a notebook shows."""
         raise NotImplementedError
 
     def _repr_html_(self) -> str:

@@ -366,7 +366,7 @@ def _verdict(p: float | None, level: float, passed: str, failed: str) -> str:
 
 
 def _or_nan(value: float | None) -> float:
-    """Return a number unchanged, and NaN for None."""
+    """Return a number unchanged. Return NaN for None."""
     return math.nan if value is None else value
 
 
