@@ -124,11 +124,14 @@ def depends_on_remaining_tests(
     A fit with the strongest remaining candidates can then show that the effect is identified
     (``AttributionEvidence.unaffected``). The arguments are those of `assess_alternatives`.
     """
+    names = frozenset(c.effect.name for c in _chosen(rounds))
+    at_best = replace(evidence, unaffected=names, beside=frozenset(s.name for s in evidence.remaining))
     return any(
         r.chosen is not None
         and not r.chosen.nonparametric
         and not _own_reasons(r, rounds, evidence, policy)
         and bool(_remaining_test_reasons(r, rounds, evidence, policy)[0])
+        and not _remaining_test_reasons(r, rounds, at_best, policy)[0]
         for r in rounds
     )
 
@@ -150,7 +153,8 @@ def _remaining_test_reasons(
 
     The effect is the chosen one of ``search_round``, which is parametric. ``rounds`` are all rounds. An effect that
     keeps its size beside the strongest remaining candidates is not there in their place. Only its alternatives that
-    were not among these candidates are then a reason.
+    were not among these candidates are then a reason. But an effect of little importance stays ambiguous if many tests
+    pass: where so much is unexplained, several of the remaining effects together can look like it.
     """
     refit = search_round.chosen
     assert refit is not None
@@ -161,16 +165,33 @@ def _remaining_test_reasons(
     own_limit = max(policy.max_remaining_criterion, refit.criterion)
     strong = [s for s in evidence.remaining if s.criterion(evidence.n) > min(limit, own_limit)]
     remaining, unaffected = evidence.remaining, refit.effect.name in evidence.unaffected
+    many = _many_remaining_tests_reasons(remaining, len(evidence.nominal), policy)
     if unaffected:
         strong = []
         remaining = [s for s in remaining if s.name in set(refit.effect.alternatives) - evidence.beside]
+        if _matters_beside_many(refit.effect.name, evidence.importances, policy):
+            many = _many_remaining_tests_reasons(remaining, len(evidence.nominal), policy)
     still_found = _alternatives_still_found(refit.effect, remaining, len(chosen))
     return [
         *_strong_remaining_test_reasons(strong, evidence.n),
-        *_many_remaining_tests_reasons(remaining, len(evidence.nominal), policy),
+        *many,
         *_remaining_alternative_reasons(still_found),
         *_nonparametric_curve_reasons(chosen, search_round, unaffected, policy),
     ], still_found
+
+
+def _matters_beside_many(name: str, importances: Sequence[EffectImportance], policy: SearchPolicy) -> bool:
+    """Return whether an effect is so important that many remaining score tests are no reason against it.
+
+    The limit is ``policy.min_ratio_beside_many``. An effect without an importance, such as one of a model without a
+    prediction, is not limited.
+    """
+    return all(max(_error_ratios(w)) >= policy.min_ratio_beside_many for w in importances if w.effect == name)
+
+
+def _error_ratios(weight: EffectImportance) -> list[float]:
+    """Return the error without an effect over that with it: by inputs alone and, if it is known, over the horizon."""
+    return [weight.error_ratio, *([] if weight.prediction is None else [1.0 / weight.prediction.ratio])]
 
 
 def _own_reasons(
@@ -538,7 +559,7 @@ def _no_better_prediction_reasons(
     if (hull and beside and same) or not improves_prediction(weight, policy):
         horizon = "" if weight.prediction is None else f" {weight.prediction.horizon:g} s ahead"
         return [f"the prediction{horizon} is no better with this effect"]
-    ratios = [weight.error_ratio, *([] if weight.prediction is None else [1.0 / weight.prediction.ratio])]
+    ratios = _error_ratios(weight)
     least = policy.min_identified_ratio_beside if hull else policy.min_identified_ratio
     if max(ratios) >= least:
         return []

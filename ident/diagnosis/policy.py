@@ -122,6 +122,11 @@ class SearchPolicy:
         candidates, and with up to as many remaining alternatives of the effects found. If the strongest parameter of an
         effect changes by less than the share ``max_change_beside`` of its value, the effect exists beside them, and the
         remaining tests are no reason against it.
+    min_ratio_beside_many
+        If more score tests pass than ``max_remaining_tests`` and ``max_remaining_test_share`` allow, an effect that
+        keeps its size beside the strongest candidates is identified only if the error without it over that with it is
+        at least this value. On realistic mock boats two of three effects below it had the wrong name, and none of the
+        seven above it (docs/realistic-boats.md).
     max_curve_share
         A nonparametric curve that was added beside an effect is no reason against the effect if the effect keeps its
         size and the criterion of the curve is below this share of that of the effect.
@@ -188,6 +193,7 @@ class SearchPolicy:
     max_remaining_test_share: float = 0.1
     n_beside: int = 3
     max_change_beside: float = 0.3
+    min_ratio_beside_many: float = 1.2
     max_curve_share: float = 0.3
     max_distance: float = 10.0
     max_distance_share: float = 0.05

@@ -145,6 +145,26 @@ def test_a_fit_beside_remaining_candidates_is_needed_only_if_it_can_change_the_a
         assert (changed[0] != changed[1]) is needed
 
 
+@pytest.mark.parametrize(
+    ("n_left", "ratio", "attribution"), [(9, 1.25, "identified"), (9, 1.15, "ambiguous"), (6, 1.15, "identified")]
+)
+def test_an_effect_of_little_importance_is_ambiguous_where_many_tests_pass(
+    n_left: int, ratio: float, attribution: str
+) -> None:
+    """Several of the effects that the tests still find can together look like it."""
+    left = tuple(score(f"other-{k}", 60.0) for k in range(n_left))
+    rounds = (one_round(refit("mismatch", 700.0)),)
+    kept = frozenset({"mismatch"})
+    weight = EffectImportance("mismatch", 700.0, ratio, 90.0, 5.0)
+    evidence = AttributionEvidence(left, N, importances=(weight,), unaffected=kept)
+    (found,) = assess_alternatives(rounds, evidence)
+    assert found.attribution == attribution
+    assert bool(found.reasons) == (attribution == "ambiguous")
+    # The fit beside the remaining candidates is not made if it cannot change that.
+    needed = depends_on_remaining_tests(rounds, replace(evidence, unaffected=frozenset()))
+    assert needed == (attribution == "identified")
+
+
 def test_every_alternative_that_is_not_excluded_has_its_reason() -> None:
     """An alternative with a far worse ΔBIC in place of the effect is not excluded if its score test still passes."""
     sag = refit("derating", 700.0, alternatives=("battery-sag", "fouling"))
