@@ -183,10 +183,15 @@ def _remaining_test_reasons(
 def _matters_beside_many(name: str, importances: Sequence[EffectImportance], policy: SearchPolicy) -> bool:
     """Return whether an effect is so important that many remaining score tests are no reason against it.
 
-    The limit is ``policy.min_ratio_beside_many``. An effect without an importance, such as one of a model without a
+    The error ratio without it has to be at least ``policy.min_ratio_beside_many``, and the t statistic of its gain on
+    the validation data above ``policy.min_t``. An effect without an importance, such as one of a model without a
     prediction, is not limited.
     """
-    return all(max(_error_ratios(w)) >= policy.min_ratio_beside_many for w in importances if w.effect == name)
+    return all(
+        max(_error_ratios(w)) >= policy.min_ratio_beside_many and not w.t <= policy.min_t
+        for w in importances
+        if w.effect == name
+    )
 
 
 def _error_ratios(weight: EffectImportance) -> list[float]:

@@ -125,8 +125,8 @@ class SearchPolicy:
     min_ratio_beside_many
         If more score tests pass than ``max_remaining_tests`` and ``max_remaining_test_share`` allow, an effect that
         keeps its size beside the strongest candidates is identified only if the error without it over that with it is
-        at least this value. On realistic mock boats two of three effects below it had the wrong name, and none of the
-        seven above it (docs/realistic-boats.md).
+        at least this value, and t on the validation data exceeds ``min_t``. On realistic mock boats two of the three
+        effects that fail this had the wrong name, and none of the seven others (docs/realistic-boats.md).
     max_curve_share
         A nonparametric curve that was added beside an effect is no reason against the effect if the effect keeps its
         size and the criterion of the curve is below this share of that of the effect.

@@ -146,16 +146,22 @@ def test_a_fit_beside_remaining_candidates_is_needed_only_if_it_can_change_the_a
 
 
 @pytest.mark.parametrize(
-    ("n_left", "ratio", "attribution"), [(9, 1.25, "identified"), (9, 1.15, "ambiguous"), (6, 1.15, "identified")]
+    ("n_left", "ratio", "t", "attribution"),
+    [
+        (9, 1.25, 5.0, "identified"),
+        (9, 1.15, 5.0, "ambiguous"),
+        (9, 1.25, 1.5, "ambiguous"),
+        (6, 1.15, 1.5, "identified"),
+    ],
 )
 def test_an_effect_of_little_importance_is_ambiguous_where_many_tests_pass(
-    n_left: int, ratio: float, attribution: str
+    n_left: int, ratio: float, t: float, attribution: str
 ) -> None:
     """Several of the effects that the tests still find can together look like it."""
     left = tuple(score(f"other-{k}", 60.0) for k in range(n_left))
     rounds = (one_round(refit("mismatch", 700.0)),)
     kept = frozenset({"mismatch"})
-    weight = EffectImportance("mismatch", 700.0, ratio, 90.0, 5.0)
+    weight = EffectImportance("mismatch", 700.0, ratio, 90.0, t)
     evidence = AttributionEvidence(left, N, importances=(weight,), unaffected=kept)
     (found,) = assess_alternatives(rounds, evidence)
     assert found.attribution == attribution
