@@ -40,6 +40,9 @@ GOOD, BAD = 0.3, 0.8  # misfit of an axis that agrees, and of an axis that is an
 STILL = 0.02  # mean square displacement along an axis over that along the other one, each per share of the headings
 SENSE_R2 = 0.3  # of heading and yaw rate; with less their relative sign is unknown
 REVERSED_T = 6.0  # t statistic of a single sign that is reversed
+# Change of velocity over what ax and ay would cause. A boat that heels outward in turns, or lifts its bow with the
+# thrust, measures a part of gravity as a larger acceleration: no factor between usual units, 0.3 and less, is this near
+INCLINED = (0.4, 0.6)
 MIN_ACCELERATION_R2 = 0.3  # a calm run has less, and its scale is not compared
 LEAST_SPEED = 0.1  # m/s (rms); slower tracks are not judged
 # Errors of a pair of axes, as maps of north + i east (or forward + i starboard), with their texts for findings.
@@ -501,9 +504,10 @@ def _body_velocity_fault(c: Channels, tracks: Mapping[str, Windows]) -> Iterator
 
 
 def check_accelerometer(c: Channels, found: Match | None) -> Iterator[Finding]:
-    """Yield at most one fault if ax and ay are not forward and to starboard in m/s2.
+    """Yield at most one fault if ax and ay are not forward and to starboard in m/s2, or one warning.
 
-    The specific force, turned by the heading, is compared with the change of the velocity over ground.
+    The specific force, turned by the heading, is compared with the change of the velocity over ground. The warning is
+    for accelerometers that seem to measure a part of gravity (`INCLINED`).
 
     Parameters
     ----------
@@ -540,7 +544,18 @@ def check_accelerometer(c: Channels, found: Match | None) -> Iterator[Finding]:
             f"ax and ay do not agree with the change of velocity: {best}",
             "correct columns and signs in the import map, or the mounting; ax is forward, ay is to starboard",
         )
-    elif found.r2 > MIN_ACCELERATION_R2 and not 0.6 < found.scale < 1.6:
+    elif found.r2 > MIN_ACCELERATION_R2 and INCLINED[0] < found.scale < INCLINED[1]:
+        yield Finding(
+            "warning",
+            "acceleration-larger-than-motion",
+            "units",
+            "ax, ay",
+            f"the velocity changes only {found.scale:.2f} times as much as ax and ay would cause: does the boat heel "
+            "in turns, or pitch with the thrust?",
+            "if it does, seatrial ident diagnose can find how much (the effect accelerometer-tilt); if not, check "
+            "the units",
+        )
+    elif found.r2 > MIN_ACCELERATION_R2 and not INCLINED[1] <= found.scale < 1.6:
         unit = "are these in g?" if abs(found.scale / 9.81 - 1.0) < 0.25 else "wrong unit, or wrong axes?"
         yield Finding(
             "fault",

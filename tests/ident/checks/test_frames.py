@@ -285,6 +285,23 @@ def test_steady_motion_without_noise_is_not_frozen_but_a_stuck_sensor_is(sides: 
             assert [(f.where, f.code) for f in check_frozen(boat | stuck)] == [(n, "channel-frozen") for n in names]
 
 
+@pytest.mark.parametrize(
+    ("factor", "level", "code"),
+    [
+        (1.0, None, None),
+        (1.9, "warning", "acceleration-larger-than-motion"),  # a boat that heels 5 deg where it turns with 1 m/s2
+        (1 / 9.81, "fault", "velocity-and-acceleration-scale"),
+        (3.28, "fault", "velocity-and-acceleration-scale"),  # in ft/s2
+    ],
+)
+def test_a_boat_that_heels_is_no_wrong_unit(
+    run: dict[str, Channel], factor: float, level: str | None, code: str | None
+) -> None:
+    c = run | {n: replace(run[n], value=factor * run[n].value) for n in ("ax", "ay")}
+    found = [(f.level, f.code) for f in check_signals(c, SIDES) if f.where == "ax, ay"]
+    assert found == ([] if level is None else [(level, code)])
+
+
 def test_stuck_noisy_accelerometer_is_frozen_in_steady_motion() -> None:
     boat, rng = quiet_boat(0.4, 0.4), np.random.default_rng(1)
     noisy = {n: replace(boat[n], value=boat[n].value + 0.05 * rng.normal(size=boat[n].t.size)) for n in ("ax", "ay")}
