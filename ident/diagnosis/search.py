@@ -121,6 +121,9 @@ from seatrial.ident.validation import (
 
 WAVES = "waves"
 ROUGH_SHARE = 0.01  # of the gain that a score test predicts: tolerance of the refit of its candidate
+# Tolerance of the fit beside the remaining candidates: the sizes are then within one standard error of the maximum, and
+# those of sure names, of at least 4 standard errors, within the change that is looked for
+BESIDE_TOLERANCE = 0.5
 DRAWN = SearchSettings(tolerance=0.02)  # for a curve that only illustrates the result: exact to 0.2 standard errors
 
 
@@ -1087,7 +1090,8 @@ class _Search:
             if beside:
                 model, begin = self._with_held_noise(model), self._shifted_estimates(current, added)
                 with quick_compilation(self.n):
-                    fitted = fit_and_evaluate(model, self.records, (), settings=self.rough, start=begin)
+                    settings = replace(self.rough, tolerance=max(self.rough.tolerance, BESIDE_TOLERANCE))
+                    fitted = fit_and_evaluate(model, self.records, (), settings=settings, start=begin)
         except FIT_ERRORS:
             return frozenset(), frozenset()
         kept = set[str]()
@@ -1259,8 +1263,9 @@ class _Search:
 
         Parametric candidates are refitted in at most ``policy.n_batches`` batches of ``policy.n_refits``, until a batch
         has an accepted refit. Those with a criterion of at most ``policy.min_score_ratio`` of the best are left out if
-        the best is positive. Candidates other than the best whose last refit failed in an earlier round
-        (`_failed_before`) are put off: they are refitted last, only if no other refit is accepted.
+        the best is positive. Once the first two of a batch are refitted, those are left out that cannot win any more
+        (`_can_win`). Candidates other than the best whose last refit failed in an earlier round (`_failed_before`) are
+        put off: they are refitted last, only if no other refit is accepted.
 
         Then follow up to ``policy.n_nonparametric`` nonparametric candidates whose score is high enough compared with
         the best accepted refit (``policy.nonparametric_score_share`` and ``policy.nonparametric_score_distance``).
@@ -1287,7 +1292,9 @@ class _Search:
         batches = [specific[k : k + size] for k in range(0, size * self.policy.n_batches, size)]
         last = [s for batch in batches for s in batch if s.name in failed]
         for batch in (*([s for s in batch if s.name not in failed] for batch in batches), last):
-            self._refit_all(current, [(self.candidates[s.name], s) for s in batch], refits, untested)
+            self._refit_all(current, [(self.candidates[s.name], s) for s in batch[:2]], refits, untested)
+            further = [s for s in batch[2:] if self._can_win(s, refits)]
+            self._refit_all(current, [(self.candidates[s.name], s) for s in further], refits, untested)
             if any(is_accepted(r, self.policy) for r in refits):
                 break
         leading = max((r for r in refits if is_accepted(r, self.policy)), key=lambda r: r.criterion, default=None)
@@ -1303,6 +1310,14 @@ class _Search:
         names = tuple(s.name for s in passed)
         refits, chosen = self._choose_refit(current, refits, untested)
         return Round(tuple(scores), names, tuple(refits), chosen, tuple(untested))
+
+    def _can_win(self, score: Score, refits: Sequence[Refit]) -> bool:
+        """Return whether a candidate could still have a larger criterion than the best accepted one of some refits.
+
+        A refit may exceed its score, at most by the factor ``policy.max_refit_growth``.
+        """
+        best = max((r.criterion for r in refits if is_accepted(r, self.policy)), default=-np.inf)
+        return self.policy.max_refit_growth * max(score.criterion(self.n), 0.0) >= best
 
     def _failed_before(self) -> set[str]:
         """Return the names of the candidates, as of their scores, whose last refit was not supported by the data.

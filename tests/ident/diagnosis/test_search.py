@@ -438,6 +438,28 @@ def test_a_candidate_that_failed_before_is_refitted_last(
     assert done == batches
 
 
+@pytest.mark.parametrize(("accepted", "more"), [(True, ["hump"]), (False, ["hump", "lift"])])
+def test_a_candidate_that_cannot_win_any_more_is_not_refitted(
+    monkeypatch: pytest.MonkeyPatch, accepted: bool, more: list[str]
+) -> None:
+    """A refit gains at most four times as much as its score. The limit holds only if another effect is accepted."""
+    lms = {"motor": 300.0, "wind": 290.0, "hump": 120.0, "lift": 40.0}
+    mine = a_search(*(Effect(n, n, {}) for n in lms))
+    mine.n = 100
+    done: list[str] = []
+
+    def refitted(_current: Any, tried: Any, refits: list[Refit], _untested: Any) -> None:
+        done.extend(effect.name for effect, _ in tried)
+        refits += [refit(effect.name, 400.0) for effect, _ in tried]
+
+    monkeypatch.setattr(mine, "_refit_all", refitted)
+    monkeypatch.setattr(search, "is_accepted", lambda _r, _policy: accepted)
+    monkeypatch.setattr(mine, "_choose_refit", lambda _current, refits, _untested: (refits, None))
+    passed = [Score(n, lm, 1, 50.0, {}, {}, threshold=12.0) for n, lm in lms.items()]
+    mine._run_round(blank(), passed, passed)
+    assert done == ["motor", "wind", *more]
+
+
 def test_removal_never_leaves_effects_that_predict_worse_than_the_nominal_model(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
