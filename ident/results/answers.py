@@ -1175,7 +1175,8 @@ def moving_boat_warnings(speeds: Mapping[str, float | None], has_force: bool) ->
     usable = (
         "The thrust is that of the moving boat, less than at rest, and mixed with its drag and inertia"
         if has_force
-        else "The delay and the time constant of the shaft are those of the boat under way, for comparison only"
+        else "The delay and the time constant of the shaft are those of the boat under way: with them, a boat model of "
+        "shaft speeds is exported with commands as inputs (seatrial ident export --thruster)"
     )
     text = (
         f"{_first_names(list(moving), MOST_NAMES)}: the boat moves (more than {moving[fastest]:.2g} m/s over ground in "
