@@ -1429,7 +1429,9 @@ def course_sentence(course: CourseStability | None, model: Model | None = None) 
         )
     if not course.unstable:
         return ""
-    heading = "" if course.heading is None else f" on heading {math.degrees(course.heading):.0f} deg"
+    heading = ""
+    if course.heading is not None:
+        heading = f" on heading {math.degrees(course.heading):.0f} deg (the least stable one)"
     begin = f"At {course.speed:.3g} m/s{heading} the boat is directionally unstable"
     grows = f"without a controller a small yaw rate grows by a factor of e in {1.0 / course.pole:.3g} s"
     if course.low is None or course.high is None:
