@@ -230,8 +230,8 @@ ident.add_command(navigate)
     multiple=True,
     callback=parse_thruster_files,
     metavar="[NAME=]FILE",
-    help="model.toml of a bench test: the inputs become commands. FILE for all thrusters, or NAME=FILE (left, right), "
-    "repeated.",
+    help="model.toml of `seatrial ident thruster`, from a bench test or a log of the boat: the inputs become commands. "
+    "FILE for all thrusters, or NAME=FILE (left, right), repeated.",
 )
 @click.option(
     "--thrust-curve",

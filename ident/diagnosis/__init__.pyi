@@ -4,6 +4,7 @@ from .adequacy import reason_without_experiment as reason_without_experiment
 from .adequacy import recommended_experiment as recommended_experiment
 from .antenna import antenna_error as antenna_error
 from .certainty import NAME_RECORDS as NAME_RECORDS
+from .common_errors import COMMON_ERRORS as COMMON_ERRORS
 from .common_errors import COMMON_SEARCH as COMMON_SEARCH
 from .findings import CommonErrorsFit as CommonErrorsFit
 from .findings import Diagnosis as Diagnosis

@@ -26,6 +26,9 @@ from .fitted_model import validation_records as validation_records
 from .fitted_model import with_all_candidates as with_all_candidates
 from .fitted_model import without_absent_sensors as without_absent_sensors
 from .fitted_model import without_unknown_noise as without_unknown_noise
+from .given_priors import BEYOND_PRIOR as BEYOND_PRIOR
+from .given_priors import exceeded_prior as exceeded_prior
+from .given_priors import given_prior_remark as given_prior_remark
 from .homogeneity import HomogeneityTest as HomogeneityTest
 from .homogeneity import ParameterShift as ParameterShift
 from .homogeneity import between_runs as between_runs
@@ -74,9 +77,7 @@ from .parameter_covariance import prediction_variance as prediction_variance
 from .parameter_covariance import principal_axes as principal_axes
 from .parameter_covariance import principal_directions as principal_directions
 from .parameter_covariance import uncertainty_of as uncertainty_of
-from .prior_knowledge import BEYOND_PRIOR as BEYOND_PRIOR
 from .prior_knowledge import apply_rig_geometry as apply_rig_geometry
-from .prior_knowledge import exceeded_prior as exceeded_prior
 from .prior_knowledge import fix_parameters as fix_parameters
 from .prior_knowledge import parameters_of_effects as parameters_of_effects
 from .prior_knowledge import set_initial_values as set_initial_values
@@ -89,6 +90,7 @@ from .refitted_effect import RefittedEffect as RefittedEffect
 from .smoother import smooth as smooth
 from .smoother import smoothed_mean as smoothed_mean
 from .standard_errors import AT_BOUND as AT_BOUND
+from .standard_errors import FROM_PRIOR as FROM_PRIOR
 from .standard_errors import VAGUE as VAGUE
 from .stochastic_simulation import SampledInputs as SampledInputs
 from .stochastic_simulation import simulate_stochastic as simulate_stochastic

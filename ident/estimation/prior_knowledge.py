@@ -25,11 +25,6 @@ from seatrial.ident.models import (
 GNSS = {"x", "y", "vx", "vy"}
 ARMS = ("y_left", "y_right", "y_arm")  # positions of the thrusters to starboard
 LONGEST_ARM_M = 5.0  # m, of a boat of a lab; a larger number is probably in centimetres
-LEAST_EXCESS = 1.01  # standard error over that of the prior, from which it counts as larger
-BEYOND_PRIOR = (
-    "it also contains what the model does not explain: correlated residuals, sensor errors, effects that may be "
-    "missing, and a difference of the thrusts of both sides"
-)
 SHORTEST_SPAN_M = 0.01  # between the thrusters; with less, no thrust difference turns the boat
 
 
@@ -408,30 +403,3 @@ def set_initial_values(model: Model, initial: Mapping[str, float]) -> Model:
         except ValueError as problem:
             raise SeatrialError(f"--initial {name}={value:g}: {problem}") from problem
     return model
-
-
-def exceeded_prior(p: Parameter, value: float, error: float) -> float | None:
-    """Return the standard deviation of the prior of a parameter if the standard error of its estimate exceeds it.
-
-    Only priors that the user gave for this boat are considered. The error must exceed the standard deviation by more
-    than one per cent. With the transform "log" it must do so for the logarithm too: an estimate that is larger than the
-    mean of the prior has a larger error by this alone. `BEYOND_PRIOR` describes what such an error contains.
-
-    Parameters
-    ----------
-    p
-        The parameter.
-    value, error
-        Its estimate and the standard error, in the unit of the parameter; the error may be NaN.
-
-    Returns
-    -------
-    float or None
-        Standard deviation as it was given, in the unit of the parameter. None if the error does not exceed it, or if
-        the user gave no prior.
-    """
-    free_prior = p.free_prior()
-    if not p.free or p.provenance is ParameterOrigin.ESTIMATED or p.prior is None or free_prior is None:
-        return None
-    given, at_estimate = p.prior[1], free_prior[1] * p.slope(value)
-    return given if error > LEAST_EXCESS * max(given, at_estimate) else None

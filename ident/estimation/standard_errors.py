@@ -29,6 +29,8 @@ MEMBER_WEIGHT = 0.1  # a parameter belongs to a combination if its entry in the 
 Z_95, DROP_95 = 1.959964, 1.9207294  # 97.5 % quantile of a normal, and half of the 95 % quantile of chi2(1)
 MAX_LOG_ERROR = 5.0  # a logarithm with a larger standard error (a factor 150) counts as unknown
 FLAGGED_INFLATION = 1.5  # a standard error gets a flag if a parameter at its bound makes it larger than by this factor
+MOSTLY_PRIOR = 0.9  # share of the prior in the information on a parameter, above which it is flagged
+FROM_PRIOR = "of its information comes from its prior"  # end of that flag
 AT_BOUND, VAGUE = "at its bound", "the data do not determine its order of magnitude"  # flags of a parameter
 TRIED_STEPS = 10.0 ** np.arange(-2.0, 5.0)  # distances tried by `flat_coordinates`, in characteristic steps
 # `_reach_in_direction` ends at this share of the quadratic approximation's distance, and halves its bracket so often
@@ -160,8 +162,8 @@ def assess(
     known = np.isfinite(variance)
     norm = float(np.sqrt(max(at.gradient[known] @ P[np.ix_(known, known)] @ at.gradient[known], 0.0)))
     weight = np.where(known, prior * np.nan_to_num(np.diag(P)), 0.0)
-    for i in np.flatnonzero(weight > 0.9).tolist():
-        flags.append((names[i], f"{100 * weight[i]:.0f} % of its information comes from its prior"))
+    for i in np.flatnonzero(weight > MOSTLY_PRIOR).tolist():
+        flags.append((names[i], f"{100 * weight[i]:.0f} % {FROM_PRIOR}"))
     correlation = (P + spread) / np.outer(root, root)
     return Uncertainty(
         np.abs(slopes) * root,

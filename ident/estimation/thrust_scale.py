@@ -358,6 +358,21 @@ class ReportedEstimates:
         return np.asarray(found)
 
 
+def value_of_data(p: Parameter, estimate: float, weight: float) -> float | None:
+    """Return the value of a parameter that the data alone give, in the unit of the parameter.
+
+    The estimate is the mean of this value and of that of the prior, weighted by their informations, in the coordinate
+    of the search. ``weight`` is the share of the prior in the information. None without a prior, and if the data have
+    less than a fifth of the information: the value would be extrapolated from the estimate by more than four times its
+    distance from the prior, where the likelihood is not quadratic.
+    """
+    prior = p.free_prior()
+    if prior is None or 1.0 - weight < LEAST_SHOWN_DATA:
+        return None
+    moved = p.to_free(estimate) - prior[0]
+    return p.from_free(prior[0] + moved / (1.0 - weight))
+
+
 @dataclass(frozen=True)
 class PriorDistance:
     """Distance between the data and the prior that was given for a parameter of this boat.
@@ -394,18 +409,8 @@ class PriorDistance:
 
     @property
     def data_value(self) -> float | None:
-        """Value that the data alone give, in the unit of the parameter.
-
-        The estimate is the mean of this value and of that of the prior, weighted by their informations, in the
-        coordinate of the search. None if the data have less than a fifth of the information: the value would be
-        extrapolated from the estimate by more than four times its distance from the prior, where the likelihood is not
-        quadratic.
-        """
-        prior = self.parameter.free_prior()
-        if prior is None or 1.0 - self.weight < LEAST_SHOWN_DATA:
-            return None
-        moved = self.parameter.to_free(self.estimate) - prior[0]
-        return self.parameter.from_free(prior[0] + moved / (1.0 - self.weight))
+        """Value that the data alone give, in the unit of the parameter; None if they have too little information."""
+        return value_of_data(self.parameter, self.estimate, self.weight)
 
 
 def prior_distances(fit: Fit) -> list[PriorDistance]:

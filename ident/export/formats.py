@@ -8,7 +8,7 @@ from typing import TypedDict, Unpack
 from seatrial.ident.estimation import SavedModel
 from seatrial.ident.export import c, casadi_file, fmu, gazebo, python, ros2
 from seatrial.ident.export.codegen import Content, collect_content, prefix
-from seatrial.ident.export.joined import join, with_thrust_input
+from seatrial.ident.export.joined import join, with_shaft_remark, with_thrust_input
 
 TARGETS: dict[str, Callable[[Content], str]] = {  # source code and parameters
     "python": python.write,
@@ -91,6 +91,7 @@ def export(saved: SavedModel, target: str, **options: Unpack[ExportOptions]) -> 
         content = join(content, thrusters, own_curve=options.get("own_curve", False))
     if options.get("thrust_input", False):
         content = with_thrust_input(content)
+    content = with_shaft_remark(content)
     if target == "fmu":
         return fmu.write(content, source_only=options.get("source_only", False))
     if target in BLOCKS:

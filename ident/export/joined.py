@@ -2,7 +2,9 @@
 
 A boat model with shaft speeds as inputs does not know how the shafts follow their commands. A bench model does: delay,
 dead zone and lag of the shaft, and the thrust curve. `join` puts one bench model before each thruster input, so that
-the inputs are commands. `with_thrust_input` replaces shaft speeds by thrusts, which have a slope at rest.
+the inputs are commands. A log of the boat with commands and shaft speeds gives such a model too, without a thrust
+curve. `with_thrust_input` replaces shaft speeds by thrusts, which have a slope at rest. `with_shaft_remark` names what
+is missing in a file without the shafts.
 """
 
 from __future__ import annotations
@@ -109,6 +111,7 @@ def join(boat: Content, thrusters: Mapping[str, SavedModel], *, own_curve: bool 
         Collected content of the boat model, whose inputs are shaft speeds or thrusts of thrusters.
     thrusters : mapping
         Bench models by name of the thruster (``left``); the name ``""`` stands for all thrusters that are not named.
+        A model without a thrust may come from logs of the boat with commands and shaft speeds.
     own_curve : bool
         Whether to keep the thrust curve of the boat model. Otherwise that of the bench models replaces it; a bench
         without a load cell has none, and the boat keeps its own.
@@ -150,7 +153,7 @@ def join(boat: Content, thrusters: Mapping[str, SavedModel], *, own_curve: bool 
     if any(not d.gives_thrust for d in with_curve):
         _check_curves(boat, with_curve)
     for d in drives:
-        _check_range(boat, d)
+        _check_range(boat, d, d in with_curve)
         gone = [e.name for e in d.saved.model.effects if not e.kind.nuisance and e not in d.model.effects]
         if gone:
             warn(
@@ -297,24 +300,26 @@ def _check_curves(boat: Content, drives: list[Drive]) -> None:
             )
 
 
-def _check_range(boat: Content, drive: Drive) -> None:
+def _check_range(boat: Content, drive: Drive, with_curve: bool) -> None:
     """Warn if the boat's data exceed the range of commands, and so of shaft speeds, of its thruster's bench test.
 
     A difference of up to 5 % of full speed gives no warning. Boat models with thrusts as inputs are not checked.
+    ``with_curve``: whether the thrust curve is that of the bench too, not the shaft alone.
     """
     covered, needed = drive.saved.validity.get("n_cmd"), boat.saved.validity.get(drive.input)
     if covered is None or needed is None or drive.gives_thrust:
         return
     if needed[0] < covered[0] - MARGIN or needed[1] > covered[1] + MARGIN:
         warn(
-            f"thruster {drive.name}: the boat ran with shaft speeds from {needed[0]:.2f} to {needed[1]:.2f}, but its "
-            f"bench test covers {covered[0]:.2f} to {covered[1]:.2f}; the thrust beyond is extrapolated"
+            f"thruster {drive.name}: the boat ran with shaft speeds from {needed[0]:.2f} to {needed[1]:.2f}, but the "
+            f"commands of its own test are from {covered[0]:.2f} to {covered[1]:.2f}; beyond them "
+            f"{'shaft and thrust are' if with_curve else 'the shaft is'} extrapolated"
         )
 
 
 def _remarks(drives: list[Drive], own_curve: bool) -> list[str]:
-    """Return header lines that name the bench model of each thruster and the parts that it provides."""
-    lines = ["", "Joined with bench models; full speed (n = 1, rpm_max of the rig) must be the same in both tests:"]
+    """Return header lines that name the model of each thruster and the parts that it provides."""
+    lines = ["", "Joined with thruster models; full speed (n = 1, rpm_max of the rig) must be the same in both tests:"]
     for d in drives:
         made = d.saved.provenance
         parts = "shaft dynamics" + (" and thrust curve" if d.has_thrust and not own_curve else "")
@@ -413,6 +418,35 @@ def _with_thrust(model: Model, thrust: Any) -> Model:
         return run
 
     return replace(model, stages=tuple((name, changed(f) if name == "thrust" else f) for name, f in model.stages))
+
+
+def with_shaft_remark(content: Content) -> Content:
+    """Return a content whose header says that commands are not its inputs, and how to have them as inputs.
+
+    A content whose inputs are neither shaft speeds nor thrusts of thrusters is returned unchanged.
+    """
+    quantities = [SignalId.parse(i.name).quantity for i in content.history.inputs if i.name != COMMAND]
+    if content.model.kind is not ModelKind.VEHICLE or not {SHAFT_SPEED, THRUSTER_FORCE} & set(quantities):
+        return content
+    are = "shaft speeds" if SHAFT_SPEED in quantities else "thrusts"
+    of_effects = {i.name for e in content.model.effects for i in e.inputs}
+    if any(i.tap and i.name not in of_effects for i in content.model.inputs):
+        ways = ["For commands as inputs,"]  # `join` refuses a model that has a delay of its own (Nomoto)
+    else:
+        ways = [
+            "For commands as inputs, either",
+            "  fit the shafts (seatrial ident thruster LOG --thruster NAME: a bench log, or a log of the boat with",
+            "  commands and shaft speeds), and export again with --thruster NAME=FILE for each thruster",
+            "  (in Python thruster={...}), or",
+        ]
+    lines = [
+        "",
+        f"The inputs are {are}. The delay and the lag of the shafts behind their commands are not in this file,",
+        "so that a loop that is closed with it is faster than that of the boat.",
+        *ways,
+        "  fit commands: seatrial ident vehicle LOG... --model horizontal:command.",
+    ]
+    return replace(content, remarks=(*content.remarks, *lines))
 
 
 def with_thrust_input(boat: Content) -> Content:

@@ -83,6 +83,8 @@ class Table:
         heading of the rows below it.
     caption
         Text below the table; may be empty.
+    stacked
+        Whether a narrow screen shows each row as lines of titled cells. Otherwise a wide table scrolls there.
     kind
         Kind of this piece of the page, by which the template selects its HTML.
     """
@@ -90,6 +92,7 @@ class Table:
     columns: Sequence[tuple[str, str]]
     rows: Sequence[Sequence[Cell | str]]
     caption: str = ""
+    stacked: bool = False
     kind: str = "table"
 
 

@@ -22,6 +22,7 @@ from seatrial.ident.report.drawing import DARK, TEMPLATE, Budget, Figure, compac
 from seatrial.ident.results import ComparisonResult, Result
 
 PLOTLY = "plotly-cartesian.min.js"  # the bundle with lines, heat maps and bars (docs/decisions/0036-vendored-plotly.md)
+LONG_HEADLINE = 110  # characters, above which a headline has smaller letters
 LARGEST_PAGE = 3_000_000  # bytes: mail and version control take it, and a phone opens it at once
 TOTAL_POINTS = (200_000, 120_000, 70_000)  # points of all curves of a page, from the first that is small enough
 KINDS = {
@@ -151,7 +152,8 @@ def compose(
         .render(
             kind=kind,
             answer=formatting.tied(answer),
-            headline=headline,
+            parts=_details(headline or "This result has no answer."),
+            is_long=len(headline) > LONG_HEADLINE,
             more=more,
             warnings=warnings,
             created=formatting.moment(created),
@@ -202,6 +204,27 @@ def _first_sentence(text: str) -> tuple[str, str]:
     """Return the first sentence of a text, and the rest; the rest is empty if there is one sentence only."""
     first, *rest = re.split(r"(?<=[.!?]) (?=[A-Z`])", text, maxsplit=1)
     return first, "".join(rest)
+
+
+def _details(headline: str) -> list[tuple[str, bool]]:
+    """Return the parts of a headline, and whether each of them is a detail: a text in parentheses with a number.
+
+    A page with a long headline shows details in smaller letters. Parentheses may contain others. A headline of at most
+    `LONG_HEADLINE` characters has no details, and one whose parentheses do not match neither.
+    """
+    if len(headline) <= LONG_HEADLINE:
+        return [(headline, False)]
+    parts, depth, start = list[tuple[str, bool]](), 0, 0
+    for k, sign in enumerate(headline):
+        if sign == "(" and depth == 0:
+            parts.append((headline[start:k], False))
+            start = k
+        depth += (sign == "(") - (sign == ")")
+        if sign == ")" and depth == 0:
+            text = headline[start : k + 1]
+            parts.append((text, any(c.isdigit() for c in text)))
+            start = k + 1
+    return [*parts, (headline[start:], False)] if depth == 0 else [(headline, False)]
 
 
 def _script_safe_json(value: Any) -> str:

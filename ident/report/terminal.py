@@ -32,6 +32,7 @@ from seatrial.ident.report.sections.predictions import by_role, error_words, hor
 from seatrial.ident.results import (
     MOST_OF_ERROR,
     NOT_WEIGHED,
+    ONLY_CHOSEN,
     RUNS_AWAY,
     SIMULATION_COVERS,
     CampaignErrors,
@@ -554,7 +555,7 @@ def print_result(result: Result, console: Console) -> None:
         )
         print_prose(console, Text(text, style="dim"))
     for note in result.notes:
-        if note == NOT_WEIGHED or note.startswith((SIMULATION_COVERS, MOST_OF_ERROR, RUNS_AWAY)):
+        if note == NOT_WEIGHED or note.startswith((SIMULATION_COVERS, MOST_OF_ERROR, RUNS_AWAY, ONLY_CHOSEN)):
             print_prose(console, Text(note, style="dim"))
     for note in result.notes if isinstance(result, FleetResult | CampaignsResult) else ():
         console.print()

@@ -1175,7 +1175,8 @@ def moving_boat_warnings(speeds: Mapping[str, float | None], has_force: bool) ->
     usable = (
         "The thrust is that of the moving boat, less than at rest, and mixed with its drag and inertia"
         if has_force
-        else "The delay and the time constant of the shaft are those of the boat under way, for comparison only"
+        else "The delay and the time constant of the shaft are those of the boat under way: with them, a boat model of "
+        "shaft speeds is exported with commands as inputs (seatrial ident export --thruster)"
     )
     text = (
         f"{_first_names(list(moving), MOST_NAMES)}: the boat moves (more than {moving[fastest]:.2g} m/s over ground in "
@@ -1428,7 +1429,9 @@ def course_sentence(course: CourseStability | None, model: Model | None = None) 
         )
     if not course.unstable:
         return ""
-    heading = "" if course.heading is None else f" on heading {math.degrees(course.heading):.0f} deg"
+    heading = ""
+    if course.heading is not None:
+        heading = f" on heading {math.degrees(course.heading):.0f} deg (the least stable one)"
     begin = f"At {course.speed:.3g} m/s{heading} the boat is directionally unstable"
     grows = f"without a controller a small yaw rate grows by a factor of e in {1.0 / course.pole:.3g} s"
     if course.low is None or course.high is None:

@@ -14,9 +14,10 @@ import numpy as np
 from msgspec import Meta
 
 from seatrial.ident.characterisation import TurningShaft, directions, largest_speeds
-from seatrial.ident.diagnosis import ModelAssessment, ModelUncertainty
+from seatrial.ident.diagnosis import COMMON_ERRORS, ModelAssessment, ModelUncertainty
 from seatrial.ident.estimation import FittedModel, HomogeneityTest, Profile, ReportedEstimates
-from seatrial.ident.models import residuals_of
+from seatrial.ident.model import Effect, Model
+from seatrial.ident.models import is_own_model, residuals_of
 from seatrial.ident.numerics import Array
 from seatrial.ident.results.answers import (
     calibration_notes,
@@ -121,6 +122,43 @@ UNTESTED = (
     "The model was not tested for missing effects by score tests: small errors of sensors and hull form are not "
     "estimated, and their influence is not in the standard errors. Take the estimates as a first look."
 )
+STILL_UNTESTED = (
+    "The model was not tested for missing effects by score tests: the influence of effects that it lacks is not in the "
+    "standard errors. It has these small errors of sensors and hull form: "
+)
+# Beginning of a note that the terminal shows
+ONLY_CHOSEN = "The chosen effects were added without the small errors of sensors and hull form"
+
+
+def untested_notes(model: Model, effect_parameters: Sequence[str]) -> list[str]:
+    """Return the notes on a fit without score tests.
+
+    The score tests select the small errors of sensors and hull form (common errors). Without the tests, only those of
+    the given model are estimated. The second note says how to keep them beside effects that the user chose.
+
+    Parameters
+    ----------
+    model
+        Fitted model.
+    effect_parameters
+        Names of the parameters of the effects that the user added to the model.
+    """
+    common = [e.name for e in model.effects if e.name in COMMON_ERRORS and not _adds(e, effect_parameters)]
+    if common:
+        return [f"{STILL_UNTESTED}{', '.join(common)}."]
+    if not effect_parameters or is_own_model(model.source):
+        return [UNTESTED]
+    keep = (
+        f"{ONLY_CHOSEN}, because the score tests select these errors and were left out. The prediction can be much "
+        "worse than that of a tested fit. To have both, leave the tests in, or add the effects to the model of a "
+        "tested fit: --model FIT/model.toml."
+    )
+    return [UNTESTED, keep]
+
+
+def _adds(effect: Effect, names: Sequence[str]) -> bool:
+    """Return whether an effect has one of the parameters of ``names``."""
+    return any(p.name in names for p in effect.parameters)
 
 
 def vehicle_result(
@@ -165,7 +203,7 @@ def vehicle_result(
     sentences = [fit_answer, candidate, straight_sentence(posed.dynamics), course, wind]
     sentences += [homogeneity_sentence(a) for a in homogeneity]
     answer = not_converged(fitted.fit) or " ".join(filter(None, sentences))
-    uncertainty = posed.uncertainty
+    uncertainty, untested = posed.uncertainty, posed.assessment is None
     return VehicleResult(
         **msgspec.structs.asdict(made),
         answer=faults_first(made) + answer,
@@ -180,7 +218,7 @@ def vehicle_result(
             *failed_run_warnings(fitted.failed),
         ),
         notes=(
-            *((UNTESTED,) if searchable and posed.assessment is None else ()),
+            *(untested_notes(fitted.model, posed.effect_parameters) if searchable and untested else ()),
             *common_errors_notes(common, "the model"),
             *model_uncertainty_notes(uncertainty, fitted.fit),
             *prior_notes(fitted.fit),

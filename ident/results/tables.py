@@ -17,14 +17,14 @@ from seatrial.ident.data import LoadedLog, Record, given_inputs
 from seatrial.ident.diagnosis import CommonErrorsFit, ModelUncertainty
 from seatrial.ident.estimation import (
     AT_BOUND,
-    BEYOND_PRIOR,
+    FROM_PRIOR,
     Fit,
     FittedModel,
     HomogeneityTest,
     Profile,
     ReportedEstimates,
     Role,
-    exceeded_prior,
+    given_prior_remark,
     run_differences,
 )
 from seatrial.ident.model import Effect, EffectKind, ForceCurve, Model, ModelKind, Parameter, segment_name
@@ -150,8 +150,7 @@ def fit_summary(fit: Fit, start: Mapping[str, float], calibration: float | None 
                         filter(
                             None,
                             [
-                                _flag_text(flags.get(name), p, fit.estimate(p.name, i)[0], reported),
-                                _wider_than_prior(p, fit.estimate(p.name, i), reported),
+                                *_flag_texts(flags.get(name), p, fit.estimate(p.name, i), share, reported),
                                 _beside_inertial_curve(p, fit.model.effects),
                             ],
                         )
@@ -185,6 +184,21 @@ def fit_summary(fit: Fit, start: Mapping[str, float], calibration: float | None 
             matrix=reported.correlation,
         ),
     )
+
+
+def _flag_texts(
+    flag: str | None, p: Parameter, estimate: tuple[float, float], share: float | None, reported: ReportedEstimates
+) -> list[str]:
+    """Return the flag of a fit as a sentence, and the line on a prior that the user gave; "" for what does not apply.
+
+    ``estimate`` is the value and its standard error in the unit of the parameter, and ``share`` that of the prior in
+    the information. The line on the prior contains the share, so that a flag with the share alone is left out.
+    """
+    factor, unit = reported.factor(p.unit), reported.scale.unit(p.unit)
+    line = given_prior_remark(p, estimate, share or 0.0, factor, unit)
+    if line and flag is not None and flag.endswith(FROM_PRIOR):
+        return [line]
+    return [_flag_text(flag, p, estimate[0], reported), line]
 
 
 def _flag_text(flag: str | None, p: Parameter, value: float, reported: ReportedEstimates) -> str:
@@ -230,20 +244,6 @@ def _has_lasting_error(model: Model, noise: str) -> bool:
     if ESTIMATOR_ERROR not in {e.name for e in model.effects}:
         return False
     return any(o.noise == noise for s in model.sensors if s.name in SENSORS_WITH_CORRELATED_ERRORS for o in s.outputs)
-
-
-def _wider_than_prior(p: Parameter, estimate: tuple[float, float], reported: ReportedEstimates) -> str:
-    """Return a sentence if the standard error of a parameter exceeds that of the prior that was given for this boat.
-
-    The text is empty for a parameter without such a prior, and without a standard error. ``estimate`` is the value and
-    its standard error in the unit of the parameter.
-    """
-    error = estimate[1]
-    if (of_prior := exceeded_prior(p, *estimate)) is None:
-        return ""
-    factor, unit = reported.factor(p.unit), reported.scale.unit(p.unit)
-    shown = " ".join(filter(None, [f"{factor * error:.3g} > {factor * of_prior:.3g}", unit]))
-    return f"the standard error is larger than that of the prior ({shown}), because {BEYOND_PRIOR}"
 
 
 def _beside_inertial_curve(p: Parameter, effects: Iterable[Effect]) -> str:

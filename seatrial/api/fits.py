@@ -78,7 +78,9 @@ class FitOptions(TypedDict, total=False):
         Weighed mass of the boat [kg]. A warning tells if the estimated mass in surge contradicts it. It is no prior.
     score_tests : bool
         Whether to test the model for missing effects, True by default. Small errors of sensors and hull form are then
-        estimated if the logs show them, and the standard errors include what remains unexplained.
+        estimated if the logs show them, and the standard errors include what remains unexplained. With False, also
+        beside ``effects``, only the errors that the given model has already are estimated: those of the model.toml of
+        a tested fit as ``model`` are kept.
     profiles : sequence of str
         Names of the parameters whose profile likelihood is computed.
     outlier_model : bool

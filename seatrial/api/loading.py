@@ -60,7 +60,8 @@ class ExportOptions(TypedDict, total=False):
         Whether disturbance forces and sensor biases are kept as states.
     thruster : path, or dict of str to path
         model.toml of the bench test of all thrusters, or of each thruster by name (``left``, ``right``). The inputs of
-        the exported model are then commands.
+        the exported model are then commands. A fit of ``st.thruster`` to a log of the boat with commands and shaft
+        speeds gives such a model too.
     thrust_curve : "bench" or "boat"
         Thrust curve of a model with ``thruster``; ``bench`` by default.
     thrust_input : bool

@@ -176,7 +176,7 @@ def opening_blocks(result: ComparisonResult) -> list[Any]:
     lines = [f"95 % intervals of ({m.label}): {interval_sentence(result, m)}." for m in result.models]
     masses = [(m.label, masses_sentence(m, result.weighed_mass)) for m in result.models]
     lines = [f"Masses of ({label}): {words}." for label, words in masses if words] + lines
-    return [Table(columns, rows), Prose(note, "quiet"), Lines(lines, "quiet")]
+    return [Table(columns, rows, stacked=True), Prose(note, "quiet"), Lines(lines, "quiet")]
 
 
 def ratio_words(ratio: ComparedRatio | None) -> str:
@@ -204,7 +204,7 @@ def differences_section(result: ComparisonResult) -> Section:
         for title, here, there in difference_rows(m):
             rows.append([Cell(f"({m.label})", "strong"), title, Cell(here or "–", "wide"), Cell(there or "–", "wide")])
     columns = (("model", ""), ("", ""), ("only in this model", ""), (f"only in ({reference})", ""))
-    return Section("differences", "What differs", [Table(columns, rows)] if rows else [])
+    return Section("differences", "What differs", [Table(columns, rows, stacked=True)] if rows else [])
 
 
 def difference_rows(m: ComparedModel) -> list[tuple[str, str, str]]:
@@ -283,7 +283,7 @@ def errors_section(result: ComparisonResult) -> Section:
             if (row.kind, row.seconds) == kind:
                 lines.append([Cell(f"{formatting.titled(row.channel)}, {row.n} samples", "group")])
                 lines += [_error_cells(row, e) for e in row.errors]
-        tabs.append((kind_title(*kind), [Table(columns, lines)] if lines else []))
+        tabs.append((kind_title(*kind), [Table(columns, lines, stacked=True)] if lines else []))
     lead = (
         "Root mean square of the difference of measured and predicted values, at the samples that all models predict. "
         "The fit is 1 − error / standard deviation of the measured values. ▼ and ▲: the error is smaller or larger "
@@ -378,7 +378,8 @@ def likelihood_section(result: ComparisonResult) -> Section:
     )
     if held and all(held):
         lead += " No model was fitted to these logs, so that it needs no correction for the number of parameters."
-    return Section("likelihood", "Log score and criteria", [Table(columns, rows), *map(Prose, reasons)], lead)
+    table = Table(columns, rows, stacked=True)
+    return Section("likelihood", "Log score and criteria", [table, *map(Prose, reasons)], lead)
 
 
 def _likelihood_cells(m: ComparedModel) -> list[Cell | str]:

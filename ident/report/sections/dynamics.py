@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -23,6 +24,7 @@ from seatrial.ident.results import (
 )
 
 POINTS = 600  # largest number of points of a curve
+OTHER_HEADINGS = 'Another heading has other poles: st.linearise(model, speed, at={"psi": heading}), in rad.'
 SHORTEST = (
     "≤: the shortest lag of a state of the model. A lag with a shorter time constant in the table of parameters, such "
     "as T_n = 0, has this pole too, and less part in the motion; with zero it has none."
@@ -153,9 +155,14 @@ def _pole_blocks(dynamics: Dynamics, drive: str) -> list[Any]:
     columns += [("mainly", "")] if named else []
     columns += [("stability", "")] if any_growing else []
     rows = rows if any_growing else [row if len(row) == 1 else row[:-1] for row in rows]
-    blocks: list[Any] = [Heading("Poles on a straight course", "of the model linearised at each speed")]
+    on = ""
+    if (psi := dynamics.conditions.get("psi")) is not None:
+        on = f"on heading {math.degrees(psi):.0f} deg"
+    note = ", ".join(filter(None, ["of the model linearised at each speed", on]))
+    blocks: list[Any] = [Heading("Poles on a straight course", note)]
     notes = ["Not determined: the standard error of the pole is more than half of its size."] * any_lost
     notes += [SHORTEST] * any_shortest
+    notes += [OTHER_HEADINGS] * bool(on)
     blocks.append(Table(columns, rows, " ".join(notes)))
     if beyond := _outside_sentence(dynamics):
         blocks.append(Prose(beyond, "callout"))
@@ -165,8 +172,8 @@ def _pole_blocks(dynamics: Dynamics, drive: str) -> list[Any]:
         slowest = min(p.speed for p in points if not p.stable)
         blocks.append(
             Prose(
-                f"From {slowest:g} m/s on, the boat does not hold a straight course without a heading controller: a "
-                f"small yaw rate grows until the boat turns. {course}".rstrip(),
+                f"From {slowest:g} m/s on{f' ({on})' if on else ''}, the boat does not hold a straight course without "
+                f"a heading controller: a small yaw rate grows until the boat turns. {course}".rstrip(),
                 "callout",
             )
         )

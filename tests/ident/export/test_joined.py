@@ -247,8 +247,23 @@ def test_different_curve_and_range_give_a_warning() -> None:
         join(collect_content(saved(boat())), {"": weak})
     wide = replace(saved(boat()), validity={"n_left": (-1.0, 1.0), "n_right": (-0.2, 1.0)})
     narrow = replace(saved(LEFT), validity={"n_cmd": (-0.3, 1.0)})
-    with pytest.warns(SeatrialWarning, match=r"thruster left: the boat ran .* covers -0\.30 to 1\.00"):
+    with pytest.warns(SeatrialWarning, match=r"left: .* from -0\.30 to 1\.00; beyond them shaft and thrust are"):
         join(collect_content(wide), {"": narrow})
+    with pytest.warns(SeatrialWarning, match="beyond them the shaft is extrapolated"):
+        join(collect_content(wide), {"": narrow}, own_curve=True)
+
+
+@pytest.mark.parametrize(("how", "are"), [({}, "shaft speeds"), ({"thrust_input": True}, "thrusts")])
+def test_header_says_that_the_lag_of_the_shafts_is_missing(how: dict[str, Any], are: str) -> None:
+    """A controller that is tested with such a file is closed without the delay and the lag of the thrusters."""
+    for target in ("python", "casadi", "c", "ros2"):
+        text = export(saved(boat()), target, **how)
+        assert isinstance(text, str)
+        assert f"The inputs are {are}. The delay and the lag of the shafts" in text
+        assert "seatrial ident thruster LOG --thruster NAME" in text
+    assert "--thruster NAME=FILE" not in str(export(saved(nomoto_model()), "python"))  # it cannot be joined
+    for text in (export(saved(horizontal_model("command")), "c"), export(saved(boat()), "c", thrusters=benches())):
+        assert "lag of the shafts" not in str(text)
 
 
 def test_model_with_thrust_input_has_the_same_motion_and_a_slope_at_rest() -> None:

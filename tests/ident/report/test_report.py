@@ -8,6 +8,7 @@ import hashlib
 import io
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,8 @@ import pytest
 from rich.console import Console
 
 from seatrial.ident.report import drawing, formatting
+from seatrial.ident.report.blocks import Cell, Section, Table
+from seatrial.ident.report.page import compose
 from seatrial.ident.report.sections.answer import effect_card
 from seatrial.ident.report.terminal import print_result
 from seatrial.ident.results import NOT_WEIGHED, VehicleResult
@@ -209,6 +212,33 @@ def hostile(value: Any) -> Any:
     if isinstance(value, list):
         return [hostile(item) for item in value]
     return HOSTILE if isinstance(value, str) else value
+
+
+def test_a_long_headline_is_smaller_and_its_sizes_more_so(tmp_path: Path) -> None:
+    """A headline of three effects with their sizes took 16 lines of a phone."""
+    result = KINDS["diagnosis"]()
+    result["answer"] = (
+        "The model lacks thrusters that do not push straight ahead (toe-in (or a bent mount)) (the right one pushes "
+        "9.3 ± 1.2 deg to starboard (outwards)) and steady wind."
+    )
+    text = written(result, tmp_path)
+    head = text[text.index("<h1") : text.index("</h1>")]
+    assert head.startswith('<h1 class="long">')
+    (size,) = re.findall("<small>(.*?)</small>", head)
+    assert " ".join(size.split()) == "(the right one pushes 9.3 ± 1.2 deg to starboard (outwards))"
+    result["answer"] = "The model lacks steady wind (3 N)."
+    assert "<h1>The model lacks steady" in written(result, tmp_path)
+
+
+def test_rows_of_a_stacked_table_have_titled_cells() -> None:
+    """A narrow screen shows these titles, where the verdict of a comparison was out of sight."""
+    table = Table((("model", ""), ("verdict", "")), [["(a)", Cell("better", "good")]], stacked=True)
+    section = Section("answer", "", [table])
+    text = compose("Comparison", "Good.", section, [], {}, version="1")
+    assert '<table class="stacked">' in text
+    assert '<td class="good" data-title="verdict">better' in text
+    plain = compose("Comparison", "Good.", Section("answer", "", [replace(table, stacked=False)]), [], {}, version="1")
+    assert "data-title=" not in plain.partition("</style>")[2]
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -322,3 +322,15 @@ def test_page_of_many_records_is_below_three_megabytes() -> None:
         for key in tables
     }
     assert len(page.render(msgspec.structs.replace(whole, **many)).encode()) < 3_000_000
+
+
+def test_poles_of_a_boat_in_wind_name_their_heading() -> None:
+    found = dynamics()
+    conditions = {**found.conditions, "psi": np.pi / 2}
+    result = msgspec.structs.replace(
+        loaded(KINDS["diagnosis"]()), dynamics=msgspec.structs.replace(found, conditions=conditions)
+    )
+    words = " ".join(Page(page.render(result)).words.split())
+    assert "of the model linearised at each speed, on heading 90 deg" in words
+    assert "From 1 m/s on (on heading 90 deg), the boat does not hold a straight course" in words
+    assert "Another heading has other poles" in words

@@ -703,7 +703,7 @@ def test_answer_has_the_headings_on_which_a_boat_in_wind_needs_most(
 def test_the_least_stable_heading_is_named() -> None:
     course = CourseStability(speed=0.9, heading=np.pi / 4, pole=0.25, low=0.125, high=0.5)
     assert course_sentence(course).startswith(
-        "At 0.9 m/s on heading 45 deg the boat is directionally unstable: without"
+        "At 0.9 m/s on heading 45 deg (the least stable one) the boat is directionally unstable: without"
     )
 
 

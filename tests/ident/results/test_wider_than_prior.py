@@ -10,9 +10,9 @@ import pytest
 
 import seatrial as st
 from seatrial.daq.errors import SeatrialWarning
+from seatrial.ident.estimation.given_priors import exceeded_prior, given_prior_remark
 from seatrial.ident.estimation.maximum_likelihood import Fit
 from seatrial.ident.estimation.model_file import load_model
-from seatrial.ident.estimation.prior_knowledge import exceeded_prior
 from seatrial.ident.export.formats import export
 from seatrial.ident.model import Parameter, ParameterOrigin
 from seatrial.ident.results.parts import FitSummary, ParameterRow
@@ -20,7 +20,7 @@ from seatrial.ident.results.tables import fit_summary
 from tests.missions import boat_log, boat_with
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
-LARGER = "the standard error is larger than that of the prior"
+LARGER = "its standard error is larger than the given one"
 
 
 @pytest.fixture(scope="module")
@@ -51,9 +51,27 @@ def test_a_larger_error_is_explained_and_a_smaller_one_is_not(fitted: st.FittedV
         assert LARGER not in (row_of(summary, "c1").flag or "")
     summary = fit_summary(with_error(fit, "c1", 1.2), {})
     flag = row_of(summary, "c1").flag or ""
-    assert f"{LARGER} (2.4 > 2 N), because it also contains what the model does not explain: " in flag
-    assert flag.startswith(row_of(fit_summary(fit, {}), "c1").flag or LARGER)  # another remark comes first
+    assert flag.startswith("given 40 ± 2 N; the data have ")
+    assert " ± 2.4 N; its standard error is larger than the given one, because it also contains what" in flag
+    assert "of its information comes from its prior" not in flag  # the line has the share of the data
     assert [row.name for row in summary.parameters if LARGER in (row.flag or "")] == ["c1"]
+
+
+def test_one_line_has_what_was_given_what_the_data_say_and_the_fit(fitted: st.FittedVehicle, tmp_path: Path) -> None:
+    c1 = Parameter("c1", 29.0, "N", transform="log", prior=(29.0, 1.1), origin=ParameterOrigin.PRIOR)
+    line = given_prior_remark(c1, (29.28, 1.09), 0.98)
+    assert line == (
+        "given 29 ± 1.1 N; the data have 2 % of the information, too little for a value of their own; "
+        "fitted 29.28 ± 1.09 N"
+    )
+    assert given_prior_remark(c1, (30.0, 0.7), 0.5) == ""  # nothing is unusual
+    wide = given_prior_remark(replace(c1, transform="none"), (30.0, 1.4), 0.5)
+    assert wide.startswith("given 29 ± 1.1 N; the data alone say about 31 N; fitted 30 ± 1.4 N; its standard error is")
+    assert given_prior_remark(replace(c1, origin=ParameterOrigin.BUILT_IN), (29.28, 2.8), 0.98) == ""
+    text = (fitted.save(tmp_path) / "model.toml").read_text(encoding="utf-8")
+    flag = row_of(fitted.result.fit, "c1").flag
+    assert flag is not None
+    assert f'flag = "{flag}"' in text
 
 
 def test_the_standard_deviation_is_quoted_as_it_was_given() -> None:

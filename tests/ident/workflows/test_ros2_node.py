@@ -152,7 +152,7 @@ class Ros:
 def ros(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Ros:
     """Write the feedback as the page tells, and return ROS with the boat of the page."""
     monkeypatch.chdir(folder)
-    run_python(blocks(PAGE, "python")[6], str(PAGE))
+    run_python(blocks(PAGE, "python")[7], str(PAGE))
     spec = importlib.util.spec_from_file_location("plant", folder / "plant.py")
     assert spec is not None
     assert spec.loader is not None
@@ -221,7 +221,7 @@ def test_the_node_reaches_its_set_point_and_turns_to_starboard(node: Any, ros: R
 
 
 def test_the_law_is_that_of_the_state_feedback(node: Any, ros: Ros) -> None:
-    control = run_python(blocks(PAGE, "python")[6], str(PAGE))["control"]
+    control = run_python(blocks(PAGE, "python")[7], str(PAGE))["control"]
 
     def scenario() -> None:
         ros.sail(5.0)

@@ -5,15 +5,20 @@ from __future__ import annotations
 import json
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner
+from rich.console import Console
 
+import seatrial as st
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.cli.commands import ident
 from seatrial.ident.estimation.model_file import load_model
 from seatrial.ident.model.outlier_density import robust_sensors
+from seatrial.ident.report.terminal import print_result
 from seatrial.ident.reporter import QUIET
+from seatrial.ident.results.commands import ONLY_CHOSEN
 from seatrial.ident.workflows.diagnose import DiagnosisRequest, diagnosis
 from tests.missions import boat_log, boat_with
 
@@ -130,3 +135,22 @@ def test_second_order_mean_of_a_user_model_can_be_switched_off(logs: tuple[Path,
     for more, there in ([], True), (["--no-second-order"], False):
         CliRunner().invoke(ident, [*words, *more], catch_exceptions=False)
         assert ("second_order = true" in (tmp_path / "out/model.toml").read_text(encoding="utf-8")) is there
+
+
+@pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")  # signals that the model does not use
+def test_chosen_effects_without_score_tests_name_the_errors_that_they_lack(logs: tuple[Path, Path]) -> None:
+    """The score tests select the small errors of sensors and hull form. A model of a tested fit has them already."""
+    how: dict[str, Any] = {"fixed": {"c1": 40.05, "c2": 1.11}, "score_tests": False, "reml": False, "mean_order": 1}
+    chosen = st.fit(logs[0], effects=["cubic-drag"], **how)
+    (note,) = (n for n in chosen.notes if n.startswith(ONLY_CHOSEN))
+    assert note.endswith("add the effects to the model of a tested fit: model FIT/model.toml.")
+    console = Console(record=True, width=2000)
+    print_result(chosen.result, console)
+    assert ONLY_CHOSEN in console.export_text()
+    tested = st.fit(logs[0], effects=["gnss-latency", "heading-lag"], **how)  # as if the tests had selected them
+    assert any(n.startswith(ONLY_CHOSEN) for n in tested.notes)
+    file = tested.save(logs[0].parent / "tested") / "model.toml"
+    both = st.fit(logs[0], model=str(file), effects=["cubic-drag"], score_tests=False)
+    assert {"gnss-latency", "heading-lag", "cubic-drag"} <= {e.name for e in both.fitted.fit.model.effects}
+    assert not any(n.startswith(ONLY_CHOSEN) for n in both.notes)
+    assert any(n.endswith("errors of sensors and hull form: gnss-latency, heading-lag.") for n in both.notes)
