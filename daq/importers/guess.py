@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from seatrial.daq.checks import group_held_signals, held_signals, is_sampled_slower
-from seatrial.daq.errors import SeatrialError, first_names
+from seatrial.daq.errors import SeatrialError, UnknownName, first_names
 from seatrial.daq.importers.bench_table import COMMAND, bench_candidates
 from seatrial.daq.importers.clocks import DATES, Clock, clock_of, has_named_times, row_seconds
 from seatrial.daq.importers.import_map import GEOGRAPHIC
@@ -103,20 +103,34 @@ class Guess(NamedTuple):
     unrecognised: Sequence[str] = ()  # columns
 
 
-def guess_maps(paths: Sequence[Path], dbc: Path | None = None, folder: Path | None = None) -> list[Guess]:
+def guess_maps(
+    paths: Sequence[Path],
+    dbc: Path | None = None,
+    folder: Path | None = None,
+    known: Mapping[str, float] | None = None,
+) -> list[Guess]:
     """Guess the import map of each of several source files; a scale that is guessed from numbers is the same in all.
 
     It is that of the largest number of all files, so that equal speeds stay equal. The arguments are those of
-    `guess_map`, and so are the errors.
+    `guess_map`, and so are the errors. ``known`` has the number of the source that becomes 1, by signal, where the user
+    knows it. A name that no source has as such a signal is an error (UnknownName).
     """
     found = [guess_map(path, dbc, folder, files=paths) for path in paths]
+    if known:
+        scaled = list(dict.fromkeys(name for guess in found for name in guess.full))
+        if unknown := [name for name in known if name not in scaled]:
+            raise UnknownName(
+                f"{first_names(unknown, 5)}: no signal whose full speed is guessed; these are: "
+                f"{', '.join(scaled) or 'none'}"
+            )
+        found = [guess_map(path, dbc, folder, files=paths, known=known) for path in paths]
     if len(found) < 2:
         return found
     full: dict[str, float] = {}
     for guess in found:
         for name, top in guess.full.items():
             full[name] = max(top, full.get(name, 0.0))
-    return [guess_map(path, dbc, folder, full, paths) for path in paths] if full else found
+    return [guess_map(path, dbc, folder, full, paths, known) for path in paths] if full else found
 
 
 def guess_map(
@@ -125,6 +139,7 @@ def guess_map(
     folder: Path | None = None,
     full: Mapping[str, float] | None = None,
     files: Sequence[Path] = (),
+    known: Mapping[str, float] | None = None,
 ) -> Guess:
     """Guess the import map of a source file: which of its columns are which signals, in which units.
 
@@ -141,6 +156,8 @@ def guess_map(
         and all signals by default, have their largest number in this source.
     files
         Files that share the map, if they are several.
+    known
+        As ``full``, for signals of which the user gave this number: their scale is no guess.
 
     Returns
     -------
@@ -199,7 +216,7 @@ def guess_map(
     candidates = [c for t in tables for c in (*message_candidates(t), *_column_candidates(t, clocks, together))]
     candidates = benches or named_commands([*candidates, *outputs(tables)])
     candidates = _with_speeds_of_commands(_with_resting_pulses(candidates))
-    candidates = [_with_full_speed(c, full or {}) for c in candidates]
+    candidates = [_with_full_speed(c, full or {}, known or {}) for c in candidates]
     candidates = [_with_unit_caveats(_with_frame_key(c) if kind.name == "ros" else c) for c in candidates]
     main = _main_clock(candidates, clocks)
     taken, lines = _chosen_signals(candidates, clocks, main, max(len(files), 1))
@@ -212,7 +229,7 @@ def guess_map(
     remarks += [f"# caveat: {line}" for line in _held_signal_comments(candidates, taken, clocks)]
     closing = ["]", *_boat_lines(taken)]
     text = "\n".join([*head, *remarks, "signal = [", *lines, *_unrecognised_lines(unrecognised), *closing])
-    tops = {signal.name: signal.full for signal in taken if signal.full}
+    tops = {signal.name: signal.full for signal in taken if signal.full and not signal.is_given}
     return Guess(
         text + (f"\n# no fit: {problem}" if problem else "") + "\n",
         problem,
@@ -301,9 +318,17 @@ def _length_lines(table: Table, clock: Clock, main: Clock) -> list[str]:
     ]
 
 
-def _with_full_speed(candidate: Candidate, full: Mapping[str, float]) -> Candidate:
-    """Return a candidate whose signals with a guessed full speed have that of ``full``, where it has their name."""
-    signals = (s._replace(full=full[s.name]) if s.full and s.name in full else s for s in candidate.signals)
+def _with_full_speed(candidate: Candidate, full: Mapping[str, float], known: Mapping[str, float]) -> Candidate:
+    """Return a candidate whose signals with a guessed full speed have that of ``known`` or ``full``, by their names.
+
+    Those of ``known`` are no guess.
+    """
+    signals = []
+    for s in candidate.signals:
+        if s.full and s.name in known:
+            signals.append(s._replace(full=known[s.name], at_command=0.0, is_given=True))
+        else:
+            signals.append(s._replace(full=full[s.name]) if s.full and s.name in full else s)
     return candidate._replace(signals=tuple(signals))
 
 
@@ -367,7 +392,7 @@ def _with_resting_pulses(candidates: Sequence[Candidate]) -> list[Candidate]:
 
 def _scale_remark(signal: MapSignal, n_files: int) -> str:
     """Return the remark on a guessed scale, at the end of the line of a signal; "" if the scale is no guess."""
-    if not signal.full:
+    if not signal.full or signal.is_given:
         return ""
     of = "this file" if n_files == 1 else f"these {n_files} files"
     over = f" over its largest command, {signal.at_command:.3g}" if signal.at_command else ""
@@ -947,7 +972,7 @@ def _caveat_of(candidate: Candidate, signal: MapSignal) -> str:
     if signal.at_command:
         top = f"{signal.full:.5g} is assumed to be full forward, as its greatest number follows the greatest command, "
         top += f"{signal.at_command:.3g}"
-    elif signal.full:
+    elif signal.full and not signal.is_given:
         top = f"its greatest number, {signal.full:.5g}, is assumed to be full forward"
     return "; ".join(part for part in (top, candidate.caveat) if part)
 

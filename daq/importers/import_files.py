@@ -12,8 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from seatrial.daq.checks import too_many_rows_missing, unknown_names_text, unknown_times
+from seatrial.daq.config import read_text
 from seatrial.daq.errors import SeatrialError, counted, warn
-from seatrial.daq.importers.import_map import TIME_UNITS, ImportMap, Piece, Source, load_import_map
+from seatrial.daq.importers.boat_tables import BoatTable, with_boat_tables
+from seatrial.daq.importers.import_map import TIME_UNITS, ImportMap, Piece, Source, parse_import_map
 from seatrial.daq.importers.missing_inputs import gap_lines
 from seatrial.daq.importers.signals import Held, RowsLeftOut, SignalData, Signals, coarse_advice, read_signals
 from seatrial.daq.importers.sources import source_kind
@@ -26,7 +28,14 @@ LONGEST_RELATIVE_S = 1e7  # 116 days; times that are larger do not count from th
 
 
 def import_files(
-    map_path: Path, files: Sequence[Path], *, out: Path | None = None, out_dir: Path | None = None, force: bool = False
+    map_path: Path,
+    files: Sequence[Path],
+    *,
+    out: Path | None = None,
+    out_dir: Path | None = None,
+    force: bool = False,
+    geometry: BoatTable | None = None,
+    scale: BoatTable | None = None,
 ) -> list[Path]:
     """Import source files by an import map, which assigns their columns to signals, and write the logs.
 
@@ -45,6 +54,8 @@ def import_files(
         merges the files, and after the pieces of the map.
     force
         Whether existing logs are replaced.
+    geometry, scale
+        Numbers of the boat that replace those of the tables [geometry] and [scale] of the map.
 
     Returns
     -------
@@ -58,7 +69,8 @@ def import_files(
         given for several logs; logs written before stay. Also, after all logs are written, if too many rows of a source
         are out of order or have wrong stamps: 5 or more, and more than 5 %.
     """
-    import_map = load_import_map(map_path)
+    text = with_boat_tables(read_text(map_path), map_path, geometry, scale)
+    import_map = parse_import_map(text, map_path)
     if unknown := unknown_names_text(s.name for source in import_map.sources for s in source.signals):
         warn(f"{map_path}: {unknown}")
     groups = _files_of_logs(import_map, files)

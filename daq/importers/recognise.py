@@ -65,6 +65,8 @@ class MapSignal(NamedTuple):
         Number of the column that becomes 1, if it is a guess from the largest number of the source; 0 if it is not.
     at_command : float
         Largest command of the source, if ``full`` is the largest number divided by it; 0 if it is not.
+    is_given : bool
+        Whether the user gave ``full``, so that it is no guess.
     """
 
     name: str  # in models
@@ -74,6 +76,7 @@ class MapSignal(NamedTuple):
     extra: str = ""  # further keys, as TOML
     full: float = 0.0  # number that becomes 1, if it is a guess from the numbers
     at_command: float = 0.0  # largest command, by which the largest number was divided for it
+    is_given: bool = False  # whether the user gave `full`
 
 
 Row = tuple[str, int, tuple[MapSignal, ...]]  # group, rank and signals of a candidate

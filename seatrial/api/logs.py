@@ -6,6 +6,8 @@ import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from math import inf
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +24,7 @@ from seatrial.daq.errors import SeatrialError, UnknownName, closest_name, counte
 from seatrial.daq.log import import_library, log_file
 
 if TYPE_CHECKING:
+    from seatrial.daq.importers.boat_tables import BoatTable
     from seatrial.daq.importers.guess import Guess
     from seatrial.ident.data import LoadedLog, TimeWindow
 
@@ -220,7 +223,15 @@ def _log_of(loaded: LoadedLog, path: Path, window: TimeWindow) -> Log:
 
 
 @named_arguments
-def guess_map(files: PathLike | Sequence[PathLike], path: PathLike | None = None, force: bool = False) -> str:
+def guess_map(
+    files: PathLike | Sequence[PathLike],
+    path: PathLike | None = None,
+    force: bool = False,
+    *,
+    geometry: BoatTable | None = None,
+    scale: BoatTable | None = None,
+    full_speed: Mapping[str, float] | None = None,
+) -> str:
     """Guess the import map of files of other software, as ``seatrial import --guess``.
 
     Correct its text where it has caveats, and give it to `import_log` as ``map_path``.
@@ -234,6 +245,16 @@ def guess_map(files: PathLike | Sequence[PathLike], path: PathLike | None = None
         File to which the map is written. None: it is only returned.
     force : bool
         Whether an existing file is replaced. If false, an existing file is an error.
+    geometry : dict, optional
+        Numbers of the boat for the table [geometry]: ``y_left``, ``y_right`` (thrusters to starboard of the middle
+        [m]), ``mass`` (weighed [kg]), ``length`` (hull [m]), ``lever_arm_m`` (antenna forward, to starboard and down
+        [m]).
+    scale : dict, optional
+        Thrust of one thruster for the table [scale]: ``c1`` (mean of ahead and astern at full speed [N]), ``c2`` (half
+        of ahead less astern [N]), and their standard uncertainties ``c1_sd`` and ``c2_sd``.
+    full_speed : dict, optional
+        Number of the source at full speed ahead, by signal, in place of a guess from the largest number, for example
+        ``{"n_left": 2900, "n_right": 2900}`` for shaft speeds in rpm.
 
     Returns
     -------
@@ -243,20 +264,30 @@ def guess_map(files: PathLike | Sequence[PathLike], path: PathLike | None = None
     Raises
     ------
     SeatrialError
-        If a file does not exist or cannot be read, or if the map cannot be written.
+        If a file does not exist or cannot be read, if a number or a name of the boat is wrong, or if the map cannot be
+        written.
 
     Examples
     --------
-    >>> print(st.guess_map(["lake_1.csv", "lake_2.csv"], "lake.toml"))
+    >>> boat = dict(geometry={"y_left": -0.3, "y_right": 0.3, "mass": 32.0}, scale={"c1": 40.0, "c1_sd": 1.0})
+    >>> print(st.guess_map(["lake_1.csv", "lake_2.csv"], "lake.toml", **boat))
     >>> logs = st.import_log(["lake_1.csv", "lake_2.csv"], map_path="lake.toml")
     """
     from seatrial.daq.files import write_output
+    from seatrial.daq.importers.boat_tables import with_boat_tables
     from seatrial.daq.importers.guess import guess_maps
+    from seatrial.daq.importers.import_map import parse_import_map
     from seatrial.daq.importers.write_log import replacing
 
     sources, out = as_paths(files, folders=False), None if path is None else as_path(path, "path")
+    _check_full_speed(full_speed)
     with errors_of_users({"-o": "path"}):
-        text = guess_maps(sources, folder=None if out is None else out.parent)[0].text
+        guess = guess_maps(sources, folder=None if out is None else out.parent, known=full_speed)[0]
+        of_map = out or Path(f"guessed map of {sources[0].name}")
+        text = with_boat_tables(guess.text, of_map, geometry, scale)
+        if geometry or scale:
+            _require_signals(sources[0], guess)
+            parse_import_map(text, of_map)  # an error of the numbers is one of this call
         if out is not None:
             with replacing(out, force, sources) as part:
                 write_output(part, text)
@@ -264,7 +295,14 @@ def guess_map(files: PathLike | Sequence[PathLike], path: PathLike | None = None
 
 
 def import_log(
-    files: PathLike | Sequence[PathLike], map_path: PathLike | None = None, out_dir: PathLike = ".", force: bool = False
+    files: PathLike | Sequence[PathLike],
+    map_path: PathLike | None = None,
+    out_dir: PathLike = ".",
+    force: bool = False,
+    *,
+    geometry: BoatTable | None = None,
+    scale: BoatTable | None = None,
+    full_speed: Mapping[str, float] | None = None,
 ) -> list[Path]:
     """Convert files of other software to logs, as ``seatrial import``.
 
@@ -280,6 +318,10 @@ def import_log(
         Folder of the logs, which is created. A log has the name of its file; if the map merges files, that of the map.
     force : bool
         Whether existing logs are replaced. If false, an existing log is an error.
+    geometry, scale : dict, optional
+        Numbers of the boat, as of `guess_map`. They replace those of the map.
+    full_speed : dict, optional
+        Numbers at full speed, as of `guess_map`, for a guessed map only.
 
     Returns
     -------
@@ -289,11 +331,12 @@ def import_log(
     Raises
     ------
     SeatrialError
-        If a file does not exist or cannot be read, if no signal can be recognised, or if a log exists already.
+        If a file does not exist or cannot be read, if no signal can be recognised, if a number or a name of the boat is
+        wrong, or if a log exists already.
 
     Examples
     --------
-    >>> (log,) = st.import_log("run.csv", out_dir="logs")
+    >>> (log,) = st.import_log("run.csv", out_dir="logs", scale={"c1": 40.0, "c1_sd": 1.0})
     """
     from tempfile import TemporaryDirectory
 
@@ -302,12 +345,15 @@ def import_log(
 
     sources, folder = as_paths(files, folders=False), as_path(out_dir, "out_dir")
     import_map = None if map_path is None else as_path(map_path, "map_path")
+    _check_full_speed(full_speed)
+    if import_map is not None and full_speed:
+        raise SeatrialError("full_speed is for a guessed map; give scale = 1 / (number at full speed) in map_path")
     folder.mkdir(parents=True, exist_ok=True)
     made: list[Path] = []
     with errors_of_users(OF_IMPORT):
         if import_map is not None:
-            return import_files(import_map, sources, out_dir=folder, force=force)
-        guesses = guess_maps(sources)
+            return import_files(import_map, sources, out_dir=folder, force=force, geometry=geometry, scale=scale)
+        guesses = guess_maps(sources, known=full_speed)
         for source, guess in zip(sources, guesses, strict=True):
             _require_signals(source, guess)
     _warn_of_guesses(sources, guesses)
@@ -316,12 +362,21 @@ def import_log(
             guessed = Path(scratch) / f"{source.stem}.toml"
             guessed.write_text(guess.text, encoding="utf-8")
             try:
-                made += import_files(guessed, [source], out_dir=folder, force=force)
+                made += import_files(guessed, [source], out_dir=folder, force=force, geometry=geometry, scale=scale)
             except SeatrialError as problem:
                 if type(problem) is not SeatrialError or str(guessed) not in str(problem):
                     raise
                 raise SeatrialError(str(problem).replace(str(guessed), f"guessed map of {source}")) from problem
     return made
+
+
+def _check_full_speed(numbers: Mapping[str, float] | None) -> None:
+    """Raise SeatrialError if a number at full speed ahead, by signal, is not a positive number."""
+    for name, number_at_full in (numbers or {}).items():
+        if isinstance(number_at_full, bool) or not isinstance(number_at_full, Real) or not 0.0 < number_at_full < inf:
+            raise SeatrialError(
+                f"full_speed of {name}, {number_at_full!r}: give the number at full speed ahead, above zero"
+            )
 
 
 def _require_signals(source: Path, guess: Guess) -> None:

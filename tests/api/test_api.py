@@ -33,7 +33,9 @@ from seatrial.api.calls import as_code, python_call
 from seatrial.api.messages import text_of, with_texts_in_python
 from seatrial.daq.checks import Finding
 from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
+from seatrial.daq.importers.import_map import parse_import_map
 from seatrial.daq.log import bag_of_ros
+from seatrial.ident.data.loading import load_run
 from seatrial.ident.estimation.model_file import load_model
 from seatrial.ident.experiment_design.problem import DesignLimits
 from seatrial.ident.results import read_result
@@ -1462,6 +1464,57 @@ def test_a_file_without_a_recognised_signal_gives_an_error_about_this_file(tmp_p
     assert f"write a map with st.guess_map('{file}', 'map.toml')" in text
     assert "give it as map_path" in text
     assert "junk.toml" not in text
+
+
+BOAT: Any = {
+    "geometry": {"y_left": -0.3, "y_right": 0.3, "mass": 30, "lever_arm_m": (0.1, 0, 0)},
+    "scale": {"c1": np.float32(40.0), "c1_sd": 1.0, "c2": 5.0},
+}
+NUMBERS = {"y_left": -0.3, "y_right": 0.3, "mass": 30.0, "antenna_x": 0.1, "c1": 40.0, "c1_sd": 1.0, "c2": 5.0}
+
+
+@pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")
+def test_numbers_of_the_boat_are_given_in_python_for_a_guessed_and_for_a_given_map(page: Page, tmp_path: Path) -> None:
+    file, written, lighter = page.folder / "other.csv", tmp_path / "map.toml", {"geometry": {"mass": 28.0}}
+    text = st.guess_map(file, written, **BOAT)
+    assert "What no file has" not in text
+    assert NUMBERS.items() <= dict(parse_import_map(text, written).vehicle).items()
+    for given, map_path, mass in ((BOAT, None, 30.0), (lighter, written, 28.0)):
+        (log,) = st.import_log(file, map_path, out_dir=tmp_path, force=True, **given)
+        assert load_run(log, "log").hull() == {"mass": mass}
+    assert "mass = 30" in written.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"geometry": {"y_lft": -0.3}}, "geometry.y_lft: unknown key 'y_lft'; did you mean 'y_left'?"),
+        ({"scale": {"c1": -3}}, "scale.c1: must be positive, not -3"),
+        ({"scale": {"c1": "forty"}}, "c1 in [scale]: must be a number or numbers, not 'forty'"),
+        ({"full_speed": {"n_lft": 2900}}, "n_lft: no signal whose full speed is guessed"),
+        ({"full_speed": {"n_left": 0}}, "full_speed of n_left, 0: give the number at full speed ahead, above zero"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")
+def test_a_wrong_number_of_the_boat_is_one_line(page: Page, tmp_path: Path, wrong: Any, message: str) -> None:
+    file = page.folder / "other.csv"
+    with pytest.raises(SeatrialError, match=re.escape(message)):
+        st.guess_map(file, **wrong)
+    with pytest.raises(SeatrialError, match=re.escape(message)):
+        st.import_log(file, out_dir=tmp_path, **wrong)
+    assert not list(tmp_path.glob("*.mcap"))
+
+
+def test_a_number_at_full_speed_takes_the_place_of_a_guess(tmp_path: Path) -> None:
+    file = tmp_path / "shafts.csv"
+    rows = [f"{0.1 * k:.1f},{k % 50},{0.1 * (k % 7):.2f},{20 * (k % 60)},{20 * (k % 60)}" for k in range(300)]
+    file.write_text("\n".join(["t,heading,gyro_z,rpm_left,rpm_right", *rows]), encoding="utf-8")
+    guessed = st.guess_map(file)
+    assert "scale: a guess, 1 / 1180" in guessed
+    known = st.guess_map(file, full_speed={"n_left": 2000.0, "n_right": 2000.0})
+    assert known.count("scale = 0.0005,") == 2
+    assert "scale: a guess" not in known
+    assert "is assumed to be full forward" not in known
 
 
 def test_a_guessed_map_is_written_corrected_and_used(page: Page, tmp_path: Path) -> None:
