@@ -442,7 +442,7 @@ def test_a_candidate_that_failed_before_is_refitted_last(
 def test_a_candidate_that_cannot_win_any_more_is_not_refitted(
     monkeypatch: pytest.MonkeyPatch, accepted: bool, more: list[str]
 ) -> None:
-    """A refit gains at most four times as much as its score. The limit holds only if another effect is accepted."""
+    """A refit gains at most five times as much as its score. The limit holds only if another effect is accepted."""
     lms = {"motor": 300.0, "wind": 290.0, "hump": 120.0, "lift": 40.0}
     mine = a_search(*(Effect(n, n, {}) for n in lms))
     mine.n = 100
