@@ -35,7 +35,8 @@ SENSOR_ERRORS = (
 )  # fmt: skip
 HULL_FORM = ("cross-flow", "lift", "sway-yaw")
 THRUST_FORM = ("advance-ratio",)  # every propeller loses thrust with its inflow
-COMMON_ERRORS = (*SENSOR_ERRORS, *HULL_FORM, *THRUST_FORM)
+# A propeller that brakes loses another thrust with its inflow. Only score tests add it: few missions show it
+COMMON_ERRORS = (*SENSOR_ERRORS, *HULL_FORM, *THRUST_FORM, "reverse-advance")
 # For the fits with the common errors: fifteen more parameters, of which some are nearly zero, need no exact maximum
 COMMON_SEARCH = SearchSettings(tolerance=0.05)
 ROUGH_COMMON_SEARCH = SearchSettings(tolerance=0.2, max_iterations=15, robust_errors=False, refine=False)
