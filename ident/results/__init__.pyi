@@ -8,6 +8,7 @@ from .answers import course_sentence as course_sentence
 from .answers import curve_notes as curve_notes
 from .answers import curve_warnings as curve_warnings
 from .answers import design_warnings as design_warnings
+from .answers import disturbance_reason as disturbance_reason
 from .answers import estimation_warnings as estimation_warnings
 from .answers import faults_first as faults_first
 from .answers import frame_warnings as frame_warnings

@@ -42,8 +42,10 @@ from seatrial.ident.results.parts import (
     Calibrations,
     CourseStability,
     CrossCorrelationRow,
+    DiagnosisResult,
     Dynamics,
     Errors,
+    FitResult,
     HeadingPoint,
     PredictionChangeRow,
     PredictionFit,
@@ -51,7 +53,7 @@ from seatrial.ident.results.parts import (
     ResidualTests,
     ResultWarning,
 )
-from seatrial.ident.results.tables import format_number
+from seatrial.ident.results.tables import SCORES_PASS, format_number
 from seatrial.ident.validation import FEWEST, OUTLIER_SDS, WARM_UP, ChannelResiduals, PredictionEvaluation
 
 NAMES = {
@@ -255,12 +257,9 @@ def _whiteness_sentence(
     named only if both tests pass.
     """
     residuals = [r for r in residuals if r.role == "estimation"]
-    tests = [p for r in residuals for p in (r.ljung_box_p, r.periodogram_p)]
-    pairs = [c for c in cross if c.p is not None and c.role == "estimation"]
-    significant = [c for c in pairs if c.p is not None and c.p * len(pairs) < LEVEL]
+    coloured, significant = _failed_tests(residuals, cross)
     correlated_inputs = {c.input for c in significant}
-    coloured = any(p is not None and p * len(tests) < LEVEL for p in tests)
-    if not tests:
+    if not residuals:
         return (
             "There are too few samples to test whether the residuals are white; record at least "
             f"{FEWEST} samples of a channel."
@@ -285,6 +284,68 @@ def _whiteness_sentence(
     )
     how = ": run `seatrial ident diagnose` to see whether an effect is missing" if searchable else either
     return f"{end}{how}."
+
+
+def _failed_tests(
+    residuals: Sequence[ResidualTests], cross: Sequence[CrossCorrelationRow]
+) -> tuple[bool, list[CrossCorrelationRow]]:
+    """Return whether residuals of the estimation data are not white, and the rows of their significant correlations.
+
+    Both are tested as in `_whiteness_sentence`. Of a diagnosis the tests are those of the model with the effects.
+    """
+    tests = [
+        p
+        for r in residuals
+        if r.role == "estimation"
+        for t in (r.after or r,)
+        for p in (t.ljung_box_p, t.periodogram_p)
+    ]
+    pairs = [(c, p) for c in cross if c.role == "estimation" and (p := (c.after or c).p) is not None]
+    coloured = any(p is not None and p * len(tests) < LEVEL for p in tests)
+    return coloured, [c for c, p in pairs if p * len(pairs) < LEVEL]
+
+
+def disturbance_reason(result: FitResult) -> str:
+    """Return why the prediction interval of a speed or of a turn rate is wide, and what to do.
+
+    The causes are disturbance forces and a missing effect. The missing effect comes first if the result has evidence
+    of one: candidates that pass the score tests, or else residuals that are not white or are correlated with inputs.
+    A correlation with measured inputs alone is no evidence, because the noise of their sensors can be its cause.
+
+    Parameters
+    ----------
+    result : FitResult
+        Fit or diagnosis with its notes and its tests of the residuals.
+
+    Returns
+    -------
+    str
+        A clause and a sentence with the advice, without the last full stop.
+    """
+    forces = "disturbance forces of that time cannot be known in advance"
+    if not isinstance(result, DiagnosisResult):
+        advice = "Run `seatrial ident diagnose` to search for missing effects"
+    elif result.recommended_experiment:
+        advice = "Record the experiment that the diagnosis recommends, and diagnose again with its log"
+    else:
+        advice = "Record longer and more varied runs, and diagnose again with their logs"
+    if evidence := _evidence_of_missing_effect(result):
+        return (
+            f"an effect is probably missing from the model ({evidence}), and acts like disturbance forces. Real "
+            f"{forces} either. {advice}"
+        )
+    return f"the {forces}, or an effect is missing from the model and acts like such forces. {advice}"
+
+
+def _evidence_of_missing_effect(result: FitResult) -> str:
+    """Return the evidence that an effect is missing from a model (`disturbance_reason`); empty without any."""
+    remaining = isinstance(result, DiagnosisResult) and result.remaining_candidates
+    if remaining or any(note.startswith(SCORES_PASS) for note in result.notes):
+        return "candidates pass the score tests"
+    coloured, significant = _failed_tests(result.residuals, result.cross)
+    if not {c.input for c in significant} <= MEASURED_INPUTS:
+        return "the residuals are correlated with the inputs"
+    return "the residuals are not white" if coloured and not significant else ""
 
 
 def _largest_correlation(significant: Sequence[CrossCorrelationRow]) -> str:

@@ -822,6 +822,7 @@ def common_errors_notes(found: CommonErrorsFit | None, beside: str) -> list[str]
     return [f"Small errors that every craft has are estimated together with {beside}: {titles} ({support})."]
 
 
+SCORES_PASS = "By the score tests"  # begins the note on effects that may be missing
 LEAST_GROWTH = 1.05  # smallest factor of a standard error that a note lists
 # Mass in surge over the weighed mass, of most boats: the added mass of a slender hull is 5 to 30 % of the mass
 LIKELY_MASS = (1.0, 1.35)
@@ -848,7 +849,7 @@ def model_uncertainty_notes(found: ModelUncertainty | None, fit: Fit) -> list[st
     most = sorted((name for name, factor in grown.items() if factor >= LEAST_GROWTH), key=lambda n: -grown[n])
     factors = ", ".join(f"{name} {grown[name]:.2g}" for name in most[:3])
     return [
-        f"By the score tests {counted(len(found.candidates), 'effect')} may be missing, each of which would shift the "
+        f"{SCORES_PASS} {counted(len(found.candidates), 'effect')} may be missing, each of which would shift the "
         "estimates: `seatrial ident diagnose` searches for missing effects. The standard errors include this "
         "uncertainty of the model"
         + (

@@ -29,6 +29,7 @@ from seatrial.ident.experiment_design import (
     N_TRACKS,
     PRIOR_HALFWIDTH,
     RATE,
+    RELIABLE_T,
     REST_S,
     SINGULAR,
     BaselineSignal,
@@ -776,17 +777,19 @@ def _design_answer(
     """Return the answer of a design: its expected standard errors, or how well it discriminates two effects.
 
     ``parameters``: rows of the table of standard errors; the answer names the first three chosen ones. ``apart``:
-    discrimination of two effects, or None. ``baseline``: best baseline signal. If its criterion is larger than that of
+    discrimination of two effects, or None. If random missions distinguish them too, a second sentence states it.
+    ``baseline``: best baseline signal. If its criterion is larger than that of
     the design, and no effects are discriminated, a warning comes first.
     """
     if apart is not None:
         first, second = apart.effects
         least = min(apart.if_second, apart.if_first)
         verdict = "distinguishes" if apart.clear else "may not distinguish"
-        advice = "" if apart.clear else "; T should be above 30: give a longer --duration"
+        advice = "" if apart.clear else f"; T should be above {RELIABLE_T:g}: give a longer --duration"
         return (
             f"This mission {verdict} {first} from {second}: criterion T is at least {format_number(least)} "
             f"(random missions: {format_number(float(np.median(apart.random)))}){advice}"
+            f"{_random_missions_sentence(apart, made.problem.limits.bind)}"
         )
     parts = []
     rows = [p for p in parameters if p.chosen]
@@ -799,6 +802,29 @@ def _design_answer(
     duration = made.problem.steps.duration
     errors = f"After this mission of {duration:g} s the expected standard errors are {', '.join(parts)}{more}"
     return errors if made.value >= baseline.value else f"{warn_worse_than_baseline(baseline, made)} {errors}"
+
+
+def _random_missions_sentence(apart: Discrimination, limited: bool) -> str:
+    """Return a sentence that random missions distinguish the two effects already, with a full stop and a space before.
+
+    It is stated if both the designed mission and the median random mission have a reliable T. Otherwise the text is
+    empty. ``limited``: whether the design had limits, which random missions ignore.
+    """
+    median = float(np.median(apart.random))
+    if not apart.clear or not median > RELIABLE_T:
+        return ""
+    ignoring = " (which ignore the limits)" if limited else ""
+    return (
+        f". Random missions of the same length{ignoring} already distinguish them: T is above {RELIABLE_T:g} in "
+        f"{int(np.sum(apart.random > RELIABLE_T))} of {len(apart.random)}, and the median one prefers the true effect "
+        f"with a probability of {_share_text(probability_of_true_model(median))} if one of both explains the boat, so "
+        "that any mission with varied commands is likely to be enough"
+    )
+
+
+def _share_text(probability: float) -> str:
+    """Return a probability as text in per cent; one that is larger than models are exact enough for as a bound."""
+    return f"{100 * probability:.1f} %" if probability < LARGEST_SHARE else f"more than {100 * LARGEST_SHARE:.1f} %"
 
 
 def _discrimination_lines(apart: Discrimination) -> list[str]:
@@ -816,7 +842,7 @@ def _discrimination_lines(apart: Discrimination) -> list[str]:
         origin = "fitted size" if row.origin == "fitted" else "typical size, since no fit has one"
         lines.append(f"  {row.effect} ({origin}): {', '.join(values)}")
     if apart.probability is not None:
-        share = f"{100 * apart.probability:.1f} %" if apart.probability < LARGEST_SHARE else "more than 99.9 %"
+        share = _share_text(apart.probability)
         lines.append(f"  If one of both explains the boat, the mission prefers it with a probability of {share}.")
     return lines
 

@@ -218,9 +218,10 @@ class FitReport(Shown):
         return NamedValues(errors, "estimated parameter")
 
     def summary(self) -> str:
-        """Return a table of the estimates as text, with the answer and the warnings.
+        """Return a table of the estimates as text, with the answer, the warnings and the notes.
 
-        The columns are estimate, standard error, 95 % interval, t statistic, unit and origin.
+        The columns are estimate, standard error, 95 % interval, t statistic, unit and origin. Long notes are
+        shortened; `notes` has them in full.
         """
         return tables.summary(self.result)
 

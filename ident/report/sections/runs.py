@@ -15,7 +15,15 @@ from seatrial.ident.numerics import Array
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Canvas, Cell, Grid, Key, Lines, Prose, Section, Table, tabbed
 from seatrial.ident.report.record_tabs import RecordTab, of_record, origin_lines, origin_words, record_tabs, roles_of
-from seatrial.ident.results import ErrorComparison, ErrorTable, FitResult, InputTrace, LogSummary, Trace
+from seatrial.ident.results import (
+    ErrorComparison,
+    ErrorTable,
+    FitResult,
+    InputTrace,
+    LogSummary,
+    Trace,
+    disturbance_reason,
+)
 
 TIME = "time since the start of the record [s]"
 
@@ -200,7 +208,7 @@ def _prediction_blocks(canvas: Canvas, result: FitResult, rows: Sequence[Trace],
             panels.append(panel)
     found = _stacked(canvas, panels, f"Measured and predicted {result.horizon_seconds:g} s ahead, {tab.title}")
     wide = [(row, row.t_horizon, row.sd_horizon) for row in rows]
-    return [*found, *_wide_bands(wide, result.horizon_seconds), *_predicted_track(canvas, result, rows, tab)]
+    return [*found, *_wide_bands(wide, result.horizon_seconds, result), *_predicted_track(canvas, result, rows, tab)]
 
 
 def _simulation_blocks(canvas: Canvas, result: FitResult, rows: Sequence[Trace], tab: RecordTab) -> list[Any]:
@@ -220,7 +228,7 @@ def _simulation_blocks(canvas: Canvas, result: FitResult, rows: Sequence[Trace],
         if panel := _channel_panel(canvas, row, _Curves(row.t, model, sd, row.before), note):
             panels.append(panel)
     found = _stacked(canvas, panels, f"Measured and simulated over time, {tab.title}")
-    return [*found, *_wide_bands([(row, row.t, row.sd) for row in rows if row.diverged is None], None)]
+    return [*found, *_wide_bands([(row, row.t, row.sd) for row in rows if row.diverged is None], None, result)]
 
 
 # Why the interval of a channel grows if no measurement corrects it
@@ -236,20 +244,22 @@ USELESS = 5.0  # an interval is useless if its width exceeds so many ranges of t
 GAP = 5.0  # a gap is longer than this many median intervals of the samples
 
 
-def _wide_bands(found: Sequence[tuple[Trace, Array, Array]], horizon: float | None) -> list[Any]:
+def _wide_bands(found: Sequence[tuple[Trace, Array, Array]], horizon: float | None, result: FitResult) -> list[Any]:
     """Return the sentences on wide intervals, one for each reason, as a list of one block; empty without any.
 
     ``found`` has the arguments of `wide_band` for each channel, and ``horizon`` is that of `wide_band`.
+    ``result`` has the evidence of a missing effect.
     """
+    forces = disturbance_reason(result)
     by_reason: dict[str, list[str]] = {}
     for row, t, sd in found:
-        if (wide := wide_band(row, t, sd, horizon)) is not None:
+        if (wide := wide_band(row, t, sd, horizon, forces)) is not None:
             by_reason.setdefault(wide[1], []).append(wide[0])
     lines = [f"Wide interval of {', '.join(places)}: {why}." for why, places in by_reason.items()]
     return [Lines(lines, "quiet")] if lines else []
 
 
-def wide_band(row: Trace, t: Array, sd: Array, horizon: float | None) -> tuple[str, str] | None:
+def wide_band(row: Trace, t: Array, sd: Array, horizon: float | None, forces: str) -> tuple[str, str] | None:
     """Return where and why the 95 % interval of a channel is wide, as two texts; None if it is nowhere wide.
 
     The width of an interval that is wider than five ranges of the measured values, or than a full turn of an angle, is
@@ -264,11 +274,13 @@ def wide_band(row: Trace, t: Array, sd: Array, horizon: float | None) -> tuple[s
         Times [s] (n,) and standard deviations (n,) of the predictions or of the simulation.
     horizon
         Prediction horizon [s]; None for a simulation.
+    forces
+        Reason for a channel that is no integral of another one: the text of `disturbance_reason`.
 
     Notes
     -----
     The reason is a gap in the samples of the channel just before the prediction starts, if there is one. Otherwise it
-    is that of the channel (`REASONS`), or the disturbance forces, which cannot be known in advance.
+    is that of the channel (`REASONS`), or ``forces``.
     """
     seen = np.isfinite(row.measured)
     good = np.isfinite(sd)
@@ -280,7 +292,7 @@ def wide_band(row: Trace, t: Array, sd: Array, horizon: float | None) -> tuple[s
     spread = 2.0 * np.pi if row.angle else float(np.ptp(row.measured[seen]))
     if not half[k] > WIDE * spread:
         return None
-    why = REASONS.get(row.channel, "the disturbance forces of that time cannot be known in advance")
+    why = REASONS.get(row.channel, forces)
     if horizon is not None:
         samples, start = row.t[seen], t[k] - horizon
         before = samples[samples <= start]

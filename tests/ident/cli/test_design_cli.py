@@ -25,8 +25,10 @@ from seatrial.ident.experiment_design.problem import COAST_S, REST_S, DesignLimi
 from seatrial.ident.model.structure import Model
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.reporter import QUIET, TimeLeft
+from seatrial.ident.results import Discrimination
 from seatrial.ident.workflows.design import (
     DesignRequest,
+    _design_answer,
     hypotheses,
     make_design,
     make_task,
@@ -313,6 +315,31 @@ def test_discrimination_between_two_effects(tmp_path: Path, capsys: pytest.Captu
     assert apart["probability"] > 0.99
     assert [(row["effect"], row["origin"]) for row in apart["sizes"]] == [("delay", "typical"), ("lag", "typical")]
     assert "delay (typical size, since no fit has one): tau_delay = 0.25 s" in " ".join(output.split())
+
+
+@pytest.mark.parametrize(
+    ("random", "clear", "limited", "words"),
+    [
+        ([20.0, 31.0, 33.0, 90.0], True, False, "T is above 30 in 3 of 4, and the median one prefers the true effect"),
+        ([20.0, 31.0, 33.0, 90.0], True, True, "Random missions of the same length (which ignore the limits) already"),
+        ([5.0, 10.0, 25.0, 90.0], True, False, ""),
+        ([20.0, 31.0, 33.0, 90.0], False, True, ""),
+    ],
+)
+def test_a_discrimination_says_that_random_missions_are_enough(
+    random: list[float], clear: bool, limited: bool, words: str
+) -> None:
+    """The answer did not say that the designed mission is not needed."""
+    apart = Discrimination(
+        effects=("delay", "lag"), if_second=200.0, if_first=150.0, clear=clear, random=np.array(random)
+    )
+    limits = DesignLimits(area=(60.0, 40.0)) if limited else DesignLimits()
+    made: Any = SimpleNamespace(problem=SimpleNamespace(limits=limits))
+    baseline: Any = None
+    answer = _design_answer(made, [], apart, baseline)
+    assert words in answer
+    assert ("already distinguish them" in answer) == bool(words)
+    assert ("with a probability of 99.8 % if one of both" in answer) == bool(words)
 
 
 def test_a_discrimination_says_before_the_search_how_long_it_takes(

@@ -17,13 +17,17 @@ from seatrial.ident.report.sections.dynamics import section
 from seatrial.ident.report.sections.runs import wide_band
 from seatrial.ident.results import (
     CourseStability,
+    DiagnosisResult,
     Dynamics,
+    FitResult,
     FrequencyResponse,
     OperatingPoint,
     SteadyCurve,
     StepResponse,
     Trace,
+    disturbance_reason,
 )
+from seatrial.ident.results.parts import RemainingCandidate
 from tests.ident.pages import KINDS, Page, loaded, numbers
 
 
@@ -262,6 +266,9 @@ def test_phase_axis_has_few_ticks_at_round_angles() -> None:
     assert phase_axis([phase], [np.full(50, np.nan)])["range"] == phase_axis([phase])["range"]
 
 
+FORCES = "the disturbance forces of that time"
+
+
 def trace(**more: Any) -> Trace:
     t = np.arange(0.0, 100.0, 0.5)
     common = {"record": "a", "role": "estimation", "channel": "x", "unit": "m", "angle": False, "t": t}
@@ -272,32 +279,79 @@ def trace(**more: Any) -> Trace:
 
 def test_wide_interval_has_a_place_and_a_reason() -> None:
     row = trace()
-    where, why = wide_band(row, row.t, row.sd, None) or ("", "")
+    where, why = wide_band(row, row.t, row.sd, None, FORCES) or ("", "")
     assert where == "position north x (widest at 100 s, ± 2.0 m)"
     assert "integral of the velocity" in why
-    assert wide_band(row, row.t_horizon, row.sd_horizon, 10.0) is None
+    assert wide_band(row, row.t_horizon, row.sd_horizon, 10.0, FORCES) is None
     seen = np.where((row.t > 40.0) & (row.t < 60.0), np.nan, row.measured)
     sd = np.where(row.t == 62.0, 3.0, 0.1)
     gap = trace(measured=seen, sd_horizon=sd)
-    _, why = wide_band(gap, gap.t_horizon, gap.sd_horizon, 10.0) or ("", "")
+    _, why = wide_band(gap, gap.t_horizon, gap.sd_horizon, 10.0, FORCES) or ("", "")
     assert why == "the channel has no samples from 40 to 52 s"
-    _, why = wide_band(trace(channel="u"), row.t, row.sd, None) or ("", "")
-    assert "disturbance forces" in why
+    _, why = wide_band(trace(channel="u"), row.t, row.sd, None, FORCES) or ("", "")
+    assert why == FORCES
+
+
+def test_a_wide_interval_names_a_missing_effect_that_is_known_before_the_disturbances() -> None:
+    """The reason was disturbance forces even if the score tests said that an effect is missing."""
+    fit = loaded(KINDS["thruster"]())
+    assert isinstance(fit, FitResult)
+    both = "the disturbance forces of that time cannot be known in advance, or an effect is missing from the model"
+    first, search = "an effect is probably missing from the model (", "Run `seatrial ident diagnose` to search"
+    quiet = msgspec.structs.replace(fit, notes=(), residuals=(), cross=())
+    why = disturbance_reason(quiet)
+    assert why.startswith(both)
+    assert search in why
+    passing = msgspec.structs.replace(quiet, notes=("By the score tests 3 effects may be missing.",))
+    why = disturbance_reason(passing)
+    assert why.startswith(f"{first}candidates pass the score tests)")
+    assert "Real disturbance forces of that time cannot be known in advance either" in why
+    assert search in why
+    tested = loaded(KINDS["diagnosis"]())
+    test = msgspec.structs.replace(tested.residuals[0], role="estimation", ljung_box_p=1e-9, after=None)
+    coloured = msgspec.structs.replace(quiet, residuals=(test,))
+    assert disturbance_reason(coloured).startswith(f"{first}the residuals are not white)")
+    pair = msgspec.structs.replace(tested.cross[0], role="estimation", input="n_cmd", p=1e-9, after=None)
+    correlated = msgspec.structs.replace(coloured, cross=(pair,))
+    assert disturbance_reason(correlated).startswith(f"{first}the residuals are correlated with the inputs)")
+    of_sensor = msgspec.structs.replace(coloured, cross=(msgspec.structs.replace(pair, input="psi"),))
+    assert disturbance_reason(of_sensor).startswith(both)
+
+
+def test_a_wide_interval_of_a_diagnosis_advises_the_next_experiment() -> None:
+    found = loaded(KINDS["diagnosis"]())
+    assert isinstance(found, DiagnosisResult)
+    left = RemainingCandidate(name="lift", lm=90.0, df=1, p=1e-12)
+    left_over = msgspec.structs.replace(found, remaining_candidates=(left,), recommended_experiment="Turn on the spot.")
+    why = disturbance_reason(left_over)
+    assert why.startswith("an effect is probably missing from the model (candidates pass the score tests)")
+    assert why.endswith("Record the experiment that the diagnosis recommends, and diagnose again with its log")
+    white = tuple(
+        msgspec.structs.replace(r, after=msgspec.structs.replace(r.after, ljung_box_p=0.5, periodogram_p=0.5))
+        for r in found.residuals
+        if r.after is not None
+    )
+    nothing = msgspec.structs.replace(
+        found, remaining_candidates=(), recommended_experiment=None, notes=(), residuals=white, cross=()
+    )
+    why = disturbance_reason(nothing)
+    assert why.startswith("the disturbance forces of that time")  # the residuals before the effects do not count
+    assert why.endswith("Record longer and more varied runs, and diagnose again with their logs")
 
 
 def test_interval_that_says_nothing_has_no_number() -> None:
     """A heading is unknown beyond half a turn, and a position beyond a few times the size of the track."""
     row = trace()
     sd = 0.1 * row.t
-    where, why = wide_band(row, row.t, sd, None) or ("", "")
+    where, why = wide_band(row, row.t, sd, None, FORCES) or ("", "")
     assert where == "position north x (no useful interval after 26 s)"  # 2 * 1.96 * 0.1 t > 5 * 2 m
     assert "integral of the velocity" in why
-    where, _ = wide_band(row, row.t, sd, 10.0) or ("", "")
+    where, _ = wide_band(row, row.t, sd, 10.0, FORCES) or ("", "")
     assert where == "position north x (no useful interval 10 s ahead, at 100 s)"
     turn = trace(channel="psi", unit="rad", angle=True)
-    where, _ = wide_band(turn, row.t, 0.0201 * row.t, None) or ("", "")
+    where, _ = wide_band(turn, row.t, 0.0201 * row.t, None, FORCES) or ("", "")
     assert where == "heading ψ (no useful interval after 80 s)"  # 1.96 * 0.0201 t > pi
-    assert wide_band(turn, row.t, 0.016 * row.t, None) is None
+    assert wide_band(turn, row.t, 0.016 * row.t, None, FORCES) is None
 
 
 def test_equal_reasons_and_warnings_are_stated_once() -> None:
