@@ -17,7 +17,7 @@ the logs allow (Roever, Knapp and Friede 2015).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -207,10 +207,20 @@ def campaign_difference(values: Array, own: Array, common: Array, after: NDArray
         difference as far as the parts are equal.
     after : Array of bool (k,)
         Whether the log belongs to the second campaign. Both campaigns have logs.
+
+    Notes
+    -----
+    The common errors are in the errors of the means, and not in their weights. A common error that is proportional to
+    the estimates, such as that of a given thrust, would otherwise move the mean outside the range of the logs (Peelle's
+    pertinent puzzle: Froehner 1997).
     """
     design = np.column_stack([~after, after]).astype(float)
-    # The common errors count in the means, and not in the scatter, which the whole covariance determines.
-    found = random_effects(values, np.diag(own) + common @ common.T, design)
+    found = random_effects(values, own, design)
+    weights = design.T / (own + found.scatter**2)
+    parts = np.linalg.solve(weights @ design, weights @ common)  # of the errors of both means
+    # The factor on the covariance is one of the scatter, so that it does not apply to the common errors.
+    shared = parts @ parts.T / (found.inflation if found.df else 1.0)
+    found = replace(found, covariance=found.covariance + shared)
     before, later, difference = (found.contrast(np.array(w)) for w in ((1.0, 0.0), (0.0, 1.0), (-1.0, 1.0)))
     return CampaignDifference(before, later, difference, found.scatter if found.df else float("nan"), found.df)
 

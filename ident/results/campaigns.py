@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
 from msgspec import Meta
 
 from seatrial.daq.errors import counted
+from seatrial.ident.effects import catalogue
 from seatrial.ident.results.commands import SCORE_TESTED, FailedLog
 from seatrial.ident.results.parts import Change, ErrorComparison, Part, Result
 from seatrial.ident.results.tables import format_number
@@ -14,6 +16,9 @@ from seatrial.ident.results.tables import format_number
 Campaign = Literal["before", "after"]
 FEW_LOGS = 4  # with up to so many logs of both campaigns, intervals by Student's t are wide
 MOST_NAMES = 4  # changed parameters that the answer has with their sizes
+# Error of the logs after over that of those before, each with values of their own, from which an effect is missing
+MUCH_WORSE = 1.5
+POSITIONS = ("x", "y")
 JOINT_LEVEL = 0.05  # significance level of the joint test
 NotComparedCode = Literal[
     "fixed", "per-log", "in-some-models", "position", "at-bound", "vague", "undetermined", "mainly-prior", "other"
@@ -232,13 +237,67 @@ def campaigns_answer(result: CampaignsResult) -> str:
             f"{format_number(factor.high)}) on masses and damping explains these changes; a thrust that has become "
             f"{format_number(1.0 / factor.factor)} times as large does the same."
         )
+    sentences += [text for p in changed if (text := _sides_sentence(p, factor))]
     one = [e for e in result.effects if e.changed and {e.before, e.after} == {True, False}]
     only = [f"{e.name} (only {'after' if e.after else 'before'})" for e in one]
     if only:
         sentences.append(f"Effects of one campaign: {', '.join(only)}.")
-    if (sentence := _errors_sentence(result)) is not None:
-        sentences.append(sentence)
+    sentences += filter(None, (_errors_sentence(result), _worse_predicted_sentence(result)))
     return " ".join(sentences)
+
+
+def _sides_sentence(p: ParameterDifference, factor: CommonFactor | None) -> str:
+    """Return a sentence on the thrust of each side, for the parameter of its difference; else empty text.
+
+    The parameter is half the relative difference, left minus right. Without a common factor of masses and damping only
+    the ratio of the sides is known.
+    """
+    effect = catalogue().get(p.effect or "")
+    if effect is None or effect.thrust_difference != p.name:
+        return ""
+    before, after = p.before.mean, p.after.mean
+    if max(abs(before), abs(after)) >= 1.0:
+        return ""
+    if factor is not None and factor.explains:
+        left, right = ((1.0 + s * after) / (1.0 + s * before) / factor.factor for s in (1.0, -1.0))
+        return (
+            f"If masses and damping have stayed, the left thruster gives {100 * left:.0f} % of its thrust of before, "
+            f"and the right one {100 * right:.0f} %."
+        )
+    then, now = ((1.0 + eps) / (1.0 - eps) for eps in (before, after))
+    return (
+        f"The left thruster gives {100 * now:.0f} % of the thrust of the right one; before it was {100 * then:.0f} %."
+    )
+
+
+def _worse_predicted_sentence(result: CampaignsResult) -> str:
+    """Return a sentence if the model predicts the logs after much worse than those before, each with their own values.
+
+    The errors are over the spread of each channel, and their ratio is the geometric mean over the channels. Positions
+    are left out, whose spread is the size of the area. Empty text if the ratio is below `MUCH_WORSE`, or if the logs were not predicted.
+    """
+    own = {e.logs: e.channels for e in result.errors if e.values == e.logs}
+    if len(own) < 2:
+        return ""
+    ratios = {
+        n: (a.after / a.spread) / (b.after / b.spread)
+        for n, a in own["after"].items()
+        if n not in POSITIONS
+        and (b := own["before"].get(n)) is not None
+        and a.spread
+        and b.spread
+        and a.after
+        and b.after
+    }
+    if not ratios or math.exp(sum(map(math.log, ratios.values())) / len(ratios)) < MUCH_WORSE:
+        return ""
+    worst = max(ratios, key=lambda n: ratios[n])
+    return (
+        "With values of their own, the logs after are still predicted much worse than those before (most of all "
+        f"{worst}: its error is {ratios[worst]:.1f} times as large relative to its motion), so the model lacks an "
+        "effect that is new in them. Run `seatrial ident diagnose` on the logs after, and compare the campaigns with "
+        "the effect that it finds (--effect NAME)."
+    )
 
 
 def _change_text(p: ParameterDifference) -> str:

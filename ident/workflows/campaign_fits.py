@@ -35,7 +35,7 @@ from seatrial.ident.results import (
     ParameterDifference,
     finite,
 )
-from seatrial.ident.workflows.fleet import common_errors, own_variances
+from seatrial.ident.workflows.fleet import SIDES, common_errors, own_variances
 
 FALSE_DISCOVERY_RATE = 0.05
 MOST_PRIOR = 0.5  # largest share of a parameter's information that may come from its prior
@@ -293,8 +293,11 @@ def _parameter(
 def _effects(
     fitted: FittedLogs, parameters: Sequence[ParameterDifference], differences: Mapping[str, CampaignDifference]
 ) -> tuple[EffectDifference, ...]:
-    """Return for each effect of the model whether it is present in each campaign, and whether it has changed."""
-    names = dict.fromkeys(r["effect"] for rows in fitted.rows for r in rows.values() if r["effect"])
+    """Return for each effect of the model whether it is present in each campaign, and whether it has changed.
+
+    Effects without a fitted parameter, such as an antenna at its given position, are left out.
+    """
+    names = dict.fromkeys(r["effect"] for rows in fitted.rows for r in rows.values() if r["effect"] and r["free"])
     found = []
     for effect in names:
         own = [p for p in parameters if p.effect == effect]
@@ -377,8 +380,13 @@ def _common_factor(
 def _notes(fitted: FittedLogs, parameters: Sequence[ParameterDifference]) -> tuple[str, ...]:
     """Return remarks on what the comparison assumes, and on logs that were left out of single parameters."""
     priors = {p for rows in fitted.rows for r in rows.values() for p in json.loads(r["prior_parts"] or "{}")}
-    held = sorted(priors - {p.name for p in parameters})
+    held = sorted(priors - {p.name for p in parameters} - {SIDES})
     notes = []
+    if SIDES in priors:
+        notes.append(
+            "The thrusts of both sides differ in some logs. The standard errors of masses, damping and forces include "
+            "that the motion does not show which side deviates from the given thrust."
+        )
     if held:
         notes.append(
             f"The priors of {', '.join(held)} are the same for both campaigns. If one of these has changed, the change "

@@ -27,6 +27,7 @@ import numpy as np
 from seatrial.daq.errors import SeatrialError, counted, first_names
 from seatrial.daq.log import first_segments, open_log
 from seatrial.ident.estimation import LEAST_OWN, ReportedEstimates, between_log_variance, load_model
+from seatrial.ident.model import Parameter
 from seatrial.ident.models import accepting_code, code_digest, is_own_model
 from seatrial.ident.numerics import Array, chi2_sf
 from seatrial.ident.parallel import ResultTable, TaskOutcome, Workers, run_many
@@ -46,6 +47,7 @@ from seatrial.ident.workflows.vehicle import VehicleFit, fit_vehicle, is_tested
 from seatrial.ident.workflows.vehicle_model import VehicleRequest, is_saved_model
 
 TABLE = "fits.parquet"
+SIDES = "thrust of both sides"  # key of `prior_parts` for which side deviates from the given thrust
 CORRELATION_DIGITS = 9  # decimals of a correlation in the table
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")
 LEVEL = 0.01  # significance level of all parameters together that the logs differ
@@ -390,9 +392,11 @@ def _prior_parts(done: VehicleFit) -> dict[str, dict[str, float]]:
     -----
     With the covariance C of the estimates and a prior of standard deviation s on parameter c, the derivative of the
     estimates with respect to the mean of the prior is C[:, c] / s**2. The share of the information of c that comes from
-    the prior is C[c, c] / s**2.
+    the prior is C[c, c] / s**2. A standard error may also contain what the model does not explain, and then exceed s:
+    the part of c itself is s times the share at most, and those of the others follow by their regression on c.
     """
     fit, summary = done.fitted.fit, done.result.fit
+    reported = ReportedEstimates(fit)
     errors = np.array(
         [{r.name: r.se or 0.0 for r in summary.parameters}.get(n, 0.0) for n in summary.correlation.names]
     )
@@ -403,10 +407,23 @@ def _prior_parts(done: VehicleFit) -> dict[str, dict[str, float]]:
         shared = p.segment is None and p.name not in own
         if shared and p.prior is not None and errors[k] > 0.0 and share > 0.0:
             parts = summary.correlation.matrix[:, k] * errors * min(share, 1.0) ** 0.5
+            of_prior = _prior_deviation(p, float(fit.values[k])) * abs(reported.factor(p.unit))
+            parts *= min(1.0, of_prior * min(share, 1.0) ** 0.5 / errors[k])
             for name, part in zip(summary.correlation.names, parts.tolist(), strict=True):
                 if np.isfinite(part) and part != 0.0:
                     found.setdefault(name, {})[summary.correlation.names[k]] = part
+    if done.uncertainty is not None:
+        shifts = dict(zip(done.uncertainty.parameters, done.uncertainty.scale_shift.tolist(), strict=True))
+        for own_name, name in zip(fit.names, summary.correlation.names, strict=True):
+            if shift := shifts.get(own_name, 0.0):
+                found.setdefault(name, {})[SIDES] = shift
     return found
+
+
+def _prior_deviation(p: Parameter, value: float) -> float:
+    """Return the standard deviation of the prior of a parameter at this value, in the parameter's unit."""
+    prior = p.free_prior()
+    return 0.0 if prior is None else float(prior[1] * p.slope(value))
 
 
 def _nuisance_parameters(done: VehicleFit) -> set[str]:

@@ -16,6 +16,7 @@ from seatrial.ident.data import LoadedLog, load_all
 from seatrial.ident.diagnosis import (
     COMMON_SEARCH,
     ModelAssessment,
+    ModelUncertainty,
     antenna_error,
     assess_model,
     untested_uncertainty,
@@ -53,10 +54,13 @@ class VehicleFit:
         The fitted model with its estimation and validation records.
     result
         Content of result.json.
+    uncertainty
+        Uncertainty of the model that the standard errors include; None if there is none, or if it is unknown.
     """
 
     fitted: FittedModel
     result: VehicleResult
+    uncertainty: ModelUncertainty | None = None
 
 
 def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> VehicleResult:
@@ -170,7 +174,8 @@ def fit_vehicle(request: VehicleRequest, command: str, reporter: Reporter, with_
         # A fit with score tests has an estimate of the error of the antenna, if the data show one.
         more += antenna_warning(fitted.model, antenna_error(fitted))
     answer = " ".join(filter(None, [result.answer, problem.choice]))
-    return VehicleFit(fitted, msgspec.structs.replace(result, answer=answer, warnings=(*result.warnings, *more)))
+    told = msgspec.structs.replace(result, answer=answer, warnings=(*result.warnings, *more))
+    return VehicleFit(fitted, told, uncertainty)
 
 
 def _command_scale_warning(model: Model, logs: Sequence[LoadedLog]) -> ResultWarning | None:

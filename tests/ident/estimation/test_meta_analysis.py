@@ -97,6 +97,17 @@ def test_error_of_a_prior_counts_in_the_means_only() -> None:
     assert found.difference.error == pytest.approx(0.1, rel=0.01)
 
 
+def test_mean_stays_among_logs_whose_common_error_is_in_proportion_to_their_estimates() -> None:
+    """Weights with the common errors would give a mean below all logs (Peelle's pertinent puzzle)."""
+    values, after = np.array([37.0, 36.0, 42.0, 43.0, 44.0]), np.array([False, False, True, True, True])
+    common = 0.19 * values[:, None] * after[:, None]
+    found = campaign_difference(values, np.full(5, 0.5**2), common, after)
+    assert 42.0 <= found.after.value <= 44.0
+    assert found.after.error == pytest.approx(0.19 * 43.0, rel=0.02)
+    assert found.difference.error == pytest.approx(0.19 * 43.0, rel=0.02)  # no such error before, so nothing cancels
+    assert found.scatter < 2.0
+
+
 def test_one_log_of_each_campaign_has_no_test() -> None:
     found = campaign_difference(np.array([1.0, 9.0]), np.full(2, 0.01), np.zeros((2, 0)), np.array([False, True]))
     assert found.difference.value == pytest.approx(8.0)

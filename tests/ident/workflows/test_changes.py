@@ -22,10 +22,11 @@ from seatrial.daq.errors import SeatrialError
 from seatrial.ident.estimation.standard_errors import AT_BOUND
 from seatrial.ident.report.sections.campaigns import _signed
 from seatrial.ident.report.terminal import campaign_tables
-from seatrial.ident.results import CampaignsResult, NotCompared
+from seatrial.ident.results import CampaignErrors, CampaignsResult, ErrorComparison, NotCompared, campaigns_answer
 from seatrial.ident.results.result_file import read_result
 from seatrial.ident.workflows.campaign_errors import _campaign_values
 from seatrial.ident.workflows.campaign_fits import Comparison, FittedLogs, _q_values, compare_fits, fitted_logs
+from seatrial.ident.workflows.fleet import SIDES
 from tests.missions import boat_log, boat_with
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -344,6 +345,66 @@ def test_a_changed_thrust_is_a_common_factor(payload: bool) -> None:
     assert found.explains is not payload
     if not payload:
         assert found.low < 1.0 / 1.2 < found.high
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [
+        (1.2, "68 % of its thrust of before, and the right one 99 %"),
+        (1.0, "69 % of the thrust of the right one; before it was 100 %"),
+    ],
+)
+def test_a_lost_thrust_of_one_side_is_stated_in_words(factor: float, words: str) -> None:
+    """The masses of a boat whose left thruster has lost a third seem to grow, as the thrust is taken as given."""
+    rng, n = np.random.default_rng(8), 8
+    after = np.arange(n) >= 4
+    truth = {"m_u": 40.0, "m_v": 60.0, "m_r": 9.0, "d_uu": 25.0}
+    values = {k: v * np.where(after, factor, 1.0) * (1.0 + 0.01 * rng.normal(size=n)) for k, v in truth.items()}
+    values["eps_LR"] = -0.185 * after + 0.002 * rng.normal(size=n)
+    units = {"m_u": "kg", "m_v": "kg", "m_r": "kg m2", "d_uu": "kg/m", "eps_LR": ""}
+    rows = rows_of(values, 0.005, effect={"eps_LR": "mismatch"}, unit=units)
+    for r in rows:
+        r["se"] = 0.005 if r["parameter"] == "eps_LR" else 0.01 * r["value"]
+    found = compared(rows, 4)
+    result = result_of(found)
+    assert f"the left thruster gives {words}." in campaigns_answer(result).replace("The left", "the left")
+
+
+def test_sides_that_may_deviate_are_a_common_error_of_their_logs() -> None:
+    values = {"m_u": np.array([40.0, 40.4, 48.0, 48.6])}
+    rows = rows_of(values, 0.4)
+    for r in rows:
+        if r["log"] in ("run2", "run3"):
+            r |= {"se": 9.2, "prior_parts": json.dumps({SIDES: 9.19})}
+    found = compared(rows, 2)
+    (mass,) = found.parameters
+    assert 48.0 <= mass.after.mean <= 48.6
+    assert mass.se == pytest.approx(9.2, abs=0.2)
+    assert not mass.changed
+    assert any("which side deviates" in note for note in found.notes)
+
+
+def test_logs_after_that_no_values_predict_ask_for_a_diagnosis() -> None:
+    def errors(logs: Any, after: float) -> CampaignErrors:
+        row = ErrorComparison(before=None, after=after, unit="rad", spread=1.6)
+        return CampaignErrors(logs=logs, values=logs, channels={"psi": row})
+
+    for size, asked in ((0.7, True), (0.3, False)):
+        answer = campaigns_answer(
+            result_of(compared(rows_of({"m_u": np.full(4, 40.0)}), 2), (errors("before", 0.27), errors("after", size)))
+        )
+        assert ("psi: its error is 2.6 times as large" in answer) is asked
+        assert ("Run `seatrial ident diagnose` on the logs after" in answer) is asked
+
+
+def result_of(found: Comparison, errors: tuple[CampaignErrors, ...] = ()) -> CampaignsResult:
+    """Return a result with the tables of a comparison."""
+    return CampaignsResult(
+        created="", seatrial="", command="", logs=(), answer="", model="auto", table="", horizon=10.0,
+        false_discovery_rate=0.05, campaigns=(), failed=(), parameters=found.parameters,
+        not_compared=found.not_compared, effects=found.effects, joint=found.joint, common_factor=found.common_factor,
+        errors=errors,
+    )  # fmt: skip
 
 
 def test_changed_value_follows_the_unchanged_ones() -> None:

@@ -14,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pyarrow.parquet
 import pytest
@@ -22,13 +23,18 @@ import seatrial as st
 from seatrial import command_line
 from seatrial.api.messages import in_python, text_of
 from seatrial.daq.errors import SeatrialError
+from seatrial.ident.diagnosis.findings import ModelUncertainty
+from seatrial.ident.diagnosis.model_uncertainty import with_model_uncertainty
 from seatrial.ident.estimation.maximum_likelihood import EstimationOptions
 from seatrial.ident.numerics import Array
 from seatrial.ident.parallel import Workers
+from seatrial.ident.reporter import QUIET
 from seatrial.ident.results import FleetResult
 from seatrial.ident.results.result_file import read_result
+from seatrial.ident.results.tables import fit_summary
 from seatrial.ident.workflows import fleet
-from seatrial.ident.workflows.fleet import FleetRequest, fit_fleet, fleet_result
+from seatrial.ident.workflows.fleet import SIDES, FleetRequest, _prior_parts, fit_fleet, fleet_result
+from seatrial.ident.workflows.vehicle import VehicleFit, fit_vehicle
 from seatrial.ident.workflows.vehicle_model import VehicleRequest
 from tests.ident.reports import Kept
 from tests.missions import boat_log, boat_with
@@ -279,6 +285,27 @@ def test_part_of_a_prior_is_the_change_by_its_mean(logs: list[Path]) -> None:
     for name in ("m_u", "m_v", "m_r", "c1", "d_uu"):
         assert parts[name]["c1"] * 0.25 == pytest.approx(moved[name], rel=0.1), name
     assert below.values("se").iloc[0]["m_u"] > abs(parts["m_u"]["c1"])
+
+
+@pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")
+def test_a_standard_error_beyond_the_prior_is_no_part_of_the_prior(logs: list[Path]) -> None:
+    """The error of c1 may include that the sides differ: 15 N beside a prior of 2 N, with masses in proportion."""
+    request = VehicleRequest([logs[0]], [], Path(), fixed={"c2": 1.1}, priors={"c1": (40.0, 2.0)}, score_tests=False)
+    plain = fit_vehicle(request, "", QUIET, with_dynamics=False)
+    names = plain.fitted.fit.names
+    shift = np.array(
+        [0.35 * v if n in ("c1", "m_u", "m_v") else 0.0 for n, v in zip(names, plain.fitted.fit.values, strict=True)]
+    )
+    n = len(names)
+    wide = ModelUncertainty(tuple(names), (), np.zeros((0, n)), np.zeros((n, n)), 0.35, shift)
+    fitted = replace(plain.fitted, fit=with_model_uncertainty(plain.fitted.fit, wide))
+    summary = fit_summary(fitted.fit, {})
+    widened = VehicleFit(fitted, msgspec.structs.replace(plain.result, fit=summary), wide)
+    before, after = _prior_parts(plain), _prior_parts(widened)
+    assert after["c1"]["c1"] == pytest.approx(before["c1"]["c1"], rel=0.05)
+    assert after["m_u"]["c1"] == pytest.approx(before["m_u"]["c1"], rel=0.1)
+    assert after["m_u"][SIDES] == pytest.approx(shift[names.index("m_u")])
+    assert SIDES not in before["m_u"]
 
 
 @pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")
