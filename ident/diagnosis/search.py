@@ -246,6 +246,8 @@ def diagnose(
     if given := given_common_errors(before.fit.model, policy):
         search.keep_common_errors(CommonErrorsFit(given, before))
     base, current, passed, weights, removed = search.run(before, max_effects)
+    search.work.ahead.clear()  # no further rounds and removals
+    search.work.plan("evaluation", 3, 3)
     gone = {r.effect.name for r in removed}
     kept = [r for r in search.rounds if r.chosen is None or r.chosen.effect.name not in gone]
     order = [w.effect for w in weights]
