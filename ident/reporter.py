@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import time
+from collections.abc import Callable
 from typing import Protocol
 
 
@@ -14,8 +15,11 @@ class Reporter(Protocol):
     A command line prints them; another program may ignore them.
     """
 
-    def progress(self, text: str) -> None:
-        """Report the step of the computation that starts now, as a text without a full stop."""
+    def progress(self, text: str, times: Callable[[], str] | None = None) -> None:
+        """Report the step of the computation that starts now, as a text without a full stop.
+
+        ``times`` returns the time so far and the time left as text. It is called again whenever the step is shown.
+        """
 
     def detail(self, text: str) -> None:
         """Report how far the present step is, such as ``iteration 7``. It may be called many times per second."""
@@ -27,7 +31,7 @@ class Reporter(Protocol):
 class Quiet:
     """Reporter that ignores progress and prints warnings to the standard error stream, preceded by ``seatrial:``."""
 
-    def progress(self, text: str) -> None:
+    def progress(self, text: str, times: Callable[[], str] | None = None) -> None:
         """Ignore the text."""
 
     def detail(self, text: str) -> None:
@@ -51,25 +55,51 @@ class StepLines:
 
     def __init__(self) -> None:
         """Begin without a step."""
-        self._step, self._printed = "", -math.inf
+        self._step, self._detail, self._printed = "", "", -math.inf
+        self._times: Callable[[], str] | None = None
 
-    def start(self, step: str) -> str:
-        """Return the line of a step that starts now: its text."""
-        self._step, self._printed = step, time.monotonic()
-        return step
+    def start(self, step: str, times: Callable[[], str] | None = None) -> str:
+        """Return the line of a step that starts now: its text, after the time so far if ``times`` returns it."""
+        self._step, self._detail, self._times, self._printed = step, "", times, time.monotonic()
+        return self.line()
 
     def detail(self, text: str) -> str:
         """Return the line with a detail of the present step; "" if the last line is less than 30 s old."""
+        self._detail = text
         now = time.monotonic()
         if now - self._printed < self.SPACING_S:
             return ""
         self._printed = now
-        return f"{self._step}: {text}" if self._step else text
+        return self.line()
+
+    def line(self) -> str:
+        """Return the line of the present step with its last detail, and with the times of now."""
+        text = ": ".join(filter(None, (self._step, self._detail)))
+        return f"{self._times()}: {text}" if self._times else text
 
 
 def duration_text(seconds: float) -> str:
     """Return a duration as text: ``40 s`` or ``3 min``."""
     return f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
+
+
+def times_text(elapsed: float, left: tuple[float, float] | None) -> str:
+    """Return the time so far and the time left as text: ``0:40 so far, about 2 min to go, seldom more than 5 min``.
+
+    Parameters
+    ----------
+    elapsed
+        Time so far [s].
+    left
+        Likely and largest time left [s]; None if it is not known yet. The largest one is stated if it is at least a
+        half and 20 s more than the likely one, with the precision of the text.
+    """
+    so_far = "{}:{:02d} so far".format(*divmod(int(elapsed), 60))
+    if left is None:
+        return so_far
+    likely, most = max(left[0], 1.0), left[1]
+    limit = f", seldom more than {duration_text(most)}" if most > max(1.5 * likely, likely + 20.0) else ""
+    return f"{so_far}, about {duration_text(likely)} to go{limit}"
 
 
 class TimeLeft:

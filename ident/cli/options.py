@@ -23,6 +23,7 @@ from seatrial.ident.reporter import Reporter, StepLines
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.status import Status
+    from rich.text import Text
 
     from seatrial.ident.results import Result
 
@@ -669,9 +670,9 @@ class LineReporter:
         """Choose the stream: standard error if ``err``, otherwise standard output."""
         self.err, self._lines = err, StepLines()
 
-    def progress(self, text: str) -> None:
-        """Print the text on a line, indented by two spaces."""
-        click.echo(f"  {self._lines.start(text)}", err=self.err)
+    def progress(self, text: str, times: Callable[[], str] | None = None) -> None:
+        """Print the text on a line, indented by two spaces, after the time so far if ``times`` returns it."""
+        click.echo(f"  {self._lines.start(text, times)}", err=self.err)
 
     def detail(self, text: str) -> None:
         """Print the step and the text on a line, if the last line of progress was printed at least 30 s ago."""
@@ -696,12 +697,12 @@ class SpacedLines(LineReporter):
         super().__init__(err=True)
         self._kind, self._printed = "", -math.inf
 
-    def progress(self, text: str) -> None:
+    def progress(self, text: str, times: Callable[[], str] | None = None) -> None:
         """Print the text, unless a line of its kind was printed in the last two seconds."""
         kind, now = re.sub(r"\d[\d.e+-]*", "0", text), time.monotonic()
         if kind != self._kind or now - self._printed >= self.SPACING_S:
             self._kind, self._printed = kind, now
-            super().progress(text)
+            super().progress(text, times)
 
 
 class LiveLine:
@@ -717,16 +718,23 @@ class LiveLine:
 
     def __init__(self, console: Console, status: Status) -> None:
         """Store the console and its live line, which the caller starts and stops."""
-        self.console, self.status, self._step = console, status, ""
+        self.console, self.status, self._lines = console, status, StepLines()
 
-    def progress(self, text: str) -> None:
-        """Replace the text of the live line."""
-        self._step = text
-        self.status.update(text)
+    def progress(self, text: str, times: Callable[[], str] | None = None) -> None:
+        """Replace the text of the live line. The times before it go on while the step lasts."""
+        self._lines.start(text, times)
+        self.status.update(self)
 
     def detail(self, text: str) -> None:
         """Show the text in the live line, after that of the present step."""
-        self.status.update(f"{self._step}: {text}" if self._step else text)
+        self._lines.detail(text)
+        self.status.update(self)
+
+    def __rich__(self) -> Text:
+        """Return the present text, cut to one line, since a line that wraps cannot be rewritten in place."""
+        from rich.text import Text
+
+        return Text(self._lines.line(), no_wrap=True, overflow="ellipsis")
 
     def warning(self, text: str) -> None:
         """Print the text above the live line, where it stays."""

@@ -17,6 +17,7 @@ from .model_uncertainty import untested_uncertainty as untested_uncertainty
 from .model_uncertainty import with_model_uncertainty as with_model_uncertainty
 from .policy import SearchPolicy as SearchPolicy
 from .power import detectable_sizes as detectable_sizes
+from .progress import with_times as with_times
 from .search import DiagnosisEvaluation as DiagnosisEvaluation
 from .search import ModelAssessment as ModelAssessment
 from .search import assess_model as assess_model

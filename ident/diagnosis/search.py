@@ -71,6 +71,7 @@ from seatrial.ident.diagnosis.findings import (
 from seatrial.ident.diagnosis.importance import RoughFits, by_importance, effect_importance, fit_without
 from seatrial.ident.diagnosis.model_uncertainty import model_uncertainty, with_model_uncertainty
 from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
+from seatrial.ident.diagnosis.progress import with_times, work_of
 from seatrial.ident.diagnosis.score_test import (
     Score,
     ScoreEquations,
@@ -120,6 +121,7 @@ from seatrial.ident.validation import (
 )
 
 WAVES = "waves"
+LIKELY_ROUNDS = 0.8  # share of the possible rounds that the time left assumes: most real boats lack several effects
 ROUGH_SHARE = 0.01  # of the gain that a score test predicts: tolerance of the refit of its candidate
 # Tolerance of the fit beside the remaining candidates: the sizes are then within one standard error of the maximum, and
 # those of sure names, of at least 4 standard errors, within the change that is looked for
@@ -221,7 +223,7 @@ def diagnose(
     rate
         Rate of the records' rows [Hz].
     reporter
-        Receiver of progress messages.
+        Receiver of progress messages. Each step has the time so far and the time left (`SearchProgress`).
     policy
         Thresholds of the score tests, the search, the acceptance and the attribution.
 
@@ -237,12 +239,15 @@ def diagnose(
         the score tests cannot be computed, or if the model has no residual forces to test: it is neither a vehicle with
         a hull, nor a Nomoto model, nor a thruster on the bench.
     """
+    reporter = with_times(reporter)
     start = _prepared_search(model, estimation, validation, effects, rate, reporter, policy)
     before, records, validation_data = start.before, start.records, start.validation_data
     search = _Search(records, validation_data, start.candidates, reporter, policy, start.common)
     if given := given_common_errors(before.fit.model, policy):
         search.keep_common_errors(CommonErrorsFit(given, before))
     base, current, passed, weights, removed = search.run(before, max_effects)
+    search.work.ahead.clear()  # no further rounds and removals
+    search.work.plan("evaluation", 3, 3)
     gone = {r.effect.name for r in removed}
     kept = [r for r in search.rounds if r.chosen is None or r.chosen.effect.name not in gone]
     order = [w.effect for w in weights]
@@ -260,11 +265,16 @@ def diagnose(
     )
     # This fit takes a tenth of the time of a diagnosis. It changes nothing for effects that are ambiguous anyway.
     if search.common_errors is not None and depends_on_remaining_tests(kept, evidence, search.policy):
-        unaffected, beside = search.unaffected_by(current, passed)
+        reporter.progress("fitting the effects found beside the strongest of the other candidates")
+        with search.work.timed("evaluation"):
+            unaffected, beside = search.unaffected_by(current, passed)
         evidence = replace(evidence, unaffected=unaffected, beside=beside)
+    search.work.plan("evaluation", 2, 2)
+    reporter.progress("comparing the effects found with their alternatives, and their curves")
     judgements = assess_alternatives(kept, evidence, search.policy)
     judgements = tuple(sorted(judgements, key=lambda j: order.index(j.effect)))
-    shapes, undrawn = _reported_curves(base, kept, judgements, records)
+    with search.work.timed("evaluation"):
+        shapes, undrawn = _reported_curves(base, kept, judgements, records)
     return Diagnosis(
         before=widened if current is before else before,
         after=widened,
@@ -439,7 +449,8 @@ def _prepared_search(
     nominal = without_absent_sensors(full, records)
     reporter.progress(f"fitting {nominal.name} with disturbance forces to {counted(len(records), 'run')}")
     settings = COMMON_SEARCH if given_common_errors(nominal, policy) else None
-    before, validation_data = _first_fit(nominal, records, runs, settings, reporter)
+    with work_of(reporter).timed("start"):
+        before, validation_data = _first_fit(nominal, records, runs, settings, reporter)
     size, in_catalogue = size_of(before.fit.model), catalogue()
     # user-defined effects keep their priors
     scaled = {n: scale_priors(e, size) if in_catalogue.get(n) is e else e for n, e in candidates.items()}
@@ -740,6 +751,8 @@ class _Search:
         Effects that were added and removed again.
     n
         Number of rows of the estimation data.
+    work
+        Parts of the search that are done and still ahead, for the time left.
     """
 
     def __init__(
@@ -755,13 +768,14 @@ class _Search:
         self.common_errors: CommonErrorsFit | None = None  # of the model given, or added
         self.equations: ScoreEquations | None = None
         self.records, self.validation_data, self.candidates = records, validation_data, dict(candidates)
-        self.reporter, self.policy = reporter, policy
+        self.reporter, self.policy, self.work = reporter, policy, work_of(reporter)
         self.rounds: list[Round] = []
         self.nominal: FittedModel | None = None
         self.scores: list[Score] = []  # of all candidates on the last model
         self.untried: list[Score] = []  # scores that passed when the largest number of effects had been added
         self.removed: list[RemovedEffect] = []  # by the backward eliminations so far
         self._tested: list[_TestedModel] = []
+        self._possible_rounds = 1  # with the present one
         self.n = sum(r.n_rows for r in records)
 
     def scored(self, fitted: FittedModel) -> tuple[list[Score], list[Score]]:
@@ -788,8 +802,9 @@ class _Search:
                 return known.scores, known.passing
         self.reporter.detail(f"score tests of {counted(len(self.candidates), 'candidate')}")
         try:
-            self.equations = score_equations(fitted, self.records, self.candidates | self.common)
-            self.scores, passed = score_all(fitted, self.records, self.candidates, self.policy, self.equations)
+            with self.work.timed("tests" if self._tested else "start"):
+                self.equations = score_equations(fitted, self.records, self.candidates | self.common)
+                self.scores, passed = score_all(fitted, self.records, self.candidates, self.policy, self.equations)
             self._tested.append(_TestedModel(fitted, tested, self.policy, self.equations, self.scores, passed))
             return self.scores, passed
         except np.linalg.LinAlgError as problem:
@@ -823,10 +838,12 @@ class _Search:
         max_effects
             Largest number of effects.
         """
+        self._plan(max_effects)
         current, passed = self.forward(before, max_effects)
         while True:
             n_removed, n_rounds = len(self.removed), len(self.rounds)
             is_full = sum(r.chosen is not None for r in self.rounds) >= max_effects + n_removed
+            self._plan(0)
             self.reporter.progress("computing the importance of the effects found")
             base, current, weights, self.removed = self.weighed_effects(before, current)
             if len(self.removed) == n_removed:
@@ -899,6 +916,7 @@ class _Search:
             if len(self.rounds) >= max_effects or not tried:
                 self.untried = tried
                 return current, passed
+            self._possible_rounds = max_effects - len(self.rounds)
             self._report_round(scores, passed, tried)
             found = self._run_round(current, scores, tried)
             pair = self._look_ahead(current, found, max_effects) if found.chosen is None else None
@@ -912,10 +930,35 @@ class _Search:
             current, unknown = found.chosen.fitted, unknown or found.chosen.nonparametric
             self.candidates.pop(found.chosen.effect.name, None)
 
+    def _plan(self, after: int, here: tuple[float, float] | None = None) -> None:
+        """Plan the work that is still ahead, for the time left.
+
+        A part of the possible rounds is likely (`LIKELY_ROUNDS`): a round that adds no effect is the last. A round
+        usually ends after its first batch and one nonparametric candidate, and with one exact fit.
+
+        Parameters
+        ----------
+        after
+            Number of rounds that are possible after the present one.
+        here
+            Likely and largest number of refits that are left in the present round; None outside of a round.
+        """
+        policy, work, present = self.policy, self.work, int(here is not None)
+        few, many = here or (0.0, 0.0)
+        likely = LIKELY_ROUNDS * after
+        most = policy.n_refits * policy.n_batches + policy.n_nonparametric
+        found = sum(r.chosen is not None for r in self.rounds) - len(self.removed) + present
+        work.plan("candidate", few + likely * (policy.n_refits + 1), many + after * most)
+        work.plan("tests", likely + present, after + present)
+        work.plan("exact", likely + present, 2 * (after + present))
+        work.plan("without", found + likely, 2 * (found + after))
+        work.plan("evaluation", 3, 3)  # the fit beside other candidates, the curves, and the predictions
+
     def _report_round(self, scores: Sequence[Score], passed: Sequence[Score], tried: Sequence[Score]) -> None:
         """Report the number of the next round, and how many of the scored candidates pass and are tried."""
+        n = len(self.rounds)
         self.reporter.progress(
-            f"round {len(self.rounds) + 1}: {len(tried)} of {len(scores)} candidates pass"
+            f"round {n + 1} of at most {n + self._possible_rounds}: {len(tried)} of {len(scores)} candidates pass"
             f"{f' ({len(passed) - len(tried)} others by too little to matter)' * (len(tried) < len(passed))}, "
             f"best {tried[0].name}"
         )
@@ -964,12 +1007,14 @@ class _Search:
         self.reporter.progress(f"trying {trial.effect.title} together with another effect")
         before = self.scores, self.equations, dict(self.candidates), self.rounds
         try:
-            exact = replace(self._fit_exactly(current, trial), outcome=Outcome.ADDED)
+            with self.work.timed("exact"):
+                exact = replace(self._fit_exactly(current, trial), outcome=Outcome.ADDED)
             first = replace(found, refits=tuple(exact if r is trial else r for r in found.refits), chosen=exact)
             self.candidates.pop(trial.effect.name, None)
             self.rounds = [*self.rounds, first]
             scores, passed = self.scored(exact.fitted)
             tried = [s for s in passed if not s.nonparametric]
+            self._possible_rounds = max_effects - len(self.rounds)
             if tried:
                 self._report_round(scores, passed, tried)
             second = self._run_round(exact.fitted, scores, tried) if tried else None
@@ -1014,10 +1059,11 @@ class _Search:
         names = ", ".join(joint.names)
         self.reporter.progress(f"fitting with {counted(len(joint.names), 'common error')}: {names}")
         before = [r.chosen.effect.name for r in self.rounds if r.chosen is not None]
-        self.common_errors = fit_common_errors(
-            current, self.records, self.validation_data, joint, common, found=before, policy=self.policy,
-            detail=self.reporter.detail,
-        )  # fmt: skip
+        with self.work.timed("exact"):
+            self.common_errors = fit_common_errors(
+                current, self.records, self.validation_data, joint, common, found=before, policy=self.policy,
+                detail=self.reporter.detail,
+            )  # fmt: skip
         if self.common_errors is None:
             return None
         self.keep_common_errors(self.common_errors)
@@ -1205,9 +1251,10 @@ class _Search:
         while True:
             gone = {r.effect.name for r in removed}
             chosen = [r.chosen for r in self.rounds if r.chosen is not None and r.chosen.effect.name not in gone]
-            weights = effect_importance(
-                base, current, chosen, self.rounds, self.records, self.validation_data, self.policy, without
-            )
+            with self.work.timed("without", len(chosen)):
+                weights = effect_importance(
+                    base, current, chosen, self.rounds, self.records, self.validation_data, self.policy, without
+                )
             weights = tuple(replace(w, untested=stuck.get(w.effect, w.untested)) for w in weights)
             tested = [w for w in weights if w.untested is None]
             curves = {c.effect.name for c in chosen if c.nonparametric}
@@ -1231,9 +1278,10 @@ class _Search:
             kept = [c for c in chosen if c.effect is not effect]
             try:
                 rough = without.fits.get(frozenset(c.effect.name for c in kept), current)
-                current = self._exact_fit_with(kept) or fit_without(
-                    base, rough, chosen, effect, self.records, self.validation_data, self.exact
-                )
+                with self.work.timed("exact"):
+                    current = self._exact_fit_with(kept) or fit_without(
+                        base, rough, chosen, effect, self.records, self.validation_data, self.exact
+                    )
             except FIT_ERRORS as problem:
                 stuck[idle.effect] = str(problem)
                 continue
@@ -1291,6 +1339,9 @@ class _Search:
         size = self.policy.n_refits
         batches = [specific[k : k + size] for k in range(0, size * self.policy.n_batches, size)]
         last = [s for batch in batches for s in batch if s.name in failed]
+        n_generic, after = sum(s.nonparametric for s in passed), self._possible_rounds - 1
+        n_most = sum(map(len, batches)) + min(n_generic, self.policy.n_nonparametric)
+        self._plan(after, (len(batches[0]) + min(n_generic, 1), n_most))
         for batch in (*([s for s in batch if s.name not in failed] for batch in batches), last):
             self._refit_all(current, [(self.candidates[s.name], s) for s in batch[:2]], refits, untested)
             further = [s for s in batch[2:] if self._can_win(s, refits)]
@@ -1306,7 +1357,9 @@ class _Search:
         unknown = [s for s, same_curve in generic if s.criterion(self.n) > least or same_curve][
             : self.policy.n_nonparametric
         ]
+        self._plan(after, (len(unknown), len(unknown)))
         self._refit_all(current, [(_nonparametric_effect_of(s, current), s) for s in unknown], refits, untested)
+        self._plan(after, (0, 0))
         names = tuple(s.name for s in passed)
         refits, chosen = self._choose_refit(current, refits, untested)
         return Round(tuple(scores), names, tuple(refits), chosen, tuple(untested))
@@ -1361,7 +1414,9 @@ class _Search:
                 or (r.criterion > chosen.criterion and self._explains_more(r, chosen))
             ):
                 try:
-                    r = self._fit_exactly(current, r)
+                    self.reporter.progress(f"fitting exactly with {r.effect.title}, and validating it")
+                    with self.work.timed("exact"):
+                        r = self._fit_exactly(current, r)
                 except FIT_ERRORS as problem:
                     untested.append(UntestedCandidate(r.effect, str(problem)))
                     continue
@@ -1474,7 +1529,8 @@ class _Search:
             """
             return self._refit(current, *pair)
 
-        with ThreadPoolExecutor(2) as pool, quick_compilation(self.n):
+        timed = self.work.timed("candidate", len(tried))
+        with timed, ThreadPoolExecutor(2) as pool, quick_compilation(self.n):
             for found in pool.map(refit, tried):
                 if isinstance(found, Refit):
                     refits.append(found)

@@ -79,6 +79,7 @@ from seatrial.ident.results import (
 )
 
 N_SHOWN = 24  # sampled tracks on the page
+N_RANDOM = 8  # random missions that a discriminating mission is compared with
 NAMED = 3  # parameters in the answer
 STEP_S = 5.0  # s: mean length of a step, unless --steps gives their number
 LARGEST_SHARE = 0.999  # largest probability that is shown; models are not exact enough for more
@@ -541,8 +542,8 @@ def _discrimination_design(
     The search has an eighth of the ``evaluations`` of the request, but at least 500. The first result is the mission as
     a design. Its value is the criterion of the parameters, so that its page is that of any design. The second result
     has the separation T of the two effects by this mission, with either effect as the true one, and the smaller T of
-    each of eight random missions. T is the expected value of twice the log-likelihood ratio of the true model against
-    the wrong model.
+    each of `N_RANDOM` random missions. T is the expected value of twice the log-likelihood ratio of the true model
+    against the wrong model.
     """
     a, b = (h.model for h in compared)
     total = max(request.evaluations // 8, 500)
@@ -555,7 +556,7 @@ def _discrimination_design(
         progress=lambda n, merit, number, of: reporter.progress(
             f"design: {n} of about {total} comparisons, search {number} of {of}, "
             f"{search_state(merit, f'separation of the two effects (T) {_separation_text(merit)}')} "
-            f"({left.text(n, n * of / number)})"
+            f"({left.text(n, n * of / number)}, then the comparison with {N_RANDOM} random missions)"
         ),
         phase=lambda words: reporter.progress(f"design: {words}"),
     )
@@ -564,10 +565,11 @@ def _discrimination_design(
     information = evaluator.information(task.actuation.inputs(made.command[:, :, None]))
     value = float(evaluator.criterion(information + evaluator.prior_information)[0])
     rng = np.random.default_rng([request.seed, 31])
-    random = [task.commands(z)[:, :, 0] for z in task.steps.random(8, rng)[:, None]]
-    random_criteria = list[float]()
+    random = [task.commands(z)[:, :, 0] for z in task.steps.random(N_RANDOM, rng)[:, None]]
+    random_criteria, left = list[float](), TimeLeft(N_RANDOM)
     for k, command in enumerate(random):
-        reporter.progress(f"design: comparison with random missions, {k} of {len(random)}")
+        to_go = f" ({left.text(k)})" if k else ""
+        reporter.progress(f"design: comparison with random missions, {k} of {N_RANDOM}{to_go}")
         random_criteria.append(min(separation(a, b, task, command)))
     first, second = (h.effect for h in compared)
     row = Discrimination(

@@ -11,7 +11,7 @@ import numpy as np
 from seatrial.daq.errors import SeatrialError, closest_name
 from seatrial.ident.checks import device_faults
 from seatrial.ident.data import WHOLE, TimeWindows, load_all
-from seatrial.ident.diagnosis import Diagnosis, diagnose, evaluate_diagnosis, with_weighed_mass
+from seatrial.ident.diagnosis import Diagnosis, diagnose, evaluate_diagnosis, with_times, with_weighed_mass
 from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import EstimationOptions, RefittedEffect, load_model
 from seatrial.ident.model import Effect, EffectKind, Model, ModelKind
@@ -133,7 +133,9 @@ def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> Di
     SeatrialError
         As `diagnose_model`, or if a file cannot be written.
     """
+    reporter = with_times(reporter)
     done = diagnose_model(request, command, reporter)
+    reporter.progress("writing the report")
     write_diagnosed_model(done, request.out)
     return done.result
 
@@ -216,6 +218,7 @@ def diagnose_model(request: DiagnosisRequest, command: str, reporter: Reporter) 
     candidates = {**catalogue(), **(effects_for(model, effects_file) if effects_file else {})}
     excluded = excluded_effects(request.exclude, candidates, model)
     hull = loaded[0].hull(request.mass)
+    progress = with_times(reporter)
     found = diagnose(
         with_outliers(model) if request.estimation.outlier_model else model,
         runs,
@@ -223,9 +226,12 @@ def diagnose_model(request: DiagnosisRequest, command: str, reporter: Reporter) 
         effects={n: e for n, e in candidates.items() if n not in excluded},
         rate=request.rate or usual_rate,
         max_effects=request.max_effects,
-        reporter=reporter,
+        reporter=progress,
     )
-    evaluation = evaluate_diagnosis(found, horizon)
+    progress.progress("validation: predicting the runs without and with the effects found")
+    with progress.work.timed("evaluation"):
+        evaluation = evaluate_diagnosis(found, horizon)
+    progress.progress("computing the result")
     found = with_weighed_mass(replace(found, excluded=tuple(excluded.values())), hull.get("mass"))
     result = diagnosis_result(
         found,

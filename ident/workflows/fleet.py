@@ -14,7 +14,7 @@ import resource
 import socket
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from importlib.metadata import version
@@ -305,7 +305,7 @@ def hashed_logs(paths: Sequence[Path], reporter: Reporter) -> list[FleetLog]:
 class _Ignored:
     """Reporter for the fits of a fleet, whose messages would have no place: the warnings are in the results."""
 
-    def progress(self, text: str) -> None:
+    def progress(self, text: str, times: Callable[[], str] | None = None) -> None:
         """Ignore the text."""
 
     def detail(self, text: str) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeVar, cast
@@ -119,10 +119,13 @@ class Messages:
         self._progress, self._lines = progress, StepLines()
         self.issued: set[str] = set()  # texts of the warnings
 
-    def progress(self, text: str) -> None:
-        """Print the line `text` about a step of the computation to stderr, if progress is printed; else do nothing."""
+    def progress(self, text: str, times: Callable[[], str] | None = None) -> None:
+        """Print the line `text` about a step of the computation to stderr, if progress is printed; else do nothing.
+
+        ``times`` returns the time so far and the time left, which are printed before the text.
+        """
         if self._progress:
-            print(in_python(self._lines.start(text)), file=sys.stderr, flush=True)
+            print(in_python(self._lines.start(text, times)), file=sys.stderr, flush=True)
 
     def detail(self, text: str) -> None:
         """Print how far the step is to stderr, if progress is printed and its last line is at least 30 s old."""

@@ -1158,13 +1158,24 @@ def test_diagnosis_names_the_effect(logs: list[Path], found: st.FittedDiagnosis,
 
 
 def test_an_excluded_effect_is_not_found(
-    logs: list[Path], fit: st.FittedVehicle, found: st.FittedDiagnosis, tmp_path: Path
+    logs: list[Path],
+    fit: st.FittedVehicle,
+    found: st.FittedDiagnosis,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     """The boat has a mismatch, which the search finds if it is not excluded."""
     assert "mismatch" in found.effects
     assert found.result.excluded_effects == ()
     assert "Left out" not in found.answer
-    without = st.diagnose(fit, logs[0], validate=logs[1], max_effects=1, exclude="mismatch")
+    without = st.diagnose(fit, logs[0], validate=logs[1], max_effects=1, exclude="mismatch", progress=True)
+    lines = capsys.readouterr().err.splitlines()
+    assert all(
+        re.match(r"\d+:\d\d so far(, about \d+ (s|min) to go(, seldom more than \d+ (s|min))?)?: ", t) for t in lines
+    )
+    for stage in ("fitting ", "round 1 of at most 1: ", "refitting with ", "computing the importance", "validation: "):
+        assert any(stage in line for line in lines), stage
+    assert " to go" in lines[-1]
     assert "mismatch" not in without.effects
     names = {c.name for r in without.result.rounds for c in r.candidates}
     assert "yaw-bias" in names

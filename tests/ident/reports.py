@@ -11,7 +11,7 @@ class Kept:
         self.details: list[str] = []
         self.warnings: list[str] = []
 
-    def progress(self, text: str) -> None:
+    def progress(self, text: str, times: object = None) -> None:
         self.lines.append(text)
 
     def detail(self, text: str) -> None:

@@ -5,14 +5,16 @@ in a live line.
 from __future__ import annotations
 
 import time
+from io import StringIO
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from rich.console import Console
 
 from seatrial.api.messages import Messages
 from seatrial.ident.cli.options import LineReporter, LiveLine
-from seatrial.ident.reporter import TimeLeft
+from seatrial.ident.reporter import TimeLeft, times_text
 
 
 def test_time_left_follows_from_the_parts_that_are_done(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -54,10 +56,48 @@ def test_details_are_printed_at_most_every_30_seconds(
 
 def test_a_live_line_shows_the_step_and_its_present_detail() -> None:
     shown: list[str] = []
-    status: Any = SimpleNamespace(update=shown.append)
+    status: Any = SimpleNamespace(update=lambda line: shown.append(line.__rich__().plain))
     console: Any = None
     live = LiveLine(console, status)
     live.detail("reading")
     live.progress("fitting boat to 3 runs")
     live.detail("second fit: iteration 7")
     assert shown == ["reading", "fitting boat to 3 runs", "fitting boat to 3 runs: second fit: iteration 7"]
+
+
+def test_a_live_line_is_one_line_and_its_times_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [0.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    console = Console(file=StringIO(), width=60)
+    status: Any = SimpleNamespace(update=lambda line: None)
+    live = LiveLine(console, status)
+    live.progress("refitting with " + "a long effect " * 10, lambda: f"{now[0]:.0f} s so far")
+    for k in (3.0, 4.0):
+        now[0] = k
+        (line,) = ("".join(s.text for s in console.render(live)).rstrip("\n")).split("\n")
+        assert line.startswith(f"{k:.0f} s so far: refitting with a long effect")
+        assert len(line) <= 60
+
+
+def test_lines_have_the_times_of_when_they_are_printed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    now = [0.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    lines, asked = LineReporter(), Messages(progress=True)
+    for receiver in (lines, asked):
+        receiver.progress("refitting with wind", lambda: f"{now[0]:.0f} s so far")
+    now[0] = 40.0
+    for receiver in (lines, asked):
+        receiver.detail("iteration 3")
+    expected = ["0 s so far: refitting with wind", "40 s so far: refitting with wind: iteration 3"]
+    printed = capsys.readouterr()
+    assert [line.strip() for line in printed.out.splitlines()] == expected
+    assert printed.err.splitlines() == expected
+
+
+def test_a_text_of_times_states_a_limit_only_if_it_says_more() -> None:
+    assert times_text(5.0, None) == "0:05 so far"
+    assert times_text(95.0, (130.0, 300.0)) == "1:35 so far, about 2 min to go, seldom more than 5 min"
+    assert times_text(95.0, (130.0, 140.0)) == "1:35 so far, about 2 min to go"
+    assert times_text(95.0, (0.0, 0.0)) == "1:35 so far, about 1 s to go"

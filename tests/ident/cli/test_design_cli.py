@@ -20,8 +20,9 @@ from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.model_file import SavedModel, load_model
 from seatrial.ident.estimation.refitted_effect import RefittedEffect
 from seatrial.ident.experiment_design.criteria import SINGULAR
+from seatrial.ident.experiment_design.discrimination import DiscriminationDesign
 from seatrial.ident.experiment_design.prior import prior_from_fit
-from seatrial.ident.experiment_design.problem import COAST_S, REST_S, DesignLimits
+from seatrial.ident.experiment_design.problem import COAST_S, REST_S, DesignLimits, DesignProblem
 from seatrial.ident.model.structure import Model
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.reporter import QUIET, TimeLeft
@@ -137,6 +138,33 @@ def test_progress_with_few_simulations_counts_the_searches_that_follow(
     make_design("horizontal:shaft:no-current", request, tmp_path / "m.toml", "", QUIET)
     first = next(done for done, _ in asked if done > 60)
     assert (first, 5 * first) in asked
+
+
+def test_progress_of_a_discrimination_has_the_time_to_go_of_each_phase(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After the search, nine comparisons follow, which may take longer than the search itself."""
+    lines = list[str]()
+    reporter: Any = SimpleNamespace(progress=lines.append, warning=lines.append)
+
+    def found_at_once(a: Model, b: Model, task: DesignProblem, **options: Any) -> DiscriminationDesign:
+        z = task.steps.random(1, np.random.default_rng(1))[:, None][0]
+        levels, durations = (part[..., 0] for part in task.steps.unpack(z))
+        options["progress"](50, np.log(40.0), 1, 2)
+        result: Any = SimpleNamespace(evaluations=50)
+        return DiscriminationDesign(task, levels, durations, (50.0, 60.0), result)
+
+    monkeypatch.setattr("seatrial.ident.workflows.design.discriminate", found_at_once)
+    monkeypatch.setattr("seatrial.ident.workflows.design.separation", lambda *_: (30.0, 40.0))
+    request = DesignRequest(duration=20.0, steps=6, between=("delay", "lag"))
+    make_design("horizontal:shaft:no-current", request, tmp_path / "m.toml", "", reporter)
+    (search,) = [line for line in lines if "comparisons, search" in line]
+    assert re.search(r"\(\d+ (s|min) to go, then the comparison with 8 random missions\)$", search)
+    random = [line for line in lines if "random missions, " in line]
+    assert [re.sub(r"\(\d+ s", "(_ s", line) for line in random] == [
+        "design: comparison with random missions, 0 of 8",
+        *(f"design: comparison with random missions, {k} of 8 (_ s to go)" for k in range(1, 8)),
+    ]
 
 
 def test_progress_has_no_criterion_while_a_limit_is_violated(tmp_path: Path) -> None:
