@@ -274,7 +274,8 @@ def _worse_predicted_sentence(result: CampaignsResult) -> str:
     """Return a sentence if the model predicts the logs after much worse than those before, each with their own values.
 
     The errors are over the spread of each channel, and their ratio is the geometric mean over the channels. Positions
-    are left out, whose spread is the size of the area. Empty text if the ratio is below `MUCH_WORSE`, or if the logs were not predicted.
+    are left out, whose spread is the size of the area. Empty text if the ratio is below `MUCH_WORSE`, or if the logs
+    were not predicted.
     """
     own = {e.logs: e.channels for e in result.errors if e.values == e.logs}
     if len(own) < 2:
