@@ -10,8 +10,10 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
 from seatrial.daq.errors import SeatrialError
+from seatrial.daq.importers.import_map import PULLS, SCALE
 
 BoatTable = Mapping[str, float | Sequence[float]]
+OF_SCALE = tuple(f"{name}{end}" for name in SCALE for end in ("", "_sd"))
 EXAMPLES = "# What no file has"  # begin of the comment of a guessed map that shows both tables
 
 
@@ -45,6 +47,11 @@ def with_boat_tables(text: str, path: Path, geometry: BoatTable | None = None, s
         document = tomlkit.parse("".join(lines[:first] + ([] if last is None else lines[last:])))
         for name, numbers in given.items():
             table = document.setdefault(name, tomlkit.table())
+            # Thrusts ahead and astern are another form of c1 and c2: the given form replaces the other one
+            for one, other in ((PULLS, OF_SCALE), (OF_SCALE, PULLS)):
+                if name == "scale" and set(one) & set(numbers):
+                    for key in set(other) & set(table):
+                        table.remove(key)
             for key, value in numbers.items():
                 table[key] = _plain(value, f"{path}: {key} in [{name}]")
     except TOMLKitError as problem:

@@ -260,10 +260,10 @@ def _boat_lines(taken: Sequence[MapSignal]) -> list[str]:
     ]
     thrust = [
         "# [scale]",
-        "# c1 = 40.0       # thrust of one thruster at full command [N], mean of ahead and astern;",
-        "#                 # if only the thrust ahead is known, give it as c1 and leave c2 out",
-        "# c1_sd = 1.0     # its standard uncertainty [N]",
-        "# c2 = 5.0        # half of ahead less astern [N]; c2_sd likewise",
+        "# ahead = 45.0    # thrust of one thruster at full command [N], and its size astern;",
+        "# astern = 35.0   # if only the thrust ahead is known, leave the other one out",
+        "# ahead_sd = 1.5  # standard uncertainty of each [N]",
+        "# astern_sd = 1.5",
     ]
     return geometry + (thrust if pairs != ["f"] else [])
 

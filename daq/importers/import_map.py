@@ -40,6 +40,7 @@ MAKES: dict[str, tuple[str, tuple[str, ...]]] = {  # made signal -> its unit, an
     "pitch": ("rad", ("1",) * 4),
     "yaw": ("rad", ("1",) * 4),
 }
+PULLS = ("ahead", "astern", "ahead_sd", "astern_sd")  # bollard pull at full speed, in place of the keys of `SCALE` [N]
 SCALE = ("c1", "c2")  # thrust of one thruster at n = 1 and -1: c1 + c2 and -(c1 - c2) [N]
 
 
@@ -300,7 +301,12 @@ def parse_import_map(text: str, path: Path) -> ImportMap:
         raise root.error(
             "log", "[[file]] tables merge all files into one log, so match in [[log]] means nothing; remove it"
         )
-    vehicle = _boat_numbers(root.table("geometry"), GEOMETRY) | _boat_numbers(root.table("scale"), SCALE)
+    scale = root.table("scale")
+    if scale is not None and any(scale.has(key) for key in PULLS):
+        thrust = _thrust_of_pulls(scale)
+    else:
+        thrust = _boat_numbers(scale, SCALE)
+    vehicle = _boat_numbers(root.table("geometry"), GEOMETRY) | thrust
     root.done()
     return ImportMap(name, path, text, bool(files), sources, pieces, vehicle)
 
@@ -369,6 +375,39 @@ def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, fl
         if problem := arm_problem(found):
             raise table.error("lever_arm_m", f"{problem}; write positions and length in metres")
     table.done()
+    return found
+
+
+def _thrust_of_pulls(table: TomlTable) -> dict[str, float]:
+    """Return c1, c2 and their standard uncertainties [N] of the thrusts ahead and astern in the table [scale].
+
+    c1 is the mean of both and c2 half of ahead less astern. Without the thrust astern, that ahead is c1 and there is no
+    c2. Raise SeatrialError if a number is not positive, if the thrust ahead is missing, or if the table has c1 or c2
+    too.
+    """
+    for name in SCALE:
+        for key in (name, f"{name}_sd"):
+            if table.has(key):
+                raise table.error(key, "follows from ahead and astern; give either these or c1 and c2")
+    if not table.has("ahead"):
+        raise table.error("ahead", "missing; give the thrust of one thruster at full speed ahead too")
+    ahead = table.number("ahead", positive=True)
+    ahead_sd = table.number("ahead_sd", positive=True) if table.has("ahead_sd") else None
+    if not table.has("astern"):
+        if table.has("astern_sd"):
+            raise table.error("astern_sd", "is the standard uncertainty of astern; give astern too")
+        table.done()
+        return {"c1": ahead} | ({} if ahead_sd is None else {"c1_sd": ahead_sd})
+    astern = table.number("astern", positive=True)
+    astern_sd = table.number("astern_sd", positive=True) if table.has("astern_sd") else None
+    table.done()
+    found = {"c1": (ahead + astern) / 2.0, "c2": (ahead - astern) / 2.0}
+    if (ahead_sd is None) != (astern_sd is None):
+        raise table.error(
+            "astern_sd" if astern_sd is None else "ahead_sd", "missing; give the standard uncertainty of both, or none"
+        )
+    if ahead_sd is not None and astern_sd is not None:
+        found |= dict.fromkeys(("c1_sd", "c2_sd"), math.hypot(ahead_sd, astern_sd) / 2.0)
     return found
 
 

@@ -250,8 +250,9 @@ def guess_map(
         [m]), ``mass`` (weighed [kg]), ``length`` (hull [m]), ``lever_arm_m`` (antenna forward, to starboard and down
         [m]).
     scale : dict, optional
-        Thrust of one thruster for the table [scale]: ``c1`` (mean of ahead and astern at full speed [N]), ``c2`` (half
-        of ahead less astern [N]), and their standard uncertainties ``c1_sd`` and ``c2_sd``.
+        Thrust of one thruster at full speed [N] for the table [scale]: ``ahead`` and ``astern``, with their standard
+        uncertainties ``ahead_sd`` and ``astern_sd``. In place of these, ``c1`` (mean of ahead and astern) and ``c2``
+        (half of ahead less astern), with ``c1_sd`` and ``c2_sd``.
     full_speed : dict, optional
         Number of the source at full speed ahead, by signal, in place of a guess from the largest number, for example
         ``{"n_left": 2900, "n_right": 2900}`` for shaft speeds in rpm.
@@ -269,7 +270,7 @@ def guess_map(
 
     Examples
     --------
-    >>> boat = dict(geometry={"y_left": -0.3, "y_right": 0.3, "mass": 32.0}, scale={"c1": 40.0, "c1_sd": 1.0})
+    >>> boat = dict(geometry={"y_left": -0.3, "y_right": 0.3, "mass": 32.0}, scale={"ahead": 45.0, "astern": 35.0})
     >>> print(st.guess_map(["lake_1.csv", "lake_2.csv"], "lake.toml", **boat))
     >>> logs = st.import_log(["lake_1.csv", "lake_2.csv"], map_path="lake.toml")
     """
@@ -336,7 +337,7 @@ def import_log(
 
     Examples
     --------
-    >>> (log,) = st.import_log("run.csv", out_dir="logs", scale={"c1": 40.0, "c1_sd": 1.0})
+    >>> (log,) = st.import_log("run.csv", out_dir="logs", scale={"ahead": 45.0, "astern": 35.0})
     """
     from tempfile import TemporaryDirectory
 

@@ -5,6 +5,7 @@ signals.
 from __future__ import annotations
 
 import json
+import math
 import re
 import tomllib
 from collections.abc import Callable
@@ -761,14 +762,15 @@ def test_a_guessed_map_has_examples_of_what_no_file_has(
     guessed = guess_map(tmp_path / "run.csv").text
     assert ("# y_left = -0.3" in guessed) is geometry
     assert ("# [scale]" in guessed) is scale
-    assert ("ahead is known, give it as c1 and leave c2 out" in guessed) is scale
+    assert ("if only the thrust ahead is known, leave the other one out" in guessed) is scale
     if geometry:  # the examples are valid without the sign of a comment
         map_text, examples = guessed.split("# [geometry]")
         tables = re.sub("(?m)^# ", "", "# [geometry]" + examples)
         found = parse_import_map(map_text + tables, tmp_path / "map.toml")
         boat = {"y_left": -0.3, "y_right": 0.3, "mass": 30.0, "length": 1.6}
         boat |= {"antenna_x": 0.1, "antenna_y": 0.0, "antenna_z": 0.0}
-        assert found.vehicle == boat | ({"c1": 40.0, "c1_sd": 1.0, "c2": 5.0} if scale else {})
+        thrust = {"c1": 40.0, "c2": 5.0} | dict.fromkeys(("c1_sd", "c2_sd"), 1.5 / math.sqrt(2.0))
+        assert found.vehicle == pytest.approx(boat | (thrust if scale else {}))
 
 
 @pytest.mark.parametrize(("largest", "full"), [(0.8, 1000.0), (0.2, 800.0), (90.0, 800.0)])
