@@ -1,6 +1,10 @@
 """Node of ROS 2 that holds speed and heading with the state feedback of `lqr` (docs/how-to/control.md).
 
 THE THRUSTERS TURN AS SOON AS IT RUNS. It needs rclpy and the file of the feedback, but neither seatrial nor numpy.
+
+Messages give psi, u, v and r (`SOURCES`). The shaft speeds n_left and n_right, which only a model with commands has,
+are ESTIMATED from the commands that the node sends, by the delay, dead zone and lag of the model. No message corrects
+them.
 """
 
 from __future__ import annotations
@@ -9,6 +13,7 @@ import json
 import math
 import signal
 import time
+from collections import deque
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -43,6 +48,50 @@ def turn_rate(imu: Any) -> dict[str, float]:
     return {"r": -imu.angular_velocity.z}
 
 
+# Type, conversion and states of each topic. A state that is given here is taken from its messages, not estimated: add a
+# topic of the shaft speeds here and in TOPICS, if the boat has one.
+SOURCES: dict[str, tuple[Any, Callable[[Any], dict[str, float]], set[str]]] = {
+    "odometry": (Odometry, motion, {"psi", "u", "v"}),
+    "imu": (Imu, turn_rate, {"r"}),
+}
+
+
+class Shaft:
+    """Estimate of a shaft speed from the sent commands: delay, dead zone and first-order lag of the exported model."""
+
+    def __init__(self, side: str, model: dict[str, float]) -> None:
+        """Start at rest. ``model`` has ``T_n``, ``tau_n`` [s], ``dead_zone`` and perhaps ``dT_n`` [s] of the model."""
+        half = model.get("dT_n", 0.0) / 2.0  # effect lag-mismatch: the right shaft is slower
+        self.constant = max(model["T_n"] + {"left": -half, "right": half}[side], 0.05)  # s, as in the model
+        self.delay, self.dead_zone = model["tau_n"], model["dead_zone"]
+        self.n, self.reference, self.time = 0.0, 0.0, time.monotonic()
+        self.waiting: deque[tuple[float, float]] = deque()  # time [s] at which a command takes effect, and the command
+
+    def send(self, command: float) -> None:
+        """Store a command that is sent now."""
+        self.waiting.append((time.monotonic() + self.delay, command))
+
+    def estimate(self, now: float) -> float:
+        """Return the shaft speed at the time `now` [s], 1 is full speed."""
+        while self.waiting and self.waiting[0][0] <= now:
+            since, command = self.waiting.popleft()
+            self.turn(since)
+            self.reference = self.outside_dead_zone(command)
+        self.turn(now)
+        return self.n
+
+    def turn(self, until: float) -> None:
+        """Let the shaft follow its reference up to this time [s]."""
+        self.n += (1.0 - math.exp(-(until - self.time) / self.constant)) * (self.reference - self.n)
+        self.time = until
+
+    def outside_dead_zone(self, command: float) -> float:
+        """Return the command, or zero within the dead zone, whose edge is smooth as in the model."""
+        width = min(0.05, 2.0 * self.dead_zone)
+        inside = min(max((self.dead_zone + width / 2.0 - abs(command)) / max(width, 1e-9), 0.0), 1.0)
+        return command * (1.0 - inside * inside * (3.0 - 2.0 * inside))
+
+
 class Controller(Node):
     """Node that sends a command in [-1, 1] to each thruster at a fixed rate, and zero if a message is late."""
 
@@ -52,18 +101,28 @@ class Controller(Node):
             self.declare_parameter(name, default)  # heading: deg, clockwise from north; limit: largest command
         with open(self.get_parameter("feedback").value, encoding="utf-8") as file:
             self.feedback = json.load(file)
-        if missing := set(self.feedback["states"]) - {"psi", "u", "v", "r"}:
-            raise ValueError(f"no message gives the states {sorted(missing)}: subscribe to them, as to `turn_rate`")
         names = [n.removeprefix("n_").removeprefix("cmd_") for n in self.feedback["inputs"]]
+        missing = set(self.feedback["states"]).difference(*(states for _, _, states in SOURCES.values()))
+        # The commands give the shaft speeds, if the file has the model of the shafts.
+        sides = [n for n in names if f"n_{n}" in missing] if self.feedback.get("shafts") else []
+        if missing := missing - {f"n_{n}" for n in sides}:
+            raise ValueError(
+                f"no message gives the states {sorted(missing)}: subscribe to them (SOURCES). Shaft speeds are "
+                "estimated if the file of the feedback has the key shafts: write it as docs/how-to/control.md shows"
+            )
+        self.shafts = {n: Shaft(n, self.feedback["shafts"]) for n in sides}  # by side
+        self.names = names
         self.commands = [self.create_publisher(Float64, f"/thrusters/{n}/command", 10) for n in names]
         self.x: dict[str, float] = {}
         self.heard = dict.fromkeys(TOPICS, -math.inf)  # s, of the last valid message of each topic
         self.stopped, self.since, self.wanted = "start", time.monotonic(), 0.0  # reason, its time [s], ramp [m/s]
-        for name, kind, convert in (("odometry", Odometry, motion), ("imu", Imu, turn_rate)):
+        for name, (kind, convert, _) in SOURCES.items():
             self.create_subscription(kind, TOPICS[name], partial(self.hear, name, convert), qos_profile_sensor_data)
         # A steady clock: a jump of the time of day, such as by GNSS, changes neither the rate nor an age.
         self.create_timer(1.0 / RATE, self.update, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.get_logger().info(f"zero thrust until messages arrive on {' and '.join(TOPICS.values())}")
+        if sides:
+            self.get_logger().info(f"estimated from the commands: {', '.join(f'n_{n}' for n in sides)}")
 
     def hear(self, name: str, convert: Callable[[Any], dict[str, float]], message: Any) -> None:
         """Store the measured values of a message. The node ignores a message with a value that is not finite."""
@@ -76,6 +135,7 @@ class Controller(Node):
         """Send the commands of the feedback, or zero. ``ros2 param set`` changes a set-point while the node runs."""
         speed, heading, limit = (self.get_parameter(n).value for n in ("speed", "heading", "limit"))
         now = time.monotonic()
+        self.x |= {f"n_{n}": shaft.estimate(now) for n, shaft in self.shafts.items()}
         if late := [TOPICS[n] for n, heard in self.heard.items() if now - heard > STALE]:
             return self.stop(f"no valid message within {STALE} s on {' and '.join(late)}")
         if not all(map(math.isfinite, (speed, heading, limit))):
@@ -97,8 +157,10 @@ class Controller(Node):
 
     def send(self, commands: list[float]) -> None:
         """Publish one command for each thruster."""
-        for publisher, n in zip(self.commands, commands, strict=True):
+        for name, publisher, n in zip(self.names, self.commands, commands, strict=True):
             publisher.publish(Float64(data=float(n)))
+            if name in self.shafts:
+                self.shafts[name].send(float(n))
 
     def stop(self, reason: str) -> None:
         """Send zero. Log the reason once, when the thrusters stop."""

@@ -420,6 +420,9 @@ class ModelUncertainty:
     strongest
         Name of the candidate with the largest criterion of those that pass, without common errors; empty if there is
         none.
+    weaker_side
+        Side with the smaller thrust, ``left`` or ``right``; empty if there is no difference, or if
+        its parts disagree.
     """
 
     parameters: tuple[str, ...]
@@ -429,6 +432,7 @@ class ModelUncertainty:
     thrust_difference: float
     scale_shift: Array
     strongest: str = ""
+    weaker_side: str = ""
 
     @property
     def covariance(self) -> Array:

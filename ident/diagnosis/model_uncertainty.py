@@ -81,7 +81,8 @@ def model_uncertainty(
             shift[_replaced_sizes(equations, at, fit)] = 0.0
         shifts.append(shift)
         steps[name] = dict(zip(placed.names, step.tolist(), strict=True))
-    difference = thrust_share(fit) * _thrust_difference(passing, effects, steps, fit.model)
+    parts = _thrust_differences(passing, effects, steps, fit.model)
+    difference = thrust_share(fit) * math.hypot(*parts)
     tested = {i.columns.name for i in equations.indices}
     incomplete = any(s.name in tested for s in passing)
     if not incomplete and not difference:
@@ -91,7 +92,8 @@ def model_uncertainty(
     of_common = _error_without(equations, common if incomplete else {})
     of_scale = difference * _force_part(parameters, fit)
     strongest = next((s.name for s in passing if s.name not in common), "")
-    return ModelUncertainty(parameters, tuple(names), shifted, of_common, difference, of_scale, strongest)
+    weaker = _weaker_side(parts) if difference else ""
+    return ModelUncertainty(parameters, tuple(names), shifted, of_common, difference, of_scale, strongest, weaker)
 
 
 def untested_uncertainty(fit: Fit) -> ModelUncertainty | None:
@@ -99,12 +101,19 @@ def untested_uncertainty(fit: Fit) -> ModelUncertainty | None:
 
     None if the model has no difference of the sides, or if its scale does not follow from a given thrust.
     """
-    difference = thrust_share(fit) * _thrust_difference((), {}, {}, fit.model)
+    parts = _thrust_differences((), {}, {}, fit.model)
+    difference = thrust_share(fit) * math.hypot(*parts)
     if not difference:
         return None
     n = len(fit.names)
     return ModelUncertainty(
-        tuple(fit.names), (), np.zeros((0, n)), np.zeros((n, n)), difference, difference * _force_part(fit.names, fit)
+        tuple(fit.names),
+        (),
+        np.zeros((0, n)),
+        np.zeros((n, n)),
+        difference,
+        difference * _force_part(fit.names, fit),
+        weaker_side=_weaker_side(parts),
     )
 
 
@@ -144,14 +153,14 @@ def _error_without(equations: ScoreEquations, common: Mapping[str, Effect]) -> A
     return error
 
 
-def _thrust_difference(
+def _thrust_differences(
     passing: Sequence[Score], effects: Mapping[str, Effect], steps: Mapping[str, Mapping[str, float]], model: Model
-) -> float:
-    """Return half the relative difference of the thrust of both sides, by the model or by the candidates that pass.
+) -> list[float]:
+    """Return half the relative differences of the thrust, left minus right, of the model and the candidates that pass.
 
     A candidate counts with its one-step estimate (``steps``, by candidate and parameter), times its score statistic
-    over the largest one: if another candidate explains more, the difference may be due to it. It is 0 if neither the
-    model nor a candidate that passes has such a difference.
+    over the largest one: if another candidate explains more, the difference may be due to it. The list is empty if
+    neither the model nor a candidate that passes has such a difference.
     """
     found = [model.values[e.thrust_difference] for e in model.effects if e.thrust_difference]
     largest = max((s.lm for s in passing), default=0.0)
@@ -159,7 +168,19 @@ def _thrust_difference(
         name = effects[score.name].thrust_difference if score.name in effects else ""
         if name and name in steps.get(score.name, {}):
             found.append(steps[score.name][name] * score.lm / largest)
-    return math.hypot(*found)
+    return found
+
+
+def _weaker_side(differences: Sequence[float]) -> str:
+    """Return the side with the smaller thrust, ``left`` or ``right``, given the differences, left minus right.
+
+    The largest one decides. The text is empty without one, or if others of the opposite sign are half as large as all.
+    """
+    largest = max(differences, key=abs, default=0.0)
+    opposite = math.hypot(*(d for d in differences if d * largest < 0.0))
+    if not largest or opposite >= 0.5 * math.hypot(*differences):
+        return ""
+    return "left" if largest < 0.0 else "right"
 
 
 def thrust_share(fit: Fit) -> float:

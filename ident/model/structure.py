@@ -421,8 +421,9 @@ class Effect:
         Function that returns a clause for reports, given (estimate, standard error) by parameter of the model. None:
         the parameters need no explanation.
     thrust_difference : str
-        Name of the parameter that is half the relative difference of the thrust of both sides. The data determine the
-        difference, but not which side differs from its given curve. Empty: the effect has no such parameter.
+        Name of the parameter that is half the relative difference of the thrust of both sides, left minus right. The
+        data determine the difference, but not which side differs from its given curve. Empty: the effect has no such
+        parameter.
     refuted_by : Callable or None
         Function that returns a clause for reports, why signals contradict the effect that the model does not use, given
         the channels of each run by name; empty if they do not. A diagnosis does not test a contradicted effect. None:

@@ -875,13 +875,20 @@ def thrust_difference_warnings(found: ModelUncertainty | None, fit: Fit, weighed
     if found is None or found.thrust_difference < LEAST_DIFFERENCE:
         return []
     share, whole = (f"{100 * part * found.thrust_difference:.0f} %" for part in (1, 2))
+    weaker, stronger = _sides(found)
+    compared = f"The {weaker} thruster gives less thrust than the {stronger} one: the" if found.weaker_side else "The"
     text = (
-        f"The thrusts of both sides differ by {whole} of their mean. The motion does not show which side deviates from "
-        f"the given thrust. So all masses, damping and forces may be {share} too large or too small, and their "
-        f"standard errors include this. {_side_by_weighed_mass(found, fit, weighed)}Measure the thrust of both sides "
-        "as they are now (seatrial bench)."
+        f"{compared} thrusts of both sides differ by {whole} of their mean. The motion does not show which side "
+        f"deviates from the given thrust. So all masses, damping and forces may be {share} too large or too small, and "
+        f"their standard errors include this. {_side_by_weighed_mass(found, fit, weighed)}Measure the thrust of both "
+        "sides as they are now (seatrial bench)."
     )
     return [ResultWarning(code="thrust-sides-differ", text=text)]
+
+
+def _sides(found: ModelUncertainty) -> tuple[str, str]:
+    """Return the words for the side with the smaller and with the larger thrust: left and right, if it is known."""
+    return {"left": ("left", "right"), "right": ("right", "left")}.get(found.weaker_side, ("weaker", "stronger"))
 
 
 def _side_by_weighed_mass(found: ModelUncertainty, fit: Fit, weighed: float | None) -> str:
@@ -906,7 +913,8 @@ def _side_by_weighed_mass(found: ModelUncertainty, fit: Fit, weighed: float | No
     if len(likely) != 1 or len(outside) != 1:
         return ""
     of_strong = likely == [strong]
-    side, other = ("stronger", "weaker") if of_strong else ("weaker", "stronger")
+    weaker, stronger = _sides(found)
+    side, other = (stronger, weaker) if of_strong else (weaker, stronger)
     change = "has lost thrust" if of_strong else "gives more thrust"
     return (
         f"The weighed mass is evidence, though no proof, that the {side} side has the given thrust and the {other} one "

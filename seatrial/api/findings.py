@@ -50,11 +50,12 @@ class DiagnosisFindings:
 
     @property
     def recommended_experiment(self) -> str | None:
-        """Experiments that would show which effect is missing, as sentences, with a command line where there is one.
+        """Experiments that would show which effect is missing, as sentences, with a call of `design` if one helps.
 
         They are for ambiguous effects, effects with competing ones and curves. Without an added effect they are for the
         best effect of each round. None if no experiment is recommended; `no_experiment` has the reason. If the
-        diagnosed model was no file, the command names ``model.toml``: save the model, and give the path of this file.
+        diagnosed model was no file, the call names ``model.toml``: give the diagnosis itself, or save it and give the
+        path of this file.
         """
         advice = self.result.recommended_experiment
         return None if advice is None else in_python(advice)

@@ -46,6 +46,7 @@ VALUES_OF_PARAMETERS = re.compile(  # several of them in sequence
 )
 OPTION = re.compile(r"(?<![\w-])(?:--[a-z]+(?:-[a-z]+)*|-o(?![\w-]))")
 GUESS = "seatrial import --guess "  # command that st.import_log without a map replaces, before the paths
+DESIGN = "seatrial mission design "  # command that st.design replaces, before the model
 
 # Functions of `seatrial` by the command that calls them, in a text between backticks.
 FUNCTIONS = {
@@ -69,7 +70,8 @@ def in_python(text: str, own: Mapping[str, str] = MappingProxyType({})) -> str:
     For example, ``--fix e_psi=0.03`` becomes ``fixed={'e_psi': 0.03}``, and a command without arguments between
     backticks becomes the function that it calls. Values after each other become one argument for each option. Options
     without an entry in the tables stay. So does a command with arguments, which can be run as it is, except the guess
-    of an import map alone, which becomes ``st.import_log``.
+    of an import map alone, which becomes ``st.import_log``, and the design of a mission that discriminates two effects,
+    which becomes ``st.design``.
     ``own`` has the arguments of a function that differ from those of the others, by the option.
     """
     arguments = {**ARGUMENTS, **own}
@@ -78,6 +80,8 @@ def in_python(text: str, own: Mapping[str, str] = MappingProxyType({})) -> str:
         """Return a part of the message, between two backticks or outside of them, in the words of Python."""
         if between_backticks and part.startswith(GUESS):
             return _as_import(part)
+        if between_backticks and part.startswith(DESIGN):
+            return _as_design(part)
         if between_backticks and part.startswith("seatrial "):
             return FUNCTIONS.get(part, part)
         part = VALUES_OF_PARAMETERS.sub(_as_dictionaries, part)
@@ -106,6 +110,17 @@ def _as_import(command: str) -> str:
         return command
     files: object = paths[0] if len(paths) == 1 else paths
     return f"st.import_log({files!r})"
+
+
+def _as_design(command: str) -> str:
+    """Return the command that designs a mission for two effects as a call of Python; unchanged if it is another one.
+
+    The command needs no file of the mission, but the function does: it is ``tell-apart.toml``.
+    """
+    words = shlex.split(command.removeprefix(DESIGN))
+    if len(words) != 3 or words[0].startswith("-") or words[1] != "--discriminate":
+        return command
+    return f"st.design({words[0]!r}, 'tell-apart.toml', between={tuple(words[2].split(','))!r})"
 
 
 class Messages:

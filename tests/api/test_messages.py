@@ -35,6 +35,11 @@ from seatrial.ident.cli.commands import design
         ("import it with `seatrial import --guess '/a b/c'`", "import it with `st.import_log('/a b/c')`"),
         ("`seatrial import --guess a b`", "`st.import_log(['a', 'b'])`"),
         ("`seatrial import --guess a -o map.toml`", "`seatrial import --guess a -o map.toml`"),
+        (
+            "`seatrial mission design 'my boat/model.toml' --discriminate delay,lag` generates the mission.",
+            "`st.design('my boat/model.toml', 'tell-apart.toml', between=('delay', 'lag'))` generates the mission.",
+        ),
+        ("`seatrial mission design --discriminate A,B`", "`seatrial mission design --discriminate A,B`"),
         ("an option --unknown stays", "an option --unknown stays"),
     ],
 )

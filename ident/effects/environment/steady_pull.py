@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from seatrial.ident.effects.sizes import Estimates, directed_size
 from seatrial.ident.model import Effect, Parameter, Signals
 
 
@@ -15,6 +16,16 @@ def pull(s: Signals) -> None:
     cos, sin = np.cos(s.x.psi), np.sin(s.x.psi)
     s.X = s.X + cos * s.p.F_north + sin * s.p.F_east
     s.Y = s.Y - sin * s.p.F_north + cos * s.p.F_east
+
+
+def force(estimates: Estimates) -> str:
+    """Return a clause for reports: "3.1 ± 0.4 N to the north and 0.2 ± 0.3 N to the west".
+
+    Only ``F_north`` and ``F_east`` are used.
+    """
+    north = directed_size(estimates["F_north"], "N", "to the north", "to the south")
+    east = directed_size(estimates["F_east"], "N", "to the east", "to the west")
+    return f"{north} and {east}"
 
 
 EFFECT = Effect(
@@ -32,4 +43,5 @@ EFFECT = Effect(
     experiment="drifting without thrust on several headings, and straight runs on opposite headings",
     requires=("hull",),
     alternatives=("wind", "mooring", "steady-force"),
+    in_words=force,
 )

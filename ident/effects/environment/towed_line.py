@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from seatrial.ident.effects.sizes import Estimates, directed_size, size_in_words
 from seatrial.ident.model import INF, Effect, Parameter, Signals, State
 
 STRETCH = 0.02  # of the length; over this stretch the line becomes taut, because a filter needs a smooth tension
@@ -55,6 +56,16 @@ def trail(s: Signals) -> None:
     s.rate["line_y"] = x.v + s.p.x_line * x.r - x.r * x.line_x - speed * starboard
 
 
+def size(estimates: Estimates) -> str:
+    """Return a clause for reports: "a pull of 12 ± 2 N at 1 m/s, a length of 8 ± 1 m, ...".
+
+    Only ``k_line``, ``l_line`` and ``x_line`` are used. The tow point is forward or aft of the origin of the model.
+    """
+    pull_at_1 = size_in_words(*estimates["k_line"], "N")
+    point = directed_size(estimates["x_line"], "m", "forward", "aft")
+    return f"a pull of {pull_at_1} at 1 m/s, a length of {size_in_words(*estimates['l_line'], 'm')}, tow point {point}"
+
+
 EFFECT = Effect(
     name="towed-line",
     title="a line or umbilical that the boat tows",
@@ -86,4 +97,5 @@ EFFECT = Effect(
     requires=("hull",),
     one_sided=True,
     alternatives=("tether", "sway-yaw", "cg-offset", "turning-resistance"),
+    in_words=size,
 )

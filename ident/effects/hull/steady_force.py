@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+from seatrial.ident.effects.sizes import Estimates, directed_size
 from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def add(s: Signals) -> None:
     """Add the constant forces ``X_0`` and ``Y_0`` [N] to the surge and sway forces ``s.X`` and ``s.Y``, in place."""
     s.X, s.Y = s.X + s.p.X_0, s.Y + s.p.Y_0
+
+
+def force(estimates: Estimates) -> str:
+    """Return a clause for reports: "3.1 ± 0.4 N forward and 0.2 ± 0.3 N to port".
+
+    Only ``X_0`` and ``Y_0`` are used.
+    """
+    along = directed_size(estimates["X_0"], "N", "forward", "aft")
+    across = directed_size(estimates["Y_0"], "N", "to starboard", "to port")
+    return f"{along} and {across}"
 
 
 EFFECT = Effect(
@@ -24,4 +35,5 @@ EFFECT = Effect(
     experiment="drifting without thrust on several headings",
     requires=("hull",),
     alternatives=("steady-pull", "coulomb", "reverse-thrust", "mount"),
+    in_words=force,
 )

@@ -2,12 +2,27 @@
 
 from __future__ import annotations
 
+from seatrial.ident.effects.sizes import Estimates, directed_size, size_in_words
 from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def add(s: Signals) -> None:
     """Add ``N_0 + N_uu u|u|`` to the yaw moment ``s.N`` [N m], in place; u is the surge speed [m/s]."""
     s.N = s.N + s.p.N_0 + s.p.N_uu * s.x.u * abs(s.x.u)
+
+
+def moment(estimates: Estimates) -> str:
+    """Return a clause for reports: "10.2 ± 0.5 N m to port at 1 m/s ahead, growing with the squared speed, and ...".
+
+    Only ``N_uu`` and ``N_0`` are used, positive to starboard. Their sum has no error here, because they are correlated.
+    A constant moment below its standard error has no side.
+    """
+    by_speed = directed_size(estimates["N_uu"], "N m", "to starboard", "to port")
+    value, error = estimates["N_0"]
+    constant = directed_size((value, error), "N m", "to starboard", "to port")
+    if abs(value) < error:
+        constant = size_in_words(value, error, "N m")
+    return f"{by_speed} at 1 m/s ahead, growing with the squared speed, and {constant} at any speed"
 
 
 EFFECT = Effect(
@@ -24,4 +39,5 @@ EFFECT = Effect(
     experiment="coasting without thrust, and runs on opposite headings",
     requires=("hull",),
     alternatives=("mismatch", "heading-moment", "sway-yaw"),
+    in_words=moment,
 )

@@ -7,13 +7,13 @@ commands as inputs, the shafts of the model have a lag already, with the time co
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any, Literal
 
 import numpy as np
 
 from seatrial.ident.effects.propulsion.thrust_history import FULL, GIVEN, MEASURED
+from seatrial.ident.effects.sizes import size_in_words
 from seatrial.ident.model import Effect, Parameter, Signals, State
 from seatrial.ident.models import SHORTEST_LAG, SIDES, first_order
 
@@ -33,17 +33,6 @@ CAUSES = (
 SOURCE = "motor and inflow dynamics, Blanke, Lindegaard and Fossen 2000; ramps of speed controllers"
 
 
-def _seconds(value: float, error: float) -> str:
-    """Return a time with its standard error in words, such as "1.4 ± 0.1 s".
-
-    The number of decimals (none to three) follows from the error. The error is left out if it is zero or not finite.
-    """
-    if not (math.isfinite(error) and error > 0):
-        return f"{value:.2f} s"
-    digits = min(max(-math.floor(math.log10(error)), 0), 3)  # the error has one significant digit
-    return f"{round(value, digits) + 0.0:.{digits}f} ± {error:.{digits}f} s"  # + 0.0: no negative zero
-
-
 def compare_sides(estimates: Mapping[str, tuple[float, float]]) -> str:
     """Return a clause for reports: the time constant with which each thruster follows.
 
@@ -52,7 +41,7 @@ def compare_sides(estimates: Mapping[str, tuple[float, float]]) -> str:
     estimates : Mapping[str, tuple[float, float]]
         Estimate and standard error by parameter. Only ``T_lag_left`` and ``T_lag_right`` [s] are used.
     """
-    left, right = (_seconds(*estimates[f"T_lag_{side}"]) for side in SIDES)
+    left, right = (size_in_words(*estimates[f"T_lag_{side}"], "s") for side in SIDES)
     return f"the left thruster follows with {left}, the right one with {right}"
 
 
@@ -69,7 +58,7 @@ def compare_shafts(estimates: Mapping[str, tuple[float, float]]) -> str:
     left, right = (max(mean + sign * difference / 2, 0.0) for sign in SIGNS)
     return (
         f"the left thruster follows its command with {left:.2f} s, the right one with {right:.2f} s, a difference "
-        f"of {_seconds(abs(difference), error)}"
+        f"of {size_in_words(abs(difference), error, 's')}"
     )
 
 

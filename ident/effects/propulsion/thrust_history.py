@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
+from seatrial.ident.effects.sizes import in_sentence
 from seatrial.ident.model import Effect, Input, Parameter, Signals, State
 from seatrial.ident.models import SIDES, first_order, shift_in_time
 
@@ -69,6 +70,7 @@ def _delay_effect(name: str, quantity: Quantity, requires: tuple[str, ...], **de
         experiment=EXPERIMENT,
         requires=requires,
         one_sided=True,
+        in_words=in_sentence("tau_delay", "s", "the thrust is {} late"),
         **described,
     )
 
@@ -125,6 +127,7 @@ def _lag_effect(name: str, title: str, quantity: Quantity, requires: tuple[str, 
         experiment=EXPERIMENT,
         requires=requires,
         one_sided=True,
+        in_words=in_sentence("T_lag", "s", "with a time constant of {}"),
         **described,
     )
 

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from seatrial.ident.effects.sizes import in_sentence
 from seatrial.ident.model import HISTORY_STEP, INF, Effect, Input, Parameter, Signals, tap_name, weighted_sum
 from seatrial.ident.models import LONGEST_DELAY, SHORTEST_LAG, SIDES, available_taps
 
@@ -139,6 +140,7 @@ COMMON: dict[str, Any] = {
     "experiment": "fast straight runs with hard stops, and turns at speed",
     "one_sided": True,
     "alternatives": ("lever-arm", "delay"),
+    "in_words": in_sentence("tau_gnss", "s", "the fix is {} old at its time stamp"),
 }
 PAST = tuple(Input(f"n_{side}", "", "linear").delayed(k) for side in ("left", "right") for k in range(1, N_PAST + 1))
 EFFECTS = (

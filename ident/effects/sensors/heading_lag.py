@@ -8,6 +8,7 @@ too early, like a compass deviation, or like added yaw inertia.
 from __future__ import annotations
 
 from seatrial.ident.effects.sensors.compass import turn_body_velocity
+from seatrial.ident.effects.sizes import in_sentence
 from seatrial.ident.model import INF, Effect, Parameter, Signals
 
 
@@ -38,4 +39,5 @@ EFFECT = Effect(
     requires=("hull",),
     one_sided=True,
     alternatives=("filter-lag", "compass-filtered"),
+    in_words=in_sentence("T_psi", "s", "the heading is {} late"),
 )

@@ -164,6 +164,9 @@ def test_difference_of_the_sides_makes_the_scale_of_given_thrust_uncertain(diffe
     assert found.candidates == ()
     np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), [8.0, 1.8])
     assert found.covariance[0, 1] == pytest.approx(8.0 * 1.8)
+    untested = untested_uncertainty(fitted(difference=difference))
+    assert untested is not None
+    assert found.weaker_side == untested.weaker_side == ("left" if difference < 0.0 else "right")
 
 
 def test_no_scale_is_uncertain_for_ratios_to_the_thrust_or_with_a_given_mass() -> None:
@@ -202,6 +205,22 @@ def test_difference_of_a_candidate_counts_by_its_share_of_the_largest_score() ->
     assert first.thrust_difference == pytest.approx(abs(step))
     assert second.thrust_difference == pytest.approx(abs(step) / 4)
     np.testing.assert_allclose(np.abs(first.scale_shift), np.abs(step) * np.array([40.0, 9.0]))
+    assert first.weaker_side == ("left" if step < 0.0 else "right")
+
+
+@pytest.mark.parametrize(
+    ("of_step", "side"), [(-0.2, "candidate"), (-0.9, ""), (-1.1, ""), (-5.0, "model"), (0.9, "candidate")]
+)
+def test_the_weaker_side_is_not_named_if_model_and_candidate_disagree(of_step: float, side: str) -> None:
+    equations = regression()[2]
+    effects = {
+        "one": replace(catalogue()["mismatch"], name="one", thrust_difference="a", parameters=(Parameter("a", 0.0),))
+    }
+    step = equations.one_step(np.array([2]), np.zeros(1))[0]
+    found = model_uncertainty(equations, [passed("one")], effects, fitted(difference=of_step * step))
+    assert found is not None
+    candidate, other = ("left", "right") if step < 0.0 else ("right", "left")
+    assert found.weaker_side == {"candidate": candidate, "model": other, "": ""}[side]
 
 
 def test_mean_square_of_the_shifts_is_added_to_the_covariance() -> None:

@@ -320,6 +320,45 @@ def test_shafts_follow_their_commands_with_time_constants_that_differ() -> None:
     assert at_once.n["left"] == pytest.approx(0.8)
 
 
+@pytest.mark.parametrize(
+    ("name", "estimates", "words"),
+    [
+        (
+            "yaw-bias",
+            {"N_uu": (-10.21, 0.46), "N_0": (0.068, 1.39)},
+            "10.2 ± 0.5 N m to port at 1 m/s ahead, growing with the squared speed, and 0 ± 1 N m at any speed",
+        ),
+        (
+            "yaw-bias",
+            {"N_uu": (0.5, 0.2), "N_0": (-3.0, 0.3)},
+            "0.5 ± 0.2 N m to starboard at 1 m/s ahead, growing with the squared speed, and 3.0 ± 0.3 N m to port at "
+            "any speed",
+        ),
+        ("steady-force", {"X_0": (3.12, 0.4), "Y_0": (-0.2, 0.3)}, "3.1 ± 0.4 N forward and 0.2 ± 0.3 N to port"),
+        (
+            "steady-pull",
+            {"F_north": (-3.0, 0.2), "F_east": (1.0, 0.0)},
+            "3.0 ± 0.2 N to the south and 1.00 N to the east",
+        ),
+        (
+            "towed-line",
+            {"k_line": (12.3, 2.0), "l_line": (8.0, 1.0), "x_line": (-0.5, 0.1)},
+            "a pull of 12 ± 2 N at 1 m/s, a length of 8 ± 1 m, tow point 0.5 ± 0.1 m aft",
+        ),
+        ("delay", {"tau_delay": (0.213, 0.01)}, "the thrust is 0.21 ± 0.01 s late"),
+        ("force-lag", {"T_lag": (0.4, 0.03)}, "with a time constant of 0.40 ± 0.03 s"),
+        ("heading-lag", {"T_psi": (0.1, 0.02)}, "the heading is 0.10 ± 0.02 s late"),
+        ("gnss-latency-command", {"tau_gnss": (0.184, 0.011)}, "the fix is 0.18 ± 0.01 s old at its time stamp"),
+    ],
+)
+def test_sizes_with_a_natural_unit_are_told_in_words(
+    name: str, estimates: dict[str, tuple[float, float]], words: str
+) -> None:
+    told = catalogue()[name].in_words
+    assert told is not None
+    assert told(estimates) == words
+
+
 def test_effects_of_the_thrusters_are_told_in_words() -> None:
     told = catalogue()["lag-mismatch"].in_words
     assert told is not None

@@ -760,3 +760,33 @@ def test_weighed_mass_is_evidence_on_the_side_with_the_given_thrust(
     assert ("The weighed mass is evidence" in warning.text) == bool(sentence)
     assert sentence in warning.text
     assert warning.text.endswith("Measure the thrust of both sides as they are now (seatrial bench).")
+
+
+@pytest.mark.parametrize(
+    ("weaker", "begin", "evidence"),
+    [
+        (
+            "left",
+            "The left thruster gives less thrust than the right one: the thrusts of both sides differ by 33 % of",
+            "that the right side has the given thrust and the left one has lost thrust",
+        ),
+        (
+            "right",
+            "The right thruster gives less thrust than the left one: the thrusts of both sides differ by 33 % of",
+            "that the left side has the given thrust and the right one has lost thrust",
+        ),
+        (
+            "",
+            "The thrusts of both sides differ by 33 % of",
+            "that the stronger side has the given thrust and the weaker",
+        ),
+    ],
+)
+def test_the_weaker_thruster_is_named(weaker: str, begin: str, evidence: str) -> None:
+    of_scale = 0.165 * 290.0
+    fit: Any = SimpleNamespace(names=("m_u",), estimate=lambda _: (290.0, float(np.hypot(8.0, of_scale))))
+    none, scale = np.zeros((0, 1)), np.array([of_scale])
+    found = ModelUncertainty(("m_u",), (), none, np.zeros((1, 1)), 0.165, scale, weaker_side=weaker)
+    (warning,) = thrust_difference_warnings(found, fit, 228.0)
+    assert warning.text.startswith(f"{begin} their mean. The motion does not show which side deviates")
+    assert evidence in warning.text

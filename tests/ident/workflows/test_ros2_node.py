@@ -41,6 +41,7 @@ class Ros:
         self.parameters: dict[str, Any] = {}
         self.up, self.own_signals = False, False
         self.odometry: Any = None
+        self.control: Any = None  # feedback of `lqr`
 
     def modules(self) -> dict[str, ModuleType]:
         """Return the modules that the node imports."""
@@ -148,24 +149,44 @@ class Ros:
         return [text for kind, text in self.logged if kind == "error"]
 
 
-@pytest.fixture
-def ros(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Ros:
-    """Write the feedback as the page tells, and return ROS with the boat of the page."""
+OLD = 'MODEL, PLANT = "boat", "plant"'
+
+
+def boat_of_page(folder: Path, monkeypatch: pytest.MonkeyPatch, model: str, plant: str) -> Ros:
+    """Write the feedback of the model as the page tells, and return ROS with the exported boat ``plant``."""
     monkeypatch.chdir(folder)
-    run_python(blocks(PAGE, "python")[7], str(PAGE))
-    spec = importlib.util.spec_from_file_location("plant", folder / "plant.py")
-    assert spec is not None
-    assert spec.loader is not None
-    boat = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(boat)
-    made = Ros(boat)
+    monkeypatch.syspath_prepend(folder)
+    code = blocks(PAGE, "python")[7]
+    assert OLD in code
+    for name in ("plant", "commanded"):  # other tests have models of the same names
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    found = run_python(code.replace(OLD, f'MODEL, PLANT = "{model}", "{plant}"'), str(PAGE))
+    made = Ros(sys.modules.pop(plant))
+    made.control = found["control"]
     made.start()
     return made
 
 
 @pytest.fixture
+def ros(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Ros:
+    """Return ROS with the boat of the page, whose inputs are shaft speeds."""
+    return boat_of_page(folder, monkeypatch, "boat", "plant")
+
+
+@pytest.fixture
+def commanded(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Ros:
+    """Return ROS with the boat of the page whose inputs are commands."""
+    return boat_of_page(folder, monkeypatch, "command", "commanded")
+
+
+@pytest.fixture
 def node(ros: Ros, monkeypatch: pytest.MonkeyPatch) -> Any:
     """Import the node; its clock is that of the simulated boat."""
+    return imported_node(ros, monkeypatch)
+
+
+def imported_node(ros: Ros, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Import the node with the modules of ``ros`` and the clock of its boat."""
     for name, module in ros.modules().items():
         monkeypatch.setitem(sys.modules, name, module)
     spec = importlib.util.spec_from_file_location("ros2_node", NODE)
@@ -221,8 +242,6 @@ def test_the_node_reaches_its_set_point_and_turns_to_starboard(node: Any, ros: R
 
 
 def test_the_law_is_that_of_the_state_feedback(node: Any, ros: Ros) -> None:
-    control = run_python(blocks(PAGE, "python")[7], str(PAGE))["control"]
-
     def scenario() -> None:
         ros.sail(5.0)
         boat = {"u": 0.75, "v": -0.04, "r": 0.02, "psi": math.radians(-175.0)}
@@ -236,7 +255,7 @@ def test_the_law_is_that_of_the_state_feedback(node: Any, ros: Ros) -> None:
         ros.parameters.update(heading=178.0, limit=1.0, speed=0.7)
         ros.node.wanted = 0.7
         ros.node.update()
-        wanted = control(boat, psi=math.radians(178.0), u=0.7)
+        wanted = ros.control(boat, psi=math.radians(178.0), u=0.7)
         assert max(map(abs, wanted)) < 1.0
         assert wanted[0] != pytest.approx(wanted[1], abs=0.1)
         assert ros.commands(1) == pytest.approx(wanted)
@@ -344,11 +363,91 @@ def test_an_exception_in_a_callback_stops_the_thrusters(place: str, node: Any, r
     assert error.startswith("zero thrust: ")
 
 
-def test_a_state_without_a_message_is_refused(node: Any, ros: Ros) -> None:
-    """A feedback of a model with commands needs the shaft speeds."""
+@pytest.fixture
+def node_of_commands(commanded: Ros, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Import the node; its clock is that of the boat with commands."""
+    return imported_node(commanded, monkeypatch)
+
+
+def test_shaft_speeds_without_a_topic_are_estimated_from_the_commands(node_of_commands: Any, commanded: Ros) -> None:
+    """The estimates are those of the boat, with delay, dead zone and lag, while the commands change and at zero."""
+    ros, found = commanded, []
+
+    def compare(seconds: float) -> None:
+        for _ in range(round(seconds / DT)):
+            ros.sail(DT)
+            estimates = [shaft.estimate(ros.now) for shaft in ros.node.shafts.values()]
+            found.append((estimates, [ros.state["n_left"], ros.state["n_right"]]))
+
+    def scenario() -> None:
+        ros.sail(30.0)
+        assert ros.state["u"] == pytest.approx(0.8, abs=0.01)
+        ros.parameters["heading"] = 90.0
+        compare(30.0)
+        assert math.degrees(ros.state["psi"]) == pytest.approx(90.0, abs=0.5)
+        assert ros.state["u"] == pytest.approx(0.8, abs=0.01)
+        ros.parameters["limit"] = 0.01  # within the dead zone
+        compare(5.0)
+        ros.silent.add(IMU)
+        compare(2.0)
+        assert not any(abs(n) > 1e-3 for n in found[-1][0])
+
+    run(node_of_commands, ros, scenario)
+    estimated, true = (np.array(part) for part in zip(*found, strict=True))
+    assert np.ptp(true[:, 0] - true[:, 1]) > 0.2
+    assert np.abs(estimated - true).max() < 0.02
+    assert ("info", "estimated from the commands: n_left, n_right") in ros.logged
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        {"T_n": 0.3, "tau_n": 0.0, "dead_zone": 0.0},
+        {"T_n": 0.4, "tau_n": 0.27, "dead_zone": 0.2, "dT_n": 0.3},
+        {"T_n": 0.01, "tau_n": 0.1, "dead_zone": 0.01},
+    ],
+)
+def test_the_shaft_has_the_delay_dead_zone_and_lag_of_the_model(
+    model: dict[str, float], node_of_commands: Any, commanded: Ros
+) -> None:
+    """A step of the command outside and inside of the dead zone, at any time after it."""
+    for side, sign in (("left", -0.5), ("right", 0.5)):
+        constant = max(model["T_n"] + sign * model.get("dT_n", 0.0), 0.05)
+        for command, reference in ((0.5, 0.5), (-0.4, -0.4), (0.9 * model["dead_zone"], None)):
+            shaft, start = node_of_commands.Shaft(side, model), commanded.now
+            shaft.send(command)
+            if reference is None:
+                assert shaft.estimate(start + 5.0) <= 0.5 * command
+                continue
+            for t in (0.05, 0.2, 0.5, 2.0):
+                expected = reference * (1.0 - math.exp(-max(t - model["tau_n"], 0.0) / constant))
+                assert shaft.estimate(start + t) == pytest.approx(expected, abs=1e-9)
+
+
+def test_shaft_speeds_with_a_topic_are_taken_from_it(
+    node_of_commands: Any, commanded: Ros, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def shaft_speeds(message: Any) -> dict[str, float]:
+        return {"n_left": message.left, "n_right": message.right}
+
+    monkeypatch.setitem(node_of_commands.TOPICS, "shafts", "/shafts")
+    monkeypatch.setitem(node_of_commands.SOURCES, "shafts", (None, shaft_speeds, {"n_left", "n_right"}))
+
+    def scenario() -> None:
+        assert not commanded.node.shafts
+        commanded.heard["/shafts"](SimpleNamespace(left=0.2, right=0.3))
+        commanded.sail(0.2)
+        assert (commanded.node.x["n_left"], commanded.node.x["n_right"]) == (0.2, 0.3)
+
+    run(node_of_commands, commanded, scenario)
+
+
+@pytest.mark.parametrize("missing", ["n_left", "bank_angle"])
+def test_a_state_without_a_message_or_an_estimate_is_refused(missing: str, node: Any, ros: Ros) -> None:
+    """The file of a model of shaft speeds has no model of the shafts."""
     feedback = json.loads(Path("feedback.json").read_text(encoding="utf-8"))
-    feedback["states"] = [*feedback["states"], "n_left"]
+    feedback["states"] = [*feedback["states"], missing]
     Path("feedback.json").write_text(json.dumps(feedback), encoding="utf-8")
-    with pytest.raises(ValueError, match=r"no message gives the states \['n_left'\]"):
+    with pytest.raises(ValueError, match=rf"no message gives the states \['{missing}'\]"):
         run(node, ros, lambda: None)
     assert not any(ros.sent.values())
