@@ -1301,7 +1301,7 @@ def test_nested_fits_to_the_same_log_have_information_criteria(
 
 @pytest.mark.pages
 def test_the_page_runs_as_written(page: Page) -> None:
-    assert len(BLOCKS) == 8
+    assert len(BLOCKS) == 9
     assert "better: with effects" in page.printed or "better: nominal" in page.printed
     assert "<Log other.mcap: 59.9 s, 4 signals" in page.printed
     assert "scale: measured" in page.printed
