@@ -108,6 +108,8 @@ def assess_alternatives(
             continue
         remaining_reasons, still_found = _remaining_test_reasons(search_round, rounds, evidence, policy)
         reasons = [*remaining_reasons, *_own_reasons(search_round, rounds, evidence, policy)]
+        if reasons:
+            reasons += _insignificant_prediction_reasons(name, evidence.importances, reasons)
         open_names = {*evidence.untested, *_explained(evidence, policy), *still_found}
         others += [
             name for name in search_round.chosen.effect.alternatives if name in open_names and name not in others
@@ -538,6 +540,27 @@ def _failed_candidate_reasons(search_round: Round) -> list[str]:
     return [
         f"{u.effect.title} may be the true cause too: it passes the score test, but could not be fitted ({u.reason})"
         for u in search_round.untested[:1]
+    ]
+
+
+def _insignificant_prediction_reasons(
+    name: str, importances: Sequence[EffectImportance], reasons: Sequence[str]
+) -> list[str]:
+    """Return what else a reader should know of an ambiguous effect: its change of the prediction is not significant.
+
+    Alone this is no reason for ambiguity, since an effect may improve the prediction over some seconds only. The list
+    is empty if the error over the horizon falls significantly, if it was not compared or has no interval, and if one of
+    the ``reasons`` says already that the prediction is no better.
+    """
+    found = next((w.prediction for w in importances if w.effect == name), None)
+    if found is None or found.verdict == "fell" or any("no better with this effect" in reason for reason in reasons):
+        return []
+    ratios = (found.ratio, found.low, found.high)
+    if not all(map(math.isfinite, ratios)):
+        return []
+    change, low, high = (f"{100.0 * (ratio - 1.0):+.0f}" for ratio in ratios)
+    return [
+        f"with it the error {found.horizon:g} s ahead is not significantly smaller ({change} %, 95 %: {low} to {high} %)"
     ]
 
 

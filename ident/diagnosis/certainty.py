@@ -1,7 +1,8 @@
 """Probability that the name of an effect is right, measured on boats whose effects are known.
 
-The study of docs/realistic-boats.md counts how often an effect that a diagnosis named was in the boat. The counts hold
-for boats with the sensors and the small imperfections of that study, and for missions of its kind.
+The studies of docs/realistic-boats.md and docs/real-boats.md count how often an effect that a diagnosis named was in
+the boat. The counts of both are added, as the boats are simulated by plants of different authors. They hold for boats
+with such sensors and small imperfections, and for missions of that kind.
 """
 
 from __future__ import annotations
@@ -34,5 +35,5 @@ class NameRecord:
         return (self.right + 1) / (self.named + 2)
 
 
-# The counts of docs/data/realistic-boats.jsonl (tests/recovery/test_realistic_page.py compares them).
+# Counts of docs/data/realistic-boats.jsonl and docs/data/real-boats.jsonl (tests/recovery/test_realistic_page.py).
 NAME_RECORDS: Mapping[str, NameRecord] = {"identified": NameRecord(97, 95), "ambiguous": NameRecord(13, 11)}

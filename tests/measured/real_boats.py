@@ -68,8 +68,8 @@ for the yardstick of `tests/machine.py`, and other work beside it made the times
 
 ## How certain a name is
 
-seatrial states a probability with each name: the share of names with this attribution that were right on
-[realistic mock boats](realistic-boats.md). The boats of this page are of other authorship, so that they test it.
+seatrial states a probability with each name: the share of names with this attribution that were right on the boats of
+this page and on [realistic mock boats](realistic-boats.md) together.
 
 {certainty}
 
@@ -186,17 +186,22 @@ def certainty(rows: Sequence[Row]) -> list[list[str]]:
     """Return the table of the stated probability of names, and of the share of right names on these boats."""
     lines = [["attribution", "stated probability", "effects", "in the boat", "share", "95 % interval"]]
     for how, record in NAME_RECORDS.items():
-        right = [
-            name in IN_EVERY_BOAT | HIDDEN.get(r["hidden"], set())
-            for r in rows
-            if "error" not in r
-            for name, attribution in r["found"]
-            if attribution == how
-        ]
-        n, k = len(right), sum(right)
+        n, k = named(rows, how)
         shares = (f"{100 * k / n:.0f} %", interval(k, n)) if n else ("", "")
         lines.append([how, f"{100 * record.probability:.0f} %", str(n), str(k), *shares])
     return lines
+
+
+def named(rows: Sequence[Row], how: str) -> tuple[int, int]:
+    """Return how many effects have an attribution, and how many of these are in their boats."""
+    right = [
+        name in IN_EVERY_BOAT | HIDDEN.get(r["hidden"], set())
+        for r in rows
+        if "error" not in r
+        for name, attribution in r["found"]
+        if attribution == how
+    ]
+    return len(right), sum(right)
 
 
 def document(rows: Sequence[Row]) -> str:

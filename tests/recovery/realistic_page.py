@@ -72,8 +72,8 @@ boats of this page. Wind, a difference of the thrusters, waves and a dead band a
 
 {certainty}
 
-seatrial states these shares with each name, by the rule of succession: {stated}. The
-[boats of other authorship](real-boats.md) test them.
+seatrial states a probability with each name. It is the share of right names on these boats and on the
+[boats of other authorship](real-boats.md) together, by the rule of succession: {stated}.
 
 An effect that is *identified* explains what was missing, and no competing model does. *Ambiguous* means that the data
 do not distinguish several effects, or that the prediction is no better with it.

@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from seatrial.ident.diagnosis.certainty import NAME_RECORDS, NameRecord
+from tests.measured.real_boats import OUT as OF_OTHERS
+from tests.measured.real_boats import named
 from tests.recovery.realistic_page import DATA, PAGE, attribution_of, certainty, document
 from tests.recovery.resumable import read
 
@@ -45,8 +47,11 @@ def test_counts_of_the_page() -> None:
 
 def test_stated_probabilities_equal_the_study() -> None:
     table = certainty([r for r in read(DATA).values() if "error" not in r and r["kind"].startswith("realistic")])
-    counts = {how: (int(named), int(right)) for how, named, right, *_ in table[1:]}
-    assert counts == {how: (record.named, record.right) for how, record in NAME_RECORDS.items()}
+    others = [*read(OF_OTHERS).values()]
+    for how, n, right, *_ in table[1:]:
+        n_others, right_others = named(others, how)
+        record = NAME_RECORDS[how]
+        assert (record.named, record.right) == (int(n) + n_others, int(right) + right_others)
 
 
 def test_a_probability_belongs_to_the_next_name() -> None:

@@ -386,6 +386,20 @@ def test_form_of_the_hull_beside_common_errors_has_to_improve_the_prediction(hig
         assert found.reasons == ("the prediction 10 s ahead is no better with this effect",)
 
 
+@pytest.mark.parametrize(("high", "n_left"), [(1.75, 9), (0.9, 9), (1.75, 0)])
+def test_a_change_of_the_prediction_that_is_not_significant_is_told_of_an_ambiguous_effect(
+    high: float, n_left: int
+) -> None:
+    """It does not make the name ambiguous alone."""
+    left = tuple(score(f"other-{k}", 60.0) for k in range(n_left))
+    weight = EffectImportance("wind", 200.0, 1.3, 90.0, 5.0, PredictionChange(0.85, 0.41, high, 10.0, {}))
+    evidence = AttributionEvidence(left, N, importances=[weight])
+    (found,) = assess_alternatives([one_round(refit("wind", 800.0))], evidence)
+    assert found.attribution == ("ambiguous" if n_left else "identified")
+    told = "with it the error 10 s ahead is not significantly smaller (-15 %, 95 %: -59 to +75 %)" in found.reasons
+    assert told is (high > 1.0 and n_left > 0)
+
+
 def test_effect_with_unknown_importance_is_ambiguous() -> None:
     weight = EffectImportance("wind", float("nan"), float("nan"), untested="x0")
     (found,) = assess_alternatives([one_round(refit("wind", 800.0))], AttributionEvidence((), N, importances=[weight]))
