@@ -559,9 +559,8 @@ def _insignificant_prediction_reasons(
     if not all(map(math.isfinite, ratios)):
         return []
     change, low, high = (f"{100.0 * (ratio - 1.0):+.0f}" for ratio in ratios)
-    return [
-        f"with it the error {found.horizon:g} s ahead is not significantly smaller ({change} %, 95 %: {low} to {high} %)"
-    ]
+    interval = f"{change} %, 95 %: {low} to {high} %"
+    return [f"with it the error {found.horizon:g} s ahead is not significantly smaller ({interval})"]
 
 
 def _no_better_prediction_reasons(
