@@ -9,7 +9,7 @@ compared at the samples that all of them predict.
 from __future__ import annotations
 
 import string
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -517,28 +517,47 @@ def _limited_warnings(
 
 
 def _warnings(models: Sequence[ComparedModel]) -> Iterator[ResultWarning]:
-    """Yield warnings for each model that was fitted to a compared log, or validated on one."""
+    """Yield warnings for models that were fitted to a compared log, or validated on one: one for models alike."""
+    unused = _unused_logs(models)
+    for logs, alike in _by_logs(models, lambda m: m.fitted_to):
+        were, its = ("was", "its") if len(alike) == 1 else ("were", "their")
+        yield ResultWarning(
+            code="compared-on-fitted-log",
+            text=f"{_subjects(alike, models)} {were} fitted to {logs}: {its} errors there are smaller than on other "
+            f"logs. {unused}",
+        )
+    for logs, alike in _by_logs(models, lambda m: m.selected_by):
+        its = "its" if len(alike) == 1 else "their"
+        yield ResultWarning(
+            code="compared-on-validation-log",
+            text=f"effects of {_subjects(alike, models).lower()}, also those of the timing and mounting of sensors and "
+            f"of the hull form, were accepted by {logs}: {its} errors there may be smaller than on other logs. "
+            f"{unused}",
+        )
+    for logs, alike in _by_logs(models, lambda m: m.widened_by):
+        yield ResultWarning(
+            code="intervals-from-compared-log",
+            text=f"the errors on {logs} have widened the intervals of {_subjects(alike, models).lower()}, so that the "
+            f"share of the errors inside is no test of the intervals. {unused}",
+        )
+
+
+def _by_logs(
+    models: Sequence[ComparedModel], logs_of: Callable[[ComparedModel], Sequence[str]]
+) -> Iterator[tuple[str, list[ComparedModel]]]:
+    """Yield the models with the same logs by ``logs_of``, after the names of these logs; not those without a log."""
+    groups: dict[tuple[str, ...], list[ComparedModel]] = {}
     for m in models:
-        if m.fitted_to:
-            yield ResultWarning(
-                code="compared-on-fitted-log",
-                text=f"{_subject(m, models)} was fitted to {', '.join(m.fitted_to)}: its errors there are smaller than "
-                f"on other logs. {_unused_logs(models)}",
-            )
-        if m.selected_by:
-            yield ResultWarning(
-                code="compared-on-validation-log",
-                text=f"effects of {_subject(m, models).lower()}, also those of the timing and mounting of sensors and "
-                f"of the hull form, were accepted by {', '.join(m.selected_by)}: its errors there may be smaller than "
-                f"on other logs. {_unused_logs(models)}",
-            )
-        if m.widened_by:
-            yield ResultWarning(
-                code="intervals-from-compared-log",
-                text=f"the errors on {', '.join(m.widened_by)} have widened the intervals of "
-                f"{_subject(m, models).lower()}, so that the share of the errors inside is no test of the intervals. "
-                f"{_unused_logs(models)}",
-            )
+        if logs := tuple(logs_of(m)):
+            groups.setdefault(logs, []).append(m)
+    for logs, alike in groups.items():
+        yield ", ".join(logs), alike
+
+
+def _subjects(alike: Sequence[ComparedModel], models: Sequence[ComparedModel]) -> str:
+    """Return the subject of a sentence on some of the models, such as ``(a) and (b)``."""
+    *first, last = (_subject(m, models) for m in alike)
+    return f"{', '.join(first)} and {last}" if first else last
 
 
 def _subject(m: ComparedModel, models: Sequence[ComparedModel]) -> str:

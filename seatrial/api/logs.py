@@ -399,7 +399,9 @@ def _warn_of_guesses(sources: Sequence[Path], guesses: Sequence[Guess]) -> None:
     """
     guessed, left_out = dict[Any, list[tuple[Path, str]]](), dict[Any, list[tuple[Path, str]]]()
     for source, guess in zip(sources, guesses, strict=True):
-        caveats = "; ".join(dict.fromkeys(re.findall(r"# caveat: (.+)", guess.text)))
+        found = re.findall(r"# caveat: (.+)", guess.text)
+        found += [f"not measured: {text}" for text in re.findall(r"# not measured: (.+)", guess.text)]
+        caveats = "; ".join(dict.fromkeys(found))
         columns = first_names(guess.unrecognised, 10) if guess.unrecognised else ""
         for text, groups in ((caveats, guessed), (columns, left_out)):
             if text:

@@ -20,6 +20,7 @@ from click.testing import CliRunner
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+import seatrial as st
 from seatrial.daq import cli
 from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from seatrial.daq.importers.guess import guess_map
@@ -186,6 +187,8 @@ def test_a_covariance_of_minus_one_means_not_measured_in_a_guessed_map(tmp_path:
     assert "\n# not measured: linear_acceleration of /imu, whose covariance begins with -1\n" in text
     assert "linear_acceleration.x" not in text
     assert "its covariance begins with -1 (not measured), but the values of angular_velocity change" in text
+    with pytest.warns(SeatrialWarning, match="is a guess .*; not measured: linear_acceleration of /imu, whose cov"):
+        st.import_log(path, out_dir=tmp_path)
 
 
 def test_every_number_has_the_name_of_its_field(bag: Path) -> None:

@@ -966,3 +966,17 @@ def test_logs_are_cut_only_for_effects_of_a_log_and_if_they_are_long_enough() ->
     assert block_of_comparison([plain, plain], [[record]] * 2, (2.0,)) is None
     assert block_of_comparison([plain, weedy], [[record]] * 2, (2.0,)) == weedy.block
     assert block_of_comparison([plain, weedy], [[record]] * 2, (2.0, 10.0)) is None
+
+
+def test_models_that_used_the_same_log_have_one_warning(compared: ComparisonResult) -> None:
+    first, *_ = compared.models
+    row = msgspec.structs.replace(first, fitted_to=("run1",), selected_by=("run3",), widened_by=())
+    a, b, c = (msgspec.structs.replace(row, label=label) for label in "abc")
+    c = msgspec.structs.replace(c, fitted_to=("run2",), selected_by=())
+    texts = [w.text for w in compare._warnings([a, b, c])]
+    assert [text.partition(".")[0] for text in texts] == [
+        "(a) and (b) were fitted to run1: their errors there are smaller than on other logs",
+        "(c) was fitted to run2: its errors there are smaller than on other logs",
+        "effects of (a) and (b), also those of the timing and mounting of sensors and of the hull form, were accepted "
+        "by run3: their errors there may be smaller than on other logs",
+    ]
