@@ -133,7 +133,6 @@ def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> Di
     SeatrialError
         As `diagnose_model`, or if a file cannot be written.
     """
-    reporter = with_times(reporter)
     done = diagnose_model(request, command, reporter)
     reporter.progress("writing the report")
     write_diagnosed_model(done, request.out)

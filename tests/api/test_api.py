@@ -1500,7 +1500,7 @@ BOAT: Any = {
     "geometry": {"y_left": -0.3, "y_right": 0.3, "mass": 30, "lever_arm_m": (0.1, 0, 0)},
     "scale": {"c1": np.float32(40.0), "c1_sd": 1.0, "c2": 5.0},
 }
-THRUST = {"c1": 78.5, "c2": 17.5, "c1_sd": 2.5, "c2_sd": 2.5}
+PULLED = {"c1": 78.5, "c2": 17.5, "c1_sd": 2.5, "c2_sd": 2.5}
 NUMBERS = {"y_left": -0.3, "y_right": 0.3, "mass": 30.0, "antenna_x": 0.1, "c1": 40.0, "c1_sd": 1.0, "c2": 5.0}
 
 
@@ -1520,11 +1520,11 @@ def test_numbers_of_the_boat_are_given_in_python_for_a_guessed_and_for_a_given_m
 def test_bollard_pull_ahead_and_astern_gives_both_coefficients_of_thrust(page: Page, tmp_path: Path) -> None:
     file, written = page.folder / "other.csv", tmp_path / "map.toml"
     pull = {"ahead": 96.0, "astern": 61.0, "ahead_sd": 3.0, "astern_sd": 4.0}
-    assert parse_import_map(st.guess_map(file, scale=pull), written).vehicle == THRUST
+    assert parse_import_map(st.guess_map(file, scale=pull), written).vehicle == PULLED
     assert parse_import_map(st.guess_map(file, scale={"ahead": 96.0}), written).vehicle == {"c1": 96.0}
     st.guess_map(file, written, **BOAT)
     (log,) = st.import_log(file, written, out_dir=tmp_path, scale=pull)  # in place of c1 and c2 of the map
-    assert load_run(log, "log").vehicle == NUMBERS | {"antenna_y": 0.0, "antenna_z": 0.0} | THRUST
+    assert load_run(log, "log").vehicle == NUMBERS | {"antenna_y": 0.0, "antenna_z": 0.0} | PULLED
 
 
 @pytest.mark.parametrize(
