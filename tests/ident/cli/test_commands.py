@@ -119,7 +119,7 @@ def test_vehicle_command(fitted: Path) -> None:
     for name in ("c1", "c2"):  # The values come from the bench, with their errors.
         assert vehicle[name]["value"] == pytest.approx(bench[name]["value"], abs=bench[name]["se"])
         assert vehicle[name]["origin"] == "measured"
-        # Another loss of thrust with inflow in reverse, which the model may lack, would change the thrust astern a little.
+        # Another loss of thrust with inflow in reverse, which the model may lack, would change c2 a little.
         most = {"c1": 1.01, "c2": 1.1}[name]
         assert 0.0 < vehicle[name]["se"] < most * bench[name]["se"]
     relative = {n: vehicle[n]["se"] / vehicle[n]["value"] for n in ("c1", "m_u")}
