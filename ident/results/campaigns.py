@@ -232,11 +232,12 @@ def campaigns_answer(result: CampaignsResult) -> str:
             )
     factor = result.common_factor
     if factor is not None and factor.explains and changed:
-        sentences.append(
-            f"One factor of {format_number(factor.factor)} (95 %: {format_number(factor.low)} to "
-            f"{format_number(factor.high)}) on masses and damping explains these changes; a thrust that has become "
-            f"{format_number(1.0 / factor.factor)} times as large does the same."
-        )
+        size = f"{format_number(factor.factor)} (95 %: {format_number(factor.low)} to {format_number(factor.high)})"
+        same = f"a thrust that has become {format_number(1.0 / factor.factor)} times as large does the same."
+        if any(p.name in factor.parameters for p in changed):
+            sentences.append(f"One factor of {size} on masses and damping explains these changes; {same}")
+        else:  # none of them alone, as the scale of the forces is uncertain
+            sentences.append(f"Masses and damping together have changed by one factor of {size}; {same}")
     sentences += [text for p in changed if (text := _sides_sentence(p, factor))]
     one = [e for e in result.effects if e.changed and {e.before, e.after} == {True, False}]
     only = [f"{e.name} (only {'after' if e.after else 'before'})" for e in one]

@@ -370,6 +370,24 @@ def test_a_lost_thrust_of_one_side_is_stated_in_words(factor: float, words: str)
     assert f"the left thruster gives {words}." in campaigns_answer(result).replace("The left", "the left")
 
 
+def test_masses_that_change_by_one_factor_are_named_though_the_scale_hides_each_of_them() -> None:
+    rng, n = np.random.default_rng(9), 6
+    after = np.arange(n) >= 3
+    truth = {"m_u": 40.0, "m_v": 60.0, "m_r": 9.0, "d_uu": 25.0}
+    values = {k: v * np.where(after, 1.2, 1.0) * (1.0 + 0.01 * rng.normal(size=n)) for k, v in truth.items()}
+    values["eps_LR"] = -0.185 * after + 0.002 * rng.normal(size=n)
+    units = {"m_u": "kg", "m_v": "kg", "m_r": "kg m2", "d_uu": "kg/m", "eps_LR": ""}
+    rows = rows_of(values, 0.005, effect={"eps_LR": "mismatch"}, unit=units)
+    for r in rows:
+        own = 0.005 if r["parameter"] == "eps_LR" else 0.01 * r["value"]
+        part = 0.19 * r["value"] if r["log"] >= "run3" and r["parameter"] != "eps_LR" else 0.0
+        r |= {"se": float(np.hypot(own, part)), "prior_parts": json.dumps({SIDES: part} if part else {})}
+    answer = campaigns_answer(result_of(compared(rows, 3)))
+    assert answer.startswith("1 of 5 parameters has changed at a false discovery rate of 5 %: eps_LR -0.18")
+    assert "Masses and damping together have changed by one factor of 1.2 (" in answer
+    assert "the left thruster gives 68 % of its thrust of before" in answer
+
+
 def test_sides_that_may_deviate_are_a_common_error_of_their_logs() -> None:
     values = {"m_u": np.array([40.0, 40.4, 48.0, 48.6])}
     rows = rows_of(values, 0.4)
