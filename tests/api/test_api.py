@@ -1260,7 +1260,7 @@ def test_comparison_prefers_the_model_with_the_effect(
     assert better.no_criteria == "not all models were fitted to exactly these logs"
     # On the log of the fit the summary says that the errors are too small.
     own = st.compare(fit, found, logs[0])
-    assert "(a) was fitted to run1" in own.summary()
+    assert "(a) and (b) were fitted to run1" in own.summary()
     assert "No AIC, BIC or likelihood ratio: a model was fitted with REML" in " ".join(own.summary().split())
     (turn,) = (row for row in own.result.channels if (row.kind, row.channel) == ("horizon", "r"))
     assert turn.errors[0].rms == pytest.approx(fit.predict(on="estimation")["run1"]["r"].rms, rel=0.05)
