@@ -1,7 +1,8 @@
-"""Tables [geometry] and [scale] of an import map, given as mappings: the numbers of the boat that no source has."""
+"""Tables [geometry] and [scale] of an import map, which have the numbers of the boat that no source has."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,11 +10,16 @@ from typing import Any
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
-from seatrial.daq.errors import SeatrialError
-from seatrial.daq.importers.import_map import PULLS, SCALE
+from seatrial.daq.checks import MASS_ADVICE, arm_problem, mass_problem
+from seatrial.daq.config import TomlTable
+from seatrial.daq.errors import SeatrialError, warn
 
 BoatTable = Mapping[str, float | Sequence[float]]
-OF_SCALE = tuple(f"{name}{end}" for name in SCALE for end in ("", "_sd"))
+# Positions of the thrusters to starboard and length of the hull [m], and weighed mass [kg].
+GEOMETRY = ("y_left", "y_right", "length", "mass")
+ANTENNA = ("antenna_x", "antenna_y", "antenna_z")  # parameters of the key `lever_arm_m` of [geometry] [m]
+SCALE = ("c1", "c2")  # thrust of one thruster at n = 1 and -1: c1 + c2 and -(c1 - c2) [N]
+PULLS = ("ahead", "astern")  # sizes of both thrusts [N], as of a bollard pull: the other form of `SCALE`
 EXAMPLES = "# What no file has"  # begin of the comment of a guessed map that shows both tables
 
 
@@ -48,9 +54,9 @@ def with_boat_tables(text: str, path: Path, geometry: BoatTable | None = None, s
         for name, numbers in given.items():
             table = document.setdefault(name, tomlkit.table())
             # Thrusts ahead and astern are another form of c1 and c2: the given form replaces the other one
-            for one, other in ((PULLS, OF_SCALE), (OF_SCALE, PULLS)):
-                if name == "scale" and set(one) & set(numbers):
-                    for key in set(other) & set(table):
+            for one, other in ((PULLS, SCALE), (SCALE, PULLS)):
+                if set(_with_sd(one)) & set(numbers):
+                    for key in set(_with_sd(other)) & set(table):
                         table.remove(key)
             for key, value in numbers.items():
                 table[key] = _plain(value, f"{path}: {key} in [{name}]")
@@ -65,3 +71,83 @@ def _plain(value: Any, where: str) -> float | list[float]:
         return float(value) if isinstance(value, float | int) or not hasattr(value, "__len__") else [*map(float, value)]
     except (TypeError, ValueError) as problem:
         raise SeatrialError(f"{where}: must be a number or numbers, not {value!r}") from problem
+
+
+def geometry_of(table: TomlTable | None) -> dict[str, float]:
+    """Return the numbers of the table [geometry] by name; empty without the table. SeatrialError if one is wrong."""
+    return _boat_numbers(table, GEOMETRY)
+
+
+def thrust_of(table: TomlTable | None) -> dict[str, float]:
+    """Return c1, c2 and their standard uncertainties [N] by the table [scale]; empty without the table.
+
+    With thrusts ahead and astern, c1 is their mean and c2 half of ahead less astern. Without the thrust astern, that
+    ahead is c1 and there is no c2. Raise SeatrialError if a number is impossible, or if the table has both forms.
+    """
+    if table is None or not any(table.has(key) for key in _with_sd(PULLS)):
+        return _boat_numbers(table, SCALE)
+    for key in _with_sd(SCALE):
+        if table.has(key):
+            raise table.error(key, "follows from ahead and astern; give either these or c1 and c2")
+    if not table.has("ahead"):
+        raise table.error("ahead", "missing; give the thrust of one thruster at full speed ahead too")
+    pulls = _boat_numbers(table, PULLS)
+    if "astern" not in pulls:
+        return {key.replace("ahead", "c1"): number for key, number in pulls.items()}
+    ahead, astern = (pulls[name] for name in PULLS)
+    sds = [pulls[key] for key in ("ahead_sd", "astern_sd") if key in pulls]
+    if len(sds) == 1:
+        lacking = "astern_sd" if "ahead_sd" in pulls else "ahead_sd"
+        raise table.error(lacking, "missing; give the standard uncertainty of both, or none")
+    found = {"c1": (ahead + astern) / 2.0, "c2": (ahead - astern) / 2.0}
+    return found | (dict.fromkeys(("c1_sd", "c2_sd"), math.hypot(*sds) / 2.0) if sds else {})
+
+
+def _with_sd(names: Sequence[str]) -> list[str]:
+    """Return the names, and those of their standard uncertainties."""
+    return [*names, *(f"{name}_sd" for name in names)]
+
+
+def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, float]:
+    """Return the numbers of the boat in the table [geometry] or [scale] of an import map, by name.
+
+    `names` are the keys that the table may have. Standard uncertainties ``NAME_sd`` are included if the table has them.
+    The result is empty if `table` is None. Raise SeatrialError if a number is impossible, a key is unknown, or the
+    number of an uncertainty is missing. [geometry] may also have `lever_arm_m`, the position of the antenna in body
+    axes [m], whose three numbers have the names `ANTENNA`. Thrusts, length, mass and standard uncertainties must be
+    positive, the size of c2 less than c1, y_left less than y_right, and both at most `length` from the middle. A mass
+    that is unusual for the length gives a warning. The antenna must be within one length.
+    """
+    if table is None:
+        return {}
+    found = {name: table.number(name) for name in names if table.has(name)}
+    for name in names:
+        if table.has(uncertainty := f"{name}_sd"):
+            found[uncertainty] = table.number(uncertainty, positive=True)
+            if name not in found:
+                raise table.error(uncertainty, f"is the standard uncertainty of {name}; give {name} too")
+    for name in ("c1", *PULLS, "length", "mass"):
+        if found.get(name, 1.0) <= 0.0:
+            raise table.error(name, f"must be positive, not {found[name]:g}")
+    if abs(found.get("c2", 0.0)) >= found.get("c1", math.inf):
+        raise table.error(
+            "c2",
+            f"{found['c2']:g} N is not smaller than c1 = {found['c1']:g} N: the thrust ahead is c1 + c2 and "
+            "that astern c1 - c2, and both must be positive",
+        )
+    for name in ("y_left", "y_right"):
+        if abs(found.get(name, 0.0)) > found.get("length", math.inf):
+            where = f"{abs(found[name]):g} m from the middle of a hull of {found['length']:g} m"
+            raise table.error(name, f"{where}; write positions in metres, positive to starboard")
+    if {"y_left", "y_right"} <= set(found) and found["y_left"] >= found["y_right"]:
+        raise table.error(
+            "y_left", "must be less than y_right, because positions are positive to starboard; correct one of them"
+        )
+    if problem := mass_problem(found):
+        warn(f"{table.source}: {problem}; {MASS_ADVICE}")
+    if "length" in names and table.has("lever_arm_m"):
+        found |= dict(zip(ANTENNA, table.numbers("lever_arm_m", length=3), strict=True))
+        if problem := arm_problem(found):
+            raise table.error("lever_arm_m", f"{problem}; write positions and length in metres")
+    table.done()
+    return found

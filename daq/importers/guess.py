@@ -92,7 +92,8 @@ class Guess(NamedTuple):
     problem : str
         Reason why no fit is possible with the map; "" if a fit should be possible.
     full : dict of str to float
-        Number of the source that becomes 1, by signal, for signals whose scale is guessed from their largest number.
+        Number of the source that becomes 1, by signal, for signals whose scale is guessed from their largest number, or
+        follows from a given number.
     unrecognised : sequence of str
         Columns of numbers that were not recognised.
     """
@@ -115,21 +116,21 @@ def guess_maps(
     `guess_map`, and so are the errors. ``known`` has the number of the source that becomes 1, by signal, where the user
     knows it. A name that no source has as such a signal is an error (UnknownName).
     """
-    found = [guess_map(path, dbc, folder, files=paths) for path in paths]
-    if known:
-        scaled = list(dict.fromkeys(name for guess in found for name in guess.full))
-        if unknown := [name for name in known if name not in scaled]:
-            raise UnknownName(
-                f"{first_names(unknown, 5)}: no signal whose full speed is guessed; these are: "
-                f"{', '.join(scaled) or 'none'}"
-            )
-        found = [guess_map(path, dbc, folder, files=paths, known=known) for path in paths]
+    known = known or {}
+    found = [guess_map(path, dbc, folder, files=paths, known=known) for path in paths]
+    scaled = dict.fromkeys(name for guess in found for name in guess.full)
+    if unknown := [name for name in known if name not in scaled]:
+        raise UnknownName(
+            f"{first_names(unknown, 5)}: no signal whose full speed is guessed; these are: "
+            f"{', '.join(scaled) or 'none'}"
+        )
     if len(found) < 2:
         return found
     full: dict[str, float] = {}
     for guess in found:
         for name, top in guess.full.items():
-            full[name] = max(top, full.get(name, 0.0))
+            if name not in known:
+                full[name] = max(top, full.get(name, 0.0))
     return [guess_map(path, dbc, folder, full, paths, known) for path in paths] if full else found
 
 
@@ -229,7 +230,7 @@ def guess_map(
     remarks += [f"# caveat: {line}" for line in _held_signal_comments(candidates, taken, clocks)]
     closing = ["]", *_boat_lines(taken)]
     text = "\n".join([*head, *remarks, "signal = [", *lines, *_unrecognised_lines(unrecognised), *closing])
-    tops = {signal.name: signal.full for signal in taken if signal.full and not signal.is_given}
+    tops = {signal.name: signal.full for signal in taken if signal.full}
     return Guess(
         text + (f"\n# no fit: {problem}" if problem else "") + "\n",
         problem,

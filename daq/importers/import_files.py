@@ -12,10 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from seatrial.daq.checks import too_many_rows_missing, unknown_names_text, unknown_times
-from seatrial.daq.config import read_text
 from seatrial.daq.errors import SeatrialError, counted, warn
-from seatrial.daq.importers.boat_tables import BoatTable, with_boat_tables
-from seatrial.daq.importers.import_map import TIME_UNITS, ImportMap, Piece, Source, parse_import_map
+from seatrial.daq.importers.boat_tables import BoatTable
+from seatrial.daq.importers.import_map import TIME_UNITS, ImportMap, Piece, Source, load_import_map
 from seatrial.daq.importers.missing_inputs import gap_lines
 from seatrial.daq.importers.signals import Held, RowsLeftOut, SignalData, Signals, coarse_advice, read_signals
 from seatrial.daq.importers.sources import source_kind
@@ -69,8 +68,7 @@ def import_files(
         given for several logs; logs written before stay. Also, after all logs are written, if too many rows of a source
         are out of order or have wrong stamps: 5 or more, and more than 5 %.
     """
-    text = with_boat_tables(read_text(map_path), map_path, geometry, scale)
-    import_map = parse_import_map(text, map_path)
+    import_map = load_import_map(map_path, geometry, scale)
     if unknown := unknown_names_text(s.name for source in import_map.sources for s in source.signals):
         warn(f"{map_path}: {unknown}")
     groups = _files_of_logs(import_map, files)

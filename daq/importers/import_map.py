@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -10,9 +9,8 @@ from datetime import UTC, datetime
 from itertools import zip_longest
 from pathlib import Path
 
-from seatrial.daq.checks import MASS_ADVICE, arm_problem, mass_problem
 from seatrial.daq.config import TomlTable, parse_toml, read_text
-from seatrial.daq.errors import warn
+from seatrial.daq.importers.boat_tables import BoatTable, geometry_of, thrust_of, with_boat_tables
 from seatrial.daq.importers.table import SourceOptions, TextStyle
 from seatrial.daq.importers.units import UNITS
 from seatrial.daq.rig import NAME
@@ -23,9 +21,6 @@ TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 36
 DAY_COUNTS = {"datenum": 719529.0, "excel": 25569.0, "excel1904": 24107.0}  # formats of days -> day of 1970-01-01
 GPS_UNITS = {"gps": 1.0, "gps_ms": 1e-3}  # formats of times in a GPS week -> their unit [s]
 FORMATS_OF_TIME = (*TIME_UNITS, "iso", *DAY_COUNTS, "labview", *GPS_UNITS)
-# Positions of the thrusters to starboard and length of the hull [m], and weighed mass [kg].
-GEOMETRY = ("y_left", "y_right", "length", "mass")
-ANTENNA = ("antenna_x", "antenna_y", "antenna_z")  # parameters of the key `lever_arm_m` of [geometry] [m]
 FRAMES = {"NED": "NED", "FRD": "NED", "ENU": "ENU", "FLU": "ENU"}
 CAN_PROTOCOLS = ("vesc", "dronecan", "nmea2000")
 # Names of signals in east, north, up (ENU) or forward, left, up (FLU) -> names in NED or forward, starboard, down (FRD)
@@ -40,8 +35,6 @@ MAKES: dict[str, tuple[str, tuple[str, ...]]] = {  # made signal -> its unit, an
     "pitch": ("rad", ("1",) * 4),
     "yaw": ("rad", ("1",) * 4),
 }
-PULLS = ("ahead", "astern", "ahead_sd", "astern_sd")  # bollard pull at full speed, in place of the keys of `SCALE` [N]
-SCALE = ("c1", "c2")  # thrust of one thruster at n = 1 and -1: c1 + c2 and -(c1 - c2) [N]
 
 
 @dataclass(frozen=True)
@@ -233,13 +226,15 @@ class ImportMap:
     vehicle: Mapping[str, float] = field(default_factory=dict)  # known model parameters of the boat, by name
 
 
-def load_import_map(path: Path) -> ImportMap:
+def load_import_map(path: Path, geometry: BoatTable | None = None, scale: BoatTable | None = None) -> ImportMap:
     """Read and check an import map.
 
     Parameters
     ----------
     path
         The map, a TOML file.
+    geometry, scale
+        Numbers of the boat that replace those of the tables [geometry] and [scale] of the map.
 
     Returns
     -------
@@ -252,7 +247,7 @@ def load_import_map(path: Path) -> ImportMap:
         If the file cannot be read or a key is wrong, if two signals have the same name after conversion to NED, or two
         [[log]] tables the same name. The message names the file and the key.
     """
-    return parse_import_map(read_text(path), path)
+    return parse_import_map(with_boat_tables(read_text(path), path, geometry, scale), path)
 
 
 def parse_import_map(text: str, path: Path) -> ImportMap:
@@ -301,12 +296,7 @@ def parse_import_map(text: str, path: Path) -> ImportMap:
         raise root.error(
             "log", "[[file]] tables merge all files into one log, so match in [[log]] means nothing; remove it"
         )
-    scale = root.table("scale")
-    if scale is not None and any(scale.has(key) for key in PULLS):
-        thrust = _thrust_of_pulls(scale)
-    else:
-        thrust = _boat_numbers(scale, SCALE)
-    vehicle = _boat_numbers(root.table("geometry"), GEOMETRY) | thrust
+    vehicle = geometry_of(root.table("geometry")) | thrust_of(root.table("scale"))
     root.done()
     return ImportMap(name, path, text, bool(files), sources, pieces, vehicle)
 
@@ -331,84 +321,6 @@ def _keeping_repeats(source: Source) -> Source:
     """
     style = source.options.style
     return replace(source, options=replace(source.options, style=replace(style, repeats=style.repeats or "keep")))
-
-
-def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, float]:
-    """Return the numbers of the boat in the table [geometry] or [scale] of an import map, by name.
-
-    `names` are the keys that the table may have. Standard uncertainties ``NAME_sd`` are included if the table has them.
-    The result is empty if `table` is None. Raise SeatrialError if a number is impossible, a key is unknown, or the
-    number of an uncertainty is missing. [geometry] may also have `lever_arm_m`, the position of the antenna in body
-    axes [m], whose three numbers have the names `ANTENNA`. c1, length, mass and standard uncertainties must be
-    positive, the size of c2 less than c1, y_left less than y_right, and both at most `length` from the middle. A mass
-    that is unusual for the length gives a warning. The antenna must be within one length.
-    """
-    if table is None:
-        return {}
-    found = {name: table.number(name) for name in names if table.has(name)}
-    for name in names:
-        if table.has(uncertainty := f"{name}_sd"):
-            found[uncertainty] = table.number(uncertainty, positive=True)
-            if name not in found:
-                raise table.error(uncertainty, f"is the standard uncertainty of {name}; give {name} too")
-    for name in ("c1", "length", "mass"):
-        if found.get(name, 1.0) <= 0.0:
-            raise table.error(name, f"must be positive, not {found[name]:g}")
-    if abs(found.get("c2", 0.0)) >= found.get("c1", math.inf):
-        raise table.error(
-            "c2",
-            f"{found['c2']:g} N is not smaller than c1 = {found['c1']:g} N: the thrust ahead is c1 + c2 and "
-            "that astern c1 - c2, and both must be positive",
-        )
-    for name in ("y_left", "y_right"):
-        if abs(found.get(name, 0.0)) > found.get("length", math.inf):
-            where = f"{abs(found[name]):g} m from the middle of a hull of {found['length']:g} m"
-            raise table.error(name, f"{where}; write positions in metres, positive to starboard")
-    if {"y_left", "y_right"} <= set(found) and found["y_left"] >= found["y_right"]:
-        raise table.error(
-            "y_left", "must be less than y_right, because positions are positive to starboard; correct one of them"
-        )
-    if problem := mass_problem(found):
-        warn(f"{table.source}: {problem}; {MASS_ADVICE}")
-    if "length" in names and table.has("lever_arm_m"):
-        found |= dict(zip(ANTENNA, table.numbers("lever_arm_m", length=3), strict=True))
-        if problem := arm_problem(found):
-            raise table.error("lever_arm_m", f"{problem}; write positions and length in metres")
-    table.done()
-    return found
-
-
-def _thrust_of_pulls(table: TomlTable) -> dict[str, float]:
-    """Return c1, c2 and their standard uncertainties [N] of the thrusts ahead and astern in the table [scale].
-
-    c1 is the mean of both and c2 half of ahead less astern. Without the thrust astern, that ahead is c1 and there is no
-    c2. Raise SeatrialError if a number is not positive, if the thrust ahead is missing, or if the table has c1 or c2
-    too.
-    """
-    for name in SCALE:
-        for key in (name, f"{name}_sd"):
-            if table.has(key):
-                raise table.error(key, "follows from ahead and astern; give either these or c1 and c2")
-    if not table.has("ahead"):
-        raise table.error("ahead", "missing; give the thrust of one thruster at full speed ahead too")
-    ahead = table.number("ahead", positive=True)
-    ahead_sd = table.number("ahead_sd", positive=True) if table.has("ahead_sd") else None
-    if not table.has("astern"):
-        if table.has("astern_sd"):
-            raise table.error("astern_sd", "is the standard uncertainty of astern; give astern too")
-        table.done()
-        return {"c1": ahead} | ({} if ahead_sd is None else {"c1_sd": ahead_sd})
-    astern = table.number("astern", positive=True)
-    astern_sd = table.number("astern_sd", positive=True) if table.has("astern_sd") else None
-    table.done()
-    found = {"c1": (ahead + astern) / 2.0, "c2": (ahead - astern) / 2.0}
-    if (ahead_sd is None) != (astern_sd is None):
-        raise table.error(
-            "astern_sd" if astern_sd is None else "ahead_sd", "missing; give the standard uncertainty of both, or none"
-        )
-    if ahead_sd is not None and astern_sd is not None:
-        found |= dict.fromkeys(("c1_sd", "c2_sd"), math.hypot(ahead_sd, astern_sd) / 2.0)
-    return found
 
 
 def _source_of_table(table: TomlTable, match: str, near: Path) -> Source:

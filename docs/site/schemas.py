@@ -45,13 +45,18 @@ HEAD = 'format = "seatrial-rig 1"\nname = "r"\n'
 OTHER_MAP = """
 format = "seatrial-import 1"
 time = { rate_hz = 10.0 }
-scale = { c1 = 12.0, c1_sd = 0.6, c2 = 0.4, c2_sd = 0.1 }
+scale = { SCALE }
 geometry = { y_left = -0.2, y_left_sd = 0.1, y_right = 0.2, y_right_sd = 0.1, length = 1.2, length_sd = 0.1 }
 signal = [
     { name = "x", make = "north", topic = "fix", fields = ["lat", "lon"] },
     { name = "n_left", column = "n", unit = "1", role = "input", timeout = 0.1 },
 ]
 """
+
+SCALES = (  # both forms of the thrust
+    "c1 = 12.0, c1_sd = 0.6, c2 = 0.4, c2_sd = 0.1",
+    "ahead = 12.4, ahead_sd = 0.6, astern = 11.6, astern_sd = 0.6",
+)
 
 
 def blocks(page: str) -> list[str]:
@@ -73,6 +78,11 @@ def rigs() -> list[str]:
     return found
 
 
+def maps() -> list[str]:
+    """Return import maps that together have every key."""
+    return [*blocks("import.md"), *(OTHER_MAP.replace("SCALE", scale) for scale in SCALES)]
+
+
 def load_map_text(text: str) -> object:
     """Read the text of an import map."""
     with tempfile.TemporaryDirectory() as folder:
@@ -85,7 +95,7 @@ def load_map_text(text: str) -> object:
 FILES: dict[str, tuple[str, str, Callable[[], list[str]], Callable[[str], object]]] = {
     "rig": ("rig.toml", "rig.md", rigs, lambda text: parse_rig(text, "rig.toml")),
     "mission": ("mission.toml", "mission.md", lambda: blocks("mission.md"), lambda text: parse_mission(text, "-")),
-    "import": ("map of an import", "import.md", lambda: [*blocks("import.md"), OTHER_MAP], load_map_text),
+    "import": ("map of an import", "import.md", maps, load_map_text),
 }
 
 

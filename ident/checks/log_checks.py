@@ -578,9 +578,8 @@ def _check_segments(c: Channels, sides: Mapping[str, float], start: float) -> li
     if not gaps:
         return list(check_signals(c, sides))
     worst: dict[tuple[str, str], Finding] = {}
-    for part in sorted(
-        _segments(c, gaps), key=_duration, reverse=True
-    ):  # of equal findings, keep that of the longest part
+    # Of equal findings, that of the longest segment is kept.
+    for part in sorted(_segments(c, gaps), key=_duration, reverse=True):
         begin, end = (seconds(t - start) for t in _time_span(part))
         for finding in check_signals(part, sides):
             key = finding.check, finding.where

@@ -109,7 +109,7 @@ def assess_alternatives(
         remaining_reasons, still_found = _remaining_test_reasons(search_round, rounds, evidence, policy)
         reasons = [*remaining_reasons, *_own_reasons(search_round, rounds, evidence, policy)]
         if reasons:
-            reasons += _insignificant_prediction_reasons(name, evidence.importances, reasons)
+            reasons += _insignificant_prediction_reasons(name, evidence.importances, policy)
         open_names = {*evidence.untested, *_explained(evidence, policy), *still_found}
         others += [
             name for name in search_round.chosen.effect.alternatives if name in open_names and name not in others
@@ -544,16 +544,19 @@ def _failed_candidate_reasons(search_round: Round) -> list[str]:
 
 
 def _insignificant_prediction_reasons(
-    name: str, importances: Sequence[EffectImportance], reasons: Sequence[str]
+    name: str, importances: Sequence[EffectImportance], policy: SearchPolicy
 ) -> list[str]:
     """Return what else a reader should know of an ambiguous effect: its change of the prediction is not significant.
 
     Alone this is no reason for ambiguity, since an effect may improve the prediction over some seconds only. The list
-    is empty if the error over the horizon falls significantly, if it was not compared or has no interval, and if one of
-    the ``reasons`` says already that the prediction is no better.
+    is empty if the error over the horizon falls significantly, if it was not compared or has no interval, and if the
+    reasons say already that the prediction is no better (`_predicts_no_better`).
     """
-    found = next((w.prediction for w in importances if w.effect == name), None)
-    if found is None or found.verdict == "fell" or any("no better with this effect" in reason for reason in reasons):
+    weight = next((w for w in importances if w.effect == name), None)
+    found = None if weight is None else weight.prediction
+    if weight is None or found is None or found.verdict == "fell":
+        return []
+    if weight.untested is None and _predicts_no_better(weight, policy):
         return []
     ratios = (found.ratio, found.low, found.high)
     if not all(map(math.isfinite, ratios)):
@@ -561,6 +564,16 @@ def _insignificant_prediction_reasons(
     change, low, high = (f"{100.0 * (ratio - 1.0):+.0f}" for ratio in ratios)
     interval = f"{change} %, 95 %: {low} to {high} %"
     return [f"with it the error {found.horizon:g} s ahead is not significantly smaller ({interval})"]
+
+
+def _predicts_no_better(weight: EffectImportance, policy: SearchPolicy) -> bool:
+    """Return whether the prediction is no better with an effect (`improves_prediction`).
+
+    For the form of the hull beside common errors, the error over the horizon also has to fall significantly.
+    """
+    beside = policy.min_identified_ratio >= policy.min_identified_ratio_beside
+    same = weight.prediction is not None and weight.prediction.verdict != "fell"
+    return (weight.effect in HULL_FORM and beside and same) or not improves_prediction(weight, policy)
 
 
 def _no_better_prediction_reasons(
@@ -580,14 +593,11 @@ def _no_better_prediction_reasons(
         return [f"the prediction without this effect could not be tested: {weight.untested}"]
     if weight is None:
         return []
-    hull = name in HULL_FORM
-    beside = policy.min_identified_ratio >= policy.min_identified_ratio_beside
-    same = weight.prediction is not None and weight.prediction.verdict != "fell"
-    if (hull and beside and same) or not improves_prediction(weight, policy):
+    if _predicts_no_better(weight, policy):
         horizon = "" if weight.prediction is None else f" {weight.prediction.horizon:g} s ahead"
         return [f"the prediction{horizon} is no better with this effect"]
     ratios = _error_ratios(weight)
-    least = policy.min_identified_ratio_beside if hull else policy.min_identified_ratio
+    least = policy.min_identified_ratio_beside if name in HULL_FORM else policy.min_identified_ratio
     if max(ratios) >= least:
         return []
     return [

@@ -125,5 +125,5 @@ def with_times(reporter: Reporter) -> SearchProgress:
 
 
 def work_of(reporter: Reporter) -> SearchWork:
-    """Return the work that a reporter shows; of another reporter than `SearchProgress`, work that nobody shows."""
+    """Return the work of a `SearchProgress`. Another reporter shows no times: its work is new and is not shown."""
     return reporter.work if isinstance(reporter, SearchProgress) else SearchWork()

@@ -122,6 +122,7 @@ from seatrial.ident.validation import (
 
 WAVES = "waves"
 LIKELY_ROUNDS = 0.8  # share of the possible rounds that the time left assumes: most real boats lack several effects
+REFITS_AT_ONCE = 2  # in threads
 ROUGH_SHARE = 0.01  # of the gain that a score test predicts: tolerance of the refit of its candidate
 # Tolerance of the fit beside the remaining candidates: the sizes are then within one standard error of the maximum, and
 # those of sure names, of at least 4 standard errors, within the change that is looked for
@@ -1343,8 +1344,8 @@ class _Search:
         n_most = sum(map(len, batches)) + min(n_generic, self.policy.n_nonparametric)
         self._plan(after, (len(batches[0]) + min(n_generic, 1), n_most))
         for batch in (*([s for s in batch if s.name not in failed] for batch in batches), last):
-            self._refit_all(current, [(self.candidates[s.name], s) for s in batch[:2]], refits, untested)
-            further = [s for s in batch[2:] if self._can_win(s, refits)]
+            self._refit_all(current, [(self.candidates[s.name], s) for s in batch[:REFITS_AT_ONCE]], refits, untested)
+            further = [s for s in batch[REFITS_AT_ONCE:] if self._can_win(s, refits)]
             self._refit_all(current, [(self.candidates[s.name], s) for s in further], refits, untested)
             if any(is_accepted(r, self.policy) for r in refits):
                 break
@@ -1530,7 +1531,7 @@ class _Search:
             return self._refit(current, *pair)
 
         timed = self.work.timed("candidate", len(tried))
-        with timed, ThreadPoolExecutor(2) as pool, quick_compilation(self.n):
+        with timed, ThreadPoolExecutor(REFITS_AT_ONCE) as pool, quick_compilation(self.n):
             for found in pool.map(refit, tried):
                 if isinstance(found, Refit):
                     refits.append(found)

@@ -9,14 +9,25 @@ Estimates = Mapping[str, tuple[float, float]]  # estimate and standard error by 
 
 
 def size_in_words(value: float, error: float, unit: str) -> str:
-    """Return a size with its standard error in words, such as "1.4 ± 0.1 s".
+    """Return a size with its standard error in words, such as "1.4 ± 0.1 s" (`_with_error`)."""
+    return f"{_with_error(value, error, 2)} {unit}"
 
-    The number of decimals (none to three) follows from the error. The error is left out if it is zero or not finite.
+
+def share_in_words(share: float, error: float) -> str:
+    """Return a share of a thrust in per cent with its standard error, such as "90 ± 2" (`_with_error`)."""
+    return _with_error(100 * share, 100 * error, 0)
+
+
+def _with_error(value: float, error: float, decimals: int) -> str:
+    """Return a number with its standard error as text.
+
+    The number of decimals (none to three) follows from the error. If the error is zero or not finite, it is left out,
+    and the number has ``decimals`` decimals.
     """
     if not (math.isfinite(error) and error > 0):
-        return f"{value:.2f} {unit}"
+        return f"{value:.{decimals}f}"
     digits = min(max(-math.floor(math.log10(error)), 0), 3)  # the error has one significant digit
-    return f"{round(value, digits) + 0.0:.{digits}f} ± {error:.{digits}f} {unit}"  # + 0.0: no negative zero
+    return f"{round(value, digits) + 0.0:.{digits}f} ± {error:.{digits}f}"  # + 0.0: no negative zero
 
 
 def directed_size(estimate: tuple[float, float], unit: str, positive: str, negative: str) -> str:

@@ -1,4 +1,4 @@
-"""Remarks on a parameter with a prior that the user gave: what was given, what the data say, and what was fitted."""
+"""Remarks on parameters with a given prior: given value, value by the data alone, and estimate."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ def exceeded_prior(p: Parameter, value: float, error: float) -> float | None:
         Standard deviation as it was given, in the unit of the parameter. None if the error does not exceed it, or if
         the user gave no prior.
     """
-    free_prior = p.free_prior()
-    if not p.free or p.provenance is ParameterOrigin.ESTIMATED or p.prior is None or free_prior is None:
+    at_estimate = p.prior_deviation(value)
+    if not p.free or p.provenance is ParameterOrigin.ESTIMATED or p.prior is None or at_estimate is None:
         return None
-    given, at_estimate = p.prior[1], free_prior[1] * p.slope(value)
+    given = p.prior[1]
     return given if error > LEAST_EXCESS * max(given, at_estimate) else None
 
 

@@ -505,9 +505,9 @@ def prior_information(parameters: Sequence[Parameter]) -> Array:
     """
     found = np.zeros(len(parameters))
     for i, p in enumerate(parameters):
-        prior = p.free_prior()
-        if prior is not None:
-            found[i] = 1.0 / (prior[1] * p.slope(p.value)) ** 2
+        deviation = p.prior_deviation(p.value)
+        if deviation is not None:
+            found[i] = 1.0 / deviation**2
     return np.diag(found)
 
 

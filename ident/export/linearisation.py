@@ -637,9 +637,9 @@ class LinearModel:
 
 
 def _numbers(name: str, values: ArrayLike, what: str) -> Array:
-    """Return the argument ``name`` as an array. Raise SeatrialError if one of its values is not a finite number.
+    """Return the values of an argument as an array. Raise SeatrialError if they are not all finite numbers.
 
-    The message asks for ``what``, such as ``times [s]``.
+    The message begins with the ``name`` of the argument, and asks for ``what``, such as ``times [s]``.
     """
     try:
         found = np.asarray(values, dtype=float)

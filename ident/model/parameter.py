@@ -229,6 +229,14 @@ class Parameter:
         mean, sd = self.prior
         return (math.log(mean), sd / mean) if self.transform == "log" else (mean, sd)
 
+    def prior_deviation(self, value: float) -> float | None:
+        """Return the standard deviation of the prior at a value, in the parameter's unit; None without a prior.
+
+        With the transform "log", it is that of the logarithm times the value.
+        """
+        prior = self.free_prior()
+        return None if prior is None else prior[1] * self.slope(value)
+
     def free_bounds(self) -> tuple[float, float]:
         """Return the lower and upper bound in the coordinate of the search (`to_free`).
 

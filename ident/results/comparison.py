@@ -341,10 +341,7 @@ class ComparisonResult(Result, frozen=True, kw_only=True, tag_field="kind", tag=
 
     @property
     def kinds(self) -> tuple[tuple[PredictionKind, float | None], ...]:
-        """Kinds of prediction in the order of ``channels``, each with its horizon [s].
-
-        The horizon is None for a kind that has none, such as the simulation.
-        """
+        """Kinds of prediction in the order of ``channels``, with their horizons [s]: None for a simulation."""
         return tuple(dict.fromkeys((row.kind, row.seconds) for row in self.channels))
 
     def inside_95(self, kind: PredictionKind, seconds: float | None, label: str) -> float | None:

@@ -861,7 +861,7 @@ def model_uncertainty_notes(found: ModelUncertainty | None, fit: Fit) -> list[st
 
 
 def thrust_difference_warnings(found: ModelUncertainty | None, fit: Fit, weighed: float | None) -> list[ResultWarning]:
-    """Return a warning if the thrust of both sides may differ by so much that masses and forces are uncertain.
+    """Return a list with a warning if both sides differ in thrust by so much that masses and forces are uncertain.
 
     Parameters
     ----------

@@ -780,8 +780,8 @@ def _design_answer(
 
     ``parameters``: rows of the table of standard errors; the answer names the first three chosen ones. ``apart``:
     discrimination of two effects, or None. If random missions distinguish them too, a second sentence states it.
-    ``baseline``: best baseline signal. If its criterion is larger than that of
-    the design, and no effects are discriminated, a warning comes first.
+    ``baseline``: best baseline signal. If its criterion is larger than that of the design, and no effects are
+    discriminated, a warning comes first.
     """
     if apart is not None:
         first, second = apart.effects

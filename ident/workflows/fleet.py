@@ -27,7 +27,6 @@ import numpy as np
 from seatrial.daq.errors import SeatrialError, counted, first_names
 from seatrial.daq.log import first_segments, open_log
 from seatrial.ident.estimation import LEAST_OWN, ReportedEstimates, between_log_variance, load_model
-from seatrial.ident.model import Parameter
 from seatrial.ident.models import accepting_code, code_digest, is_own_model
 from seatrial.ident.numerics import Array, chi2_sf
 from seatrial.ident.parallel import ResultTable, TaskOutcome, Workers, run_many
@@ -384,6 +383,8 @@ def _peak_memory() -> float:
 def _prior_parts(done: VehicleFit) -> dict[str, dict[str, float]]:
     """Return the parts of each parameter's standard error that come from priors, by name of the prior's parameter.
 
+    The part with the name `SIDES` comes from the scale of the forces: one of the sides deviates from the given thrust.
+
     A prior that is too large by one of its standard deviations changes the estimate by this part, in the parameter's
     unit and with its sign. The priors of noise, and of per-record parameters such as the current, are left out: their
     true values differ from log to log.
@@ -407,7 +408,7 @@ def _prior_parts(done: VehicleFit) -> dict[str, dict[str, float]]:
         shared = p.segment is None and p.name not in own
         if shared and p.prior is not None and errors[k] > 0.0 and share > 0.0:
             parts = summary.correlation.matrix[:, k] * errors * min(share, 1.0) ** 0.5
-            of_prior = _prior_deviation(p, float(fit.values[k])) * abs(reported.factor(p.unit))
+            of_prior = (p.prior_deviation(float(fit.values[k])) or 0.0) * abs(reported.factor(p.unit))
             parts *= min(1.0, of_prior * min(share, 1.0) ** 0.5 / errors[k])
             for name, part in zip(summary.correlation.names, parts.tolist(), strict=True):
                 if np.isfinite(part) and part != 0.0:
@@ -418,12 +419,6 @@ def _prior_parts(done: VehicleFit) -> dict[str, dict[str, float]]:
             if shift := shifts.get(own_name, 0.0):
                 found.setdefault(name, {})[SIDES] = shift
     return found
-
-
-def _prior_deviation(p: Parameter, value: float) -> float:
-    """Return the standard deviation of the prior of a parameter at this value, in the parameter's unit."""
-    prior = p.free_prior()
-    return 0.0 if prior is None else float(prior[1] * p.slope(value))
 
 
 def _nuisance_parameters(done: VehicleFit) -> set[str]:

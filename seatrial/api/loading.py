@@ -89,7 +89,7 @@ class ExportOptions(TypedDict, total=False):
 
 @dataclass(frozen=True, repr=False)
 class Saved(MotionMethods, Shown):
-    """Fit that `load` has read from files: its model, its result, or both.
+    """Saved fit that `load` has read. It has a model, a result, or both.
 
     Attributes
     ----------

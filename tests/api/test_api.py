@@ -465,7 +465,7 @@ def test_the_residual_tests_are_a_table(fit: st.FittedVehicle, tmp_path: Path) -
 
 
 def test_a_printed_table_of_residual_tests_names_each_of_its_rows(fit: st.FittedVehicle) -> None:
-    pandas = pytest.importorskip("pandas")
+    pandas = pytest.importorskip("pandas", reason="no pandas here")
     table = fit.residual_tests()
     with pandas.option_context("display.max_rows", 20, "display.width", 80):  # then five first and last rows
         lines = str(table).splitlines()

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
+from seatrial.ident.effects.sizes import share_in_words
 from seatrial.ident.model import Effect, Parameter, Signals
 
 
@@ -34,18 +34,6 @@ def compare_sides(estimates: Mapping[str, tuple[float, float]]) -> str:
     share = (1 - abs(eps)) / (1 + abs(eps))
     error = 2 * se / (1 + abs(eps)) ** 2  # first-order error of the share
     return f"the {weaker} thruster gives {share_in_words(share, error)} % of the thrust of the {stronger} one"
-
-
-def share_in_words(share: float, error: float) -> str:
-    """Return a share of a thrust in per cent with its standard error, such as "90 ± 2", for reports.
-
-    The number of decimals (none to three) follows from the error. The error is left out if it is zero or not finite.
-    """
-    percent, of_percent = 100 * share, 100 * error
-    if not (math.isfinite(of_percent) and of_percent > 0):
-        return f"{percent:.0f}"
-    digits = min(max(-math.floor(math.log10(of_percent)), 0), 3)  # the error has one significant digit
-    return f"{percent:.{digits}f} ± {of_percent:.{digits}f}"
 
 
 EFFECT = Effect(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from seatrial.ident.effects.propulsion.mismatch import share_in_words
+from seatrial.ident.effects.sizes import share_in_words
 from seatrial.ident.model import Effect, Parameter, Signals
 
 

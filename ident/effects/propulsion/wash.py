@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from seatrial.ident.effects.propulsion.mismatch import share_in_words
+from seatrial.ident.effects.sizes import share_in_words
 from seatrial.ident.model import Effect, Parameter, Signals
 
 WIDTH = 0.15  # shaft speed at which half of the loss is reached, so that the thrust has a derivative at zero
