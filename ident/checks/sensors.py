@@ -488,8 +488,8 @@ def delay_interval(lag: float, half: float) -> str:
     return f"95 %: {low:.2f} to {high:.2f} s"
 
 
-def why_no_warning(lag: float, half: float) -> str:
-    """Return the end of the text of a short delay: the largest one in its interval, or why it is no finding.
+def why_no_warning(lag: float, half: float, *, fitted: bool = True) -> str:
+    """Return the end of the text of a short delay: why it is no warning, or the largest delay in its interval.
 
     It is empty if the 95 % interval contains zero and ends below the limit of a warning.
 
@@ -497,12 +497,16 @@ def why_no_warning(lag: float, half: float) -> str:
     ----------
     lag, half
         Delay and half width of its interval [s].
+    fitted
+        Whether a fit has a common error that corrects such a delay.
     """
+    largest = f"the log does not exclude a delay of up to {lag + half:.2f} s"
+    if round(lag - half, 2) <= 0.0:
+        return f"; {largest}" if lag + half >= DELAY_WARNING else ""
+    text = f"; too short for a warning, which begins at {DELAY_WARNING:g} s"
     if lag + half >= DELAY_WARNING:
-        return f"; the log does not exclude a delay of up to {lag + half:.2f} s"
-    if round(lag - half, 2) > 0.0:
-        return f"; too short for a warning, which begins at {DELAY_WARNING:g} s"
-    return ""
+        text += f", although {largest}"
+    return text + "; a fit estimates and corrects it if it matters" * fitted
 
 
 def sensor_delay(
@@ -542,7 +546,9 @@ def sensor_delay(
     else:
         same = abs(found.lag) < SENSOR_GRID_S / 2
         text = f"{first} and {second} agree in time" if same else f"{late} comes {abs(found.lag):.2f} s after {early}"
-        text += f" ({interval}){why_no_warning(abs(found.lag), found.half)}"
+        # The latency of a fix delays position and velocity alike, so that no fit has a delay between the two.
+        fitted = {first, second} != {"position", "velocity"}
+        text += f" ({interval}){why_no_warning(abs(found.lag), found.half, fitted=fitted)}"
         yield Finding("ok", "sensors-in-time", "late", late_source, text)
 
 

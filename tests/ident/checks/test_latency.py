@@ -90,21 +90,28 @@ def test_short_delay_is_ok_and_the_text_says_why(late: tuple[str, ...], by: floa
     c = {n: replace(own, source=sources.get(n, "thruster")) for n, own in c.items()}
     sensors, thrust = check_latency(c, SIDES)
     assert (sensors.code, sensors.level, sensors.where) == ("sensors-in-time", "ok", device)
-    assert sensors.text.endswith(" s); too short for a warning, which begins at 0.3 s")
+    assert "; too short for a warning, which begins at 0.3 s" in sensors.text
+    assert sensors.text.endswith("; a fit estimates and corrects it if it matters")
     assert (thrust.code, thrust.level) == ("thrust-in-time", "ok")
     assert thrust.text.endswith("; the lag of the thrusters is a part of it, which a fit estimates")
+
+
+SHORT = "too short for a warning, which begins at 0.3 s"
+FITTED = "a fit estimates and corrects it if it matters"
 
 
 @pytest.mark.parametrize(
     ("lag", "half", "words"),
     [
-        (0.15, 0.04, "; too short for a warning, which begins at 0.3 s"),
+        (0.15, 0.04, f"; {SHORT}; {FITTED}"),
         (0.03, 0.04, ""),
-        (0.25, 0.1, "; the log does not exclude a delay of up to 0.35 s"),
+        (0.25, 0.1, f"; {SHORT}, although the log does not exclude a delay of up to 0.35 s; {FITTED}"),
+        (0.15, 0.2, "; the log does not exclude a delay of up to 0.35 s"),
     ],
 )
-def test_only_a_short_delay_that_differs_from_zero_needs_words(lag: float, half: float, words: str) -> None:
+def test_a_delay_that_differs_from_zero_says_why_it_is_no_warning(lag: float, half: float, words: str) -> None:
     assert why_no_warning(lag, half) == words
+    assert why_no_warning(lag, half, fitted=False) == words.removesuffix(f"; {FITTED}")
 
 
 def in_a_turning_current(c: dict[str, Channel], speed: float) -> dict[str, Channel]:
