@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import product
 from numbers import Real
 from typing import NamedTuple
@@ -23,7 +24,7 @@ from seatrial.ident.export.conditions import (
     outside_text,
 )
 from seatrial.ident.export.rates import Rates
-from seatrial.ident.export.state_feedback import HEADING, StateFeedback, lqr
+from seatrial.ident.export.state_feedback import HEADING, UNSTABLE, StateFeedback, UnstableSpeeds, lqr
 from seatrial.ident.model import COMMAND, SHAFT_SPEED, THRUSTER_FORCE, Model, is_of_thruster
 from seatrial.ident.models import SHORTEST_LAG
 from seatrial.ident.numerics import Array, is_undetermined
@@ -46,6 +47,7 @@ MAIN_PART = 0.5  # the same, from which a pole is named after it
 Z95 = 1.96  # half the width of a 95 % interval in standard errors
 SHORTEST_LAGS = (SHORTEST_LAG, SHORTEST_OWN_LAG)  # shortest time constants of the states of lags [s]
 SAME_LAG = 1e-9  # relative difference of a time constant from one of these by rounding
+SPEEDS, HALVINGS = 11, 4  # speeds that are searched for unstable poles, and halvings of the steps at both ends
 STATIC = 1e-6  # poles below this part of the largest one are integrators, which have no corner frequency
 
 Complex = NDArray[np.complex128]
@@ -185,6 +187,8 @@ class LinearModel:
         Names of the conditions whose value is a default, because none was chosen.
     ranges : dict of str to tuple of float
         Smallest and largest value of the states and inputs in the fitted data by name. Empty if they are unknown.
+    at_speed : callable or None
+        Function that linearises the same fitted model at another speed [m/s]. None: there is only this linear model.
     """
 
     speed: float
@@ -201,6 +205,7 @@ class LinearModel:
     conditions: Mapping[str, float] = field(default_factory=dict)
     assumed: tuple[str, ...] = ()
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    at_speed: Callable[[float], LinearModel] | None = field(default=None, compare=False)
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -339,6 +344,49 @@ class LinearModel:
                 verb = "grow" if len(of) > 1 else "grows"
                 found.append(f"{names} {verb} by a factor of e in {1.0 / pole.real:.3g} s without a controller{how}")
         return f"not stable: {'; '.join(found)}"
+
+    @property
+    def unstable_speeds(self) -> UnstableSpeeds | None:
+        """Range of speeds in the fitted data, with that of this model, with a pole above 0.05 1/s; None if none is.
+
+        The range is this speed alone if the speeds of the data are unknown, or if this one is outside them.
+        """
+        growth = self._growth_at(self.speed)
+        if not growth > UNSTABLE:
+            return None
+        here = UnstableSpeeds(self.speed, self.speed, growth)
+        low, high = self.ranges.get("u", (0.0, 0.0))
+        if self.at_speed is None or not low <= self.speed <= high:
+            return here
+        ends = (max(low, 0.0), high) if self.speed > 0.0 else (low, min(high, 0.0))
+        speeds = np.linspace(*ends, SPEEDS)
+        growths = np.array([self._growth_at(float(v)) for v in speeds])
+        found = np.flatnonzero(growths > UNSTABLE)
+        if not found.size or len(found) <= np.ptp(found):  # none, or a gap of stable speeds
+            return here
+        edges = []
+        for k, beyond in ((found[0], found[0] - 1), (found[-1], found[-1] + 1)):
+            inside = float(speeds[k])
+            outside = float(speeds[beyond]) if 0 <= beyond < SPEEDS else inside
+            for _ in range(HALVINGS if outside != inside else 0):
+                middle = 0.5 * (inside + outside)
+                inside, outside = (middle, outside) if self._growth_at(middle) > UNSTABLE else (inside, middle)
+            edges.append(inside)
+        step = float(speeds[1] - speeds[0])
+        if not edges[0] - step <= self.speed <= edges[1] + step:
+            return here
+        return UnstableSpeeds(edges[0], edges[1], float(growths[found].max()))
+
+    def _growth_at(self, speed: float) -> float:
+        """Return the largest real part [1/s] of the poles at a speed [m/s]; NaN where there is no linear model."""
+        if speed == self.speed:
+            return float(self.poles.real.max(initial=0.0))
+        if self.at_speed is None or speed == 0.0:
+            return float("nan")
+        try:
+            return float(self.at_speed(speed).poles.real.max(initial=0.0))
+        except (SeatrialError, ArithmeticError, np.linalg.LinAlgError):
+            return float("nan")  # for example a speed that the boat does not reach
 
     @property
     def motions(self) -> dict[str, dict[str, float]]:
@@ -788,8 +836,9 @@ def linearise(
         for side, beside in turned.items():
             by_heading += side * beside(x[None], u[None], values)[0] / (2.0 * HEADING_STEP)
         return LinearModel(
-            speed, rates.names, rates.inputs, A, B, x, u, delays, units, by_heading, moved, constant, assumed
-        )
+            speed, rates.names, rates.inputs, A, B, x, u, delays, units, by_heading, moved, constant, assumed,
+            at_speed=partial(linearise, model, conditions=constant),
+        )  # fmt: skip
 
     directions = principal_directions(reduced, rates.values, _of_parameters(known, rates.parameters))
     if not directions:

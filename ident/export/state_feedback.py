@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from numbers import Real
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,28 @@ UNSTABLE = 0.05  # 1/s: poles below it grow by a factor of e in more than 20 s, 
 TURN = 2.0 * np.pi  # rad
 MOST_TURNS = 5.0  # of a heading that counts them; more are degrees
 HEADING = "psi"  # further state of the feedback: the integral of the yaw rate
+
+
+class UnstableSpeeds(NamedTuple):
+    """Range of forward speeds at which a linear model has an unstable pole.
+
+    Attributes
+    ----------
+    low, high
+        Lowest and highest speed [m/s]. Both are the speed of one linear model if no other speed is known.
+    growth
+        Largest real part of the poles in this range [1/s].
+    """
+
+    low: float
+    high: float
+    growth: float
+
+    def __str__(self) -> str:
+        """Return the range as text with the pole, such as ``from 0.2 to 1 m/s (a pole at up to 0.3 1/s)``."""
+        if self.low == self.high:
+            return f"at {self.low:.3g} m/s (a pole at {self.growth:.2g} 1/s)"
+        return f"from {self.low:.2g} to {self.high:.2g} m/s (a pole at up to {self.growth:.2g} 1/s)"
 
 
 @dataclass(frozen=True, repr=False)
@@ -139,6 +161,10 @@ class LinearSystem(Protocol):
     def u0(self) -> Array:
         """Inputs (m,) of the operating point."""
 
+    @property
+    def unstable_speeds(self) -> UnstableSpeeds | None:
+        """Speeds about that of the operating point with an unstable pole; None if there is none at this one."""
+
 
 def lqr(linear: LinearSystem, Q: Mapping[str, float], R: Mapping[str, float] | None = None) -> StateFeedback:
     """Return the linear quadratic regulator of a linear system, with weights of states and inputs by name.
@@ -180,9 +206,10 @@ def lqr(linear: LinearSystem, Q: Mapping[str, float], R: Mapping[str, float] | N
                 "with at={'psi': ...} [rad] for the heading that you steer, as the inputs u0 that hold the course "
                 "change with it"
             )
-    if (growth := float(np.linalg.eigvals(linear.A).real.max(initial=0.0))) > UNSTABLE:
+    if (unstable := linear.unstable_speeds) is not None:
+        # The text is the same at all speeds of the range, so that Python shows it once for a schedule of speeds
         warn(
-            f"the model is unstable at this speed (a pole at {growth:.2g} 1/s), and the inputs are limited: the "
+            f"the model is unstable {unstable}, and the inputs are limited: the "
             "feedback holds the boat near this motion, and may not bring it there from rest; test it with the exported "
             "model, and let the wanted speed rise from that of the boat: control(x, psi=..., u=min(speed, 0.05 * t)). "
             "This can fail if the damping of sway is negative, or if the operating point is outside the fitted data"

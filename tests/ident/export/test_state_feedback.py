@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import warnings
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -46,8 +48,31 @@ def test_gain_is_that_of_the_riccati_equation(linear: LinearModel) -> None:
 def test_feedback_of_an_unstable_boat_warns_of_motions_far_away() -> None:
     unstable = linearise(saved(horizontal_model("shaft"), {"d_r": 3.0, "d_v": 5.0}), 0.7)
     assert unstable.poles.real.max() > 0.05
-    with pytest.warns(SeatrialWarning, match=r"unstable at this speed \(a pole at .* may not bring it there from rest"):
+    words = r"unstable at 0.7 m/s \(a pole at 0\.43 1/s\).* may not bring it there from rest"
+    with pytest.warns(SeatrialWarning, match=words):
         unstable.lqr(Q)
+
+
+def test_a_schedule_of_speeds_gives_one_warning_with_the_range_that_is_unstable() -> None:
+    """The text is that of the range, so that Python shows it once. Outside the data, it names the single speed."""
+    model = saved(horizontal_model("shaft"), {"d_r": 3.0, "d_v": 5.0})
+
+    def texts(*speeds: float) -> set[str]:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            for speed in speeds:
+                replace(linearise(model, speed), ranges={"u": (-0.2, 0.9)}).lqr(Q)
+        return {str(w.message) for w in caught}
+
+    (text,) = texts(0.4, 0.55, 0.9)
+    low, high, pole = re.findall(r"unstable from ([\d.]+) to ([\d.]+) m/s \(a pole at up to ([\d.]+) 1/s\)", text)[0]
+    assert float(high) == 0.9
+    assert float(pole) == pytest.approx(linearise(model, 0.9).poles.real.max(), abs=0.005)
+    assert linearise(model, float(low) - 0.03).poles.real.max() < 0.05
+    assert linearise(model, float(low) + 0.03).poles.real.max() > 0.05
+    assert not texts(float(low) - 0.03)
+    (outside,) = texts(0.95)
+    assert "unstable at 0.95 m/s" in outside
 
 
 def test_weights_as_matrices_are_refused_in_one_line(linear: LinearModel) -> None:
