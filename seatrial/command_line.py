@@ -28,7 +28,7 @@ try:
     from click.shell_completion import CompletionItem
 
     from seatrial.daq import bounds
-    from seatrial.daq.errors import SeatrialError, SeatrialWarning, closest_name, printable
+    from seatrial.daq.errors import SeatrialError, SeatrialWarning, closest_name, first_names, printable
 except KeyboardInterrupt:  # Ctrl-C during the imports, before a command can handle it
     sys.stderr.write("\nseatrial: interrupted\n")
     raise SystemExit(130) from None
@@ -152,17 +152,45 @@ class LazyGroup(click.Group):
             return [f"seatrial {SYNONYMS[name]}"]
         places: dict[str, list[str]] = {}
         for group in GROUPS:
-            try:
-                command = self.get_command(ctx, group)
-            except SeatrialError:
-                continue
-            if isinstance(command, click.Group):
-                for below in command.commands:
-                    places.setdefault(below, []).append(f"seatrial {group} {below}")
+            for path in self._commands_of(ctx, group):
+                if path.count(" ") == 2:
+                    places.setdefault(path.rpartition(" ")[2], []).append(path)
         if name in places:
             return places[name]
         near = closest_name(name, COMMANDS)
         return [near] if near else places.get(closest_name(name, places) or "", [])
+
+    def _commands_of(self, ctx: click.Context, name: str) -> dict[str, click.Command]:
+        """Return a command of `seatrial` by its path, such as ``seatrial ident``, and the commands below it.
+
+        The result is empty if the command is not installed.
+        """
+        try:
+            command = self.get_command(ctx, name)
+        except SeatrialError:
+            return {}
+        found = {} if command is None else {f"seatrial {name}": command}
+        below = command.commands if isinstance(command, click.Group) else {}
+        return found | {f"seatrial {name} {sub}": c for sub, c in below.items()}
+
+    def with_option(self, ctx: click.Context, option: str) -> list[str]:
+        """Return the paths of the commands that have an option; all commands are imported.
+
+        Parameters
+        ----------
+        ctx
+            Context of the command line without this option. The commands of its own group come first.
+        option
+            The option as the user wrote it, such as ``--jobs``.
+        """
+        found = [
+            path
+            for name in COMMANDS
+            for path, command in self._commands_of(ctx, name).items()
+            if any(option in (*p.opts, *p.secondary_opts) for p in command.params if isinstance(p, click.Option))
+        ]
+        group = ctx.command_path.rpartition(" ")[0]
+        return sorted(found, key=lambda path: path.rpartition(" ")[0] != group)
 
     def invoke(self, ctx: click.Context) -> None:
         """Run the command and discard its return value, since only `ctx.exit(status)` may set the exit status.
@@ -312,10 +340,16 @@ def _line_and_status(error: BaseException) -> tuple[str, int]:
 def _usage_line(error: click.UsageError) -> str:
     """Return the line for stderr about a wrong command line: the command, the problem, and the command for its help.
 
+    An unknown option that other commands have comes with their names, in place of options that are spelt similarly.
     Line ends become spaces, and control characters become escape sequences. Nothing is printed here.
     """
     path = "seatrial" if error.ctx is None else error.ctx.command_path
     text = printable(" ".join(error.format_message().split()).rstrip("."))
+    if isinstance(error, click.NoSuchOption) and error.ctx is not None:
+        others = [f"`{other}`" for other in cli.with_option(error.ctx, error.option_name)]
+        if others:
+            verb = "has" if len(others) == 1 else "have"
+            text = f"No such option {printable(error.option_name)!r}; {first_names(others, 3)} {verb} it"
     return f"{path}: {text}{'' if text.endswith('?') else ';'} `{path} --help` shows how"
 
 

@@ -168,6 +168,29 @@ def test_a_misspelt_command_or_option_names_the_closest_one(capsys, args: tuple[
 @pytest.mark.parametrize(
     ("args", "message"),
     [
+        (
+            ("ident", "diagnose", "--jobs", "2"),
+            "seatrial ident diagnose: No such option '--jobs'; `seatrial ident compare`, `seatrial ident fleet`, "
+            "`seatrial ident changes` and 1 more have it; `seatrial ident diagnose --help` shows how\n",
+        ),
+        (
+            ("ident", "vehicle", "--discriminate", "a,b"),
+            "seatrial ident vehicle: No such option '--discriminate'; `seatrial mission design` has it; `seatrial",
+        ),
+        (("ident", "compare", "--validate", "x"), "seatrial ident compare: No such option '--validate'; `seatrial id"),
+    ],
+)
+def test_an_option_of_other_commands_names_them(capsys, args: tuple[str, ...], message: str) -> None:
+    """The commands of the same group come first, and options that are spelt similarly are not suggested."""
+    with pytest.raises(SystemExit) as leaving:
+        command_line.main(args)
+    assert leaving.value.code == 2
+    assert capsys.readouterr().err.startswith(message)
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
         (("import", "mapp.toml", "run1.csv"), "Path 'mapp.toml' does not exist. Did you mean 'map.toml'?"),
         (("import", "map.toml", "rnu1.csv"), "Path 'rnu1.csv' does not exist. Did you mean 'run1.csv'?"),
         (("check", "rnu1.mcap"), "Path 'rnu1.mcap' does not exist. Did you mean 'run1.mcap'?"),
