@@ -24,10 +24,10 @@ from seatrial.ident.export.conditions import (
     outside_text,
 )
 from seatrial.ident.export.rates import Rates
-from seatrial.ident.export.state_feedback import HEADING, UNSTABLE, StateFeedback, UnstableSpeeds, lqr
+from seatrial.ident.export.state_feedback import HEADING, LEAST_GROWTH, StateFeedback, UnstableSpeeds, lqr
 from seatrial.ident.model import COMMAND, SHAFT_SPEED, THRUSTER_FORCE, Model, is_of_thruster
 from seatrial.ident.models import SHORTEST_LAG
-from seatrial.ident.numerics import Array, is_undetermined
+from seatrial.ident.numerics import NOT_SHOWN, STABLE, UNSTABLE, Array, is_undetermined, stability_of
 
 SOLVED = 1e-10  # the same, below which no other start of the search is tried
 BALANCED = 1e-6  # largest rate at the operating point, in the unit of each state per second
@@ -41,6 +41,7 @@ LAGS = 3.0  # reach of a frequency response beyond a lag of 90 deg by a dead tim
 MOTION_WORDS = {"yaw": "turn", "heading": "turn", "surge": "straight", "forward": "straight"}  # to one of the motions
 HALF_POWER = np.sqrt(0.5)  # -3 dB
 EQUAL_STEPS = 1e-13  # of the longest time, by which two steps of time may differ and still count as equal
+FREE = "free"  # of a motion whose pole is zero
 STATE_WORDS = {"u": "surge speed", "v": "sway speed", "r": "yaw rate"}
 LARGE_PART = 0.2  # participation of a state in a motion, as a part of the largest one, from which it is named
 MAIN_PART = 0.5  # the same, from which a pole is named after it
@@ -312,8 +313,29 @@ class LinearModel:
 
     @property
     def stable(self) -> bool:
-        """Whether all poles have a negative real part."""
+        """Whether all poles of the estimates have a negative real part. `stability` says what the data show of it."""
         return bool((self.poles.real < 0.0).all())
+
+    @property
+    def stability(self) -> str:
+        """What the data show: ``stable``, ``unstable``, ``not shown by the data`` or ``free``.
+
+        The 95 % intervals of the poles decide, with their standard errors `pole_errors`; without these, the estimates
+        decide. The model is ``unstable`` if a motion surely grows. Otherwise, its stability is
+        ``not shown by the data`` if the interval of a pole contains zero. It is ``free`` if a pole is zero and none
+        grows: nothing brings this motion back. `stability_text` has the motions.
+        """
+        found = self._stability_of_poles
+        return next((word for word in (UNSTABLE, NOT_SHOWN, FREE) if word in found), STABLE)
+
+    @property
+    def _stability_of_poles(self) -> list[str]:
+        """Stability of the motion of each pole, in the order of `poles`."""
+        least = STATIC * np.abs(self.poles).max(initial=0.0)
+        return [
+            FREE if abs(pole) <= least else stability_of(pole, pole - Z95 * error, pole + Z95 * error)
+            for pole, error in zip(self.poles.real.tolist(), self.pole_errors.tolist(), strict=True)
+        ]
 
     @property
     def growth(self) -> float:
@@ -322,28 +344,28 @@ class LinearModel:
         return largest if largest > STATIC * np.abs(self.poles).max(initial=0.0) else 0.0
 
     @property
-    def stability(self) -> str:
-        """Stability in words: ``stable``, or each motion that does not decay, by its states, and what it does.
+    def stability_text(self) -> str:
+        """Stability in words: that of `stability`, and each motion that does not surely decay, by its states.
 
-        A motion with a pole of zero stays where it is, such as a heading without a controller. One with a positive real
-        part grows. Its 95 % interval decides whether it is distinguishable from a decay.
+        A motion with a pole of zero stays where it is, such as a heading without a controller.
         """
-        if self.stable:
-            return "stable"
-        share, found = self.participation, []
-        for k, (pole, error) in enumerate(zip(self.poles, self.pole_errors, strict=True)):
-            if pole.real < 0.0 or pole.imag < 0.0:  # of a pair, the pole with the positive imaginary part is described
+        value, share, found = self.stability, self.participation, []
+        kinds = zip(self._stability_of_poles, self.poles, self.pole_errors, strict=True)
+        for k, (kind, pole, error) in enumerate(kinds):
+            if kind == STABLE or pole.imag < 0.0:  # of a pair, the pole with the positive imaginary part is described
                 continue
             of = [s for s, part in zip(self.states, share[k], strict=True) if part > LARGE_PART * share[k].max()]
-            names = " and ".join(STATE_WORDS.get(s, s) for s in of)
-            if pole.real <= STATIC * np.abs(self.poles).max():
-                verb = "are" if len(of) > 1 else "is"
+            names, one = " and ".join(STATE_WORDS.get(s, s) for s in of), len(of) == 1
+            if kind == FREE:
+                verb = "is" if one else "are"
                 found.append(f"{names} {verb} free (pole 0): nothing brings back what a disturbance has changed")
+            elif kind == UNSTABLE:
+                verb = "grows" if one else "grow"
+                found.append(f"{names} {verb} by a factor of e in {1.0 / pole.real:.3g} s without a controller")
             else:
-                how = ", but not distinguishable from a decay" if pole.real < Z95 * error else ""
-                verb = "grow" if len(of) > 1 else "grows"
-                found.append(f"{names} {verb} by a factor of e in {1.0 / pole.real:.3g} s without a controller{how}")
-        return f"not stable: {'; '.join(found)}"
+                found.append(f"{names} may grow or decay (pole {pole.real:.2g} ± {error:.2g} 1/s)")
+        value = f"stability {value}" if value == NOT_SHOWN else value
+        return f"{value}: {'; '.join(found)}" if found else value
 
     @property
     def unstable_speeds(self) -> UnstableSpeeds | None:
@@ -352,7 +374,7 @@ class LinearModel:
         The range is this speed alone if the speeds of the data are unknown, or if this one is outside them.
         """
         growth = self._growth_at(self.speed)
-        if not growth > UNSTABLE:
+        if not growth > LEAST_GROWTH:
             return None
         here = UnstableSpeeds(self.speed, self.speed, growth)
         low, high = self.ranges.get("u", (0.0, 0.0))
@@ -361,7 +383,7 @@ class LinearModel:
         ends = (max(low, 0.0), high) if self.speed > 0.0 else (low, min(high, 0.0))
         speeds = np.linspace(*ends, SPEEDS)
         growths = np.array([self._growth_at(float(v)) for v in speeds])
-        found = np.flatnonzero(growths > UNSTABLE)
+        found = np.flatnonzero(growths > LEAST_GROWTH)
         if not found.size or len(found) <= np.ptp(found):  # none, or a gap of stable speeds
             return here
         edges = []
@@ -370,7 +392,7 @@ class LinearModel:
             outside = float(speeds[beyond]) if 0 <= beyond < SPEEDS else inside
             for _ in range(HALVINGS if outside != inside else 0):
                 middle = 0.5 * (inside + outside)
-                inside, outside = (middle, outside) if self._growth_at(middle) > UNSTABLE else (inside, middle)
+                inside, outside = (middle, outside) if self._growth_at(middle) > LEAST_GROWTH else (inside, middle)
             edges.append(inside)
         step = float(speeds[1] - speeds[0])
         if not edges[0] - step <= self.speed <= edges[1] + step:
@@ -668,7 +690,7 @@ class LinearModel:
 
     def __repr__(self) -> str:
         """Return speed, stability, poles and time constants as a few lines of text."""
-        lines = [f"<Linearisation at {self.speed:g} m/s, {self.stability}>", f"states {', '.join(self.states)}"]
+        lines = [f"<Linearisation at {self.speed:g} m/s, {self.stability_text}>", f"states {', '.join(self.states)}"]
         lines.append(f"inputs {', '.join(f'{n} = {self.operating_point[n]:.4g}' for n in self.inputs)}")
         if self.conditions:
             lines.append(f"taken as constant: {conditions_text(self.conditions)}")

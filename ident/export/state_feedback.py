@@ -15,7 +15,7 @@ from seatrial.ident.export.conditions import conditions_text
 from seatrial.ident.model import COMMAND, SHAFT_SPEED, is_of_thruster
 from seatrial.ident.numerics import Array
 
-UNSTABLE = 0.05  # 1/s: poles below it grow by a factor of e in more than 20 s, which any feedback holds
+LEAST_GROWTH = 0.05  # 1/s: poles below it grow by a factor of e in more than 20 s, which any feedback holds
 TURN = 2.0 * np.pi  # rad
 MOST_TURNS = 5.0  # of a heading that counts them; more are degrees
 HEADING = "psi"  # further state of the feedback: the integral of the yaw rate

@@ -1,6 +1,9 @@
 from .autocorrelation import correlation_length as correlation_length
 from .autocorrelation import effective_sample_size as effective_sample_size
 from .autocorrelation import mean_error as mean_error
+from .distributions import NOT_SHOWN as NOT_SHOWN
+from .distributions import STABLE as STABLE
+from .distributions import UNSTABLE as UNSTABLE
 from .distributions import chi2_cdf as chi2_cdf
 from .distributions import chi2_isf as chi2_isf
 from .distributions import chi2_ppf as chi2_ppf
@@ -13,6 +16,7 @@ from .distributions import normal_cdf as normal_cdf
 from .distributions import normal_ppf as normal_ppf
 from .distributions import normality_p as normality_p
 from .distributions import signed_rank_z as signed_rank_z
+from .distributions import stability_of as stability_of
 from .distributions import student_ppf as student_ppf
 from .linear_algebra import Array as Array
 from .linear_algebra import covariance_root as covariance_root

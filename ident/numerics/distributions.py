@@ -11,6 +11,7 @@ import numpy as np
 
 from seatrial.ident.numerics.linear_algebra import Array
 
+STABLE, UNSTABLE, NOT_SHOWN = "stable", "unstable", "not shown by the data"  # stability of a motion
 UNDETERMINED = 0.5  # standard error as a part of the estimate, above which the data do not determine it
 
 
@@ -170,3 +171,23 @@ def is_undetermined(value: float, error: float) -> bool:
     Its 95 % interval then reaches to zero, or to a multiple of the value. An error of NaN (unknown) gives False.
     """
     return bool(error > UNDETERMINED * abs(value))
+
+
+def stability_of(pole: float, low: float, high: float) -> str:
+    """Return what the data show of the stability of a motion, in the words of all results.
+
+    Parameters
+    ----------
+    pole
+        Estimate of the real part of the pole [1/s], not zero.
+    low, high
+        Ends of its 95 % interval [1/s]. NaN: unknown, so that the estimate alone decides.
+
+    Returns
+    -------
+    str
+        ``stable``, ``unstable``, or ``not shown by the data`` if the interval contains zero.
+    """
+    if low <= 0.0 <= high:
+        return NOT_SHOWN
+    return STABLE if pole < 0.0 else UNSTABLE

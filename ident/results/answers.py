@@ -37,7 +37,7 @@ from seatrial.ident.estimation import (
 )
 from seatrial.ident.model import Model, ModelKind, Parameter, ParameterOrigin, drive_word
 from seatrial.ident.models import ESTIMATOR_ERROR
-from seatrial.ident.numerics import is_undetermined
+from seatrial.ident.numerics import NOT_SHOWN, UNSTABLE, is_undetermined
 from seatrial.ident.results.parts import (
     Calibrations,
     CourseStability,
@@ -1465,10 +1465,11 @@ def wind_sentence(made: Provenance, model: Model) -> str:
 def course_sentence(course: CourseStability | None, model: Model | None = None) -> str:
     """Return the sentence on a boat that is directionally unstable, with the time constant and its 95 % interval.
 
-    If the interval of the pole contains zero, the sentence says that the data do not show whether the boat is stable.
-    If the estimated damping of sway is negative, there is no statement on the stability, but one on the hull form,
-    with the lowest speed at which it is negative. If the hull lift of ``model`` is the reason, the sentence says how to
-    fit the model without it. The text is empty for a stable estimate and for None.
+    If the interval of the pole contains zero, the sentence says that the data do not show the stability, in the words
+    of `seatrial.ident.numerics.stability_of`. If the estimated damping of sway is negative, there is no statement on
+    the stability, but one on the hull form, with the lowest speed at which it is negative. If the hull lift of
+    ``model`` is the reason, the sentence says how to fit the model without it. The text is empty for a stable estimate
+    and for None.
     """
     if course is None:
         return ""
@@ -1498,10 +1499,10 @@ def course_sentence(course: CourseStability | None, model: Model | None = None) 
     if course.low is None or course.high is None:
         return f"{begin}: {grows} (the 95 % interval is unknown)."
     fastest = f"{1.0 / course.high:.3g}"
-    if course.distinguishable:
+    if course.stability == UNSTABLE:
         return f"{begin}: {grows} (95 % interval: {fastest} to {1.0 / course.low:.3g} s)."
     return (
-        f"At {course.speed:.3g} m/s{heading} the data do not show whether the boat is directionally stable: without a "
+        f"At {course.speed:.3g} m/s{heading} the directional stability is {NOT_SHOWN}: without a "
         f"controller a small yaw rate may grow by a factor of e in {fastest} s or decay in "
         f"{-1.0 / min(course.low, -1e-9):.3g} s (95 % interval)."
     )

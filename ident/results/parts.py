@@ -6,6 +6,7 @@ that are not fits are in ``commands``.
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
 import msgspec
@@ -13,7 +14,7 @@ from msgspec import Meta
 
 from seatrial.ident.data import FrameOrigin
 from seatrial.ident.estimation import AT_BOUND, FailedRun, Role
-from seatrial.ident.numerics import Array
+from seatrial.ident.numerics import Array, stability_of
 
 FORMAT = "seatrial-result 3"
 Verdict = Literal["right", "overconfident", "underconfident", "insufficient_data"]
@@ -899,9 +900,10 @@ class CourseStability(Part, frozen=True, kw_only=True):
         return self.pole > 0.0
 
     @property
-    def distinguishable(self) -> bool:
-        """Whether the interval is known and on one side of zero."""
-        return self.low is not None and self.high is not None and (self.low > 0.0 or self.high < 0.0)
+    def stability(self) -> str:
+        """What the data show: ``stable``, ``unstable``, or ``not shown by the data`` (the interval contains zero)."""
+        low, high = (math.nan if end is None else end for end in (self.low, self.high))
+        return stability_of(self.pole, low, high)
 
 
 class HeadingPoint(Part, frozen=True, kw_only=True):

@@ -344,7 +344,7 @@ class Linearisation(Shown, LinearModel):
                 self.poles, self.time_constants, self.time_constant_errors, self.mainly, strict=True
             )
         ]
-        answer = f"Linear model at {self.speed:g} m/s ({at}), {self.stability}."
+        answer = f"Linear model at {self.speed:g} m/s ({at}), {self.stability_text}."
         if self.conditions:
             answer += f" Taken as constant: {conditions_text(self.conditions)}."
         if words := heading_sentence(self.conditions):

@@ -10,7 +10,7 @@ import numpy as np
 
 from seatrial.ident.export import conditions_text, frame_words, is_shortest_lag, outside_text, turn_sentence
 from seatrial.ident.model import THRUSTER_FORCE, drive_word, is_of_thruster
-from seatrial.ident.numerics import is_undetermined
+from seatrial.ident.numerics import NOT_SHOWN, is_undetermined
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Canvas, Cell, Grid, Heading, Plot, Prose, Section, Table
 from seatrial.ident.report.bode import FREQUENCY, frequency_axis, gain_traces, phase_axis, phase_traces
@@ -147,7 +147,7 @@ def _pole_blocks(dynamics: Dynamics, drive: str) -> list[Any]:
                 any_shortest, constant = True, f"≤ {constant}"
             grows = f"unstable: doubles in {formatting.plain(float(DOUBLING / real), 2)} s" if real > 0.0 else ""
             if is_undetermined(float(real), float(error)):
-                any_lost, constant, grows = True, "not determined", "may be unstable" if real > 0.0 else ""
+                any_lost, constant, grows = True, "not determined", f"stability {NOT_SHOWN}" if real > 0.0 else ""
             any_growing = any_growing or bool(grows)
             names = [Cell(point.mainly[k], "symbol")] if named else []
             rows.append([Cell(pole, "num"), Cell(constant, "num"), *names, Cell(grows, "bad")])
@@ -167,7 +167,7 @@ def _pole_blocks(dynamics: Dynamics, drive: str) -> list[Any]:
     if beyond := _outside_sentence(dynamics):
         blocks.append(Prose(beyond, "callout"))
     # the sentence on the course says it if the data do not show whether the boat is stable
-    is_clear = dynamics.course is None or dynamics.course.low is None or dynamics.course.distinguishable
+    is_clear = dynamics.course is None or dynamics.course.stability != NOT_SHOWN
     if not all(p.stable for p in points) and is_clear:
         slowest = min(p.speed for p in points if not p.stable)
         blocks.append(

@@ -5,6 +5,7 @@ motion after a small step, and its frequency response the simulated motion by a 
 from __future__ import annotations
 
 import math
+import re
 import time
 import warnings
 from collections.abc import Callable
@@ -399,22 +400,32 @@ def test_error_of_a_pole_is_the_change_by_the_parameter() -> None:
 
 def test_stability_says_which_motion_does_not_decay() -> None:
     """With a sway mass far above that in surge, the Munk moment of this boat makes sway and yaw unstable."""
-    assert linearise(saved(horizontal_model("shaft")), 0.7).stability == "stable"
+    stable = linearise(saved(horizontal_model("shaft")), 0.7)
+    assert (stable.stability, stable.stability_text) == ("stable", "stable")
     model = saved(horizontal_model("shaft"), {"m_v": 150.0, "d_r": 0.5})
-    for sd, end in ((0.001, " s without a controller"), (50.0, ", but not distinguishable from a decay")):
-        known = ParameterCovariance(("d_r",), np.array([[sd**2]]))
-        unstable = linearise(model, 0.7, known)
-        pole = unstable.poles.real.max()
-        assert pole > 0.0
-        begin = "not stable: sway speed and yaw rate grow by a factor of e in "
-        assert unstable.stability.startswith(f"{begin}{1 / pole:.3g} s")
-        assert unstable.stability.endswith(end)
-        assert unstable.stability in repr(unstable)
-        assert "surge" not in unstable.stability
+
+    def known(sd: float) -> ParameterCovariance:
+        return ParameterCovariance(("d_r",), np.array([[sd**2]]))
+
+    unstable = linearise(model, 0.7, known(0.001))
+    pole = unstable.poles.real.max()
+    assert pole > 0.0
+    assert unstable.stability == "unstable"
+    grows = f"sway speed and yaw rate grow by a factor of e in {1 / pole:.3g} s without a controller"
+    assert unstable.stability_text == f"unstable: {grows}"
+    assert unstable.stability_text in repr(unstable)
     free = replace(unstable, A=np.diag([-1.0, -0.5, 0.0]), moved=())
-    assert free.stability == (
-        "not stable: yaw rate is free (pole 0): nothing brings back what a disturbance has changed"
-    )
+    assert free.stability == "free"
+    assert free.stability_text == "free: yaw rate is free (pole 0): nothing brings back what a disturbance has changed"
+    for boat in (model, saved(horizontal_model("shaft"))):  # the estimate is unstable, and stable
+        found = linearise(boat, 0.7, known(50.0))
+        assert found.stability == "not shown by the data"
+        assert re.match(
+            r"stability not shown by the data: [\w ]+ may grow or decay \(pole [-\d.e+]+ ± [\d.e+]+ 1/s\)",
+            found.stability_text,
+        )
+        assert found.stability_text in repr(found)
+        assert "surge" not in found.stability_text
 
 
 def test_time_constant_with_a_large_error_is_not_determined() -> None:

@@ -175,7 +175,7 @@ def test_poles_and_time_constants_that_are_not_determined_are_marked() -> None:
     lost = msgspec.structs.replace(loaded(KINDS["diagnosis"]()), dynamics=msgspec.structs.replace(found, points=points))
     words = " ".join(Page(page.render(lost)).words.split())
     assert "0.250 −0.500 ± 2.00 j not determined" in words
-    assert "0.100 not determined may be unstable −2.00 0.500 s" in words
+    assert "0.100 not determined stability not shown by the data −2.00 0.500 s" in words
     assert "Not determined: the standard error of the pole is more than half of its size." in words
 
 

@@ -507,8 +507,8 @@ GROWS = "without a controller a small yaw rate grows by a factor of e in"
         (0.25, 0.125, 0.5, f": {GROWS} 4 s (95 % interval: 2 to 8 s)."),
         (
             *(0.02, -0.1, 0.125),
-            "At 0.9 m/s the data do not show whether the boat is directionally stable: without a controller a small "
-            "yaw rate may grow by a factor of e in 8 s or decay in 10 s (95 % interval).",
+            "At 0.9 m/s the directional stability is not shown by the data: without a controller a small yaw rate may "
+            "grow by a factor of e in 8 s or decay in 10 s (95 % interval).",
         ),
         (0.02, None, None, f": {GROWS} 50 s (the 95 % interval is unknown)."),
     ],
@@ -519,6 +519,12 @@ def test_sentence_on_a_directionally_unstable_boat(
     begin = "At 0.9 m/s the boat is directionally unstable" if sentence.startswith(":") else ""
     assert course_sentence(CourseStability(speed=0.9, pole=pole, low=low, high=high)) == begin + sentence
     assert course_sentence(None) == ""
+    known = {
+        -0.1: "not shown by the data",
+        0.25: "unstable",
+        0.02: "unstable" if low is None else "not shown by the data",
+    }
+    assert CourseStability(speed=0.9, pole=pole, low=low, high=high).stability == known[pole]
     negative = CourseStability(speed=0.9, pole=pole, low=low, high=high, sway=0.02)
     assert course_sentence(negative).startswith("At 0.9 m/s the estimated damping of sway is negative, which no hull")
     lowest = course_sentence(CourseStability(speed=0.9, pole=pole, low=low, high=high, sway=-0.02, sway_from=0.451))
