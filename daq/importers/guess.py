@@ -392,13 +392,18 @@ def _with_resting_pulses(candidates: Sequence[Candidate]) -> list[Candidate]:
 
 
 def _scale_remark(signal: MapSignal, n_files: int) -> str:
-    """Return the remark on a guessed scale, at the end of the line of a signal; "" if the scale is no guess."""
-    if not signal.full or signal.is_given:
+    """Return the remark on a scale at the end of the line of a signal: given by the user, or inferred from the data.
+
+    The text is empty if the unit has the scale.
+    """
+    if not signal.full:
         return ""
+    if signal.is_given:
+        return f"  # scale: given, 1 / {signal.full:.6g}"
     of = "this file" if n_files == 1 else f"these {n_files} files"
     over = f" over its largest command, {signal.at_command:.3g}" if signal.at_command else ""
     return (
-        f"  # scale: a guess, 1 / {signal.full:.6g}, the largest number of {of}{over}; better: 1 / (number at full "
+        f"  # scale: inferred, 1 / {signal.full:.6g}, the largest number of {of}{over}; better: 1 / (number at full "
         "speed), the same on both sides and in all files"
     )
 

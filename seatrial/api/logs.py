@@ -313,8 +313,8 @@ def import_log(
         Files: text tables, bags of ROS, DataFlash, ULog, MATLAB and others.
     map_path : path, optional
         Import map, which assigns columns to signals. None: a map is guessed for each file; a scale that is guessed from
-        numbers is the same for all files. The caveats of a guessed map are a `SeatrialWarning`. Look at the map before
-        you rely on it (`guess_map`).
+        numbers is the same for all files. A `SeatrialWarning` says what was inferred from the data. Look at the map
+        before you rely on it (`guess_map`).
     out_dir : path
         Folder of the logs, which is created. A log has the name of its file; if the map merges files, that of the map.
     force : bool
@@ -357,7 +357,7 @@ def import_log(
         guesses = guess_maps(sources, known=full_speed)
         for source, guess in zip(sources, guesses, strict=True):
             _require_signals(source, guess)
-    _warn_of_guesses(sources, guesses)
+    _warn_of_guesses(sources, guesses, _given_words(geometry, scale, full_speed))
     with errors_of_users(OF_IMPORT), TemporaryDirectory() as scratch:
         for source, guess in zip(sources, guesses, strict=True):
             guessed = Path(scratch) / f"{source.stem}.toml"
@@ -391,11 +391,18 @@ def _require_signals(source: Path, guess: Guess) -> None:
     )
 
 
-def _warn_of_guesses(sources: Sequence[Path], guesses: Sequence[Guess]) -> None:
-    """Warn of the caveats of guessed maps, and of columns that were not recognised: once for files that are alike.
+def _given_words(geometry: BoatTable | None, scale: BoatTable | None, full_speed: Mapping[str, float] | None) -> str:
+    """Return the end of the warning of guessed maps: the numbers that the user gave. It is empty if there are none."""
+    tables = {"geometry": geometry, "scale": scale, "full_speed": full_speed}
+    given = [f"{table} ({', '.join(numbers)})" for table, numbers in tables.items() if numbers]
+    return f"; as given: {', '.join(given)}" if given else ""
 
-    Files are alike if their caveats, or their columns, differ in numbers and in the name of the file at most. The text
-    is then that of the first of them.
+
+def _warn_of_guesses(sources: Sequence[Path], guesses: Sequence[Guess], given: str) -> None:
+    """Warn of what guessed maps infer from the data, and of columns that were not recognised: once for files alike.
+
+    ``given`` is the text about the numbers that the user gave, which are no guess. Files are alike if their caveats, or
+    their columns, differ in numbers and in the name of the file at most. The text is then that of the first of them.
     """
     guessed, left_out = dict[Any, list[tuple[Path, str]]](), dict[Any, list[tuple[Path, str]]]()
     for source, guess in zip(sources, guesses, strict=True):
@@ -411,8 +418,8 @@ def _warn_of_guesses(sources: Sequence[Path], guesses: Sequence[Guess]) -> None:
         one = len({text for _, text in alike}) == 1
         of_first = "" if one else f", in {paths[0].name}"
         warn(
-            f"{names}: the import map is a guess{of_first} ({alike[0][1]}); correct the map of {_guess_call(paths)} "
-            "and give it as map_path"
+            f"{names}: without an import map, this was inferred from the data{of_first}: {alike[0][1]}{given}; if it "
+            f"is wrong, correct the map of {_guess_call(paths)} and give it as map_path"
         )
     for alike in left_out.values():
         paths, names = _of_group(alike)

@@ -1552,11 +1552,28 @@ def test_a_number_at_full_speed_takes_the_place_of_a_guess(tmp_path: Path) -> No
     rows = [f"{0.1 * k:.1f},{k % 50},{0.1 * (k % 7):.2f},{20 * (k % 60)},{20 * (k % 60)}" for k in range(300)]
     file.write_text("\n".join(["t,heading,gyro_z,rpm_left,rpm_right", *rows]), encoding="utf-8")
     guessed = st.guess_map(file)
-    assert "scale: a guess, 1 / 1180" in guessed
+    assert "scale: inferred, 1 / 1180" in guessed
     known = st.guess_map(file, full_speed={"n_left": 2000.0, "n_right": 2000.0})
     assert known.count("scale = 0.0005,") == 2
-    assert "scale: a guess" not in known
+    assert "scale: inferred" not in known
+    assert "scale: given, 1 / " in known
     assert "is assumed to be full forward" not in known
+
+
+def test_the_warning_of_an_import_separates_what_was_given_from_what_was_inferred(tmp_path: Path) -> None:
+    file = tmp_path / "shafts.csv"
+    rows = [f"{0.1 * k:.1f},{k % 50},{0.1 * (k % 7):.2f},{20 * (k % 60)},{20 * (k % 60)}" for k in range(300)]
+    file.write_text("\n".join(["t,heading,gyro_z,rpm_left,rpm_right", *rows]), encoding="utf-8")
+    given = {"geometry": {"y_left": -0.3, "y_right": 0.3}, "full_speed": {"n_left": 2000.0}}
+    with pytest.warns(SeatrialWarning) as issued:
+        st.import_log(file, out_dir=tmp_path, **given)
+    (text,) = (str(w.message) for w in issued if "inferred" in str(w.message))
+    inferred, _, rest = text.partition("; as given: ")
+    assert "its greatest number, 1180, is assumed to be full forward" in inferred
+    assert "2000" not in inferred
+    assert rest.startswith(
+        "geometry (y_left, y_right), full_speed (n_left); if it is wrong, correct the map of st.guess_"
+    )
 
 
 def test_a_guessed_map_is_written_corrected_and_used(page: Page, tmp_path: Path) -> None:
@@ -1595,7 +1612,7 @@ def test_files_with_the_same_caveats_give_one_warning_with_a_call_that_runs(tmp_
     with pytest.warns(SeatrialWarning) as issued:
         st.import_log(files, out_dir=tmp_path / "logs")
     texts = [str(w.message) for w in issued]
-    guess = [x for x in texts if "the import map is a guess" in x]
+    guess = [x for x in texts if "this was inferred from the data" in x]
     left_out = [x for x in texts if "not recognised and left out: mystery" in x]
     assert (len(guess), len(left_out), len(texts)) == (1, 1, 2)
     for text in texts:

@@ -321,7 +321,7 @@ def test_a_scale_that_is_guessed_from_the_largest_number_says_so_on_its_line(tmp
     path = write(tmp_path, {"t": TIME, "yaw": turn, "rpm_port": 900.0 * turn, "rpm_stbd": 450.0 * turn})
     lines = [line for line in guess_map(path).text.splitlines() if "rpm_" in line]
     remark = (
-        "# scale: a guess, 1 / 900, the largest number of this file; better: 1 / (number at full speed), the same on "
+        "# scale: inferred, 1 / 900, the largest number of this file; better: 1 / (number at full speed), the same on "
         "both sides and in all files"
     )
     assert len(lines) == 2
@@ -346,7 +346,7 @@ def test_files_that_share_a_map_share_its_guessed_scale(tmp_path: Path) -> None:
     words = ["--guess", *map(str, paths), "-o", str(tmp_path / "both.toml")]
     CliRunner().invoke(cli.import_, words, catch_exceptions=False)
     assert (tmp_path / "both.toml").read_text(encoding="utf-8") == maps[0].text
-    with pytest.warns(SeatrialWarning, match=r"(one|two)\.csv: the import map is a guess \(.* 1000, is assumed to"):
+    with pytest.warns(SeatrialWarning, match=r"(one|two)\.csv: without an import map, .*: .* 1000, is assumed to"):
         logs = st.import_log(paths, out_dir=tmp_path / "logs")
     assert [np.abs(values(log, "n_left")[1]).max() for log in logs] == pytest.approx([0.4, 1.0])
 
@@ -389,7 +389,7 @@ def test_one_side_of_a_shaft_speed_does_not_rename_the_commands(tmp_path: Path) 
     assert {s["name"] for s in tomllib.loads(text)["signal"]} == {"psi", "n_left", "n_right"}
     (line,) = (line for line in text.splitlines() if "rpm_left" in line)
     assert line.startswith('  # { name = "n_left"')
-    assert "# scale: a guess, 1 / 900, the largest number of this file; better: 1 / (number at full speed)" in line
+    assert "# scale: inferred, 1 / 900, the largest number of this file; better: 1 / (number at full speed)" in line
 
 
 @pytest.mark.parametrize(

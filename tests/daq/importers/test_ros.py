@@ -187,7 +187,9 @@ def test_a_covariance_of_minus_one_means_not_measured_in_a_guessed_map(tmp_path:
     assert "\n# not measured: linear_acceleration of /imu, whose covariance begins with -1\n" in text
     assert "linear_acceleration.x" not in text
     assert "its covariance begins with -1 (not measured), but the values of angular_velocity change" in text
-    with pytest.warns(SeatrialWarning, match="is a guess .*; not measured: linear_acceleration of /imu, whose cov"):
+    with pytest.warns(
+        SeatrialWarning, match="inferred from the data: .*; not measured: linear_acceleration of /imu, whose cov"
+    ):
         st.import_log(path, out_dir=tmp_path)
 
 
