@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from seatrial.ident.effects.sizes import Estimates, directed_size
 from seatrial.ident.model import Effect, ForceCurve, Parameter, Signals
 
 
@@ -14,6 +15,21 @@ def add(s: Signals) -> None:
     """
     psi = s.x.psi
     s.N = s.N + s.p.N_s * np.sin(psi) + s.p.N_c * np.cos(psi) + s.p.N_2s * np.sin(2 * psi) + s.p.N_2c * np.cos(2 * psi)
+
+
+def largest(estimates: Estimates) -> str:
+    """Return a clause for reports: the largest moment [N m] with its direction, and the heading at which it acts.
+
+    Its standard error leaves out the correlations of the coefficients.
+    """
+    psi = np.radians(np.arange(360.0))
+    shapes = np.array([np.sin(psi), np.cos(psi), np.sin(2 * psi), np.cos(2 * psi)])
+    values, errors = np.array([estimates[n] for n in ("N_s", "N_c", "N_2s", "N_2c")]).T
+    moment = values @ shapes
+    k = int(np.argmax(np.abs(moment)))
+    error = float(np.linalg.norm(errors * shapes[:, k]))
+    size = directed_size((float(moment[k]), error), "N m", "to starboard", "to port")
+    return f"at most {size}, on heading {k} deg"
 
 
 EFFECT = Effect(
@@ -34,4 +50,5 @@ EFFECT = Effect(
     requires=("hull",),
     nonparametric_of=ForceCurve("N", "psi"),
     alternatives=("wind", "yaw-bias", "compass"),
+    in_words=largest,
 )

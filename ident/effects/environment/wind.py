@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
+from seatrial.ident.effects.sizes import Estimates, size_in_words
 from seatrial.ident.model import Effect, Parameter, Signals
 
 
@@ -39,6 +42,22 @@ def blow(s: Signals) -> None:
     s.N = s.N + p.w_n * across + p.w_nn * moving * rel_along * rel_across
 
 
+def force(estimates: Estimates) -> str:
+    """Return a clause for reports: the force with its direction, and the wind speed that follows from it.
+
+    Only ``F_wx``, ``F_wy`` [N] and ``k_air`` are used. The standard error of the force leaves out the correlation of
+    its components.
+    """
+    (north, north_error), (east, east_error) = estimates["F_wx"], estimates["F_wy"]
+    size = math.hypot(north, east)
+    error = math.hypot(north * north_error, east * east_error) / size if size else math.nan
+    words = f"{size_in_words(size, error, 'N')} on the broadside"
+    if size:
+        words += f", from {math.degrees(math.atan2(-east, -north)) % 360.0:.0f} deg"
+    k_air = estimates["k_air"][0]
+    return f"{words}, as of a wind of about {math.sqrt(size / k_air):.2g} m/s" if k_air > 0.0 else words
+
+
 EFFECT = Effect(
     name="wind",
     title="steady wind",
@@ -68,4 +87,5 @@ EFFECT = Effect(
     experiment="drifting without thrust on several headings, and straight runs on opposite headings",
     requires=("hull",),
     alternatives=("steady-pull", "steady-force", "current-drift", "heading-moment", "mount"),
+    in_words=force,
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from seatrial.ident.effects.sizes import Estimates, share_in_words
 from seatrial.ident.model import INF, Effect, Input, Parameter, Signals
 
 
@@ -13,6 +14,14 @@ def sag(s: Signals) -> None:
     """
     for side, f in s.f.items():
         s.f[side] = f * (1 - s.p.beta_E * s.u.work)
+
+
+FULL_POWER = 75.0  # s, of two thrusters at full power for one unit of work
+
+
+def loss(estimates: Estimates) -> str:
+    """Return a clause for reports: the loss of thrust ``beta_E`` in one unit of work, which is 75 s at full power."""
+    return f"the thrust falls by {share_in_words(*estimates['beta_E'])} % in {FULL_POWER:g} s of full power"
 
 
 EFFECT = Effect(
@@ -39,4 +48,5 @@ EFFECT = Effect(
     requires=("n", "f"),
     one_sided=True,
     alternatives=("derating", "load-sag", "current-drift", "tether", "advance-ratio"),
+    in_words=loss,
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from seatrial.ident.effects.sizes import in_sentence
 from seatrial.ident.model import INF, Effect, Parameter, Signals
 
 
@@ -49,6 +50,7 @@ EFFECTS = (
         requires=("hull",),
         one_sided=True,
         alternatives=("lag", "delay", "heading-lag"),
+        in_words=in_sentence("T_r", "s", "the yaw rate is {} late"),
     ),
     Effect(
         name="velocity-lag",
@@ -73,5 +75,6 @@ EFFECTS = (
         requires=("hull", "body_velocity"),
         one_sided=True,
         alternatives=("lag", "delay", "filter-lag"),
+        in_words=in_sentence("T_uv", "s", "the body velocities are {} late"),
     ),
 )

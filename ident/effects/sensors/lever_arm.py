@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from seatrial.ident.effects.sizes import Estimates, directed_size
 from seatrial.ident.model import Effect, Parameter, Signals
 from seatrial.ident.models import rotations, shift
 
@@ -26,6 +27,19 @@ def move_tilted(s: Signals) -> None:
     rotations.shift(s, (s.p.l_x, s.p.l_y, s.p.l_z))
 
 
+DIRECTIONS = {
+    "l_x": ("farther forward", "farther aft"),
+    "l_y": ("farther to starboard", "farther to port"),
+    "l_z": ("farther down", "farther up"),
+}
+
+
+def place(estimates: Estimates) -> str:
+    """Return a clause for reports: the distances [m] of the antenna from its given position, with their directions."""
+    *first, last = [directed_size(estimates[n], "m", *words) for n, words in DIRECTIONS.items() if n in estimates]
+    return f"the antenna is {', '.join(first)} and {last} than was given"
+
+
 ARM = (
     Parameter("l_x", 0.0, "m", "antenna forward of its given position, or of the origin", prior=(0.0, 1.5), step=0.05),
     Parameter(
@@ -40,6 +54,7 @@ COMMON: dict[str, Any] = {
     "source": "Groves 2013, section 2.5",
     "causes": "the position of the antenna in the rig file or import map, an antenna that was moved",
     "alternatives": ("gnss-latency", "cg-offset"),
+    "in_words": place,
 }
 EFFECTS = (
     Effect(

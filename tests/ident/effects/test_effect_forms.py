@@ -348,6 +348,31 @@ def test_shafts_follow_their_commands_with_time_constants_that_differ() -> None:
         ("delay", {"tau_delay": (0.213, 0.01)}, "the thrust is 0.21 ± 0.01 s late"),
         ("force-lag", {"T_lag": (0.4, 0.03)}, "with a time constant of 0.40 ± 0.03 s"),
         ("heading-lag", {"T_psi": (0.1, 0.02)}, "the heading is 0.10 ± 0.02 s late"),
+        (
+            "wind",
+            {"F_wx": (-6.0, 0.5), "F_wy": (-8.0, 0.5), "k_air": (0.28, 0.1)},
+            "10.0 ± 0.5 N on the broadside, from 53 deg, as of a wind of about 6 m/s",
+        ),
+        ("wind", {"F_wx": (0.0, 0.5), "F_wy": (0.0, 0.5), "k_air": (0.0, 0.1)}, "0.00 N on the broadside"),
+        ("battery-sag", {"beta_E": (0.083, 0.012)}, "the thrust falls by 8 ± 1 % in 75 s of full power"),
+        (
+            "lever-arm",
+            {"l_x": (-0.34, 0.1), "l_y": (0.05, 0.02)},
+            "the antenna is 0.3 ± 0.1 m farther aft and 0.05 ± 0.02 m farther to starboard than was given",
+        ),
+        (
+            "lever-arm-attitude",
+            {"l_x": (0.34, 0.02), "l_y": (-0.05, 0.02), "l_z": (-0.2, 0.03)},
+            "the antenna is 0.34 ± 0.02 m farther forward, 0.05 ± 0.02 m farther to port and 0.20 ± 0.03 m farther up "
+            "than was given",
+        ),
+        ("filter-lag", {"T_r": (0.12, 0.02)}, "the yaw rate is 0.12 ± 0.02 s late"),
+        ("velocity-lag", {"T_uv": (0.12, 0.02)}, "the body velocities are 0.12 ± 0.02 s late"),
+        (
+            "heading-moment",
+            {"N_s": (-3.0, 0.4), "N_c": (0.0, 0.2), "N_2s": (0.0, 0.2), "N_2c": (0.0, 0.3)},
+            "at most 3.0 ± 0.5 N m to port, on heading 90 deg",
+        ),
         ("gnss-latency-command", {"tau_gnss": (0.184, 0.011)}, "the fix is 0.18 ± 0.01 s old at its time stamp"),
     ],
 )
