@@ -125,4 +125,34 @@ class TimeLeft:
         return f"{duration_text(seconds)} to go"
 
 
+class TimedReporter:
+    """Reporter that adds the time since its start to each step.
+
+    Parameters
+    ----------
+    reporter
+        Receiver of the texts.
+    """
+
+    def __init__(self, reporter: Reporter) -> None:
+        """Store the receiver. The time counts from here on."""
+        self._reporter, self._began = reporter, time.monotonic()
+
+    def times(self) -> str:
+        """Return the time so far as text, such as ``0:40 so far``."""
+        return times_text(time.monotonic() - self._began, None)
+
+    def progress(self, text: str, times: Callable[[], str] | None = None) -> None:
+        """Report a step with the time so far, or with the times that are given."""
+        self._reporter.progress(text, times or self.times)
+
+    def detail(self, text: str) -> None:
+        """Report how far the present step is."""
+        self._reporter.detail(text)
+
+    def warning(self, text: str) -> None:
+        """Report a warning."""
+        self._reporter.warning(text)
+
+
 QUIET: Reporter = Quiet()

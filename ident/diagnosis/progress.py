@@ -10,12 +10,12 @@ depends on them.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Literal
 
-from seatrial.ident.reporter import Reporter, times_text
+from seatrial.ident.reporter import Reporter, TimedReporter, times_text
 
 Kind = Literal["start", "candidate", "tests", "exact", "without", "evaluation"]
 
@@ -88,7 +88,7 @@ class SearchWork:
         return times_text(time.monotonic() - self.began, self.left())
 
 
-class SearchProgress:
+class SearchProgress(TimedReporter):
     """Reporter that adds the time so far and the time left to each step of a search.
 
     Parameters
@@ -104,19 +104,12 @@ class SearchProgress:
 
     def __init__(self, reporter: Reporter) -> None:
         """Store the receiver. The time counts from here on."""
-        self._reporter, self.work = reporter, SearchWork()
+        super().__init__(reporter)
+        self.work = SearchWork()
 
-    def progress(self, text: str, times: Callable[[], str] | None = None) -> None:
-        """Report a step with the times of the search, or with those that are given."""
-        self._reporter.progress(text, times or self.work.text)
-
-    def detail(self, text: str) -> None:
-        """Report how far the present step is."""
-        self._reporter.detail(text)
-
-    def warning(self, text: str) -> None:
-        """Report a warning."""
-        self._reporter.warning(text)
+    def times(self) -> str:
+        """Return the time so far and the time left as text."""
+        return self.work.text()
 
 
 def with_times(reporter: Reporter) -> SearchProgress:

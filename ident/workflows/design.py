@@ -60,7 +60,7 @@ from seatrial.ident.model import Effect, Model, Parameter
 from seatrial.ident.models import make_model, scale_priors, size_of
 from seatrial.ident.numerics import Array, violates_constraint
 from seatrial.ident.report import typeset_unit, write_design_page
-from seatrial.ident.reporter import QUIET, Reporter, TimeLeft
+from seatrial.ident.reporter import QUIET, Reporter, TimedReporter, TimeLeft
 from seatrial.ident.results import (
     Baseline,
     CommandTrace,
@@ -179,6 +179,7 @@ def make_design(
         If the model or an option cannot be used, or if one of the files exists and ``force`` is false. No file is
         written then.
     """
+    reporter = TimedReporter(reporter)
     beside = _paths_beside_mission(out, force)
     task, compared = make_task(source, request, reporter)
     model_thrusters = task.actuation.thrusters

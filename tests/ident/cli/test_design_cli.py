@@ -112,7 +112,7 @@ def test_designed_mission_is_read_by_the_bench_and_shown(tmp_path: Path, capsys:
 @pytest.mark.parametrize(("duration", "steps"), [(40.0, 8), (240.0, 16)])  # the second one designs a block first
 def test_progress_counts_all_simulations_and_has_the_time_to_go(duration: float, steps: int, tmp_path: Path) -> None:
     lines = list[str]()
-    reporter: Any = SimpleNamespace(progress=lines.append, warning=lines.append)
+    reporter: Any = SimpleNamespace(progress=lambda text, _: lines.append(text), warning=lines.append)
     request = DesignRequest(duration=duration, steps=steps, evaluations=900)
     make_design("horizontal:shaft:no-current", request, tmp_path / "m.toml", "", reporter)
     pattern = r"design: (\d+) of about 900 simulations, search (\d+) of (\d+), D [-\d.]+ \((\d+) (s|min) to go\)"
@@ -126,6 +126,15 @@ def test_progress_counts_all_simulations_and_has_the_time_to_go(duration: float,
     assert {match[3] for match in found} == {str(many)}
     assert searches == sorted(searches)
     assert set(searches) == set(range(1, many + 1))
+
+
+def test_each_phase_of_a_design_has_the_time_so_far(tmp_path: Path) -> None:
+    lines = list[tuple[str, str]]()
+    reporter: Any = SimpleNamespace(progress=lambda text, times: lines.append((times(), text)), warning=print)
+    request = DesignRequest(duration=40.0, steps=8, evaluations=60)
+    make_design("horizontal:shaft:no-current", request, tmp_path / "m.toml", "", reporter)
+    assert {"design: reading the model", "design: baseline signals", "design: track"} <= {text for _, text in lines}
+    assert all(re.fullmatch(r"\d+:\d\d so far", times) for times, _ in lines)
 
 
 def test_progress_with_few_simulations_counts_the_searches_that_follow(
@@ -145,7 +154,7 @@ def test_progress_of_a_discrimination_has_the_time_to_go_of_each_phase(
 ) -> None:
     """After the search, nine comparisons follow, which may take longer than the search itself."""
     lines = list[str]()
-    reporter: Any = SimpleNamespace(progress=lines.append, warning=lines.append)
+    reporter: Any = SimpleNamespace(progress=lambda text, _: lines.append(text), warning=lines.append)
 
     def found_at_once(a: Model, b: Model, task: DesignProblem, **options: Any) -> DiscriminationDesign:
         z = task.steps.random(1, np.random.default_rng(1))[:, None][0]
@@ -169,7 +178,7 @@ def test_progress_of_a_discrimination_has_the_time_to_go_of_each_phase(
 
 def test_progress_has_no_criterion_while_a_limit_is_violated(tmp_path: Path) -> None:
     lines = list[str]()
-    reporter: Any = SimpleNamespace(progress=lines.append, warning=lines.append)
+    reporter: Any = SimpleNamespace(progress=lambda text, _: lines.append(text), warning=lines.append)
     request = DesignRequest(duration=40.0, steps=8, evaluations=400, limits=DesignLimits(area=(0.5, 0.5)))
     with pytest.raises(SeatrialError, match="--area"):
         make_design("horizontal:shaft:no-current", request, tmp_path / "m.toml", "", reporter)
