@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -130,7 +131,11 @@ def test_progress_counts_all_simulations_and_has_the_time_to_go(duration: float,
 
 def test_each_phase_of_a_design_has_the_time_so_far(tmp_path: Path) -> None:
     lines = list[tuple[str, str]]()
-    reporter: Any = SimpleNamespace(progress=lambda text, times: lines.append((times(), text)), warning=print)
+
+    def progress(text: str, times: Callable[[], str]) -> None:
+        lines.append((times(), text))
+
+    reporter: Any = SimpleNamespace(progress=progress, warning=print)
     request = DesignRequest(duration=40.0, steps=8, evaluations=60)
     make_design("horizontal:shaft:no-current", request, tmp_path / "m.toml", "", reporter)
     assert {"design: reading the model", "design: baseline signals", "design: track"} <= {text for _, text in lines}
