@@ -37,7 +37,7 @@ from seatrial.ident.workflows.fleet import (
     warnings_of_logs,
 )
 from seatrial.ident.workflows.vehicle import is_tested
-from seatrial.ident.workflows.vehicle_model import VehicleRequest
+from seatrial.ident.workflows.vehicle_model import VehicleRequest, is_saved_model
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,8 @@ def find_changes(request: ChangesRequest, command: str, reporter: Reporter) -> C
     made = provenance([], command)
     result = CampaignsResult(
         created=made.created, seatrial=made.seatrial, command=made.command, answer="",
-        warnings=warnings_of_logs(rows), notes=(*comparison.notes, score_test_note(request.vehicle, rows)),
+        warnings=warnings_of_logs(rows),
+        notes=(*comparison.notes, *_notes_on_sizes(request.vehicle), score_test_note(request.vehicle, rows)),
         model=request.vehicle.model, score_tests=is_tested(request.vehicle),
         table="" if request.out is None else str(request.out / TABLE),
         horizon=horizon, false_discovery_rate=request.false_discovery_rate,
@@ -148,6 +149,16 @@ def find_changes(request: ChangesRequest, command: str, reporter: Reporter) -> C
         write_result(result, request.out / "result.json")
         write_report(result, request.out / "report.html")
     return Changes(result, table)
+
+
+def _notes_on_sizes(vehicle: VehicleRequest) -> list[str]:
+    """Return the note that the size of an added effect depends on the model, if it is not that of a diagnosis."""
+    if not vehicle.effects or is_tested(vehicle) or is_saved_model(vehicle.model):
+        return []
+    return [
+        f"The size of {', '.join(vehicle.effects)} can differ from that of a diagnosis, whose model has common errors "
+        "of sensors and hull form too. To compare the campaigns with that model: --model DIAGNOSIS/model.toml."
+    ]
 
 
 def _campaign_logs(rows: Sequence[Row], later: set[str]) -> tuple[CampaignLog, ...]:

@@ -26,7 +26,9 @@ from seatrial.ident.results import CampaignErrors, CampaignsResult, ErrorCompari
 from seatrial.ident.results.result_file import read_result
 from seatrial.ident.workflows.campaign_errors import _campaign_values
 from seatrial.ident.workflows.campaign_fits import Comparison, FittedLogs, _q_values, compare_fits, fitted_logs
+from seatrial.ident.workflows.changes import _notes_on_sizes
 from seatrial.ident.workflows.fleet import SIDES
+from seatrial.ident.workflows.vehicle_model import VehicleRequest
 from tests.missions import boat_log, boat_with
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -400,6 +402,20 @@ def test_sides_that_may_deviate_are_a_common_error_of_their_logs() -> None:
     assert mass.se == pytest.approx(9.2, abs=0.2)
     assert not mass.changed
     assert any("which side deviates" in note for note in found.notes)
+
+
+def test_a_size_that_can_differ_from_that_of_a_diagnosis_has_a_note() -> None:
+    """A diagnosis adds common errors, so that only its own model.toml gives the same size."""
+    vehicle = VehicleRequest((), (), Path(), effects=("mismatch",), score_tests=False)
+    (note,) = _notes_on_sizes(vehicle)
+    assert note.startswith("The size of mismatch can differ from that of a diagnosis, whose model has common errors")
+    assert note.endswith("--model DIAGNOSIS/model.toml.")
+    for same in (
+        replace(vehicle, effects=()),
+        replace(vehicle, score_tests=True),
+        replace(vehicle, model="diagnosis/model.toml"),
+    ):
+        assert not _notes_on_sizes(same)
 
 
 def test_logs_after_that_no_values_predict_ask_for_a_diagnosis() -> None:
