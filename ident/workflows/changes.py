@@ -157,7 +157,8 @@ def _notes_on_sizes(vehicle: VehicleRequest) -> list[str]:
         return []
     return [
         f"The size of {', '.join(vehicle.effects)} can differ from that of a diagnosis, whose model has common errors "
-        "of sensors and hull form too. To compare the campaigns with that model: --model DIAGNOSIS/model.toml."
+        "of sensors and hull form and perhaps further effects. To compare the campaigns with that model: "
+        "--model DIAGNOSIS/model.toml."
     ]
 
 
