@@ -43,10 +43,10 @@ def blow(s: Signals) -> None:
 
 
 def force(estimates: Estimates) -> str:
-    """Return a clause for reports: the force with its direction, and the wind speed that follows from it.
+    """Return a clause for reports: the force [N] of the wind on the broadside, and where the wind comes from.
 
-    Only ``F_wx``, ``F_wy`` [N] and ``k_air`` are used. The standard error of the force leaves out the correlation of
-    its components.
+    The standard error of the force leaves out the correlation of its components. There is no wind speed, because that
+    would rest on the area above the water, which is seldom known.
     """
     (north, north_error), (east, east_error) = estimates["F_wx"], estimates["F_wy"]
     size = math.hypot(north, east)
@@ -54,8 +54,7 @@ def force(estimates: Estimates) -> str:
     words = f"{size_in_words(size, error, 'N')} on the broadside"
     if size:
         words += f", from {math.degrees(math.atan2(-east, -north)) % 360.0:.0f} deg"
-    k_air = estimates["k_air"][0]
-    return f"{words}, as of a wind of about {math.sqrt(size / k_air):.2g} m/s" if k_air > 0.0 else words
+    return words
 
 
 EFFECT = Effect(
