@@ -46,7 +46,7 @@ def with_held_parameters(
 ) -> Model:
     """Return a model in which a rough search holds those parameters that it would hardly change.
 
-    A held parameter has its estimate plus its expected change. The search estimates the noise, per-record parameters,
+    A held parameter has its estimate plus its expected change, in its coordinate of the search. The search estimates the noise, per-record parameters,
     the parameters that ``fit`` lacks, those in ``estimated``, and those others whose expected change exceeds one
     standard error. If these are fewer than 16, the parameters with the next largest changes are estimated, too. All
     parameters stay free if no change is expected.
@@ -78,11 +78,15 @@ def with_held_parameters(
     n_other = len(model.free) - len(moved)
     n_free = max(n_other + sum(shares[n] > 1.0 for n in moved), FREE)
     held = set(moved[-(-n_free // FREE_AT_ONCE) * FREE_AT_ONCE - n_other :])
-    values = {n: value for n, value in changed_estimates(fit, changes).items() if n in held}
+    values = {}
+    for p in (q for q in fit.parameters if q.name in held):
+        estimate = fit.estimate(p.name)[0]
+        coordinate = p.to_free(estimate) + changes.get(p.full_name, 0.0) / p.slope(estimate)
+        values[p.name] = min(max(p.from_free(coordinate), p.bounds[0]), p.bounds[1])
     return model.with_values(values).with_free(n for n in model.free if n not in held)
 
 
-def with_held_priors(fitted: FittedModel, model: Model) -> FittedModel:
+def with_held_priors(fitted: FittedModel, searched: Model, model: Model) -> FittedModel:
     """Return a fitted model whose log-posterior contains the priors of held parameters, as if they were estimated.
 
     Its difference from that of a model in which they are estimated is then a gain with the same priors.
@@ -91,10 +95,12 @@ def with_held_priors(fitted: FittedModel, model: Model) -> FittedModel:
     ----------
     fitted
         Fitted model.
+    searched
+        Model that was fitted, with the held parameters (`with_held_parameters`).
     model
-        The same model with the parameters that are not held.
+        The same model without held parameters.
     """
-    held = [p for p in fitted.fit.model.parameters if not p.free and model.parameter(p.name).free]
+    held = [p for p in searched.parameters if not p.free and model.parameter(p.name).free]
     loss = 0.5 * sum(map(_squared_deviation, held))
     return replace(fitted, fit=replace(fitted.fit, log_posterior=fitted.fit.log_posterior - loss)) if loss else fitted
 

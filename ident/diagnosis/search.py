@@ -1566,8 +1566,9 @@ class _Search:
                 of_records = _record_steps(effect, score, len(self.records)) if attempt == 0 else {}
                 changes = self._expected_changes([(effect, start, score)], of_records)
                 begin = {**changed_estimates(current.fit, changes), **of_records}
+                searched = self._with_held_parameters(model, current.fit, changes)
                 fitted = fit_and_evaluate(
-                    self._with_held_parameters(model, current.fit, changes),
+                    searched,
                     self.records,
                     self.validation_data,
                     settings=settings,
@@ -1575,7 +1576,7 @@ class _Search:
                     other_starts=times_of_change([effect], self.records),
                     detail=self.reporter.detail,
                 )
-                fitted = with_held_priors(fitted, model)
+                fitted = with_held_priors(fitted, searched, model)
                 gain = 2 * (fitted.fit.log_posterior - current.fit.log_posterior)
                 # Blocks in time take longer than the fit, and cannot help an effect that the estimation data reject.
                 compared = (
