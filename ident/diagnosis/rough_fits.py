@@ -46,10 +46,10 @@ def with_held_parameters(
 ) -> Model:
     """Return a model in which a rough search holds those parameters that it would hardly change.
 
-    A held parameter has its estimate plus its expected change, in its coordinate of the search. The search estimates the noise, per-record parameters,
-    the parameters that ``fit`` lacks, those in ``estimated``, and those others whose expected change exceeds one
-    standard error. If these are fewer than 16, the parameters with the next largest changes are estimated, too. All
-    parameters stay free if no change is expected.
+    A held parameter has its estimate plus its expected change, in its coordinate of the search. The search estimates
+    the noise, per-record parameters, the parameters that ``fit`` lacks, those in ``estimated``, and those others whose
+    expected change exceeds one standard error. If these are fewer than 16, the parameters with the next largest changes
+    are estimated, too. All parameters stay free if no change is expected.
 
     Parameters
     ----------

@@ -54,7 +54,7 @@ def test_parameters_that_hardly_change_are_held_at_their_expected_values() -> No
     assert {p.name for p in WIND.parameters if p.free} <= set(held.free)
     assert not set(gone) & noises
     # What changes by more than its standard error is estimated, and so is what is asked for.
-    moved = with_held_parameters(model, fit_of(tuple(free)), {n: 1.5 for n in damping})
+    moved = with_held_parameters(model, fit_of(tuple(free)), dict.fromkeys(damping, 1.5))
     assert moved.free == model.free
     wanted = with_held_parameters(model, fit_of(tuple(free)), expected, estimated=gone[:1])
     assert gone[0] in wanted.free
