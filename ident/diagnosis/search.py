@@ -17,7 +17,7 @@ Kristensen, Madsen and Jorgensen 2004; Engle 1984.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -72,7 +72,6 @@ from seatrial.ident.diagnosis.importance import RoughFits, by_importance, effect
 from seatrial.ident.diagnosis.model_uncertainty import model_uncertainty, with_model_uncertainty
 from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
 from seatrial.ident.diagnosis.progress import with_times, work_of
-from seatrial.ident.diagnosis.rough_fits import changed_estimates, with_held_parameters, with_held_priors
 from seatrial.ident.diagnosis.score_test import (
     Score,
     ScoreEquations,
@@ -93,7 +92,6 @@ from seatrial.ident.estimation import (
     Fit,
     FittedModel,
     SearchSettings,
-    TimeBlocks,
     ValidationData,
     between_runs,
     cross_validated,
@@ -1137,10 +1135,7 @@ class _Search:
             for _, start, _ in added:
                 model = model + start
             if beside:
-                changes = self._expected_changes(added)
-                own = {p.name for e in found for p in e.parameters}
-                model = self._with_held_parameters(self._with_held_noise(model), current.fit, changes, own)
-                begin = changed_estimates(current.fit, changes)
+                model, begin = self._with_held_noise(model), self._shifted_estimates(current, added)
                 with quick_compilation(self.n):
                     settings = replace(self.rough, tolerance=max(self.rough.tolerance, BESIDE_TOLERANCE))
                     fitted = fit_and_evaluate(model, self.records, (), settings=settings, start=begin)
@@ -1564,11 +1559,9 @@ class _Search:
                 # A sensor effect that explains much makes the noise of its sensor smaller.
                 model = model if effect.place == "sensor" else self._with_held_noise(model)
                 of_records = _record_steps(effect, score, len(self.records)) if attempt == 0 else {}
-                changes = self._expected_changes([(effect, start, score)], of_records)
-                begin = {**changed_estimates(current.fit, changes), **of_records}
-                searched = self._with_held_parameters(model, current.fit, changes)
+                begin = self._shifted_estimates(current, [(effect, start, score)], of_records)
                 fitted = fit_and_evaluate(
-                    searched,
+                    model,
                     self.records,
                     self.validation_data,
                     settings=settings,
@@ -1576,7 +1569,6 @@ class _Search:
                     other_starts=times_of_change([effect], self.records),
                     detail=self.reporter.detail,
                 )
-                fitted = with_held_priors(fitted, searched, model)
                 gain = 2 * (fitted.fit.log_posterior - current.fit.log_posterior)
                 # Blocks in time take longer than the fit, and cannot help an effect that the estimation data reject.
                 compared = (
@@ -1612,39 +1604,41 @@ class _Search:
         held = {o.noise for o in model.outputs} | {s.noise for s in model.states if s.name in walks}
         return model.with_free(p.name for p in model.parameters if p.free and p.name not in held)
 
-    def _with_held_parameters(
-        self, model: Model, fit: Fit, changes: Mapping[str, float], estimated: Collection[str] = ()
-    ) -> Model:
-        """Return a model for a rough search that holds parameters (`with_held_parameters`) beside the common errors.
-
-        No parameter is held without common errors. The same is true if the validation data are blocks in time of the
-        estimation data, because their cross-validation corrects for each estimated parameter.
-        """
-        holds = self.common_errors is not None and not isinstance(self.validation_data, TimeBlocks)
-        return with_held_parameters(model, fit, changes, estimated) if holds else model
-
-    def _expected_changes(
-        self, added: Sequence[tuple[Effect, Effect, Score]], of_records: Mapping[str, float] | None = None
+    def _shifted_estimates(
+        self,
+        current: FittedModel,
+        added: Sequence[tuple[Effect, Effect, Score]],
+        of_records: Mapping[str, float] | None = None,
     ) -> dict[str, float]:
-        """Return the change of each estimate, by full name, that the score equations expect of a refit with effects.
+        """Return initial values, by full name, for a refit of the current model with one or more effects.
 
-        Empty if no model was scored.
+        They are the estimates of the current model, shifted as the score equations expect it for the effects with their
+        initial values. Without the shift, the first step of the search would only make up for the added effects. Empty
+        if no model was scored.
 
         Parameters
         ----------
+        current
+            Fitted model, which was scored last.
         added
             For each effect: the effect with its own values, the effect with its initial values, and its score.
         of_records
             Initial values, by full name, of the per-record parameters of the effect; None: those of the model.
         """
-        changes: dict[str, float] = {}
-        for effect, start, score in added if self.equations is not None else ():
-            assert self.equations is not None
+        of_records = of_records or {}
+        if self.equations is None:
+            return dict(of_records)
+        values = current.fit.start_values(current.fit.model)
+        # The likelihood is not quadratic in a parameter that has a logarithm as its coordinate.
+        linear = {p.full_name: p for p in current.fit.parameters if p.transform != "log"}
+        for effect, start, score in added:
             own = {p.name: p.value for p in effect.parameters}
             step = {p.name: p.value - own[p.name] for p in start.parameters if p.name in score.step}
-            for name, change in self.equations.shifts(effect.name, score.scan, {**step, **(of_records or {})}).items():
-                changes[name] = changes.get(name, 0.0) + change
-        return changes
+            for name, change in self.equations.shifts(effect.name, score.scan, {**step, **of_records}).items():
+                if name in values and name in linear:
+                    low, high = linear[name].bounds
+                    values[name] = min(max(values[name] + change, low), high)
+        return {**values, **of_records}
 
     def _joint_steps(self, scores: Sequence[Score]) -> list[Score]:
         """Return copies of scores of parametric candidates, with one-step estimates for all of them together.

@@ -1,5 +1,4 @@
 from .cross_validation import FEWEST_BLOCKS as FEWEST_BLOCKS
-from .cross_validation import TimeBlocks as TimeBlocks
 from .cross_validation import number_of_blocks as number_of_blocks
 from .excitation import unexcited_motion as unexcited_motion
 from .fisher_scoring import Bounds as Bounds

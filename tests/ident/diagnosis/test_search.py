@@ -706,7 +706,7 @@ def test_effects_are_compared_beside_their_remaining_alternatives(monkeypatch: p
     monkeypatch.setattr(search, "fit_and_evaluate", lambda model, *_, **__: blank(model=model))
     monkeypatch.setattr(search, "_keeps_its_size", lambda effect, *_: effect is bias)
     monkeypatch.setattr(_Search, "_joint_steps", lambda _, scores: scores)
-    monkeypatch.setattr(_Search, "_expected_changes", lambda *_: {})
+    monkeypatch.setattr(_Search, "_shifted_estimates", lambda *_: {})
     current = blank()
     current.fit = type("FakeFit", (), {"model": with_disturbances(horizontal_model())})
     scores = [Score(n, 60.0 - k, 1, 60.0, {}, {}) for k, n in enumerate(names)]
