@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
 from msgspec import Meta
@@ -20,6 +21,7 @@ MOST_NAMES = 4  # changed parameters that the answer has with their sizes
 MUCH_WORSE = 1.5
 POSITIONS = ("x", "y")
 JOINT_LEVEL = 0.05  # significance level of the joint test
+AGREE, DIFFER = 2.0, 3.0  # standard errors up to which two sizes agree, and from which they differ
 NotComparedCode = Literal[
     "fixed", "per-log", "in-some-models", "position", "at-bound", "vague", "undetermined", "mainly-prior", "other"
 ]
@@ -238,13 +240,52 @@ def campaigns_answer(result: CampaignsResult) -> str:
             sentences.append(f"One factor of {size} on masses and damping explains these changes; {same}")
         else:  # none of them alone, as the scale of the forces is uncertain
             sentences.append(f"Masses and damping together have changed by one factor of {size}; {same}")
-    sentences += [text for p in changed if (text := _sides_sentence(p, factor))]
+    sentences += filter(None, (_load_sentence(changed), *(_sides_sentence(p, factor) for p in changed)))
     one = [e for e in result.effects if e.changed and {e.before, e.after} == {True, False}]
     only = [f"{e.name} (only {'after' if e.after else 'before'})" for e in one]
     if only:
         sentences.append(f"Effects of one campaign: {', '.join(only)}.")
-    sentences += filter(None, (_errors_sentence(result), _worse_predicted_sentence(result)))
+    sentences += filter(None, (_errors_sentence(result), _model_sentence(result), _worse_predicted_sentence(result)))
     return " ".join(sentences)
+
+
+def _load_sentence(changed: Sequence[ParameterDifference]) -> str:
+    """Return a sentence if the masses in surge and sway have changed by the same mass, as of another load; else "".
+
+    A load adds the same mass to both, also if its size is only known as well as the scale of the thrust. Another thrust
+    multiplies both by the same factor. The first is stated only if the second is excluded: the differences agree within
+    2 standard errors, and the relative ones differ by more than 3.
+    """
+    masses = [p for p in changed if p.name in ("m_u", "m_v") and p.before.mean > 0.0 and p.se > 0.0]
+    if len(masses) < 2:
+        return ""
+    (du, su), (dv, sv) = ((p.difference, p.se) for p in masses)
+    shares = [p.difference / p.before.mean for p in masses]
+    errors = [p.se / p.before.mean for p in masses]
+    if abs(du - dv) > AGREE * math.hypot(su, sv) or abs(shares[0] - shares[1]) < DIFFER * math.hypot(*errors):
+        return ""
+    weights = 1.0 / su**2, 1.0 / sv**2
+    size = (weights[0] * du + weights[1] * dv) / sum(weights)
+    verb = "grown" if size > 0.0 else "fallen"
+    return (
+        f"m_u and m_v have {verb} by about the same mass ({abs(size):.3g} ± {sum(weights) ** -0.5:.2g} kg, beside the "
+        "error of the scale of the thrust), as of another load; another thrust would change both by the same share."
+    )
+
+
+def _model_sentence(result: CampaignsResult) -> str:
+    """Return a sentence on a model with common errors, if the changed parameters do not help the prediction; else "".
+
+    It is left out if the fits have score tests, or the model of a file, which may have common errors already.
+    """
+    verdicts = [e.verdict for e in result.errors if e.logs == "after" and e.values == "changed"]
+    if result.score_tests or result.model.endswith(".toml") or not verdicts or "fell" in verdicts:
+        return ""
+    return (
+        "The changes do not help this model to predict, so that it may lack small errors of sensors and hull form. Fit "
+        "the logs before with them (`seatrial ident vehicle LOGS --out before`), and compare with that model: --model "
+        "before/model.toml."
+    )
 
 
 def _sides_sentence(p: ParameterDifference, factor: CommonFactor | None) -> str:

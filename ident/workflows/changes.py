@@ -134,7 +134,7 @@ def find_changes(request: ChangesRequest, command: str, reporter: Reporter) -> C
     result = CampaignsResult(
         created=made.created, seatrial=made.seatrial, command=made.command, answer="",
         warnings=warnings_of_logs(rows),
-        notes=(*comparison.notes, *_notes_on_sizes(request.vehicle), score_test_note(request.vehicle, rows)),
+        notes=(*comparison.notes, *_notes_on_models(request.vehicle), score_test_note(request.vehicle, rows)),
         model=request.vehicle.model, score_tests=is_tested(request.vehicle),
         table="" if request.out is None else str(request.out / TABLE),
         horizon=horizon, false_discovery_rate=request.false_discovery_rate,
@@ -151,14 +151,22 @@ def find_changes(request: ChangesRequest, command: str, reporter: Reporter) -> C
     return Changes(result, table)
 
 
-def _notes_on_sizes(vehicle: VehicleRequest) -> list[str]:
-    """Return the note that the size of an added effect depends on the model, if it is not that of a diagnosis."""
-    if not vehicle.effects or is_tested(vehicle) or is_saved_model(vehicle.model):
+def _notes_on_models(vehicle: VehicleRequest) -> list[str]:
+    """Return the note on a model with common errors, and how the sizes of added effects depend on the model.
+
+    The result is empty for fits with score tests, and for the model of a file.
+    """
+    if is_tested(vehicle) or is_saved_model(vehicle.model):
         return []
+    sizes = ""
+    if vehicle.effects:
+        sizes = (
+            f" The size of {', '.join(vehicle.effects)} can differ from that of a diagnosis, whose model has common "
+            "errors and perhaps further effects."
+        )
     return [
-        f"The size of {', '.join(vehicle.effects)} can differ from that of a diagnosis, whose model has common errors "
-        "of sensors and hull form and perhaps further effects. To compare the campaigns with that model: "
-        "--model DIAGNOSIS/model.toml."
+        f"The model has no common errors of sensors and hull form, which can hide changes.{sizes} To compare the "
+        "campaigns with them: --model of a fit or a diagnosis of the logs before (before/model.toml)."
     ]
 
 

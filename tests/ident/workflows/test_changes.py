@@ -26,7 +26,7 @@ from seatrial.ident.results import CampaignErrors, CampaignsResult, ErrorCompari
 from seatrial.ident.results.result_file import read_result
 from seatrial.ident.workflows.campaign_errors import _campaign_values
 from seatrial.ident.workflows.campaign_fits import Comparison, FittedLogs, _q_values, compare_fits, fitted_logs
-from seatrial.ident.workflows.changes import _notes_on_sizes
+from seatrial.ident.workflows.changes import _notes_on_models
 from seatrial.ident.workflows.fleet import SIDES
 from seatrial.ident.workflows.vehicle_model import VehicleRequest
 from tests.missions import boat_log, boat_with
@@ -404,18 +404,51 @@ def test_sides_that_may_deviate_are_a_common_error_of_their_logs() -> None:
     assert any("which side deviates" in note for note in found.notes)
 
 
-def test_a_size_that_can_differ_from_that_of_a_diagnosis_has_a_note() -> None:
-    """A diagnosis adds common errors, so that only its own model.toml gives the same size."""
+def test_a_model_without_common_errors_has_a_note() -> None:
+    """Small errors of sensors can hide changes, and only the model of a diagnosis gives its sizes of effects."""
     vehicle = VehicleRequest((), (), Path(), effects=("mismatch",), score_tests=False)
-    (note,) = _notes_on_sizes(vehicle)
-    assert note.startswith("The size of mismatch can differ from that of a diagnosis, whose model has common errors")
-    assert note.endswith("--model DIAGNOSIS/model.toml.")
-    for same in (
-        replace(vehicle, effects=()),
-        replace(vehicle, score_tests=True),
-        replace(vehicle, model="diagnosis/model.toml"),
-    ):
-        assert not _notes_on_sizes(same)
+    (note,) = _notes_on_models(vehicle)
+    assert "The size of mismatch can differ from that of a diagnosis" in note
+    (plain,) = _notes_on_models(replace(vehicle, effects=()))
+    assert "The size of" not in plain
+    for n in (note, plain):
+        assert n.startswith("The model has no common errors of sensors and hull form, which can hide changes.")
+        assert n.endswith("--model of a fit or a diagnosis of the logs before (before/model.toml).")
+    for same in (replace(vehicle, score_tests=True), replace(vehicle, model="diagnosis/model.toml")):
+        assert not _notes_on_models(same)
+
+
+@pytest.mark.parametrize(("model", "verdict", "asked"), [
+    ("auto", "unchanged", True), ("auto", "rose", True), ("auto", "fell", False), ("before/model.toml", "rose", False),
+])  # fmt: skip
+def test_changes_that_do_not_help_the_prediction_ask_for_a_model_with_common_errors(
+    model: str, verdict: Any, asked: bool
+) -> None:
+    errors = CampaignErrors(logs="after", values="changed", channels={}, ratio=1.1, low=0.9, high=1.3, verdict=verdict)
+    result = result_of(compared(rows_of({"m_u": np.full(4, 40.0)}), 2), (errors,))
+    answer = campaigns_answer(msgspec.structs.replace(result, model=model))
+    assert ("compare with that model: --model before/model.toml." in answer) is asked
+
+
+@pytest.mark.parametrize(
+    ("load", "thrust", "words"),
+    [(22.0, 1.0, "grown by about the same mass (2"), (-22.0, 1.0, "fallen by about the same mass (2"), (0.0, 1.13, "")],
+)
+def test_a_load_adds_the_same_mass_in_surge_and_sway(load: float, thrust: float, words: str) -> None:
+    rng, n = np.random.default_rng(3), 8
+    after = np.arange(n) >= 4
+    truth = {"m_u": 150.0, "m_v": 240.0, "m_r": 76.0, "d_uu": 38.0, "d_r": 25.0}
+    added = {"m_u": load, "m_v": load, "m_r": 0.35 * load, "d_uu": 16.0}
+    values = {
+        k: (v + after * added.get(k, 0.0)) * np.where(after, thrust, 1.0) + 0.004 * v * rng.normal(size=n)
+        for k, v in truth.items()
+    }
+    rows = rows_of(values, unit=dict.fromkeys(truth, "kg"))
+    for r in rows:
+        r["se"] = 0.004 * truth[r["parameter"]]
+    answer = campaigns_answer(result_of(compared(rows, 4)))
+    assert ("by about the same mass" in answer) is bool(words)
+    assert words in answer
 
 
 def test_logs_after_that_no_values_predict_ask_for_a_diagnosis() -> None:
