@@ -28,7 +28,7 @@ from seatrial.ident.diagnosis.common_errors import HULL_FORM
 from seatrial.ident.diagnosis.findings import Diagnosis, EffectAttribution, EffectImportance, Refit, Round
 from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
 from seatrial.ident.diagnosis.score_test import Score
-from seatrial.ident.effects import catalogue
+from seatrial.ident.effects import catalogue, is_special_case
 from seatrial.ident.estimation import AT_BOUND, Fit, FittedModel, ReportedEstimates
 from seatrial.ident.experiment_design import reason_without_mission
 from seatrial.ident.model import Effect, EffectKind, Parameter
@@ -173,7 +173,7 @@ def _remaining_test_reasons(
         remaining = [s for s in remaining if s.name in set(refit.effect.alternatives) - evidence.beside]
         if _matters_beside_many(refit.effect.name, evidence.importances, policy):
             many = _many_remaining_tests_reasons(remaining, len(evidence.nominal), policy)
-    still_found = _alternatives_still_found(refit.effect, remaining, len(chosen))
+    still_found = _alternatives_still_found(search_round, remaining, len(chosen))
     return [
         *_strong_remaining_test_reasons(strong, evidence.n),
         *many,
@@ -261,14 +261,31 @@ def _many_remaining_tests_reasons(remaining: Sequence[Score], n_tests: int, poli
     ]
 
 
-def _alternatives_still_found(effect: Effect, remaining: Sequence[Score], n_added: int) -> list[str]:
+def _alternatives_still_found(search_round: Round, remaining: Sequence[Score], n_added: int) -> list[str]:
     """Return the names of the declared alternatives of an effect that still pass their score tests, strongest first.
 
     A declared alternative is an effect that `Effect.alternatives` lists. The size of its score does not matter. The
     list is empty if only one effect was added (``n_added``): several may together take the place of an alternative.
-    ``remaining`` are the scores that pass on the last model.
+
+    An alternative that contains the effect as a special case is left out if it was refitted in its place and was not
+    better: its test shows that the effect varies a little, for example during a run, and not that it is another one.
+
+    Parameters
+    ----------
+    search_round
+        Round that added the effect.
+    remaining
+        Scores that pass on the last model.
+    n_added
+        Number of added effects.
     """
-    return [s.name for s in remaining if s.name in effect.alternatives] if n_added > 1 else []
+    chosen = search_round.chosen
+    assert chosen is not None
+    if n_added < 2:
+        return []
+    larger = {q.effect.name for q in search_round.refits if chosen.effect.name in q.effect.nests}
+    better = {q.effect.name for q in search_round.refits if q.criterion > chosen.criterion}
+    return [s.name for s in remaining if s.name in chosen.effect.alternatives and s.name not in larger - better]
 
 
 def _remaining_alternative_reasons(alternatives: Sequence[str]) -> list[str]:
@@ -625,7 +642,7 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
     - An effect with competing models that were fitted, or whose score test still passes: its experiment, and the
       command that designs a mission to distinguish it from the closest of them. The command is left out if one of both
       is a nonparametric effect, a user-defined effect or a difference between runs, or if no mission can be designed
-      for the model.
+      for the model. A special case of the effect, or an effect that contains it, is no competing model here.
     - An ambiguous effect or a nonparametric curve without such competing models: its experiment.
     - No effect was selected, although candidates were fitted: the experiment of the best refit of each round, if it
       has one.
@@ -646,7 +663,9 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
             continue
         effect = search_round.chosen.effect
         attribution = by_name[effect.name]
-        competitor = next((name for name in attribution.not_excluded if name in titles), None)
+        competitors = [name for name in attribution.not_excluded if name in titles]
+        # One effect that is a special case of the other cannot be told apart from it.
+        competitor = next((name for name in competitors if not is_special_case(effect.name, name)), None)
         if competitor is not None:
             lines.append(f"To distinguish {effect.title} from {titles[competitor]}: {effect.experiment}.")
             of_catalogue = kinds[effect.name] is kinds[competitor] is EffectKind.CATALOGUE
@@ -680,7 +699,7 @@ def _advice_on_remaining(diagnosis: Diagnosis) -> str:
         f"Candidates that still pass the score test may be missing too: {', '.join(map(_titled, names))}. To test one, "
         f"fit the model again with --effect {names[0]}, and compare both models on logs of neither fit"
     )
-    pairs = [f"{a},{b}" for a, b in combinations(names, 2) if a not in known[b].nests and b not in known[a].nests]
+    pairs = [f"{a},{b}" for a, b in combinations(names, 2) if not is_special_case(a, b)]
     if pairs and not reason_without_mission(diagnosis.before.model):
         advice += f". `seatrial mission design MODEL --discriminate {pairs[0]}` designs a mission that tells two apart"
     return advice

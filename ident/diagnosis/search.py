@@ -1124,8 +1124,14 @@ class _Search:
         beside
             Names of the candidates that they were fitted with. Empty if the fit fails.
         """
-        strongest = [s for s in remaining if not s.nonparametric and s.name in self.candidates]
         n, found = self.policy.n_beside, [r.chosen.effect for r in self.rounds if r.chosen is not None]
+        names = {e.name for e in found}
+        # The size of an effect is not determined beside one that contains it as a special case.
+        strongest = [
+            s
+            for s in remaining
+            if not s.nonparametric and s.name in self.candidates and not names & set(self.candidates[s.name].nests)
+        ]
         alternatives = {name for e in found for name in e.alternatives}
         beside = strongest[:n] + [s for s in strongest[n:] if s.name in alternatives][:n]
         model, fitted = current.fit.model, current

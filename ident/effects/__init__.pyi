@@ -7,3 +7,4 @@ from .nonparametric import nonparametric_effect as nonparametric_effect
 from .nonparametric import shape as shape
 from .propulsion.lag_mismatch import SHORTEST_OWN_LAG as SHORTEST_OWN_LAG
 from .registry import catalogue as catalogue
+from .registry import is_special_case as is_special_case

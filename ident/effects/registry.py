@@ -53,6 +53,18 @@ def catalogue() -> Mapping[str, Effect]:
     return MappingProxyType(dict(sorted(found.items())))
 
 
+def is_special_case(first: str, second: str) -> bool:
+    """Return whether one of two effects of the catalogue is a special case of the other (`Effect.nests`), by name.
+
+    No experiment tells such effects apart. An effect is a special case of itself. A name that is not in the catalogue
+    has no special cases.
+    """
+    known = catalogue()
+    return first == second or any(
+        general in known and special in known[general].nests for general, special in ((first, second), (second, first))
+    )
+
+
 def _effects_of_plugin(loaded: object, place: str) -> tuple[Effect, ...]:
     """Return the effects in the object that an entry point of another installed package names.
 

@@ -13,7 +13,7 @@ from seatrial.daq.config import Mission, Prediction, Segment, dump_mission, pars
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.files import require_new, require_parent
 from seatrial.ident.data import TIME_INPUT, WORK_INPUT
-from seatrial.ident.effects import catalogue
+from seatrial.ident.effects import catalogue, is_special_case
 from seatrial.ident.estimation import (
     RefittedEffect,
     SavedModel,
@@ -633,12 +633,13 @@ def hypotheses(known: SavedModel | Model, names: Sequence[str]) -> tuple[EffectH
         If an effect does not exist, if it does not apply to the model, or if one effect is a special case of the other.
     """
     first, second = names
-    for general, special in ((first, second), (second, first)):
-        if general == special or (general in catalogue() and special in catalogue()[general].nests):
-            raise SeatrialError(
-                f"--discriminate: {special} is a special case of {general}: no mission tells them apart; "
-                "name two other effects"
-            )
+    if is_special_case(first, second):
+        is_first_general = first in catalogue() and second in catalogue()[first].nests
+        general, special = (first, second) if is_first_general else (second, first)
+        raise SeatrialError(
+            f"--discriminate: {special} is a special case of {general}: no mission tells them apart; "
+            "name two other effects"
+        )
     return _hypothesis(known, first, second), _hypothesis(known, second, first)
 
 

@@ -115,12 +115,13 @@ def _as_import(command: str) -> str:
 def _as_design(command: str) -> str:
     """Return the command that designs a mission for two effects as a call of Python; unchanged if it is another one.
 
-    The command needs no file of the mission, but the function does: it is ``tell-apart.toml``.
+    The command needs no file of the mission, but the function does: it is ``tell-apart.toml``. The model is the result
+    of the diagnosis, which the user may not have saved.
     """
     words = shlex.split(command.removeprefix(DESIGN))
     if len(words) != 3 or words[0].startswith("-") or words[1] != "--discriminate":
         return command
-    return f"st.design({words[0]!r}, 'tell-apart.toml', between={tuple(words[2].split(','))!r})"
+    return f"st.design(diagnosis, 'tell-apart.toml', between={tuple(words[2].split(','))!r})"
 
 
 class Messages:

@@ -380,7 +380,7 @@ def test_a_diagnosis_without_a_recommended_experiment_says_why(found: st.FittedD
 def test_the_recommended_mission_is_designed_for_the_diagnosed_model(found: st.FittedDiagnosis, tmp_path: Path) -> None:
     """Only the model.toml of the diagnosis has the sizes of the effects that were tried."""
     mission = "`seatrial mission design {} --discriminate mismatch,yaw-bias` generates the mission."
-    call = "`st.design('model.toml', 'tell-apart.toml', between=('mismatch', 'yaw-bias'))` generates the mission."
+    call = "`st.design(diagnosis, 'tell-apart.toml', between=('mismatch', 'yaw-bias'))` generates the mission."
     assert found.recommended_experiment == call
     assert call in " ".join(found.summary().split())
     folder = found.save(tmp_path / "my diagnosis")

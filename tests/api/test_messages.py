@@ -37,7 +37,7 @@ from seatrial.ident.cli.commands import design
         ("`seatrial import --guess a -o map.toml`", "`seatrial import --guess a -o map.toml`"),
         (
             "`seatrial mission design 'my boat/model.toml' --discriminate delay,lag` generates the mission.",
-            "`st.design('my boat/model.toml', 'tell-apart.toml', between=('delay', 'lag'))` generates the mission.",
+            "`st.design(diagnosis, 'tell-apart.toml', between=('delay', 'lag'))` generates the mission.",
         ),
         ("`seatrial mission design --discriminate A,B`", "`seatrial mission design --discriminate A,B`"),
         ("an option --unknown stays", "an option --unknown stays"),

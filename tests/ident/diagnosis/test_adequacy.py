@@ -99,6 +99,21 @@ def test_larger_form_of_an_effect_competes_only_if_it_explains_more() -> None:
 
 
 @pytest.mark.parametrize(
+    ("criterion", "nests", "attribution"),
+    [(660.0, ("mismatch",), "identified"), (720.0, ("mismatch",), "ambiguous"), (660.0, (), "ambiguous")],
+)
+def test_larger_form_that_explains_no_more_is_no_reason_though_its_test_passes(
+    criterion: float, nests: tuple[str, ...], attribution: str
+) -> None:
+    """Its test shows that the thrust varies during a run; the difference of the thrusters is there all the same."""
+    fouling = refit("fouling", criterion, nests=nests)
+    mismatch = refit("mismatch", 700.0, alternatives=("fouling",))
+    left = (score("fouling", 12.0),)
+    first, _ = attributions_of(one_round(mismatch, fouling), one_round(refit("battery-sag", 140.0)), left=left)
+    assert first.attribution == attribution
+
+
+@pytest.mark.parametrize(
     ("worth", "attribution"),
     [
         (DEFAULT_POLICY.max_remaining_criterion - 1, "identified"),

@@ -49,6 +49,15 @@ def test_a_mission_is_recommended_only_for_effects_that_its_command_knows(
     assert ("--discriminate" in text) == has_command
 
 
+def test_no_experiment_distinguishes_an_effect_from_its_special_case() -> None:
+    mismatch, fouling = catalogue()["mismatch"], catalogue()["fouling"]
+    for effect, other in ((mismatch, fouling), (fouling, mismatch)):
+        assert (
+            recommended_experiment(ambiguous(effect, other))
+            == f"To test whether it is {effect.title}: {effect.experiment}."
+        )
+
+
 def of(**changed: Any) -> Diagnosis:
     """Return a diagnosis for which no experiment is recommended."""
     quiet = dict.fromkeys(("effects", "rounds", "remaining", "attributions", "untested"), ())

@@ -713,6 +713,9 @@ def test_effects_are_compared_beside_their_remaining_alternatives(monkeypatch: p
     kept, beside = searched.unaffected_by(current, scores)
     assert kept == {"yaw-bias"}
     assert beside == {"lift", "cross-flow", "sway-yaw", "heading-moment"}
+    # Beside an effect that contains it as a special case, its size is not determined.
+    searched.candidates["lift"] = replace(catalogue()["lift"], nests=("yaw-bias",))
+    assert "lift" not in searched.unaffected_by(current, scores)[1]
 
 
 def test_rough_refits_beside_common_errors_hold_the_noise_of_the_sensors(monkeypatch: pytest.MonkeyPatch) -> None:
