@@ -110,9 +110,8 @@ def fit_page(logs: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Page
 
 
 @pytest.fixture(scope="module")
-def page(fit_page: Page) -> Page:
-    """Run the other blocks of the page."""
-    bench_run(fit_page.folder)
+def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a text table with the signals of a boat, ``other.csv`` of the page."""
     t = np.arange(0.0, 60.0, 0.1)
     columns = {
         "t": t,
@@ -122,7 +121,16 @@ def page(fit_page: Page) -> Page:
         "n_right": 0.4 + 0 * t,
     }
     rows = np.column_stack(list(columns.values()))
-    np.savetxt(fit_page.folder / "other.csv", rows, delimiter=",", header=",".join(columns), comments="", fmt="%.6f")
+    path = tmp_path_factory.mktemp("table") / "other.csv"
+    np.savetxt(path, rows, delimiter=",", header=",".join(columns), comments="", fmt="%.6f")
+    return path
+
+
+@pytest.fixture(scope="module")
+def page(fit_page: Page, table: Path) -> Page:
+    """Run the other blocks of the page."""
+    bench_run(fit_page.folder)
+    shutil.copy(table, fit_page.folder)
     fit_page.run(BLOCKS[1:])
     return fit_page
 
@@ -148,6 +156,20 @@ def with_mismatch(logs: list[Path]) -> st.FittedVehicle:
     """Fit a model with an effect by maximum likelihood."""
     with without_warnings():
         return st.fit(logs[0], effects=["mismatch"], **LIKELIHOOD)
+
+
+@pytest.fixture(scope="module")
+def drifted(logs: list[Path], fit: st.FittedVehicle) -> st.Navigated:
+    """Navigate a log of another run with a GNSS outage."""
+    with without_warnings():
+        return st.navigate(fit, logs[2], gnss_outages=[(30.0, 50.0)])
+
+
+@pytest.fixture(scope="module")
+def navigated(logs: list[Path], fit: st.FittedVehicle) -> st.Navigated:
+    """Navigate a log of another run with all its GNSS positions."""
+    with without_warnings():
+        return st.navigate(fit, logs[2])
 
 
 def bag_in(folder: Path) -> Path:
@@ -1070,7 +1092,13 @@ def test_thruster_is_a_fitted_model_like_a_boat(bench: st.FittedThruster, tmp_pa
 
 
 def test_notebooks_show_every_result(
-    logs: list[Path], fit: st.FittedVehicle, found: st.FittedDiagnosis, bench: st.FittedThruster, tmp_path: Path
+    logs: list[Path],
+    fit: st.FittedVehicle,
+    found: st.FittedDiagnosis,
+    bench: st.FittedThruster,
+    drifted: st.Navigated,
+    navigated: st.Navigated,
+    tmp_path: Path,
 ) -> None:
     """Each result has its answer and a table whose numbers are its own."""
     saved, again = st.load(fit.save(tmp_path / "fit")), st.load(found.save(tmp_path / "found"))
@@ -1090,14 +1118,13 @@ def test_notebooks_show_every_result(
     assert only_model.to_pandas().loc["m_u", "value"] == pytest.approx(fit.params["m_u"], rel=1e-6)
     compared = st.compare({"a<b": fit, "with": found}, logs[2])
     ahead = compared.to_pandas().query("kind == 'horizon' and channel == 'r' and model == 'with'")
-    drifted = st.navigate(fit, logs[2], gnss_outages=[(30.0, 50.0)])
     shown: list[tuple[Any, tuple[str, str]]] = [
         (saved, ("m_u", f"{fit.params['m_u']:.4g}")),
         (again, ("eps_LR", f"{found.params['eps_LR']:.4g}")),
         (only_model, ("m_u", f"{fit.params['m_u']:.4g}")),
         (compared, ("a&lt;b", f"{ahead['rms'].iloc[0]:.3g}")),
         (drifted, ("95 % radius", f"{drifted.result.outages[0].at_end.radius:.3g}")),
-        (st.navigate(fit, logs[2]), ("state at the end", "run3")),
+        (navigated, ("state at the end", "run3")),
         (fit.linearise(0.5), ("time constant [s]", "stable")),
         (fit.steady(), ("turn rate, mean", "deg/s")),
         (bench, ("c1", f"{bench.params['c1']:.4g}")),
@@ -1335,8 +1362,8 @@ def test_the_reference_is_up_to_date() -> None:
     assert all(re.search(rf"^### (st\.)?{name}$", page, re.MULTILINE) for name in st.__all__)
 
 
-def test_navigate_returns_and_saves_the_states(logs: list[Path], fit: st.FittedVehicle, tmp_path: Path) -> None:
-    done = st.navigate(fit, logs[2], gnss_outages=[(30.0, 50.0)])
+def test_navigate_returns_and_saves_the_states(drifted: st.Navigated, tmp_path: Path) -> None:
+    done = drifted
     states = done.states["run3"]
     assert set(states) > {"t", "x", "y", "psi", "u", "v", "r", "sd_x", "gnss"}
     inside = (states["t"] > 40.0) & (states["t"] < 50.0)
@@ -1380,14 +1407,18 @@ def test_a_log_is_a_mapping_of_its_signals(logs: list[Path], fit: st.FittedVehic
 
 
 def test_navigation_of_a_log_of_the_fit_gives_a_warning(
-    logs: list[Path], fit: st.FittedVehicle, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    logs: list[Path],
+    fit: st.FittedVehicle,
+    navigated: st.Navigated,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     with pytest.warns(SeatrialWarning, match=r"the model was fitted to run1: these data are counted twice"):
         done = st.navigate(fit, [logs[0], logs[2]])
     assert [w.code for w in done.result.warnings if w.code == "navigated-fitted-log"] == ["navigated-fitted-log"]
     with pytest.warns(SeatrialWarning, match="the model was fitted to run1"):  # a part of the log has no hash
         st.navigate(fit, st.open_log(logs[0], 20.0, 60.0))
-    assert not [w for w in st.navigate(fit, logs[2]).warnings if "counted twice" in w]
+    assert not [w for w in navigated.warnings if "counted twice" in w]
     model = fit.save(tmp_path / "vehicle") / "model.toml"
     capsys.readouterr()
     run("ident", "navigate", model, logs[0], "--out", tmp_path / "out")
@@ -1445,12 +1476,12 @@ def test_many_logs_are_shown_by_their_number() -> None:
     assert call == "seatrial.fit_many([21 logs], mass=3.0)"
 
 
-def test_one_pair_is_one_gnss_outage(logs: list[Path], fit: st.FittedVehicle) -> None:
-    one, several = (st.navigate(fit, logs[2], gnss_outages=x) for x in ((30.0, 50.0), np.array([[30, 50]])))
-    assert [(o.start, o.withheld) for o in one.result.outages] == [
-        (o.start, o.withheld) for o in several.result.outages
-    ]
-    assert any(o.withheld for o in one.result.outages)
+def test_one_pair_is_one_gnss_outage(logs: list[Path], fit: st.FittedVehicle, drifted: st.Navigated) -> None:
+    expected = [(o.start, o.withheld) for o in drifted.result.outages]
+    for outages in ((30.0, 50.0), np.array([[30, 50]])):
+        done = st.navigate(fit, logs[2], gnss_outages=outages, smoothed=False)
+        assert [(o.start, o.withheld) for o in done.result.outages] == expected
+    assert any(withheld for _, withheld in expected)
 
 
 def test_texts_of_results_and_checks_have_no_options_of_the_command_line(
@@ -1478,10 +1509,10 @@ def test_texts_of_results_and_checks_have_no_options_of_the_command_line(
     assert found.advice == "the heading is 0.02 rad off: fixed={'e_psi': 0.02}"
 
 
-def test_a_log_that_exists_is_named_with_the_arguments_of_the_import(page: Page, tmp_path: Path) -> None:
-    st.import_log(page.folder / "other.csv", out_dir=tmp_path)
+def test_a_log_that_exists_is_named_with_the_arguments_of_the_import(table: Path, tmp_path: Path) -> None:
+    st.import_log(table, out_dir=tmp_path)
     with pytest.raises(SeatrialError, match=r"; force=True replaces it, out_dir names another$"):
-        st.import_log(page.folder / "other.csv", out_dir=tmp_path)
+        st.import_log(table, out_dir=tmp_path)
 
 
 def test_a_file_without_a_recognised_signal_gives_an_error_about_this_file(tmp_path: Path) -> None:
@@ -1505,25 +1536,25 @@ NUMBERS = {"y_left": -0.3, "y_right": 0.3, "mass": 30.0, "antenna_x": 0.1, "c1":
 
 
 @pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")
-def test_numbers_of_the_boat_are_given_in_python_for_a_guessed_and_for_a_given_map(page: Page, tmp_path: Path) -> None:
-    file, written, lighter = page.folder / "other.csv", tmp_path / "map.toml", {"geometry": {"mass": 28.0}}
-    text = st.guess_map(file, written, **BOAT)
+def test_numbers_of_the_boat_are_given_in_python_for_a_guessed_and_for_a_given_map(table: Path, tmp_path: Path) -> None:
+    written, lighter = tmp_path / "map.toml", {"geometry": {"mass": 28.0}}
+    text = st.guess_map(table, written, **BOAT)
     assert "What no file has" not in text
     assert NUMBERS.items() <= dict(parse_import_map(text, written).vehicle).items()
     for given, map_path, mass in ((BOAT, None, 30.0), (lighter, written, 28.0)):
-        (log,) = st.import_log(file, map_path, out_dir=tmp_path, force=True, **given)
+        (log,) = st.import_log(table, map_path, out_dir=tmp_path, force=True, **given)
         assert load_run(log, "log").hull() == {"mass": mass}
     assert "mass = 30" in written.read_text(encoding="utf-8")
 
 
 @pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")
-def test_bollard_pull_ahead_and_astern_gives_both_coefficients_of_thrust(page: Page, tmp_path: Path) -> None:
-    file, written = page.folder / "other.csv", tmp_path / "map.toml"
+def test_bollard_pull_ahead_and_astern_gives_both_coefficients_of_thrust(table: Path, tmp_path: Path) -> None:
+    written = tmp_path / "map.toml"
     pull = {"ahead": 96.0, "astern": 61.0, "ahead_sd": 3.0, "astern_sd": 4.0}
-    assert parse_import_map(st.guess_map(file, scale=pull), written).vehicle == PULLED
-    assert parse_import_map(st.guess_map(file, scale={"ahead": 96.0}), written).vehicle == {"c1": 96.0}
-    st.guess_map(file, written, **BOAT)
-    (log,) = st.import_log(file, written, out_dir=tmp_path, scale=pull)  # in place of c1 and c2 of the map
+    assert parse_import_map(st.guess_map(table, scale=pull), written).vehicle == PULLED
+    assert parse_import_map(st.guess_map(table, scale={"ahead": 96.0}), written).vehicle == {"c1": 96.0}
+    st.guess_map(table, written, **BOAT)
+    (log,) = st.import_log(table, written, out_dir=tmp_path, scale=pull)  # in place of c1 and c2 of the map
     assert load_run(log, "log").vehicle == NUMBERS | {"antenna_y": 0.0, "antenna_z": 0.0} | PULLED
 
 
@@ -1538,12 +1569,11 @@ def test_bollard_pull_ahead_and_astern_gives_both_coefficients_of_thrust(page: P
     ],
 )
 @pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")
-def test_a_wrong_number_of_the_boat_is_one_line(page: Page, tmp_path: Path, wrong: Any, message: str) -> None:
-    file = page.folder / "other.csv"
+def test_a_wrong_number_of_the_boat_is_one_line(table: Path, tmp_path: Path, wrong: Any, message: str) -> None:
     with pytest.raises(SeatrialError, match=re.escape(message)):
-        st.guess_map(file, **wrong)
+        st.guess_map(table, **wrong)
     with pytest.raises(SeatrialError, match=re.escape(message)):
-        st.import_log(file, out_dir=tmp_path, **wrong)
+        st.import_log(table, out_dir=tmp_path, **wrong)
     assert not list(tmp_path.glob("*.mcap"))
 
 
@@ -1576,30 +1606,29 @@ def test_the_warning_of_an_import_separates_what_was_given_from_what_was_inferre
     )
 
 
-def test_a_guessed_map_is_written_corrected_and_used(page: Page, tmp_path: Path) -> None:
-    file, written = page.folder / "other.csv", tmp_path / "map.toml"
-    text = st.guess_map(file, written)
-    assert written.read_text(encoding="utf-8") == text == st.guess_map([file])
+def test_a_guessed_map_is_written_corrected_and_used(table: Path, tmp_path: Path) -> None:
+    written = tmp_path / "map.toml"
+    text = st.guess_map(table, written)
+    assert written.read_text(encoding="utf-8") == text == st.guess_map([table])
     assert text.startswith("# ")
     with pytest.raises(SeatrialError, match=r"exists already; force=True replaces it, path names another$"):
-        st.guess_map(file, written)
-    assert st.guess_map(file, written, force=True) == text
+        st.guess_map(table, written)
+    assert st.guess_map(table, written, force=True) == text
     with warnings.catch_warnings():
         warnings.simplefilter("error", SeatrialWarning)  # a given map is no guess
-        (log,) = st.import_log(file, map_path=written, out_dir=tmp_path)
+        (log,) = st.import_log(table, map_path=written, out_dir=tmp_path)
     assert "psi" in st.open_log(log)
 
 
-def test_an_error_of_a_guessed_map_names_the_file(page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_of_a_guessed_map_names_the_file(table: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The guessed map is a temporary file, which the user cannot open."""
 
     def fails(map_path: Path, *_: Any, **__: Any) -> None:
         raise SeatrialError(f"{map_path}: signal[1]: unknown")
 
     monkeypatch.setattr("seatrial.daq.importers.import_files.import_files", fails)
-    file = page.folder / "other.csv"
-    with pytest.raises(SeatrialError, match=rf"^guessed map of {file}: signal\[1\]: unknown$"):
-        st.import_log(file, out_dir=tmp_path)
+    with pytest.raises(SeatrialError, match=rf"^guessed map of {table}: signal\[1\]: unknown$"):
+        st.import_log(table, out_dir=tmp_path)
 
 
 def test_files_with_the_same_caveats_give_one_warning_with_a_call_that_runs(tmp_path: Path) -> None:
