@@ -6,7 +6,10 @@ signals that are filtered or rounded.
 
 from __future__ import annotations
 
+import hashlib
 import math
+import pickle
+from collections import deque
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -53,6 +56,9 @@ from seatrial.ident.report import write_check_page
 LEAST_WHITE = 0.02  # least white noise of a navigation filter's output, relative to that of a usual sensor
 TURNING = 0.05  # of full speed; a shaft turns at larger speeds
 INITIAL_FACTOR = 1.5  # initial value of a noise with a floor, relative to the floor
+# Findings of the logs checked last, by a hash of the samples. A fit, its diagnosis and a comparison of models check the
+# same log each time, which takes as long as some evaluations of the likelihood.
+_recent_findings: deque[tuple[bytes, tuple[Finding, ...]]] = deque(maxlen=64)
 
 
 def write_check(report: CheckReport, command: str, out: Path) -> None:
@@ -257,7 +263,7 @@ def with_findings(
     """
     name = log.about["path"]
     assert log.device_faults is not None, "logs of a fit are loaded with `device_faults`"
-    found = [*log.device_faults, *check_signals(log.own_channels, sides, known_noise), *more]
+    found = [*log.device_faults, *_signal_findings(log.own_channels, sides, known_noise), *more]
     reported = [f for f in found if f.is_problem]
     refused = [f for f in reported if invalidates_fit(f, uses_shaft_speeds)]
     if refused and not despite_faults:
@@ -269,6 +275,20 @@ def with_findings(
         )
     rows = [f._asdict() | {"spoils": invalidates_fit(f, uses_shaft_speeds)} for f in reported]
     return replace(log, about=log.about | {"findings": rows})
+
+
+def _signal_findings(
+    c: Mapping[str, Channel], sides: Mapping[str, float], known_noise: Collection[str]
+) -> tuple[Finding, ...]:
+    """Return the findings of `check_signals`, from memory if signals with the same samples were checked recently."""
+    arguments = pickle.dumps((dict(c), dict(sides), sorted(known_noise)))
+    key = hashlib.sha256(arguments).digest()
+    for known, findings in tuple(_recent_findings):  # a copy, because other threads append to it
+        if known == key:
+            return findings
+    findings = tuple(check_signals(c, sides, known_noise))
+    _recent_findings.append((key, findings))
+    return findings
 
 
 def sides_of_model(model: Model, log: LoadedLog) -> Mapping[str, float]:

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from seatrial.daq.checks import Finding
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.samples import Esc
-from seatrial.ident.checks import device_faults
+from seatrial.ident.checks import check_signals, device_faults
 from seatrial.ident.data.loading import load_run
 from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.workflows import check
 from seatrial.ident.workflows.check import check_first, require_thrust_and_length
 from tests.missions import boat_with, sail, write_log
 
@@ -49,6 +53,33 @@ def test_slower_shafts_are_named_only_for_models_of_commands(tmp_path: Path) -> 
         checked, _ = check_first(logs, [], horizontal_model(source), False)
         codes = [f["code"] for log in checked for f in log.about["findings"]]
         assert ("shaft-speed-differs" in codes) == named
+
+
+def test_a_log_is_checked_again_only_if_its_samples_or_the_options_differ(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The fit and the diagnosis of a log load it, and check it, one after the other."""
+    path = write_log(tmp_path / "run.mcap", "boat", sail(boat_with(None, 3), 20.0, 104)[0].readings)
+    model, checks = horizontal_model("command"), []
+
+    def counted(*arguments: Any) -> Iterator[Finding]:
+        checks.append(arguments)
+        return check_signals(*arguments)
+
+    monkeypatch.setattr(check, "check_signals", counted)
+    log = load_run(path, "estimation", device_faults=device_faults)
+    found = []
+    for again in (log, load_run(path, "estimation", device_faults=device_faults)):
+        ((checked,), _) = check_first([again], [], model, False)
+        found.append(checked.about["findings"])
+    assert found[0] == found[1]
+    assert len(checks) == 1
+    gyro = log.run.channels["r"]
+    moved = replace(log.run, channels={**log.run.channels, "r": replace(gyro, t=gyro.t + 1e-9)})
+    check_first([replace(log, run=moved)], [], model, False)
+    assert len(checks) == 2
+    check_first([log], [], model.with_values({"y_left": 0.9 * model.values["y_left"]}), False)
+    assert len(checks) == 3
 
 
 def test_logs_without_thrust_or_of_a_few_seconds_are_refused(tmp_path: Path) -> None:
