@@ -835,10 +835,10 @@ def test_log_with_commands_for_a_model_of_measured_shaft_speeds_gives_a_warning(
     assert tomllib.loads(model.read_text())["holds"] == {"n_left": "linear", "n_right": "linear"}
     with warnings.catch_warnings():
         warnings.simplefilter("error", SeatrialWarning)
-        st.navigate(model, logs[2])
+        st.navigate(model, logs[2], smoothed=False)
     model.write_text(model.read_text().replace('n_left = "linear"', 'n_left = "zero"'))
     with pytest.warns(SeatrialWarning, match="n_left: measured values, but the model was fitted to held commands"):
-        st.navigate(model, logs[2])
+        st.navigate(model, logs[2], smoothed=False)
 
 
 def test_linearisation_with_negative_damping_of_sway_gives_a_warning(logs: list[Path]) -> None:
@@ -1178,7 +1178,7 @@ def test_diagnosis_names_the_effect(logs: list[Path], found: st.FittedDiagnosis,
     assert found.params["eps_LR"] == pytest.approx(-0.06, abs=0.03)
     again = st.load(found.save(tmp_path / "found"))
     assert again.answer == found.answer
-    assert st.navigate(again, logs[2]).states  # a loaded model can be used like the fitted one
+    assert st.navigate(again, logs[2], smoothed=False).states  # a loaded model can be used like the fitted one
     loaded, fitted = (st.compare(model, logs[2]).result.channels for model in (again, found))
     assert [row.errors[0].rms for row in loaded] == pytest.approx([row.errors[0].rms for row in fitted], rel=1e-6)
     with pytest.raises(SeatrialError, match=r"model 2 is the same model as .*; give another model to compare it with"):
@@ -1414,10 +1414,10 @@ def test_navigation_of_a_log_of_the_fit_gives_a_warning(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     with pytest.warns(SeatrialWarning, match=r"the model was fitted to run1: these data are counted twice"):
-        done = st.navigate(fit, [logs[0], logs[2]])
+        done = st.navigate(fit, [logs[0], logs[2]], smoothed=False)
     assert [w.code for w in done.result.warnings if w.code == "navigated-fitted-log"] == ["navigated-fitted-log"]
     with pytest.warns(SeatrialWarning, match="the model was fitted to run1"):  # a part of the log has no hash
-        st.navigate(fit, st.open_log(logs[0], 20.0, 60.0))
+        st.navigate(fit, st.open_log(logs[0], 20.0, 60.0), smoothed=False)
     assert not [w for w in navigated.warnings if "counted twice" in w]
     model = fit.save(tmp_path / "vehicle") / "model.toml"
     capsys.readouterr()
