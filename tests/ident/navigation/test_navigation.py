@@ -269,10 +269,11 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with a fitted model and a log that the fit did not use."""
     folder = tmp_path_factory.mktemp("navigation")
     boat = boat_with(None, 3)
-    boat_log(folder / "fit.mcap", boat, 200.0, 3)
+    boat_log(folder / "fit.mcap", boat, 100.0, 3)
     boat_log(folder / "log.mcap", boat, 150.0, 33, run=2)
     done = CliRunner().invoke(
-        ident, ["vehicle", str(folder / "fit.mcap"), "--no-score-tests", "--out", str(folder / "vehicle")]
+        ident,
+        ["vehicle", str(folder / "fit.mcap"), "--no-score-tests", "--no-reml", "--out", str(folder / "vehicle")],
     )
     assert done.exit_code == 0, done.output
     return folder
