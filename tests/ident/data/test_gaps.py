@@ -5,7 +5,9 @@ logs.
 from __future__ import annotations
 
 import resource
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -21,16 +23,23 @@ from seatrial.ident.data.gaps import clock_of, parts_between, silent_times
 from seatrial.ident.data.loading import TimeWindow, load_all, load_run, load_runs, usable_parts
 from seatrial.ident.data.record import Channel, LeftOut, make_record
 from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.mocks.world import Reading
 from tests.missions import boat_with, record, rig_of, sail
 
 DAY, TEN_YEARS = 86_400.0, 10 * 365.25 * 86_400.0
 SECONDS = 30.0
 
 
+@cache
+def missions() -> tuple[Sequence[Reading], Sequence[Reading]]:
+    """Return the readings of two missions of a boat."""
+    boat = boat_with(None, 4)
+    return sail(boat, SECONDS, 3, 1)[0].readings, sail(boat, SECONDS, 5, 2)[0].readings
+
+
 def log_with_gap(path: Path, gap: float, n_last: int | None = None) -> Path:
     """Write a log of two missions with a gap between them. The second may have few samples."""
-    boat = boat_with(None, 4)
-    first, second = (sail(boat, SECONDS, seed, run)[0].readings for run, seed in ((1, 3), (2, 5)))
+    first, second = missions()
     late = [reading._replace(t=reading.t + SECONDS + gap) for reading in second[:n_last]]
     return record(path, rig_of("boat"), [*first, *late])
 
@@ -64,8 +73,7 @@ def test_parts_of_a_log_with_a_gap_need_no_more_memory_than_alone(tmp_path: Path
 
 
 def test_finding_names_the_part_of_the_log(tmp_path: Path) -> None:
-    boat = boat_with(None, 4)
-    first, second = (sail(boat, SECONDS, seed, run)[0].readings for run, seed in ((1, 3), (2, 5)))
+    first, second = missions()
     late = [r._replace(t=r.t + 2.0 * SECONDS + DAY) for r in second]
     late = [r._replace(sample=replace(r.sample, r=-r.sample.r)) if isinstance(r.sample, Ahrs) else r for r in late]
     found = LogChecks().check(record(tmp_path / "run.mcap", rig_of("boat"), [*first, *late]))
@@ -74,8 +82,7 @@ def test_finding_names_the_part_of_the_log(tmp_path: Path) -> None:
 
 
 def test_a_check_of_a_window_finds_only_what_is_in_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    boat = boat_with(None, 4)
-    first, second = (sail(boat, SECONDS, seed, run)[0].readings for run, seed in ((1, 3), (2, 5)))
+    first, second = missions()
     late = [r._replace(t=r.t + SECONDS + 8.0) for r in second]
     late = [r._replace(sample=replace(r.sample, r=-r.sample.r)) if isinstance(r.sample, Ahrs) else r for r in late]
     path = record(tmp_path / "run.mcap", rig_of("boat"), [*first, *late])
