@@ -99,6 +99,10 @@ NOT_WEIGHED = (
     "The mass in surge, m_u, was not compared with a weighed mass, because none was given: give --mass, or mass in "
     "[geometry] of the import map. With it, a wrong thrust is found."
 )
+PASSED_TESTS = (
+    "The residuals one step ahead are white and uncorrelated with the inputs, by Ljung-Box, periodogram and "
+    "cross-correlation tests"
+)
 SHORT_FOR_SIMULATION = 4.0  # warm-ups: of a shorter record, the errors of a simulation leave out a large part
 SIMULATION_COVERS = f"The errors of the simulation leave out the {WARM_UP:g} s of filtering before it: they cover"
 MOST_OF_ERROR = "A small part of the time has most of the squared error"  # begins the note of a comparison
@@ -267,7 +271,7 @@ def _whiteness_sentence(
     if not correlated_inputs and not coloured:
         hidden = ". Disturbance forces can still hide an effect: `seatrial ident diagnose` tests for it"
         untested = _untested_channels(errors, residuals)
-        return f"The residuals are white and uncorrelated with the inputs{hidden if searchable else ''}{untested}."
+        return f"{PASSED_TESTS}{untested}{hidden if searchable else ''}."
     if correlated_inputs and correlated_inputs <= MEASURED_INPUTS:
         named = " and ".join(sorted(correlated_inputs))
         return (
