@@ -630,13 +630,17 @@ def mass_notes(fit: Fit, weighed: float | None) -> list[str]:
             f"its standard error is {error:.2g} kg, or the given thrust is too small. Check the thrust, the scale of "
             "the shaft speeds (full speed) and the load."
         ]
-    found = f"{ratio}. The excess is the added mass of the water, for a slender hull usually 5 to 30 % of the mass."
+    found = (
+        f"{ratio}. If the boat weighed this during the logs and the thrust is right, the excess is the added mass of "
+        "the water, for a slender hull usually 5 to 30 % of the mass. A load that was not weighed, and a given thrust "
+        "that is too large, look the same."
+    )
     if mass <= USUAL_ADDED * weighed:
         return [found]
     if mass - 2.0 * np.nan_to_num(error) > USUAL_ADDED * weighed:
-        found += " It is more here"
+        found += " The excess is more here"
     else:
-        found += f" It is more here, by less than two standard errors ({error:.2g} kg)"
+        found += f" The excess is more here, by less than two standard errors ({error:.2g} kg)"
     found += (
         ". If the hull is slender, check the given thrust, the scale of the shaft speeds (full speed), the load, and "
         "whether the thrusters have lost thrust since it was measured (a fouled propeller, a sagging supply)."
