@@ -518,7 +518,8 @@ SCORE_TESTS = (
 mass_option = click.option(
     "--mass",
     type=FiniteRange(0.0, min_open=True),
-    help="Weighed mass of the boat in kg: a warning tells if the estimated mass contradicts it. It is no prior.  "
+    help="Weighed mass of the boat in kg. A warning tells if the estimated mass in surge is below it or above 1.3 "
+    "times it, both by more than two standard errors, or above twice it. It is no prior.  "
     "[default: `mass` in [vehicle] of the rig file, or in [geometry] of the import map]",
 )
 
