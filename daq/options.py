@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeVar, final
 
 import click
@@ -89,7 +90,18 @@ class FiniteRange(click.FloatRange):
 
 @final
 class Choice(click.Choice[T]):
-    """Type of an option or argument with a fixed set of values, whose error suggests the most similar value."""
+    """Type of an option or argument with a fixed set of values, whose error suggests the most similar value.
+
+    Attributes
+    ----------
+    meant : mapping of str to str
+        Text of the suggestion for words that are no values but have one meaning, by the word in small letters.
+    """
+
+    def __init__(self, choices: Iterable[T], meant: Mapping[str, str] = MappingProxyType({})) -> None:
+        """Make the type from its values, and the suggestions for other words."""
+        super().__init__(choices)
+        self.meant = meant
 
     def get_invalid_choice_message(self, value: Any, ctx: click.Context | None) -> str:
         """Return the message about an invalid value: all valid ones, and the one that the user probably meant.
@@ -102,7 +114,8 @@ class Choice(click.Choice[T]):
             return (
                 f"{value!r} is not one of the {len(self.choices)} values; did you mean {near!r}? All are in the help."
             )
-        return super().get_invalid_choice_message(value, ctx) + (f" Did you mean {near!r}?" if near else "")
+        meant = self.meant.get(str(value).lower()) or (repr(near) if near else "")
+        return super().get_invalid_choice_message(value, ctx) + (f" Did you mean {meant}?" if meant else "")
 
 
 def view_option(command: Callable[..., Any]) -> Callable[..., Any]:

@@ -210,6 +210,27 @@ def test_a_missing_file_names_the_closest_one(
     assert message in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    "words", ["ident vehicle a.csv good.mcap b.csv", "ident changes --before a.csv good.mcap --after b.csv good.mcap",
+              "ident vehicle good.mcap --validate a.csv --validate b.csv"],
+)  # fmt: skip
+def test_all_files_that_are_no_logs_are_named_before_a_command_runs(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("a.csv", "b.csv"):
+        (tmp_path / name).write_text("t,u\n0,1\n", encoding="utf-8")
+    (tmp_path / "good.mcap").write_bytes(b"\x89MCAP0\r\n")
+    with pytest.raises(SystemExit):
+        command_line.main(words.split())
+    said = capsys.readouterr()
+    assert (
+        "a.csv, b.csv: not MCAP logs; use `seatrial import` for logs of other formats: `seatrial import --guess a.csv "
+        "b.csv -o map.toml`, then `seatrial import map.toml a.csv b.csv`"
+    ) in " ".join(said.err.split())
+    assert not said.out
+
+
 def test_an_input_that_is_no_log_is_reported_before_an_output_that_exists(
     capsys, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.importers.import_map import TIME_UNITS, TimeColumn
-from seatrial.daq.importers.recognise import DRIVES, Name, read_name
+from seatrial.daq.importers.recognise import Name, drive_words, read_name
 from seatrial.daq.importers.row_times import LABVIEW_EPOCH, dated, read_date, row_times
 from seatrial.daq.importers.table import Column, Table
 
@@ -137,7 +137,7 @@ def clock_of(table: Table) -> Clock:
     # No column has the name of a time: accept a first column that rises evenly and does not have the name of a signal.
     for name in names[:2]:  # the first column may contain the name of a boat or of a run
         column_name = read_name(name)
-        if column_name.meaning or column_name.words & (DRIVES | _COUNTS):
+        if column_name.meaning or drive_words(column_name.words) or column_name.words & _COUNTS:
             continue
         try:
             values = table.numbers(name)

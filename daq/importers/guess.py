@@ -27,7 +27,6 @@ from seatrial.daq.importers.import_map import GEOGRAPHIC
 from seatrial.daq.importers.input_hold import input_hold
 from seatrial.daq.importers.recognise import (
     CAVEATS,
-    DRIVES,
     NAMES,
     OUTPUT,
     PULSE_RANGE,
@@ -41,6 +40,7 @@ from seatrial.daq.importers.recognise import (
     MapSignal,
     Name,
     drive,
+    drive_words,
     message_candidates,
     named_commands,
     pulse_keys,
@@ -210,7 +210,9 @@ def guess_map(
     drives: dict[frozenset[str], list[Column]] = {}  # by quantity: left and right get the same scale
     for table in tables:
         for column, _, words, values in _named_columns(table, clocks):
-            if words & DRIVES and without_unit(column) not in FORCES:  # N may be north and must not affect the scale
+            if (
+                drive_words(words) and without_unit(column) not in FORCES
+            ):  # N may be north and must not affect the scale
                 drives.setdefault(quantity(words), []).append(values)
     together = {words: np.concatenate(values) for words, values in drives.items()}
     benches = [c for t in tables if not t.kind for c in bench_candidates(t, row_seconds(t, clocks[id(t)]))]

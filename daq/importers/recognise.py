@@ -290,7 +290,8 @@ DRIVES |= {"throttle", "esc", "servo", "power", "n", "f", "engine", "shaft", "du
 _NOT_DRIVES = {"angle", "rudder", "azimuth", "pos", "position", "zero", "offset", "current", "voltage", "temperature"}
 _NOT_DRIVES |= {"efficiency"}
 _NOT_DRIVES |= {"effort", "torque", "std", "bias", "status", "min", "max", "temp", "sp", "sat", "sats", "satellites"}
-_LETTERS = {"n", "f"}  # names of a thruster only if they stand alone or beside a side
+_INPUT = "u"  # of control theory: beside a side it names a command, alone the velocity in surge
+_LETTERS = {"n", "f", _INPUT}  # names of a thruster only if they stand alone or beside a side
 SET_POINTS = {"setpoint", "desired", "target", "goal", "reference", "ref"}
 FEWEST_JUMPS = 3  # jumps between small and wrapped numbers at least
 FEWEST_LEVELS = 10  # different small numbers, and different wrapped numbers, at least
@@ -597,6 +598,16 @@ def quantity(words: frozenset[str]) -> frozenset[str]:
     return frozenset(word.rstrip("0123456789") for word in words - SIDES) - {""}
 
 
+def drive_words(words: frozenset[str]) -> frozenset[str]:
+    """Return the words of a name that name a command, shaft speed or force of a thruster; none for other quantities.
+
+    The letter u is one only if no word but a whole one of a side is beside it, such as u_port. With the letter r of the
+    right side it is the velocity through the water (u_r).
+    """
+    is_input = quantity(words) == {_INPUT} and len(words & SIDES) == 1 and not words & {"l", "r"}
+    return frozenset({_INPUT}) if is_input else words & DRIVES
+
+
 def resting_pulse(values: Column) -> tuple[float, float] | None:
     """Return the pulse [us] at which an output rests, and the share of its pulses with this value; None if not shown.
 
@@ -643,10 +654,10 @@ def drive(words: frozenset[str], values: Column, unit: str) -> tuple[str, MapSig
         result is None if the column does not belong to a thruster, has a unit of another quantity (such as W), or has
         no finite value.
     """
-    drive_words = words & DRIVES
-    if not drive_words or words & _NOT_DRIVES:
+    named = drive_words(words)
+    if not named or words & _NOT_DRIVES:
         return None
-    if drive_words <= _LETTERS and not words & SIDES and quantity(words) - _LETTERS:  # n or f of another quantity
+    if named <= _LETTERS and not words & SIDES and quantity(words) - _LETTERS:  # n or f of another quantity
         return None
     good = values[np.isfinite(values)]
     if unit not in _DRIVE_UNITS or not good.size:

@@ -51,6 +51,7 @@ from seatrial.ident.cli.options import (
     with_estimation_options,
     workers_options,
 )
+from seatrial.ident.export import FORMATS_OF_PROGRAMS
 
 
 @click.group(cls=InputsFirstGroup)
@@ -212,7 +213,7 @@ ident.add_command(navigate)
     "--to",
     "--format",
     "target",
-    type=Choice(("python", "casadi", "c", "ros2", "fmu", "gazebo", "vrx")),
+    type=Choice(("python", "casadi", "c", "ros2", "fmu", "gazebo", "vrx"), FORMATS_OF_PROGRAMS),
     required=True,
     help="Target language or format. fmu: FMI 2.0 co-simulation, for Simulink, OpenModelica and others.",
 )

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
 import math
+import os
 import re
+import shlex
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 FOLDER = click.Path(file_okay=False, path_type=Path)
 FILE = click.Path(dir_okay=False, path_type=Path)
 SOURCE_FILE = ExistingPath(dir_okay=False)
+MOST_FILES = 4  # files that a command in an error message names
 
 
 class ModelPath(ExistingPath):
@@ -316,19 +318,39 @@ def check_output(context: click.Context, parameter: click.Parameter, out: Path |
                 )
     exists = out is not None and (out.is_file() or (out / "result.json").exists())
     if exists and not context.meta["force"]:
-        from seatrial.daq.log import is_log
-
-        # The input comes first: a file that is no log makes no result, so that nothing is in the way of it.
-        logs = [context.params.get(p.name or "") or () for p in context.command.params if p.type is LOG]
-        for path in itertools.chain(*logs):
-            if not is_log(Path(path)):
-                raise SeatrialError(f"{path}: not an MCAP log; use `seatrial import` for logs of other formats")
+        check_logs(context)  # a file that is no log makes no result, so that nothing is in the way of it
         raise SeatrialError(f"{out}: exists already; --force replaces it, or give another name")
     if out is not None and parameter.type is FILE:  # found before a long computation
         from seatrial.daq.files import require_parent
 
         require_parent(out)
     return out
+
+
+def check_logs(context: click.Context) -> None:
+    """Check that all files that a command takes as logs are logs, before it opens the first of them.
+
+    A file that cannot be read is left to the reader of logs.
+
+    Raises
+    ------
+    SeatrialError
+        If files are no logs. The error names all of them, and the commands that import them.
+    """
+    from seatrial.daq.log import is_log
+
+    given = [context.params.get(p.name or "") or () for p in context.command.params if p.type is LOG]
+    paths = dict.fromkeys(Path(path) for value in given for path in ((value,) if isinstance(value, Path) else value))
+    wrong = [path for path in paths if not is_log(path) and path.is_file() and os.access(path, os.R_OK)]
+    if toml := [path for path in wrong if path.suffix.lower() == ".toml"]:
+        raise SeatrialError(f"{toml[0]}: a TOML file and not a log; check the order of the arguments")
+    if wrong:
+        files = shlex.join(map(str, wrong)) if len(wrong) <= MOST_FILES else "FILE..."
+        raise SeatrialError(
+            f"{', '.join(map(str, wrong))}: not {'an MCAP log' if len(wrong) == 1 else 'MCAP logs'}; use `seatrial "
+            f"import` for logs of other formats: `seatrial import --guess {files} -o map.toml`, then `seatrial import "
+            f"map.toml {files}`"
+        )
 
 
 def out_option(default: str) -> Callable[..., Any]:
@@ -518,7 +540,8 @@ SCORE_TESTS = (
 mass_option = click.option(
     "--mass",
     type=FiniteRange(0.0, min_open=True),
-    help="Weighed mass of the boat in kg: a warning tells if the estimated mass contradicts it. It is no prior.  "
+    help="Weighed mass of the boat in kg. A warning tells if the estimated mass in surge is below it or above 1.3 "
+    "times it, both by more than two standard errors, or above twice it. It is no prior.  "
     "[default: `mass` in [vehicle] of the rig file, or in [geometry] of the import map]",
 )
 
@@ -596,7 +619,17 @@ def with_estimation_options(options: dict[str, Any]) -> dict[str, Any]:
 
 
 class InputsFirst(click.Command):
-    """Command that checks its output last, so that a wrong input is reported first, wherever ``--out`` stands."""
+    """Command that checks its output last, so that a wrong input is reported first, wherever ``--out`` stands.
+
+    Files that are no logs are an error before the command runs (`check_logs`).
+    """
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the words of the command line, and check that the logs among them are logs."""
+        rest = super().parse_args(ctx, args)
+        if not ctx.resilient_parsing:  # of the completion of a shell
+            check_logs(ctx)
+        return rest
 
     def make_parser(self, ctx: click.Context) -> Any:
         """Return the parser of click, whose order of the given parameters lacks the output."""

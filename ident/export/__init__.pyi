@@ -16,5 +16,10 @@ from .linearisation import pole_text as pole_text
 from .linearisation import side_inputs as side_inputs
 from .linearisation import sway_slopes as sway_slopes
 from .linearisation import time_text as time_text
+from .matlab import cell_array as cell_array
+from .matlab import check_mat_name as check_mat_name
+from .matlab import write_mat as write_mat
+from .programs import FORMATS_OF_PROGRAMS as FORMATS_OF_PROGRAMS
+from .programs import described_format as described_format
 from .state_feedback import StateFeedback as StateFeedback
 from .steady_motion import steady_motion as steady_motion

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import json
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from numbers import Real
-from typing import NamedTuple, Protocol
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.daq.errors import SeatrialError, closest_name, warn
+from seatrial.daq.files import write_output
 from seatrial.ident.export.conditions import conditions_text
+from seatrial.ident.export.matlab import cell_array, check_mat_name, write_mat
 from seatrial.ident.model import COMMAND, SHAFT_SPEED, is_of_thruster
 from seatrial.ident.numerics import Array
 
@@ -59,6 +64,8 @@ class StateFeedback:
         Inputs of the operating point.
     poles : array of complex numbers (n,)
         Poles of the linear model with the feedback [1/s], without the dead time of the inputs.
+    units : dict of str to str
+        Unit of each state and input; empty for a number without a unit.
     """
 
     states: tuple[str, ...]
@@ -67,6 +74,7 @@ class StateFeedback:
     x0: Array
     u0: Array
     poles: NDArray[np.complex128]
+    units: Mapping[str, str]
 
     def __call__(self, x: Mapping[str, float], **wanted: float) -> Array:
         """Return the inputs (m,) at the states ``x``, in the order of `inputs`.
@@ -107,9 +115,92 @@ class StateFeedback:
             _warn_of_degrees(float(x[HEADING]), float(goal[HEADING]))
         error[turn] = np.remainder(error[turn] + np.pi, 2.0 * np.pi) - np.pi
         u = self.u0 - self.gain @ error
-        relative = [is_of_thruster(n, COMMAND, SHAFT_SPEED) for n in self.inputs]
-        found: Array = np.where(relative, np.clip(u, -1.0, 1.0), u)
+        found: Array = np.clip(u, *self._limits)
         return found
+
+    @property
+    def _limits(self) -> tuple[Array, Array]:
+        """Lower and upper limits (m,) of the inputs; infinite for a thrust."""
+        relative = [is_of_thruster(n, COMMAND, SHAFT_SPEED) for n in self.inputs]
+        high: Array = np.where(relative, 1.0, np.inf)
+        return -high, high
+
+    def to_mat(self, path: str | os.PathLike[str], force: bool = False) -> Path:
+        """Write the feedback to a MATLAB file, and return its path. Its law is ``u = u0 - K*(x - x0)``.
+
+        The file has these variables:
+
+        - K: the gain (m, n);
+        - x0 and u0: states and inputs of the operating point, as columns;
+        - u_min and u_max: limits of the inputs, as columns; infinite for a thrust;
+        - poles: those of the linear model with the feedback [1/s];
+        - states, inputs: cell arrays of the names;
+        - state_units, input_units: cell arrays of the units, "1" for a number without a unit.
+
+        Parameters
+        ----------
+        path : path
+            The file, whose name ends in .mat.
+        force : bool
+            Whether an existing file is replaced.
+
+        Raises
+        ------
+        SeatrialError
+            If the name does not end in .mat, if the file exists and ``force`` is False, or if scipy is not installed.
+        """
+        file = Path(path)
+        check_mat_name(file)
+        _check_new(file, force)
+        found = self._variables()
+        write_mat(file, {n: cell_array(v) if isinstance(v, list) else v for n, v in found.items()}, force)
+        return file
+
+    def to_json(self, path: str | os.PathLike[str], force: bool = False) -> Path:
+        """Write the feedback to a JSON file, and return its path. Names and numbers are those of `to_mat`.
+
+        The gain is a list of a row for each input. The limit of a thrust is null. A pole is a list of its real and
+        imaginary part.
+
+        Parameters
+        ----------
+        path : path
+            The file, whose name ends in .json.
+        force : bool
+            Whether an existing file is replaced.
+
+        Raises
+        ------
+        SeatrialError
+            If the name does not end in .json, or if the file exists and ``force`` is False.
+        """
+        file = Path(path)
+        if file.suffix != ".json":
+            raise SeatrialError(f"{file}: give a name that ends in .json; `to_mat` writes a file for MATLAB")
+        _check_new(file, force)
+        found = self._variables()
+        found["poles"] = np.column_stack([self.poles.real, self.poles.imag])
+        lists = {n: v.tolist() if isinstance(v, np.ndarray) else v for n, v in found.items()}
+        for name in ("u_min", "u_max"):
+            lists[name] = [v if np.isfinite(v) else None for v in lists[name]]
+        write_output(file, json.dumps(lists, indent=2) + "\n", force)
+        return file
+
+    def _variables(self) -> dict[str, Any]:
+        """Return the variables of the files by name: arrays, and lists of texts."""
+        low, high = self._limits
+        return {
+            "K": self.gain,
+            "x0": self.x0,
+            "u0": self.u0,
+            "u_min": low,
+            "u_max": high,
+            "poles": self.poles,
+            "states": list(self.states),
+            "inputs": list(self.inputs),
+            "state_units": [self.units[n] or "1" for n in self.states],
+            "input_units": [self.units[n] or "1" for n in self.inputs],
+        }
 
     def __repr__(self) -> str:
         """Return the gain as a table with a line for each input, and the poles."""
@@ -140,6 +231,10 @@ class LinearSystem(Protocol):
     @property
     def B(self) -> Array:
         """Derivatives (n, m) of the rates by the inputs."""
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Unit of each state and input."""
 
     @property
     def by_heading(self) -> Array:
@@ -225,7 +320,14 @@ def lqr(linear: LinearSystem, Q: Mapping[str, float], R: Mapping[str, float] | N
         raise SeatrialError(failure)
     poles = poles[np.argsort(np.abs(poles.real), kind="stable")]
     x0 = np.append(linear.x0, np.full(len(states) - n, linear.conditions.get(HEADING, 0.0)))
-    return StateFeedback(states, linear.inputs, gain, x0, linear.u0, poles)
+    units = {**linear.units, **({HEADING: "rad"} if steered else {})}
+    return StateFeedback(states, linear.inputs, gain, x0, linear.u0, poles, units)
+
+
+def _check_new(file: Path, force: bool) -> None:
+    """Raise SeatrialError if a file exists and may not be replaced."""
+    if file.exists() and not force:
+        raise SeatrialError(f"{file}: the file exists already; force=True replaces it, path names another")
 
 
 def _warn_of_degrees(psi: float, wanted: float) -> None:

@@ -99,6 +99,10 @@ NOT_WEIGHED = (
     "The mass in surge, m_u, was not compared with a weighed mass, because none was given: give --mass, or mass in "
     "[geometry] of the import map. With it, a wrong thrust is found."
 )
+PASSED_TESTS = (
+    "The residuals one step ahead are white and uncorrelated with the inputs, by Ljung-Box, periodogram and "
+    "cross-correlation tests"
+)
 SHORT_FOR_SIMULATION = 4.0  # warm-ups: of a shorter record, the errors of a simulation leave out a large part
 SIMULATION_COVERS = f"The errors of the simulation leave out the {WARM_UP:g} s of filtering before it: they cover"
 MOST_OF_ERROR = "A small part of the time has most of the squared error"  # begins the note of a comparison
@@ -267,7 +271,7 @@ def _whiteness_sentence(
     if not correlated_inputs and not coloured:
         hidden = ". Disturbance forces can still hide an effect: `seatrial ident diagnose` tests for it"
         untested = _untested_channels(errors, residuals)
-        return f"The residuals are white and uncorrelated with the inputs{hidden if searchable else ''}{untested}."
+        return f"{PASSED_TESTS}{untested}{hidden if searchable else ''}."
     if correlated_inputs and correlated_inputs <= MEASURED_INPUTS:
         named = " and ".join(sorted(correlated_inputs))
         return (
@@ -519,7 +523,7 @@ def _acting_alike(fit: Fit, p: Parameter) -> str:
 def mass_warnings(fit: Fit, weighed: float | None) -> list[ResultWarning]:
     """Return a warning if the estimated mass in surge contradicts the weighed mass of the boat [kg].
 
-    The mass in surge is the weighed mass and the added mass of the water. A mass below the weighed one or above 1.5
+    The mass in surge is the weighed mass and the added mass of the water. A mass below the weighed one or above 1.3
     times it, both by more than two standard errors, or above twice the weighed one is implausible. The list is empty
     without a weighed mass, if the model has no mass in surge, and if the thrust was not given, so that masses are known
     as ratios only.
@@ -543,14 +547,17 @@ def implausible_mass(mass: float, error: float, weighed: float) -> list[ResultWa
     found = f"The estimated mass in surge, m_u, is {plus_minus(mass, error)} kg, and the boat weighs {weighed:g} kg"
     cause = (
         "Check the weighed mass (kilograms of the whole boat as it ran), and the given thrust, to which all masses are "
-        f"in proportion (its unit, and the thrust at full speed{_as_if_in_unit(mass / weighed)})"
+        "in proportion (its unit, the thrust at full speed, and the scale of the shaft speeds"
+        f"{_as_if_in_unit(mass / weighed)})"
     )
     if mass + 2.0 * np.nan_to_num(error) < weighed:
         text = f"{found}: m_u contains the added mass of the water too and cannot be smaller. {cause}."
-    elif mass > MOST_ADDED * weighed or least > PLAUSIBLE_MASS_RATIO * weighed:
+    elif mass > MOST_ADDED * weighed or least > USUAL_ADDED * weighed:
         text = (
-            f"{found}: the added mass of the water would be {mass / weighed - 1.0:.1f} times that mass, but in surge "
-            f"it is usually a small part of it. {cause}, then water in the hull and loads that were not weighed."
+            f"{found}: the added mass of the water would be {mass / weighed - 1.0:.2f} times that mass, but in surge "
+            f"it is usually 0.05 to 0.3 times, and more of a blunt hull only. {cause}, then water in the hull, loads "
+            "that were not weighed, and whether the thrusters have lost thrust since it was measured (a fouled "
+            "propeller, a sagging supply)."
         )
     else:
         return []
@@ -626,16 +633,18 @@ def mass_notes(fit: Fit, weighed: float | None) -> list[str]:
             f"its standard error is {error:.2g} kg, or the given thrust is too small. Check the thrust, the scale of "
             "the shaft speeds (full speed) and the load."
         ]
-    found = f"{ratio}. The excess is the added mass of the water, for a slender hull usually 5 to 30 % of the mass."
+    found = (
+        f"{ratio}. If the boat weighed this during the logs and the thrust is right, the excess is the added mass of "
+        "the water, for a slender hull usually 5 to 30 % of the mass. A load that was not weighed, and a given thrust "
+        "that is too large, look the same."
+    )
     if mass <= USUAL_ADDED * weighed:
         return [found]
-    if mass - 2.0 * np.nan_to_num(error) > USUAL_ADDED * weighed:
-        found += " It is more here"
-    else:
-        found += f" It is more here, by less than two standard errors ({error:.2g} kg)"
+    doubt = f", by less than two standard errors ({error:.2g} kg)" if np.isfinite(error) else ""
     found += (
-        ". If the hull is slender, check the given thrust, the scale of the shaft speeds (full speed), the load, and "
-        "whether the thrusters have lost thrust since it was measured (a fouled propeller, a sagging supply)."
+        f" The excess is more here{doubt}. If the hull is slender, check the given thrust, the scale of the shaft "
+        "speeds (full speed), the load, and whether the thrusters have lost thrust since it was measured (a fouled "
+        "propeller, a sagging supply)."
     )
     return [found]
 

@@ -369,11 +369,14 @@ def _missing_effects_sentence(diagnosis: Diagnosis, prediction: parts.Prediction
         if last.chosen is not None
         else last.explanation
     )
-    if min(s.p for s in last.scores) > CHANCE_P:
+    strongest = min(last.scores, key=lambda s: s.p)
+    if strongest.p > CHANCE_P:
         return f"The data show no missing effect: {_passed_candidates(last)} passed the score test, but {why}."
     return (
-        f"The residuals contradict the model, but no candidate explains them: {why}. Look at the residuals in the "
-        "report, or record longer runs."
+        f"The score tests contradict the model, most clearly that of {_score_titles(last)[strongest.name]} "
+        f"(p = {strongest.p:.1g}), but no candidate explains the residuals: {why}. A score test can find what "
+        "the tests of whiteness and of the correlations with the inputs miss. Look at the residuals in the report, or "
+        "record longer runs."
     )
 
 
@@ -652,20 +655,26 @@ def _quiet_round(diagnosis: Diagnosis) -> parts.RoundRow:
     return msgspec.structs.replace(tested, why=why)
 
 
+def _score_titles(search_round: Round) -> dict[str, str]:
+    """Return the titles of the tested candidates of a round by their names. A curve without a refit has its name."""
+    titles = {n: e.title for n, e in catalogue().items()} | {r.effect.name: r.effect.title for r in search_round.refits}
+    return {s.name: titles.get(s.name) or between_runs_title(s.name) for s in search_round.scores}
+
+
 def _round_row(search_round: Round) -> parts.RoundRow:
     """Return the table row of one round of the search: score tests, refits and the choice of the added effect.
 
     The score tests are those of the 24 best candidates and of all others that passed, best first. The best candidates
     have the largest statistic per degree of freedom.
     """
-    titles = {n: e.title for n, e in catalogue().items()} | {r.effect.name: r.effect.title for r in search_round.refits}
+    titles = _score_titles(search_round)
     ranked = sorted(search_round.scores, key=lambda s: -s.lm / max(s.df, 1))
     best = [s for k, s in enumerate(ranked) if k < MOST_CANDIDATES or s.name in search_round.passed]
     return parts.RoundRow(
         candidates=tuple(
             parts.Candidate(
                 name=s.name,
-                title=titles.get(s.name) or between_runs_title(s.name),
+                title=titles[s.name],
                 lm=s.lm,
                 df=s.df,
                 p=s.p,

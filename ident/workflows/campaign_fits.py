@@ -41,6 +41,7 @@ FALSE_DISCOVERY_RATE = 0.05
 MOST_PRIOR = 0.5  # largest share of a parameter's information that may come from its prior
 FAR_FROM_ZERO = 3.0  # standard errors: relative changes and factors need a mean that is farther from zero
 LEVEL = 0.05  # of the presence of an effect, and of the test of a common factor
+NOT_SIGNIFICANT = 2.0  # standard errors: an estimate of a log that is as close to zero shows no effect
 LEAST_FACTOR = 3  # parameters that a common factor needs
 NOMINAL = ("c1", "c2", "k_thrust", "c1/T", "c2/T")  # the thrust itself, to which the other parameters are proportional
 Values = dict[str, float]
@@ -316,7 +317,8 @@ def _is_present(
     """Return whether an effect is present in one campaign; None if no parameter of it can tell.
 
     ``differences`` and ``parameters`` are those of the compared parameters of the effect. If none is compared, because
-    they are at their bounds, the effect is absent if all its parameters have the values without the effect in all logs.
+    each is at its bound in a log of either campaign, the effect is absent if all its parameters have the values without
+    the effect in all logs of the campaign: at the bound, or within two standard errors.
     """
     defaults = {p.name: p.value for p in catalogue()[effect].parameters} if effect in catalogue() else {}
     tests = []
@@ -327,11 +329,24 @@ def _is_present(
             tests.append(abs(mean.value - null) / mean.error > student_ppf(1 - LEVEL / 2 / len(parameters), found.df))
     if tests:
         return bool(any(tests))
-    part = fitted.part(fitted.after == after)
-    own = [r for rows in part.rows for r in rows.values() if r["effect"] == effect and r["free"]]
-    if own and all((r["flag"] or "").startswith(AT_BOUND) and r["value"] == defaults.get(r["parameter"]) for r in own):
+    own, of_campaign = (
+        [r for rows in part.rows for r in rows.values() if r["effect"] == effect and r["free"]]
+        for part in (fitted, fitted.part(fitted.after == after))
+    )
+    bounded = {r["parameter"] for r in own if (r["flag"] or "").startswith(AT_BOUND)}
+    if of_campaign and all(
+        r["parameter"] in bounded and _is_without_effect(r, defaults.get(r["parameter"], 0.0)) for r in of_campaign
+    ):
         return False
     return None
+
+
+def _is_without_effect(row: Row, null: float) -> bool:
+    """Return whether an estimate of a log does not differ from the value without the effect (``null``)."""
+    flag = row["flag"] or ""
+    if flag.startswith(AT_BOUND):
+        return bool(row["value"] == null)
+    return not flag.startswith(VAGUE) and bool(row["se"]) and abs(row["value"] - null) <= NOT_SIGNIFICANT * row["se"]
 
 
 def _common_factor(

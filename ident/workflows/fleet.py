@@ -26,6 +26,7 @@ import numpy as np
 
 from seatrial.daq.errors import SeatrialError, counted, first_names
 from seatrial.daq.log import first_segments, open_log
+from seatrial.ident.diagnosis import COMMON_ERRORS
 from seatrial.ident.estimation import LEAST_OWN, ReportedEstimates, between_log_variance, load_model
 from seatrial.ident.models import accepting_code, code_digest, is_own_model
 from seatrial.ident.numerics import Array, chi2_sf
@@ -363,10 +364,11 @@ def _correlations(done: VehicleFit) -> dict[str, dict[str, float]]:
 def _effects_by_parameter(done: VehicleFit) -> dict[str, str]:
     """Return the name of the effect of each parameter of an effect, by the reported name of the parameter.
 
-    Disturbances and errors of sensors, which are part of the nominal model, are no effects here.
+    Disturbances and errors of sensors, which are part of the nominal model, are no effects here, except common errors:
+    the user sees their names in the answer and in the model.
     """
     model, scale = done.fitted.fit.model, ReportedEstimates(done.fitted.fit).scale
-    effects = [e for e in model.effects if not e.kind.nuisance]
+    effects = [e for e in model.effects if not e.kind.nuisance or e.name in COMMON_ERRORS]
     return {scale.name(p.name, p.unit): e.name for e in effects for p in e.parameters}
 
 

@@ -75,7 +75,8 @@ class FitOptions(TypedDict, total=False):
         Names of parameters of these effects that have a value of their own in each log, such as ``["F_wx", "F_wy"]``
         of a wind that differs between the days of the logs.
     mass : float
-        Weighed mass of the boat [kg]. A warning tells if the estimated mass in surge contradicts it. It is no prior.
+        Weighed mass of the boat [kg]. A warning tells if the estimated mass in surge is below it or above 1.3
+        times it, both by more than two standard errors, or above twice it. It is no prior.
     score_tests : bool
         Whether to test the model for missing effects, True by default. Small errors of sensors and hull form are then
         estimated if the logs show them, and the standard errors include what remains unexplained. With False, also

@@ -37,15 +37,6 @@ FARTHEST = 10.0  # largest input of a simulation, as a multiple of the largest o
 LARGEST_ANGLE = 4.0 * math.pi  # rad, or rad/s; larger initial values of a boat are degrees
 ROWS_PER_SAMPLE = 10.0  # of a simulation, for the rate above which a sensor would be averaged
 TEXT_TABLES = (".csv", ".tsv", ".txt", ".dat")  # suffixes of texts that probably contain a table
-# Format for a program whose name is not the name of its format, and what it is
-FORMATS_OF_PROGRAMS = {
-    **dict.fromkeys(("simulink", "matlab", "modelica", "openmodelica", "fmi", "fmpy"), "fmu"),
-    **dict.fromkeys(("cpp", "c++", "arduino"), "c"),
-    **dict.fromkeys(("ros", "yaml"), "ros2"),
-    **dict.fromkeys(("numpy", "py"), "python"),
-    **dict.fromkeys(("gz", "sdf"), "gazebo"),
-}
-FORMAT_WORDS = {"fmu": " (FMI 2.0 co-simulation, for Simulink, OpenModelica and others)"}
 MODEL_COLUMNS = ("value", "se", "unit", "meaning")  # of the table of a model without its result
 
 
@@ -696,12 +687,14 @@ def export(
     PosixPath('exported_files/boat.fmu')
     """
     from seatrial.daq.files import require_new, write_output
+    from seatrial.ident.export import FORMATS_OF_PROGRAMS, described_format
     from seatrial.ident.workflows.export import ExportRequest, Target, export_model, warn_of_module_name
 
     given: dict[str, Any] = known_options(options, ExportOptions)
     if format not in (targets := get_args(Target)):
-        meant = FORMATS_OF_PROGRAMS.get(str(format).lower()) or closest_name(str(format), targets)
-        hint = f"did you mean {meant!r}{FORMAT_WORDS.get(meant, '')}? The formats are" if meant else "choose"
+        near = closest_name(str(format), targets)
+        meant = FORMATS_OF_PROGRAMS.get(str(format).lower()) or (described_format(near) if near else "")
+        hint = f"did you mean {meant}? The formats are" if meant else "choose"
         raise SeatrialError(f"there is no format {format!r}; {hint} {', '.join(targets)}")
     if not isinstance(given.get("name", ""), str):
         raise SeatrialError(f"name {shortened(given['name'])}: give a text, the prefix of functions and of the file")

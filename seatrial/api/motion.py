@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from io import BytesIO
 from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,12 +24,15 @@ from seatrial.ident.export import (
     Bode,
     Inputs,
     LinearModel,
+    cell_array,
+    check_mat_name,
     conditions_text,
     heading_sentence,
     is_shortest_lag,
     pole_text,
     time_text,
     turn_sentence,
+    write_mat,
 )
 from seatrial.ident.model import THRUSTER_FORCE, drive_word, is_of_thruster
 from seatrial.ident.numerics import is_undetermined
@@ -151,25 +153,17 @@ class Linearisation(Shown, LinearModel):
         SeatrialError
             If the name does not end in .mat, if the file exists and ``force`` is False, or if scipy is not installed.
         """
-        from seatrial.daq.files import require_new, write_output
+        from seatrial.daq.files import require_new
 
         file = as_path(path, "path")
-        if file.suffix != ".mat":
-            raise SeatrialError(f"{file}: MATLAB loads files whose name ends in .mat; give such a name")
+        check_mat_name(file)
         with errors_of_users():
             require_new(file, force, "path")
-            content = BytesIO()
-            import_library("scipy.io").savemat(content, self._variables(), long_field_names=True, oned_as="column")
-            write_output(file, content.getvalue(), force)
+            write_mat(file, self._variables(), force)
         return file
 
     def _variables(self) -> dict[str, Any]:
         """Return the variables of the MATLAB file by name."""
-
-        def cells(texts: Iterable[str]) -> NDArray[np.object_]:
-            """Return texts as an array of objects, which becomes a cell array."""
-            return np.array(list(texts), dtype=object)
-
         values = {name: np.asarray(getattr(self, name)) for name in ("A", "B", "x0", "u0")}
         errors = {f"{n}_se": self.error_of(v, [getattr(m, n) for m in self.moved]) for n, v in values.items()}
         return {
@@ -177,11 +171,11 @@ class Linearisation(Shown, LinearModel):
             **errors,
             "C": self.C,
             "D": self.D,
-            "states": cells(self.states),
-            "inputs": cells(self.inputs),
-            "outputs": cells(self.outputs),
-            "state_units": cells(self.units[n] or "1" for n in self.states),
-            "input_units": cells(self.units[n] or "1" for n in self.inputs),
+            "states": cell_array(self.states),
+            "inputs": cell_array(self.inputs),
+            "outputs": cell_array(self.outputs),
+            "state_units": cell_array(self.units[n] or "1" for n in self.states),
+            "input_units": cell_array(self.units[n] or "1" for n in self.inputs),
             "input_delay": np.array([self.delays.get(n, 0.0) for n in self.inputs]),
             "by_heading": self.by_heading,
             "speed": self.speed,

@@ -1167,6 +1167,8 @@ def test_export_writes_the_file_of_the_command(fit: st.FittedVehicle, tmp_path: 
         st.export(fit, tmp_path, "gazebo")
     with pytest.raises(SeatrialError, match=r"there is no format .matlab.; did you mean .fmu. \(FMI"):
         st.export(fit, tmp_path, "matlab")  # type: ignore[arg-type]
+    with pytest.raises(SeatrialError, match=r"`st.linearise\(MODEL, SPEED\).to_mat\(FILE\)` in Python\)\? The formats"):
+        st.export(fit, tmp_path, "MATLAB")  # type: ignore[arg-type]
     with pytest.raises(SeatrialError, match="there is no option 'thrusters'; did you mean 'thruster'"):
         st.export(fit, tmp_path, "c", thrusters="x")  # type: ignore[call-arg]
     with pytest.raises(SeatrialError, match=r"^thruster: the boat has no thruster 'bow'"):

@@ -219,6 +219,14 @@ def test_capital_letters_are_forces_or_a_position(
         ("cmd_left", 0.9, ("n_left", "1", "zero"), ""),
         ("n_left", 0.9, ("n_left", "1", "zero"), ""),
         ("n", 0.9, ("n", "1", "zero"), ""),
+        ("u_port", 80.0, ("n_left", "%", "zero"), "its numbers, up to 80, are assumed to be per cent"),
+        ("u_stbd", 0.9, ("n_right", "1", "zero"), ""),
+        ("u_left", 1900.0, ("n_left", "1", "zero"), "1500 us is assumed to be rest"),
+        ("uRight [%]", 80.0, ("n_right", "%", "zero"), ""),
+        ("cmd_port", 80.0, ("n_left", "%", "zero"), "its numbers, up to 80, are assumed to be per cent"),
+        ("u_right [m/s]", 1.9, None, ""),
+        ("u_r", 1.9, None, ""),
+        ("u_wind_left", 1.9, None, ""),
         ("n_left_ref", 0.9, ("n_left", "1", "zero"), ""),
         ("n_left_filtered", 0.9, ("n_left", "1", "zero"), ""),
         ("n_sat", 9.0, None, ""),
@@ -234,6 +242,23 @@ def test_the_unit_of_a_thruster_follows_from_its_numbers(
     guess = guess_of("matlab", Table(Path("x"), "", {name: np.linspace(0.5 * top, top, N)}, TIME))
     assert thrusters(guess) == ({} if found is None else {found[0]: (name, *found[1:])})
     assert (f"# caveat: {caveat}" in guess.text) if caveat else ("# caveat" not in guess.text)
+
+
+def test_u_of_a_side_is_a_command_beside_the_velocities(tmp_path: Path) -> None:
+    """Both sides get one scale, although one of them has small numbers only."""
+    turn = np.cos(TIME)
+    names = {"u": 0.9 * turn, "v": 0.1 * turn, "u_port": 60.0 * turn, "u_stbd": 0.5 * turn}
+    path = write(tmp_path, {"t": TIME, "yaw": turn, **names, "n_port_rpm": 900.0 * turn, "n_stbd_rpm": 900.0 * turn})
+    found = guessed_signals(path)
+    assert {n: s["column"] for n, s in found.items()} == {
+        "u": "u", "v": "v", "psi": "yaw", "n_left": "n_port_rpm", "n_right": "n_stbd_rpm", "n_cmd_left": "u_port",
+        "n_cmd_right": "u_stbd",
+    }  # fmt: skip
+    for name in ("n_cmd_left", "n_cmd_right"):
+        assert found[name]["unit"] == "%"
+        assert found[name]["role"] == "input"
+        assert "hold" not in found[name]
+    assert "role" not in found["u"]
 
 
 def test_the_column_n_for_north_does_not_affect_the_thruster_scale(guess_of: Guessing) -> None:

@@ -328,6 +328,23 @@ def test_search_that_reached_its_limit_names_the_untried_candidates(monkeypatch:
     assert diagnosis_caveat(doubted) == f"{doubt} {caveat}"
 
 
+def test_unexplained_residuals_name_the_score_test_that_contradicts_the_model() -> None:
+    """The tests of whiteness may pass then, so that the answer says which tests contradict the model."""
+    scores = tuple(Score(n, x, 5, x, {}, {}, threshold=22.0) for n, x in (("wind", 46.0), ("N(v)", 133.0)))
+    rejected = refit("bias", 60.0)
+    found = Diagnosis(
+        blank(), blank(cross_validated=False), (Round(scores, ("wind", "N(v)"), (rejected,), None),), (), ()
+    )
+    answer = diagnosis_answer(found, None, 10.0)
+    assert answer.startswith(
+        "The score tests contradict the model, most clearly that of N(v) (p = 5e-27), but no candidate explains the "
+        "residuals: "
+    )
+    assert "can find what the tests of whiteness and of the correlations with the inputs miss." in answer
+    of_titles = replace(found, rounds=(Round(scores[:1], ("wind",), (rejected,), None),))
+    assert "most clearly that of steady wind (p = 9e-09)" in diagnosis_answer(of_titles, None, 10.0)
+
+
 def test_caveat_of_a_certain_name_has_the_candidates_that_still_pass() -> None:
     chosen, after = refit("hump", 900.0), blank(fit=blank(flags=(), model=blank(parameters=(), outputs=())))
     left = (Score("wind", 90.0, 1, 50.0, {}, {}, threshold=12.0),)

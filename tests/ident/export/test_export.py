@@ -318,6 +318,23 @@ def test_export_of_an_unknown_thrust_prints_one_warning(tmp_path: Path) -> None:
     assert "--fix c1=VALUE" in line
 
 
+@pytest.mark.parametrize(
+    ("program", "meant"),
+    [
+        ("Simulink", "Did you mean 'fmu' (FMI 2.0 co-simulation, for Simulink, OpenModelica and others)?"),
+        ("matlab", "to_mat(FILE)` in Python)?"),
+        ("arduino", "Did you mean 'c'?"),
+        ("pyton", "Did you mean 'python'?"),
+    ],
+)
+def test_export_to_a_program_names_its_format(tmp_path: Path, program: str, meant: str) -> None:
+    source = tmp_path / "model.toml"
+    source.write_text("", encoding="utf-8")
+    done = CliRunner().invoke(ident, ["export", str(source), "--to", program])
+    assert done.exit_code == 2
+    assert meant in done.output
+
+
 def test_export_of_a_model_that_did_not_converge_says_so_on_the_screen_and_in_the_file(tmp_path: Path) -> None:
     text = blocks(ROOT / "docs/formats/model.md", "toml")[0] + KNOWN_SCALE
     for target in ("python", "c", "casadi", "ros2"):

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import re
 import warnings
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.io import loadmat
 from scipy.linalg import solve_continuous_are
 
 from seatrial.daq.errors import SeatrialError, SeatrialWarning
@@ -85,6 +88,34 @@ def test_weights_as_matrices_are_refused_in_one_line(linear: LinearModel) -> Non
         linear.lqr(given)
     with pytest.raises(SeatrialError, match=r"and not 3.0$"):
         linear.lqr(Q, 3.0)  # type: ignore[arg-type]
+
+
+def test_feedback_is_written_to_files(linear: LinearModel, tmp_path: Path) -> None:
+    control = linear.lqr(Q)
+    read = loadmat(control.to_mat(tmp_path / "control.mat"))
+    data = json.loads(control.to_json(tmp_path / "control.json").read_text(encoding="utf-8"))
+    for name, values in {"K": control.gain, "x0": control.x0, "u0": control.u0}.items():
+        np.testing.assert_array_equal(read[name], np.reshape(values, (len(values), -1)))
+        np.testing.assert_array_equal(data[name], values)
+    units = ["m/s", "m/s", "rad/s", "rad"]
+    for name, texts in {"states": list(control.states), "inputs": list(control.inputs)}.items():
+        assert [str(cell[0]) for cell in read[name].ravel()] == data[name] == texts
+    assert [u for n, u in zip(data["states"], data["state_units"], strict=True) if n in ("u", "v", "r", "psi")] == units
+    is_force = control.inputs[0].startswith("f_")
+    assert data["input_units"] == [("N" if is_force else "1")] * 2
+    assert read["u_max"].tolist() == [[np.inf if is_force else 1.0]] * 2
+    assert data["u_min"] == [None if is_force else -1.0] * 2
+    # The law of the file is that of the object.
+    x = dict(zip(control.states, control.x0 + 0.01, strict=True))
+    u = read["u0"] - read["K"] @ (np.array([[v] for v in x.values()]) - read["x0"])
+    np.testing.assert_allclose(np.clip(u, read["u_min"], read["u_max"])[:, 0], control(x))
+    with pytest.raises(SeatrialError, match=r"control\.mat: the file exists already; force=True replaces it"):
+        control.to_mat(tmp_path / "control.mat")
+    control.to_json(tmp_path / "control.json", force=True)
+    with pytest.raises(SeatrialError, match=r"control\.m: MATLAB loads files whose name ends in \.mat"):
+        control.to_mat(tmp_path / "control.m")
+    with pytest.raises(SeatrialError, match=r"control\.yaml: give a name that ends in \.json; `to_mat` writes"):
+        control.to_json(tmp_path / "control.yaml")
 
 
 def test_headings_in_degrees_give_a_warning(linear: LinearModel) -> None:

@@ -190,7 +190,10 @@ def test_late_sensor_warning_names_the_biased_parameters(level: str, code: str, 
         assert "c1" not in warning.text
 
 
-WHITE = "The residuals are white and uncorrelated with the inputs"
+WHITE = (
+    "The residuals one step ahead are white and uncorrelated with the inputs, by Ljung-Box, periodogram and "
+    "cross-correlation tests"
+)
 
 
 def residual_sentence(
@@ -343,6 +346,11 @@ def test_untested_residuals_are_not_called_white() -> None:
         "There are too few samples to test whether the residuals are white; record at least 60 samples of a channel."
     )
     assert residual_sentence([0.4], [], "xy") == f"{WHITE} (too few samples to test: y)."
+
+
+def test_white_residuals_are_white_by_tests_that_an_effect_can_pass() -> None:
+    hidden = "Disturbance forces can still hide an effect: `seatrial ident diagnose` tests for it."
+    assert residual_sentence([0.4], [], searchable=True) == f"{WHITE}. {hidden}"
 
 
 def test_many_tests_are_corrected_for_their_number() -> None:

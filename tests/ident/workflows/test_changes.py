@@ -8,7 +8,8 @@ import shutil
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import msgspec
 import numpy as np
@@ -20,6 +21,8 @@ import seatrial as st
 from seatrial import command_line
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.estimation.standard_errors import AT_BOUND
+from seatrial.ident.models.components import telemetry_age
+from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.report.sections.campaigns import _signed
 from seatrial.ident.report.terminal import campaign_tables
 from seatrial.ident.results import CampaignErrors, CampaignsResult, ErrorComparison, NotCompared, campaigns_answer
@@ -27,7 +30,8 @@ from seatrial.ident.results.result_file import read_result
 from seatrial.ident.workflows.campaign_errors import _campaign_values
 from seatrial.ident.workflows.campaign_fits import Comparison, FittedLogs, _q_values, compare_fits, fitted_logs
 from seatrial.ident.workflows.changes import _notes_on_models
-from seatrial.ident.workflows.fleet import SIDES
+from seatrial.ident.workflows.fleet import SIDES, _effects_by_parameter
+from seatrial.ident.workflows.vehicle import VehicleFit
 from seatrial.ident.workflows.vehicle_model import VehicleRequest
 from tests.missions import boat_log, boat_with
 
@@ -325,6 +329,28 @@ def test_effects_of_the_model_are_present_or_not() -> None:
         ("mismatch", False, True, True),
         ("wind", True, True, False),
     }
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "after"), [(0.015, 0.019, False), (0.015, 0.004, None), (0.015, None, None)]
+)
+def test_an_effect_at_its_bound_in_some_logs_is_not_significant(
+    value: float, error: float | None, after: bool | None
+) -> None:
+    """A log that leaves the bound by less than two standard errors shows no effect either."""
+    rows = rows_of({"T_psi": np.array([0.0, 0.0, 0.0, value])}, effect={"T_psi": "heading-lag"})
+    for r in rows:
+        r |= {"se": error} if r["log"] == "run3" else {"se": None, "flag": f"{AT_BOUND} 0, the lowest possible value"}
+    (found,) = compared(rows, 2).effects
+    assert (found.before, found.after, found.changed) == (False, after, False)
+
+
+def test_a_common_error_of_the_nominal_model_is_an_effect_of_the_table() -> None:
+    """The age of the telemetry is an offset of a sensor for the filter, and an effect for the user."""
+    model = horizontal_model("shaft") + telemetry_age()
+    fit = SimpleNamespace(model=model)
+    done = SimpleNamespace(fitted=SimpleNamespace(fit=fit))
+    assert _effects_by_parameter(cast("VehicleFit", done)) == {"tau_age": "telemetry-age"}
 
 
 @pytest.mark.parametrize("payload", [False, True])

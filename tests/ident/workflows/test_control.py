@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 PAGE = how_to("control")
 WIND = {"F_wx": -3.0, "F_wy": 2.0, "w_x": 0.3}  # N, N, and the frontal area over the lateral one
+DEVIATION = {"dev_s": 0.03, "dev_c": 0.01}  # rad, of a compass by the heading
 UNSTABLE = {"m_u": 37.0, "m_v": 70.0}  # kg: with a large sway mass the Munk moment turns the boat away
 pytestmark = pytest.mark.pages
 
@@ -99,6 +100,25 @@ def test_the_integral_of_the_pid_holds_the_heading_in_wind(folder: Path) -> None
     found = re.search(r"heading ([\d.]+) deg", run(code.replace("0.2 * turn_integral", "0.0"), folder))
     assert found
     assert abs(float(found[1]) - 40.0) > 0.3
+
+
+@pytest.mark.parametrize("block", [1, 2], ids=["pid", "lqr"])
+def test_controllers_of_the_page_feed_back_the_measured_heading(block: int, folder: Path) -> None:
+    """A compass with a deviation of 1.5 deg there: a controller can hold the measured heading only."""
+    rows = "".join(f'[[parameter]]\nname = "{n}"\nvalue = {v}\nfree = false\n' for n, v in DEVIATION.items())
+    right = (folder / "boat/model.toml").read_text(encoding="utf-8")
+    text = right.replace("effects = []", 'effects = ["compass"]') + rows
+    (folder / "deviating.toml").write_text(text, encoding="utf-8")
+    words = ["export", folder / "deviating.toml", "--to", "python", "--thruster", folder / "thruster/model.toml"]
+    ident.main(
+        [str(w) for w in (*words, "--force", "--name", "deviating", "-o", folder / "deviating.py")],
+        standalone_mode=False,
+    )
+    code = blocks(PAGE, "python")[block].replace('MODEL, PLANT = "boat", "plant"', 'MODEL, PLANT = "boat", "deviating"')
+    measured = 'print("measured", math.degrees(simulation.outputs()[0]))'
+    true, heard = run(f"{code}\nimport math\n{measured}", folder).splitlines()[-2:]
+    assert float(heard.split()[1]) == pytest.approx(40.0, abs=0.02)
+    assert "heading 40.00" not in true
 
 
 def test_mpc_with_shaft_speeds_stays_at_rest(folder: Path) -> None:

@@ -208,7 +208,7 @@ def test_weighed_mass_checks_the_mass_in_surge(given: tuple[Path, dict[str, Any]
             st.fit(log, mass=0.0, score_tests=False)
     (warning,) = light.result.warnings
     assert warning.code == "mass-implausible"
-    assert re.search(r"the added mass of the water would be (1\.9|2\.0|2\.1) times that mass", warning.text)
+    assert re.search(r"the added mass of the water would be (1\.[89]\d|2\.[01]\d) times that mass", warning.text)
 
 
 def test_gap_of_one_sensor_is_a_warning_of_the_fit(tmp_path: Path) -> None:
@@ -234,8 +234,9 @@ def test_weighed_mass_says_nothing_about_ratios_and_within_the_errors(
     for error, expected in ((0.6, []), (0.2, ["mass-implausible"])):
         estimate = SimpleNamespace(model=model, estimate=lambda _, e=error: (12.0, e))
         assert [w.code for w in mass_warnings(cast("Fit", estimate), 13.0)] == expected
-    # Above 1.5 times the weighed mass by two standard errors, or above twice whatever the error is.
-    for mass, error, n_warned in ((18.6, 0.9, 1), (18.6, 2.0, 0), (16.0, 0.4, 1), (15.0, 0.3, 0), (15.0, np.nan, 0)):
+    # Above 1.3 times the weighed mass by two standard errors, or above twice whatever the error is.
+    masses = (18.6, 0.9, 1), (18.6, 3.0, 0), (14.6, 0.5, 1), (13.6, 0.4, 0), (13.0, 0.1, 0), (15.0, np.nan, 0)
+    for mass, error, n_warned in masses:
         estimate = SimpleNamespace(model=model, estimate=lambda _, m=mass, e=error: (m, e))
         assert len(mass_warnings(cast("Fit", estimate), 10.0)) == n_warned, (mass, error)
     for weighed in (17400.0, 1.0):  # a mass in grams, and one with a lost digit
@@ -260,7 +261,8 @@ def test_unit_of_the_thrust_that_explains_a_wrong_mass_is_named(mass: float, uni
     ("error", "weighed", "begin", "more"),
     [
         (0.2, 11.0, "The mass in surge, m_u, is 1.09 times the weighed mass of 11 kg", None),
-        (0.2, 8.0, "The mass in surge, m_u, is 1.50 times the weighed mass of 8 kg", "It is more here. If"),
+        (np.nan, 8.0, "The mass in surge, m_u, is 1.50 times the weighed mass of 8 kg", "The excess is more here. If"),
+        (0.2, 8.0, "", None),  # There is a warning.
         (
             1.0,
             8.0,
@@ -280,8 +282,10 @@ def test_weighed_mass_is_compared_in_a_note(
     model = model.replace_parameters(model.parameter("c1").known(12.0, 0.0, ParameterOrigin.GIVEN))
     notes = mass_notes(cast("Fit", SimpleNamespace(model=model, estimate=lambda _: (12.0, error))), weighed)
     assert [note.startswith(begin) for note in notes] == ([True] if begin else [])
-    assert any("It is more here" in note for note in notes) == (more is not None)
+    assert any("The excess is more here" in note for note in notes) == (more is not None)
     assert more is None or more in notes[0]
+    # The weighed mass may be that of another load: the note claims no more than the ratio.
+    assert all("look the same" in note for note in notes if "1.09" in note or "1.50" in note)
 
 
 def test_a_prior_that_only_missing_effects_excuse_has_a_note(monkeypatch: pytest.MonkeyPatch) -> None:
