@@ -148,6 +148,12 @@ class Controller(Node):
             return self.send([0.0] * len(self.commands))
         if self.stopped:
             self.get_logger().info("messages arrive: the thrusters turn")
+            if max(map(abs, self.feedback["u0"])) > 0.9 * limit:
+                steady = ", ".join(f"{n} {u0:.2f}" for n, u0 in zip(self.names, self.feedback["u0"], strict=True))
+                self.get_logger().warning(
+                    f"too little room to steer: the speed of the feedback needs {steady}, more than 0.9 of the limit "
+                    f"{limit:g}; set a larger limit, or write the feedback of a lower speed"
+                )
             self.stopped, self.wanted = "", self.x["u"]
         self.wanted = min(speed, self.wanted + RAMP / RATE)
         goal = dict(zip(self.feedback["states"], self.feedback["x0"], strict=True))

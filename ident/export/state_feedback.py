@@ -18,6 +18,7 @@ from seatrial.ident.numerics import Array
 LEAST_GROWTH = 0.05  # 1/s: poles below it grow by a factor of e in more than 20 s, which any feedback holds
 TURN = 2.0 * np.pi  # rad
 MOST_TURNS = 5.0  # of a heading that counts them; more are degrees
+ROOM = 0.9  # share of the limit above which a steady input leaves too little for the control
 HEADING = "psi"  # further state of the feedback: the integral of the yaw rate
 
 
@@ -59,6 +60,8 @@ class StateFeedback:
         Inputs of the operating point.
     poles : array of complex numbers (n,)
         Poles of the linear model with the feedback [1/s], without the dead time of the inputs.
+    limit : float
+        Largest shaft speed or command, as a share of full.
     """
 
     states: tuple[str, ...]
@@ -67,11 +70,12 @@ class StateFeedback:
     x0: Array
     u0: Array
     poles: NDArray[np.complex128]
+    limit: float = 1.0
 
     def __call__(self, x: Mapping[str, float], **wanted: float) -> Array:
         """Return the inputs (m,) at the states ``x``, in the order of `inputs`.
 
-        Shaft speeds and commands are limited to -1 to 1.
+        Shaft speeds and commands are limited to -`limit` to `limit`.
 
         Parameters
         ----------
@@ -107,8 +111,8 @@ class StateFeedback:
             _warn_of_degrees(float(x[HEADING]), float(goal[HEADING]))
         error[turn] = np.remainder(error[turn] + np.pi, 2.0 * np.pi) - np.pi
         u = self.u0 - self.gain @ error
-        relative = [is_of_thruster(n, COMMAND, SHAFT_SPEED) for n in self.inputs]
-        found: Array = np.where(relative, np.clip(u, -1.0, 1.0), u)
+        relative = [_is_share_of_full(n) for n in self.inputs]
+        found: Array = np.where(relative, np.clip(u, -self.limit, self.limit), u)
         return found
 
     def __repr__(self) -> str:
@@ -166,15 +170,20 @@ class LinearSystem(Protocol):
         """Speeds about that of the operating point with an unstable pole; None if there is none at this one."""
 
 
-def lqr(linear: LinearSystem, Q: Mapping[str, float], R: Mapping[str, float] | None = None) -> StateFeedback:
+def lqr(
+    linear: LinearSystem, Q: Mapping[str, float], R: Mapping[str, float] | None = None, limit: float = 1.0
+) -> StateFeedback:
     """Return the linear quadratic regulator of a linear system, with weights of states and inputs by name.
 
     A `SeatrialWarning` is issued if the heading is controlled, and the rates depend on it, and nobody chose its value.
-    Weights that are missing, the heading and the errors are those of
-    `seatrial.ident.export.linearisation.LinearModel.lqr`.
+    Another one is issued if an input of the operating point is near the limit. Weights that are missing, the heading
+    and the errors are those of `seatrial.ident.export.linearisation.LinearModel.lqr`.
     """
     from scipy.linalg import solve_continuous_are  # imported here, as it takes 0.3 s
 
+    _check_numbers({"limit": limit})
+    if not 0.0 < limit <= 1.0:
+        raise SeatrialError(f"limit {limit:g}: give the largest shaft speed or command, above 0 and at most 1")
     R = {} if R is None else R
     for what, given in (("Q", Q), ("R", R)):
         if not isinstance(given, Mapping):
@@ -214,6 +223,7 @@ def lqr(linear: LinearSystem, Q: Mapping[str, float], R: Mapping[str, float] | N
             "model, and let the wanted speed rise from that of the boat: control(x, psi=..., u=min(speed, 0.05 * t)). "
             "This can fail if the damping of sway is negative, or if the operating point is outside the fitted data"
         )
+    _warn_of_limit(linear, limit)
     weights, costs = np.diag([Q.get(s, 0.0) for s in states]), np.diag([R.get(i, 1.0) for i in linear.inputs])
     failure = "no feedback with these weights makes the motion stable: give weights to u, r and psi"
     try:
@@ -225,7 +235,24 @@ def lqr(linear: LinearSystem, Q: Mapping[str, float], R: Mapping[str, float] | N
         raise SeatrialError(failure)
     poles = poles[np.argsort(np.abs(poles.real), kind="stable")]
     x0 = np.append(linear.x0, np.full(len(states) - n, linear.conditions.get(HEADING, 0.0)))
-    return StateFeedback(states, linear.inputs, gain, x0, linear.u0, poles)
+    return StateFeedback(states, linear.inputs, gain, x0, linear.u0, poles, limit)
+
+
+def _is_share_of_full(name: str) -> bool:
+    """Return whether an input is a shaft speed or a command, from -1 to 1."""
+    return is_of_thruster(name, COMMAND, SHAFT_SPEED)
+
+
+def _warn_of_limit(linear: LinearSystem, limit: float) -> None:
+    """Warn of the largest input of the operating point if it is near the limit of shaft speeds and commands."""
+    steady = {n: float(u) for n, u in zip(linear.inputs, linear.u0, strict=True) if _is_share_of_full(n)}
+    name = max(steady, key=lambda n: abs(steady[n]), default=None)
+    if name is not None and abs(steady[name]) > ROOM * limit:
+        larger = ", or give a larger limit" if limit < 1.0 else ""
+        warn(
+            f"the operating point needs {name} = {steady[name]:.3g}, more than {ROOM:g} of the limit {limit:g}: the "
+            f"feedback has too little room to steer; linearise at a lower speed{larger}"
+        )
 
 
 def _warn_of_degrees(psi: float, wanted: float) -> None:

@@ -9,6 +9,7 @@ import signal
 import sys
 from collections import defaultdict
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -70,10 +71,11 @@ class Ros:
                 ros.timers.append([period, ros.now + period, callback])
 
             def get_logger(self) -> Any:
-                return types(info=lambda text: ros.logged.append(("info", text)), error=self._error)
+                kinds = ("info", "warning", "error")
+                return types(**{kind: partial(self._log, kind) for kind in kinds})
 
-            def _error(self, text: str) -> None:
-                ros.logged.append(("error", text))
+            def _log(self, kind: str, text: str) -> None:
+                ros.logged.append((kind, text))
 
         def message(**values: Any) -> Any:
             return types(**values)
@@ -296,6 +298,20 @@ def test_a_weaker_thruster_leaves_no_heading_error(
         assert error() < -0.5
 
     run(node, ros, scenario)
+
+
+@pytest.mark.parametrize("share", [0.85, 0.95])
+def test_a_limit_near_the_inputs_of_the_speed_is_logged(share: float, node: Any, ros: Ros) -> None:
+    """Above 0.9 of the limit, the feedback has too little room to steer."""
+    largest = max(ros.control.u0)
+    ros.parameters["limit"] = largest / share
+    run(node, ros, lambda: ros.sail(3.0))
+    warnings = [text for kind, text in ros.logged if kind == "warning"]
+    assert len(warnings) == (share > 0.9)
+    for text in warnings:
+        assert text.startswith(
+            f"too little room to steer: the speed of the feedback needs left {ros.control.u0[0]:.2f}"
+        )
 
 
 def test_the_integral_of_the_heading_rests_at_the_limit_and_is_bounded(node: Any, ros: Ros) -> None:
