@@ -100,7 +100,13 @@ class StateFeedback:
             example = {n: round(float(v), 3) for n, v in zip(self.states, self.x0, strict=True)}
             raise SeatrialError(f"x: give a dict of the states by name, such as {example}, and not {_shown(x)}")
         if missing := [n for n in self.states if n not in x]:
-            raise SeatrialError(f"the state {missing[0]} is missing; the feedback needs {', '.join(self.states)}")
+            words = f"the state {missing[0]} is missing; the feedback needs {', '.join(self.states)}"
+            if is_of_thruster(missing[0], SHAFT_SPEED):
+                words += (
+                    "; if no sensor measures the shaft speed, estimate it from the commands that were sent, with delay "
+                    "and lag (docs/how-to/control.md, LQR without measured shaft speeds)"
+                )
+            raise SeatrialError(words)
         _check_names("state", wanted, self.states)
         _check_numbers({n: x[n] for n in self.states})
         _check_numbers(wanted)
