@@ -273,13 +273,20 @@ def test_unit_of_the_thrust_that_explains_a_wrong_mass_is_named(mass: float, uni
     ],
 )
 def test_weighed_mass_is_compared_in_a_note(
-    bare: tuple[dict[str, Any], str, Path], error: float, weighed: float | None, begin: str, more: str | None
+    bare: tuple[dict[str, Any], str, Path],
+    error: float,
+    weighed: float | None,
+    begin: str,
+    more: str | None,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     model = load_model(bare[2] / "model.toml").model
     assert mass_notes(cast("Fit", SimpleNamespace(model=model, estimate=lambda _: (12.0, error))), weighed) == []
     model = model.replace_parameters(model.parameter("c1").known(12.0, 0.0, ParameterOrigin.GIVEN))
     notes = mass_notes(cast("Fit", SimpleNamespace(model=model, estimate=lambda _: (12.0, error))), weighed)
     assert [note.startswith(begin) for note in notes] == ([True] if begin else [])
+    monkeypatch.setattr(answers, "sides_compare_mass", lambda *_: True)  # the warning of the thrusts has the ratio
+    assert mass_notes(cast("Fit", SimpleNamespace(model=model, estimate=lambda _: (12.0, error))), weighed) == []
     assert any("It is more here" in note for note in notes) == (more is not None)
     assert more is None or more in notes[0]
 
