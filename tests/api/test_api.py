@@ -650,8 +650,10 @@ def test_figures(fit: st.FittedVehicle, tmp_path: Path) -> None:
     assert "(blue, with its 95" in page
     assert '<div class="plot" id="figure-1"' in page
     assert len(fit.plot_residuals("psi").data) == 3
-    with pytest.raises(SeatrialError, match="there is no channel 'yaw'; the channels are psi, r"):
+    with pytest.raises(SeatrialError, match=r"there is no channel 'yaw'; the channels are psi, r[a-z, ]*$"):
         fit.plot("yaw")
+    with pytest.raises(SeatrialError, match=r"'u'; the channels are .* u is a state .*columns t, u and sd_u$"):
+        fit.plot("psi", "u")
 
 
 def test_simulation_of_given_inputs(fit: st.FittedVehicle) -> None:
