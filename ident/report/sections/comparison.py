@@ -548,8 +548,8 @@ def _beside(t: Array, angle: Array, t_samples: Array, samples: Array) -> Array:
     good, seen = np.isfinite(angle), np.isfinite(samples)
     if not good.any() or not seen.any():
         return angle
-    first = np.interp(t[good][0], t_samples[seen], samples[seen])
-    return angle + 360.0 * np.round((first - angle[good][0]) / 360.0)
+    first = float(np.interp(t[good][0], t_samples[seen], samples[seen]))
+    return angle + 360.0 * round((first - float(angle[good][0])) / 360.0)
 
 
 def _fit_words(row: ComparedChannel | None) -> str:
