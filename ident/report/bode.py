@@ -39,7 +39,7 @@ def phase_axis(phases: Sequence[Array], errors: Sequence[Array | None] = ()) -> 
     every = every[np.isfinite(every)]
     least, most = axis_limits(shown, ends) or (every.min(initial=0.0), every.max(initial=0.0))
     span = float(most - least)
-    step = angle_step(span)
+    step = angle_step((least, most))
     margin = 0.05 * max(span, step)
     return {"tick0": 0, "dtick": step, "range": [float(least) - margin, float(most) + margin]}
 

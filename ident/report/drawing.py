@@ -273,11 +273,23 @@ def continuous(angle: Array, turn: float) -> Array:
     return found
 
 
-def angle_step(span: float) -> float:
-    """Return the distance of the ticks of an axis of angles [deg] with this span, for at most eight ticks.
+def beside(t: Array, angle: Array, t_samples: Array, samples: Array) -> Array:
+    """Return a continuous angle (n,) [deg], shifted by whole turns so that its start is nearest to the samples (m,)."""
+    good, seen = np.isfinite(angle), np.isfinite(samples)
+    if not good.any() or not seen.any():
+        return angle
+    first = float(np.interp(t[good][0], t_samples[seen], samples[seen]))
+    return angle + 360.0 * round((first - float(angle[good][0])) / 360.0)
 
-    It is 45, 90, 180 or 360 deg, or a multiple of 360 deg.
+
+def angle_step(limits: Sequence[float] | None, curves: Sequence[Array | None] = ()) -> float:
+    """Return the distance of the ticks of an axis of angles [deg], for at most eight ticks.
+
+    It is 45, 90, 180 or 360 deg, or a multiple of 360 deg. The axis has the ``limits``, or those of the ``curves`` if
+    they are None.
     """
+    low, high = limits or _finite_span(curves)
+    span = float(np.nan_to_num(high - low))
     whole = 360.0 * np.ceil(span / (360.0 * INTERVALS))
     return next((d for d in ANGLES if span <= INTERVALS * d), float(whole))
 

@@ -505,7 +505,7 @@ def overlay_panels(
             k = letters.index(p.model)
             color, dash = drawing.LINES[k % len(drawing.LINES)], drawing.DASHES[k % len(drawing.DASHES)]
             y = factor * p.predicted
-            y = _beside(p.t, drawing.continuous(y, 360.0), row.t, samples) if unwrapped else _turned(y, turn)
+            y = drawing.beside(p.t, drawing.continuous(y, 360.0), row.t, samples) if unwrapped else _turned(y, turn)
             lines.append(y)
             half = drawing.Z95 * factor * p.sd
             edges += [y - half, y + half]
@@ -521,9 +521,7 @@ def overlay_panels(
         elif (frame := _frame(samples, lines, edges)) is not None:
             axis = {"range": frame}
         if unwrapped:
-            every = np.concatenate([samples, *lines])
-            low, high = axis.get("range") or (np.nanmin(every, initial=np.inf), np.nanmax(every, initial=-np.inf))
-            axis["dtick"] = drawing.angle_step(high - low)
+            axis["dtick"] = drawing.angle_step(axis.get("range"), [samples, *lines])
         panels.append(drawing.Panel(title, traces, axis))
     return panels
 
@@ -541,15 +539,6 @@ def _in_legend(trace: drawing.Trace, group: str, named: set[str]) -> drawing.Tra
 def _turned(angle: Array, turn: float | None) -> Array:
     """Return an angle wrapped to half a turn about zero; other signals (``turn`` is None) are returned unchanged."""
     return angle if turn is None else np.mod(angle + turn / 2, turn) - turn / 2
-
-
-def _beside(t: Array, angle: Array, t_samples: Array, samples: Array) -> Array:
-    """Return a continuous angle (n,) [deg], shifted by whole turns so that its start is nearest to the samples (m,)."""
-    good, seen = np.isfinite(angle), np.isfinite(samples)
-    if not good.any() or not seen.any():
-        return angle
-    first = float(np.interp(t[good][0], t_samples[seen], samples[seen]))
-    return angle + 360.0 * round((first - float(angle[good][0])) / 360.0)
 
 
 def _fit_words(row: ComparedChannel | None) -> str:
