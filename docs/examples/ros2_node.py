@@ -32,6 +32,9 @@ RATE = 10.0  # Hz, of the commands
 STALE = 0.3  # s: an older message stops the thrusters
 ZEROS = 1.0  # s, of zero commands with fresh messages before the first thrust
 RAMP = 0.05  # m/s2: the wanted speed rises from that of the boat (page: start by a ramp)
+INTEGRAL = 10.0  # s, time constant of the heading's integral: at least five times that of the slowest pole of the loop
+NEAR = math.radians(20.0)  # the integral rests at larger errors, as in a turn
+LARGEST = math.radians(20.0)  # of the integral
 
 
 def motion(odometry: Any) -> dict[str, float]:
@@ -116,6 +119,7 @@ class Controller(Node):
         self.x: dict[str, float] = {}
         self.heard = dict.fromkeys(TOPICS, -math.inf)  # s, of the last valid message of each topic
         self.stopped, self.since, self.wanted = "start", time.monotonic(), 0.0  # reason, its time [s], ramp [m/s]
+        self.correction = 0.0  # rad, of the wanted heading: the integral of the heading error
         for name, (kind, convert, _) in SOURCES.items():
             self.create_subscription(kind, TOPICS[name], partial(self.hear, name, convert), qos_profile_sensor_data)
         # A steady clock: a jump of the time of day, such as by GNSS, changes neither the rate nor an age.
@@ -144,16 +148,33 @@ class Controller(Node):
             return self.send([0.0] * len(self.commands))
         if self.stopped:
             self.get_logger().info("messages arrive: the thrusters turn")
+            if max(map(abs, self.feedback["u0"])) > 0.9 * limit:
+                steady = ", ".join(f"{n} {u0:.2f}" for n, u0 in zip(self.names, self.feedback["u0"], strict=True))
+                self.get_logger().warning(
+                    f"too little room to steer: the speed of the feedback needs {steady}, more than 0.9 of the limit "
+                    f"{limit:g}; set a larger limit, or write the feedback of a lower speed"
+                )
             self.stopped, self.wanted = "", self.x["u"]
         self.wanted = min(speed, self.wanted + RAMP / RATE)
         goal = dict(zip(self.feedback["states"], self.feedback["x0"], strict=True))
-        goal |= {"psi": math.radians(heading), "u": self.wanted}
+        goal |= {"psi": math.radians(heading) + self.correction, "u": self.wanted}
         error = {n: self.x[n] - goal[n] for n in self.feedback["states"]}
         if "psi" in error:  # the shorter turn
             error["psi"] = math.remainder(error["psi"], 2.0 * math.pi)
         rows = zip(self.feedback["u0"], self.feedback["gain"], strict=True)
         commands = [u0 - sum(k * e for k, e in zip(row, error.values(), strict=True)) for u0, row in rows]
+        if "psi" in error and max(map(abs, commands)) < limit:
+            self.integrate(math.remainder(math.radians(heading) - self.x["psi"], 2.0 * math.pi))
         return self.send([min(max(n, -limit), limit) for n in commands])
+
+    def integrate(self, error: float) -> None:
+        """Add a heading error [rad] to the correction of the wanted heading.
+
+        The feedback alone leaves an error where a thruster, the wind or the current differs from the model.
+        """
+        if abs(error) < NEAR:
+            changed = self.correction + error / (INTEGRAL * RATE)
+            self.correction = min(max(changed, -LARGEST), LARGEST)
 
     def send(self, commands: list[float]) -> None:
         """Publish one command for each thruster."""
@@ -167,7 +188,7 @@ class Controller(Node):
         self.send([0.0] * len(self.commands))
         if not self.stopped:
             self.get_logger().error(f"zero thrust: {reason}")
-        self.stopped, self.since = reason, time.monotonic()
+        self.stopped, self.since, self.correction = reason, time.monotonic(), 0.0
 
 
 def main() -> None:

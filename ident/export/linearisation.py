@@ -571,7 +571,7 @@ class LinearModel:
         """Return the standard error of a number of this model, given that number of each of the models `moved`."""
         return float(self.error_of(np.array(value), [np.array(v) for v in moved]))
 
-    def lqr(self, Q: Mapping[str, float], R: Mapping[str, float] | None = None) -> StateFeedback:
+    def lqr(self, Q: Mapping[str, float], R: Mapping[str, float] | None = None, limit: float = 1.0) -> StateFeedback:
         """Return the linear quadratic regulator (LQR) of the model, with the weights of its states by name.
 
         The feedback minimises the integral of ``sum of Q e^2 + sum of R (u - u0)^2`` over time, with the errors ``e``
@@ -586,14 +586,17 @@ class LinearModel:
             heading ``psi`` is a further state (the integral of ``r``) if it has a weight above 0.
         R : dict of str to float, optional
             Weights of the inputs by name, above 0. An input without a weight has 1.
+        limit : float, optional
+            Largest shaft speed or command that the feedback returns, above 0 and at most 1. A `SeatrialWarning` is
+            issued if an input of the operating point is above 0.9 of it. It does not act on inputs that are forces.
 
         Raises
         ------
         SeatrialError
-            If the weights are not given by name, if there is no state or input of a name, if a weight is not allowed,
-            or if no feedback with these weights makes the motion stable.
+            If the weights are not given by name, if there is no state or input of a name, if a weight or the limit is
+            not allowed, or if no feedback with these weights makes the motion stable.
         """
-        return lqr(self, Q, R)
+        return lqr(self, Q, R, limit)
 
     def responding(self, inputs: Inputs) -> tuple[str, ...]:
         """Return the names of the states that respond to the inputs, in the order of `states`."""

@@ -23,6 +23,7 @@ from seatrial.ident.numerics import Array
 LEAST_GROWTH = 0.05  # 1/s: poles below it grow by a factor of e in more than 20 s, which any feedback holds
 TURN = 2.0 * np.pi  # rad
 MOST_TURNS = 5.0  # of a heading that counts them; more are degrees
+ROOM = 0.9  # share of the limit above which a steady input leaves too little for the control
 HEADING = "psi"  # further state of the feedback: the integral of the yaw rate
 
 
@@ -66,6 +67,8 @@ class StateFeedback:
         Poles of the linear model with the feedback [1/s], without the dead time of the inputs.
     units : dict of str to str
         Unit of each state and input; empty for a number without a unit.
+    limit : float
+        Largest shaft speed or command, as a share of full.
     """
 
     states: tuple[str, ...]
@@ -75,11 +78,12 @@ class StateFeedback:
     u0: Array
     poles: NDArray[np.complex128]
     units: Mapping[str, str]
+    limit: float = 1.0
 
     def __call__(self, x: Mapping[str, float], **wanted: float) -> Array:
         """Return the inputs (m,) at the states ``x``, in the order of `inputs`.
 
-        Shaft speeds and commands are limited to -1 to 1.
+        Shaft speeds and commands are limited to -`limit` to `limit`.
 
         Parameters
         ----------
@@ -104,7 +108,13 @@ class StateFeedback:
             example = {n: round(float(v), 3) for n, v in zip(self.states, self.x0, strict=True)}
             raise SeatrialError(f"x: give a dict of the states by name, such as {example}, and not {_shown(x)}")
         if missing := [n for n in self.states if n not in x]:
-            raise SeatrialError(f"the state {missing[0]} is missing; the feedback needs {', '.join(self.states)}")
+            words = f"the state {missing[0]} is missing; the feedback needs {', '.join(self.states)}"
+            if is_of_thruster(missing[0], SHAFT_SPEED):
+                words += (
+                    "; if no sensor measures the shaft speed, estimate it from the commands that were sent, with delay "
+                    "and lag (docs/how-to/control.md, LQR without measured shaft speeds)"
+                )
+            raise SeatrialError(words)
         _check_names("state", wanted, self.states)
         _check_numbers({n: x[n] for n in self.states})
         _check_numbers(wanted)
@@ -121,8 +131,7 @@ class StateFeedback:
     @property
     def _limits(self) -> tuple[Array, Array]:
         """Lower and upper limits (m,) of the inputs; infinite for a thrust."""
-        relative = [is_of_thruster(n, COMMAND, SHAFT_SPEED) for n in self.inputs]
-        high: Array = np.where(relative, 1.0, np.inf)
+        high: Array = np.where([_is_share_of_full(n) for n in self.inputs], self.limit, np.inf)
         return -high, high
 
     def to_mat(self, path: str | os.PathLike[str], force: bool = False) -> Path:
@@ -261,15 +270,20 @@ class LinearSystem(Protocol):
         """Speeds about that of the operating point with an unstable pole; None if there is none at this one."""
 
 
-def lqr(linear: LinearSystem, Q: Mapping[str, float], R: Mapping[str, float] | None = None) -> StateFeedback:
+def lqr(
+    linear: LinearSystem, Q: Mapping[str, float], R: Mapping[str, float] | None = None, limit: float = 1.0
+) -> StateFeedback:
     """Return the linear quadratic regulator of a linear system, with weights of states and inputs by name.
 
     A `SeatrialWarning` is issued if the heading is controlled, and the rates depend on it, and nobody chose its value.
-    Weights that are missing, the heading and the errors are those of
-    `seatrial.ident.export.linearisation.LinearModel.lqr`.
+    Another one is issued if an input of the operating point is near the limit. Weights that are missing, the heading
+    and the errors are those of `seatrial.ident.export.linearisation.LinearModel.lqr`.
     """
     from scipy.linalg import solve_continuous_are  # imported here, as it takes 0.3 s
 
+    _check_numbers({"limit": limit})
+    if not 0.0 < limit <= 1.0:
+        raise SeatrialError(f"limit {limit:g}: give the largest shaft speed or command, above 0 and at most 1")
     R = {} if R is None else R
     for what, given in (("Q", Q), ("R", R)):
         if not isinstance(given, Mapping):
@@ -309,6 +323,7 @@ def lqr(linear: LinearSystem, Q: Mapping[str, float], R: Mapping[str, float] | N
             "model, and let the wanted speed rise from that of the boat: control(x, psi=..., u=min(speed, 0.05 * t)). "
             "This can fail if the damping of sway is negative, or if the operating point is outside the fitted data"
         )
+    _warn_of_limit(linear, limit)
     weights, costs = np.diag([Q.get(s, 0.0) for s in states]), np.diag([R.get(i, 1.0) for i in linear.inputs])
     failure = "no feedback with these weights makes the motion stable: give weights to u, r and psi"
     try:
@@ -321,13 +336,30 @@ def lqr(linear: LinearSystem, Q: Mapping[str, float], R: Mapping[str, float] | N
     poles = poles[np.argsort(np.abs(poles.real), kind="stable")]
     x0 = np.append(linear.x0, np.full(len(states) - n, linear.conditions.get(HEADING, 0.0)))
     units = {**linear.units, **({HEADING: "rad"} if steered else {})}
-    return StateFeedback(states, linear.inputs, gain, x0, linear.u0, poles, units)
+    return StateFeedback(states, linear.inputs, gain, x0, linear.u0, poles, units, limit)
 
 
 def _check_new(file: Path, force: bool) -> None:
     """Raise SeatrialError if a file exists and may not be replaced."""
     if file.exists() and not force:
         raise SeatrialError(f"{file}: the file exists already; force=True replaces it, path names another")
+
+
+def _is_share_of_full(name: str) -> bool:
+    """Return whether an input is a shaft speed or a command, from -1 to 1."""
+    return is_of_thruster(name, COMMAND, SHAFT_SPEED)
+
+
+def _warn_of_limit(linear: LinearSystem, limit: float) -> None:
+    """Warn of the largest input of the operating point if it is near the limit of shaft speeds and commands."""
+    steady = {n: float(u) for n, u in zip(linear.inputs, linear.u0, strict=True) if _is_share_of_full(n)}
+    name = max(steady, key=lambda n: abs(steady[n]), default=None)
+    if name is not None and abs(steady[name]) > ROOM * limit:
+        larger = ", or give a larger limit" if limit < 1.0 else ""
+        warn(
+            f"the operating point needs {name} = {steady[name]:.3g}, more than {ROOM:g} of the limit {limit:g}: the "
+            f"feedback has too little room to steer; linearise at a lower speed{larger}"
+        )
 
 
 def _warn_of_degrees(psi: float, wanted: float) -> None:

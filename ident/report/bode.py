@@ -8,12 +8,10 @@ from typing import Any
 import numpy as np
 
 from seatrial.ident.numerics import Array
-from seatrial.ident.report.drawing import MODEL, Z95, Trace, axis_limits, band, line_trace
+from seatrial.ident.report.drawing import MODEL, Z95, Trace, angle_step, axis_limits, band, line_trace
 
 DECIBEL = 20.0 / np.log(10.0)  # of a gain, for its natural logarithm
 FREQUENCY = "frequency [Hz]"
-ANGLES = (45.0, 90.0, 180.0, 360.0)  # distances of the ticks of a phase [deg]
-INTERVALS = 7  # largest number of intervals between the ticks of a phase
 
 
 def frequency_axis() -> dict[str, Any]:
@@ -41,8 +39,7 @@ def phase_axis(phases: Sequence[Array], errors: Sequence[Array | None] = ()) -> 
     every = every[np.isfinite(every)]
     least, most = axis_limits(shown, ends) or (every.min(initial=0.0), every.max(initial=0.0))
     span = float(most - least)
-    whole = 360.0 * np.ceil(span / (360.0 * INTERVALS))
-    step = next((d for d in ANGLES if span <= INTERVALS * d), float(whole))
+    step = angle_step((least, most))
     margin = 0.05 * max(span, step)
     return {"tick0": 0, "dtick": step, "range": [float(least) - margin, float(most) + margin]}
 

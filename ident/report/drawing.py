@@ -35,6 +35,8 @@ LINES = (MODEL, AMBER, GREEN, PURPLE, SKY, BEFORE)
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "solid")
 CUT = "The vertical range is limited: part of an interval or curve is outside. Double-click to show all of it."
 Z95 = 1.96  # half width of a 95 % interval of the normal distribution, in standard deviations
+ANGLES = (45.0, 90.0, 180.0, 360.0)  # distances of the ticks of an angle [deg]
+INTERVALS = 7  # largest number of intervals between the ticks of an angle
 LARGEST = float(np.finfo(np.float32).max)  # figures store 32-bit floats
 # Colours of the figures on a dark page. Text has a contrast of at least 4.5 to the page, lines of at least 3.
 DARK = {
@@ -261,6 +263,37 @@ def trusted_lines(
     ]
 
 
+def continuous(angle: Array, turn: float) -> Array:
+    """Return an angle (n,) without the jumps of whole turns; values that are not finite are unchanged.
+
+    ``turn`` is a full turn in the unit of the angle, for example 360.
+    """
+    found, good = angle.copy(), np.isfinite(angle)
+    found[good] = np.unwrap(angle[good], period=turn)
+    return found
+
+
+def beside(t: Array, angle: Array, t_samples: Array, samples: Array) -> Array:
+    """Return a continuous angle (n,) [deg], shifted by whole turns so that its start is nearest to the samples (m,)."""
+    good, seen = np.isfinite(angle), np.isfinite(samples)
+    if not good.any() or not seen.any():
+        return angle
+    first = float(np.interp(t[good][0], t_samples[seen], samples[seen]))
+    return angle + 360.0 * round((first - float(angle[good][0])) / 360.0)
+
+
+def angle_step(limits: Sequence[float] | None, curves: Sequence[Array | None] = ()) -> float:
+    """Return the distance of the ticks of an axis of angles [deg], for at most eight ticks.
+
+    It is 45, 90, 180 or 360 deg, or a multiple of 360 deg. The axis has the ``limits``, or those of the ``curves`` if
+    they are None.
+    """
+    low, high = limits or _finite_span(curves)
+    span = float(np.nan_to_num(high - low))
+    whole = 360.0 * np.ceil(span / (360.0 * INTERVALS))
+    return next((d for d in ANGLES if span <= INTERVALS * d), float(whole))
+
+
 def _indices_after_jumps(y: Array, turn: float | None) -> Index:
     """Return the indices of the points just after a jump of a wrapped angle y (n,) by more than half a turn.
 
@@ -409,8 +442,8 @@ class Panel:
 
 
 def cut(panels: Sequence[Panel]) -> bool:
-    """Return whether the vertical range of a panel is limited. Panels of angles, which have ticks, do not count."""
-    return any("range" in p.y and "dtick" not in p.y for p in panels)
+    """Return whether the vertical range of a panel is limited. Panels of wrapped angles do not count."""
+    return any("range" in p.y and "tick0" not in p.y for p in panels)
 
 
 def stacked(panels: Sequence[Panel], x_title: str, *, panel_height: int = 132) -> tuple[Figure, int]:

@@ -53,7 +53,7 @@ from seatrial.ident.results.parts import (
     ResidualTests,
     ResultWarning,
 )
-from seatrial.ident.results.tables import SCORES_PASS, format_number
+from seatrial.ident.results.tables import SCORES_PASS, format_number, sides_compare_mass
 from seatrial.ident.validation import FEWEST, OUTLIER_SDS, WARM_UP, ChannelResiduals, PredictionEvaluation
 
 NAMES = {
@@ -615,13 +615,14 @@ def _has_mass_to_weigh(fit: Fit) -> bool:
     return "m_u" in fit.model.values and not thrust_scale_of(fit.model).relative
 
 
-def mass_notes(fit: Fit, weighed: float | None) -> list[str]:
+def mass_notes(fit: Fit, weighed: float | None, uncertainty: ModelUncertainty | None = None) -> list[str]:
     """Return a note that compares the estimated mass in surge with the weighed mass of the boat [kg], or an empty list.
 
     Without a weighed mass, the note says that nothing was compared. The list is empty where `mass_warnings` warns, and
-    if the fit has no mass in surge in kilograms.
+    if the fit has no mass in surge in kilograms. It is also empty where the warning of different thrusts compares the
+    masses for the thrust of either side, which the `uncertainty` of the model determines: the estimate lies between.
     """
-    if not _has_mass_to_weigh(fit) or mass_warnings(fit, weighed):
+    if not _has_mass_to_weigh(fit) or mass_warnings(fit, weighed) or sides_compare_mass(uncertainty, fit, weighed):
         return []
     if weighed is None:
         return [NOT_WEIGHED]

@@ -222,7 +222,7 @@ def vehicle_result(
             *common_errors_notes(common, "the model"),
             *model_uncertainty_notes(uncertainty, fitted.fit),
             *prior_notes(fitted.fit),
-            *mass_notes(fitted.fit, posed.hull.get("mass")),
+            *mass_notes(fitted.fit, posed.hull.get("mass"), uncertainty),
             *_notes(posed.notes, evaluation, calibration),
         ),
         common_errors=common_errors_row(common, fitted, evaluation.headline_set),

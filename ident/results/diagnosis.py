@@ -171,7 +171,11 @@ def diagnosis_result(
             *alternative_notes(rounds, effects),
             *notes,
             *prior_notes(diagnosis.after.fit),
-            *([] if given.weighed_mass is None else mass_notes(diagnosis.after.fit, given.weighed_mass)),
+            *(
+                []
+                if given.weighed_mass is None
+                else mass_notes(diagnosis.after.fit, given.weighed_mass, diagnosis.uncertainty)
+            ),
             *_notes(diagnosis, given),
             *refit_error_notes(rounds, effects),
             *_blocks_note(evaluation),

@@ -886,6 +886,13 @@ def thrust_difference_warnings(found: ModelUncertainty | None, fit: Fit, weighed
     return [ResultWarning(code="thrust-sides-differ", text=text)]
 
 
+def sides_compare_mass(found: ModelUncertainty | None, fit: Fit, weighed: float | None) -> bool:
+    """Return whether `thrust_difference_warnings` compare the mass in surge with the weighed mass [kg]."""
+    if found is None or found.thrust_difference < LEAST_DIFFERENCE:
+        return False
+    return bool(_side_by_weighed_mass(found, fit, weighed))
+
+
 def _sides(found: ModelUncertainty) -> tuple[str, str]:
     """Return the words for the side with the smaller and with the larger thrust: left and right, if it is known."""
     return {"left": ("left", "right"), "right": ("right", "left")}.get(found.weaker_side, ("weaker", "stronger"))

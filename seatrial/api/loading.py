@@ -481,7 +481,9 @@ def simulate(
     t : Array (n,)
         Times [s] of the input samples, increasing.
     inputs : dict of str to Array (n,)
-        Value of each input at these times, for example ``n_left`` and ``n_right`` (-1 to 1).
+        Value of each input at these times, for example ``n_left`` and ``n_right`` (-1 to 1). For a model of commands
+        (``n_cmd_left``), ``n_left`` is the command too, as in the import map and the log, although the state ``n_left``
+        of the model is the shaft speed.
     start : dict of str to float, optional
         Initial values of states by name, for example ``{"u": 1.0}``. The other states begin at the initial values of
         the model.
@@ -599,6 +601,7 @@ def _checked_inputs(
     """
     from seatrial.ident.data import TIME_INPUT, WORK_INPUT
     from seatrial.ident.estimation import leaves_validity
+    from seatrial.ident.model import SHAFT_SPEED, SignalId, command_of, is_of_thruster
 
     known = list(dict.fromkeys(i.tap_of or i.name for i in structure.inputs))
     needed = [n for n in known if n not in (TIME_INPUT, WORK_INPUT)]  # those are computed
@@ -611,6 +614,10 @@ def _checked_inputs(
             named[str(name)] = np.asarray(values, dtype=float)
         except (TypeError, ValueError):
             raise SeatrialError(f"input {name}: {shortened(values)} is no array of numbers; give {form}") from None
+    for name in [n for n in named if n not in known and is_of_thruster(n, SHAFT_SPEED)]:
+        command = command_of(SignalId.parse(name).source)
+        if command in known and command not in named:  # an import map calls the commands n_left and n_right
+            named[command] = named.pop(name)
     for name, values in named.items():
         if name not in known:
             near = closest_name(name, needed)

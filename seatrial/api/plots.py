@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
@@ -48,7 +48,7 @@ def prediction_figure(result: FitResult, channels: Sequence[str]) -> Figure:
     SeatrialError
         If the result has no channel with one of the names, or no channel at all.
     """
-    check_names(channels, [x.channel for x in result.traces])
+    check_names(channels, [x.channel for x in result.traces], _states(result))
     panels = []
     for x in result.traces:
         if channels and x.channel not in channels:
@@ -139,17 +139,30 @@ def residual_figure(residuals: Mapping[str, Mapping[str, Series]], channels: Seq
     return _stacked("Standardised residuals", panels)
 
 
-def check_names(asked: Sequence[str], known: Sequence[str]) -> None:
+def check_names(asked: Sequence[str], known: Sequence[str], states: Collection[str] = ()) -> None:
     """Check that the names of channels that a user gave (`asked`) are among those of a fit (`known`).
 
     Raises
     ------
     SeatrialError
-        For the first unknown name. The message lists the known ones.
+        For the first unknown name. The message lists the known ones. If the name is one of the ``states`` of the model,
+        it says how to get their values.
     """
     for name in asked:
         if name not in known:
-            raise SeatrialError(f"there is no channel {name!r}; the channels are {', '.join(dict.fromkeys(known))}")
+            words = f"there is no channel {name!r}; the channels are {', '.join(dict.fromkeys(known))}"
+            if name in states:
+                words += (
+                    f". {name} is a state of the model, which no sensor measures: plot its estimate from the table "
+                    f"st.navigate(fit, logs).to_pandas(), columns t, {name} and sd_{name}"
+                )
+            raise SeatrialError(words)
+
+
+def _states(result: FitResult) -> set[str]:
+    """Return the names of the states in the linear models of a result; they are empty for a result without any."""
+    dynamics = getattr(result, "dynamics", None)
+    return {name for point in (dynamics.points if dynamics else ()) for name in point.states}
 
 
 def _stacked(title: str, panels: Sequence[Panel]) -> Figure:

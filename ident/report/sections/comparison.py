@@ -483,8 +483,8 @@ def overlay_panels(
     Returns
     -------
     list of Panel
-        Channels that no model predicts are left out. The traces of one model are one group of the legend, which has
-        each model once.
+        Channels that no model predicts are left out. Angles are wrapped; those of a simulation are continuous. The
+        traces of one model are one group of the legend, which has each model once.
     """
     panels: list[drawing.Panel] = []
     named: set[str] = set() if first else {"measured", *names}
@@ -494,13 +494,19 @@ def overlay_panels(
         if not own:
             continue
         factor, unit = formatting.degrees_for(row.unit)
-        turn = 360.0 if row.angle else None
-        measured = drawing.dots(row.t, _turned(factor * row.measured, turn), "measured", limit, turn=turn)
-        traces, edges = [_in_legend(measured, "measured", named)], list[Array]()
+        # A simulation may leave the samples by any angle: the curves are continuous, so that their bands can be read.
+        unwrapped = row.angle and kind[0] == "simulation"
+        turn = 360.0 if row.angle and not unwrapped else None
+        samples = factor * row.measured
+        samples = drawing.continuous(samples, 360.0) if unwrapped else _turned(samples, turn)
+        measured = drawing.dots(row.t, samples, "measured", limit, turn=turn)
+        traces, edges, lines = [_in_legend(measured, "measured", named)], list[Array](), list[Array]()
         for p in own:
             k = letters.index(p.model)
             color, dash = drawing.LINES[k % len(drawing.LINES)], drawing.DASHES[k % len(drawing.DASHES)]
-            y = _turned(factor * p.predicted, turn)
+            y = factor * p.predicted
+            y = drawing.beside(p.t, drawing.continuous(y, 360.0), row.t, samples) if unwrapped else _turned(y, turn)
+            lines.append(y)
             half = drawing.Z95 * factor * p.sd
             edges += [y - half, y + half]
             shade = drawing.band(p.t, y, half, limit, color=color, opacity=BAND, turn=turn)
@@ -512,8 +518,10 @@ def overlay_panels(
         axis: dict[str, Any] = {}
         if turn:
             axis = {"range": [-turn / 2, turn / 2], "tick0": 0, "dtick": turn / 4}
-        elif (frame := _frame(factor * row.measured, [factor * p.predicted for p in own], edges)) is not None:
+        elif (frame := _frame(samples, lines, edges)) is not None:
             axis = {"range": frame}
+        if unwrapped:
+            axis["dtick"] = drawing.angle_step(axis.get("range"), [samples, *lines])
         panels.append(drawing.Panel(title, traces, axis))
     return panels
 

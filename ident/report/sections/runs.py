@@ -225,7 +225,7 @@ def _simulation_blocks(canvas: Canvas, result: FitResult, rows: Sequence[Trace],
         if row.diverged is not None:
             note = f"simulation diverged after {row.diverged - row.t[0]:.0f} s"
             model, sd = (np.where(row.t < row.diverged, curve, np.nan) for curve in (model, sd))
-        if panel := _channel_panel(canvas, row, _Curves(row.t, model, sd, row.before), note):
+        if panel := _channel_panel(canvas, row, _Curves(row.t, model, sd, row.before), note, simulated=True):
             panels.append(panel)
     found = _stacked(canvas, panels, f"Measured and simulated over time, {tab.title}")
     return [*found, *_wide_bands([(row, row.t, row.sd) for row in rows if row.diverged is None], None, result)]
@@ -369,11 +369,13 @@ def _stacked(canvas: Canvas, panels: Sequence[drawing.Panel], label: str) -> lis
     return [*plots, Prose(drawing.CUT, "caption")] if drawing.cut(panels) else plots
 
 
-def _channel_panel(canvas: Canvas, row: Trace, curves: _Curves, note: str) -> drawing.Panel | None:
+def _channel_panel(
+    canvas: Canvas, row: Trace, curves: _Curves, note: str, simulated: bool = False
+) -> drawing.Panel | None:
     """Return the panel of one channel over time: measurements, curve of the model with 95 % band, curve before.
 
-    The curve before is that of the model before effects were added. Angles are wrapped to half a turn about zero. The
-    result is None if there are no finite values.
+    The curve before is that of the model before effects were added. Angles are wrapped to half a turn about zero; those
+    of a simulation are continuous. The result is None if there are no finite values.
 
     Parameters
     ----------
@@ -385,12 +387,24 @@ def _channel_panel(canvas: Canvas, row: Trace, curves: _Curves, note: str) -> dr
         Curves of the model for the channel.
     note
         Text after the title; may be empty.
+    simulated
+        Whether the curves are a simulation, which may leave the samples by any angle. Its curves are continuous, so
+        that the band can be read.
     """
     limit = canvas.budget.points
     factor, unit = formatting.degrees_for(row.unit)
     found = (drawing.drawable(a) for a in (row.measured, curves.model, curves.sd, curves.before))
     measured, model, sd, before = (None if a is None else factor * a for a in found)
-    turn = 2 * np.pi * factor if row.angle else None
+    unwrapped = row.angle and simulated
+    turn = 2 * np.pi * factor if row.angle and not unwrapped else None
+    if unwrapped:
+        measured, model, before = (
+            None if a is None else drawing.continuous(a, 360.0) for a in (measured, model, before)
+        )
+        if measured is not None:
+            model, before = (
+                None if a is None else drawing.beside(curves.t, a, row.t, measured) for a in (model, before)
+            )
     measured, model, before = (_wrapped_angle(a, turn) for a in (measured, model, before))
     traces = []
     if model is not None and sd is not None:
@@ -409,6 +423,8 @@ def _channel_panel(canvas: Canvas, row: Trace, curves: _Curves, note: str) -> dr
     axis: dict[str, Any] = {"range": frame} if frame else {}
     if turn:
         axis = {"range": [-turn / 2, turn / 2], "tick0": 0, "dtick": turn / 4}
+    if unwrapped:
+        axis["dtick"] = drawing.angle_step(frame, [measured, model, before])
     title = formatting.titled(row.channel) + formatting.bracket(unit) + (f" · {note}" if note else "")
     return drawing.Panel(title, traces, axis)
 

@@ -48,6 +48,24 @@ def test_gain_is_that_of_the_riccati_equation(linear: LinearModel) -> None:
     assert linear.inputs[1] in repr(found)
 
 
+def test_an_operating_point_near_the_limit_gives_a_warning(linear: LinearModel) -> None:
+    """The feedback then has too little room to steer. Forces have no limit that the model knows."""
+    steady = float(np.abs(linear.u0).max())
+    if "f_left" in linear.inputs:
+        linear.lqr(Q, limit=0.01)
+        return
+    linear.lqr(Q, limit=steady / 0.85)
+    name = linear.inputs[int(np.abs(linear.u0).argmax())]
+    words = rf"needs {name} = {steady:.3g}, more than 0\.9 of the limit .*lower speed, or give a larger limit$"
+    with pytest.warns(SeatrialWarning, match=words):
+        found = linear.lqr(Q, limit=steady / 0.95)
+    fast = dict(zip(found.states, found.x0, strict=True)) | {"u": -5.0}
+    np.testing.assert_allclose(found(fast), steady / 0.95)
+    for limit in (0.0, 1.2):
+        with pytest.raises(SeatrialError, match=f"limit {limit:g}: give the largest shaft speed or command"):
+            linear.lqr(Q, limit=limit)
+
+
 def test_feedback_of_an_unstable_boat_warns_of_motions_far_away() -> None:
     unstable = linearise(saved(horizontal_model("shaft"), {"d_r": 3.0, "d_v": 5.0}), 0.7)
     assert unstable.poles.real.max() > 0.05
@@ -197,8 +215,12 @@ def test_wrong_weights_and_names_are_refused(linear: LinearModel) -> None:
         with pytest.raises(SeatrialError, match=words):
             linear.lqr(weights, costs)
     control = linear.lqr(Q)
-    with pytest.raises(SeatrialError, match="the state psi is missing; the feedback needs"):
+    with pytest.raises(SeatrialError, match=r"the state psi is missing; the feedback needs [a-z_, ]*$"):
         control(dict.fromkeys(linear.states, 0.0))
+    if "n_left" in control.states:
+        words = r"n_left is missing; .* estimate it from the commands that were sent, .* \(docs/how-to/control.md"
+        with pytest.raises(SeatrialError, match=words):
+            control(dict.fromkeys(set(control.states) - {"n_left"}, 0.0))
     with pytest.raises(SeatrialError, match="the model has no state 'heading'"):
         control(dict.fromkeys(control.states, 0.0), heading=1.0)
     assert "psi" not in linear.lqr({"u": 1.0, "r": 1.0}).states

@@ -166,12 +166,23 @@ def test_figures_are_json_with_valid_arrays(page: Page) -> None:
     assert max(sizes) <= 3100
 
 
-def test_angles_are_wrapped_and_their_lines_break_at_jumps(page: Page) -> None:
+def test_angles_are_wrapped_and_those_of_a_simulation_are_continuous(page: Page) -> None:
+    """A simulation may leave the samples by any angle: at jumps, its band filled the panel."""
     figures = page.figures()
     firsts = {name: (f["layout"].get("annotations") or [{}])[0].get("text", "") for name, f in figures.items()}
     headings = [figures[name] for name, title in firsts.items() if "Heading" in title and "fit" in title]
     assert len(headings) == 4  # Predicted and simulated, for two records.
-    for figure in headings:
+    predicted, simulated = ([f for f in headings if ("tick0" in f["layout"]["yaxis"]) == own] for own in (True, False))
+    assert len(predicted) == len(simulated) == 2
+    for figure in simulated:
+        curves = [t for t in figure["data"] if t["yaxis"] == "y" and t["name"] in ("model", "before", "measured")]
+        values = [numbers(trace["y"]) for trace in curves]
+        assert len(values) >= 2
+        assert max(np.abs(np.diff(y[np.isfinite(y)])).max() for y in values) < 90
+        starts = [y[np.isfinite(y)][0] for y in values]
+        assert np.ptp(starts) < 180.0
+        assert max(np.nanmax(np.abs(y)) for y in values) > 180.0
+    for figure in predicted:
         assert figure["layout"]["yaxis"]["range"] == pytest.approx([-180.0, 180.0])
         for trace in figure["data"]:
             y = numbers(trace["y"])

@@ -72,6 +72,7 @@ from seatrial.ident.results.tables import (
     format_number,
     prediction_change,
     residual_row,
+    sides_compare_mass,
     thrust_difference_warnings,
 )
 from seatrial.ident.studies.cases import make_case
@@ -773,6 +774,9 @@ def test_weighed_mass_is_evidence_on_the_side_with_the_given_thrust(
     (warning,) = thrust_difference_warnings(found, fit, weighed)
     assert ("The weighed mass is evidence" in warning.text) == bool(sentence)
     assert sentence in warning.text
+    assert sides_compare_mass(found, fit, weighed) == bool(sentence)  # a note then gives no other ratio
+    assert not sides_compare_mass(replace(found, thrust_difference=0.04), fit, weighed)
+    assert not sides_compare_mass(None, fit, weighed)
     assert warning.text.endswith("Measure the thrust of both sides as they are now (seatrial bench).")
 
 

@@ -68,6 +68,7 @@ from seatrial.ident.workflows.comparison_likelihood import (
 )
 from seatrial.ident.workflows.dynamics import course_at_speeds
 from seatrial.ident.workflows.model_differences import model_differences
+from tests.ident.pages import numbers
 from tests.ident.reports import Kept
 from tests.missions import boat_log, boat_with
 
@@ -442,6 +443,28 @@ def test_bands_do_not_flatten_the_curves(compared: ComparisonResult) -> None:
             assert size <= high - low < 4.0 * size
         page = render(msgspec.structs.replace(compared, traces=(changed,)))
         assert ("The vertical range is limited" in page) == limited
+
+
+def test_headings_of_a_simulation_are_continuous_beside_the_samples(compared: ComparisonResult) -> None:
+    """With jumps at half a turn, a wide band of the simulation filled the panel on both sides of each jump."""
+    (row,) = (t for t in compared.traces if t.channel == "psi" and t.record == compared.traces[0].record)
+    turning = np.linspace(3.0, 40.0, row.t.size)  # rad: six turns, which a sensor gives from -pi to pi
+    measured = np.where(np.arange(row.t.size) == 5, np.nan, np.remainder(turning + np.pi, 2.0 * np.pi) - np.pi)
+    simulated = tuple(
+        msgspec.structs.replace(p, predicted=np.interp(p.t, row.t, turning) - 2.0 * np.pi + 0.1)
+        for p in row.predictions
+        if p.kind == "simulation"
+    )
+    changed = msgspec.structs.replace(row, measured=measured, predictions=simulated)
+    names = {m.label: m.label for m in compared.models}
+    (panel,) = overlay_panels(compared, [changed], ("simulation", None), 500, names)
+    samples, *curves = [x for x in panel.traces if x.get("fill") != "toself"]
+    for trace, away in ((samples, 0.0), *((curve, 0.1) for curve in curves)):
+        x, y = numbers(trace["x"]), np.radians(numbers(trace["y"]))
+        good = np.isfinite(y)
+        assert good.sum() > 100
+        np.testing.assert_allclose(y[good], np.interp(x[good], row.t, turning) + away, atol=0.01)
+    assert panel.y["dtick"] == 360.0
 
 
 def test_more_models_than_fit_into_a_row_get_several_tables(compared: ComparisonResult) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 from math import cos, sin
 from pathlib import Path
@@ -62,6 +63,24 @@ def test_velocity_of_the_antenna_is_turned_into_that_of_the_boat() -> None:
     assert found is not None
     products = [re.sub(r"(?<=\w) (?=\w)", " * ", formula) for formula in found.groups()]
     assert [eval(formula, {"cos": cos, "sin": sin}, known) for formula in products] == pytest.approx([u, v])
+
+
+def test_the_arm_of_the_antenna_is_its_given_position_and_the_deviation(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The boat is at the origin with its bow to north, so that the measured position is the arm."""
+    assert "the arm is `antenna_x + l_x` and `antenna_y + l_y`" in PAGE.read_text(encoding="utf-8")
+    arms = {"antenna_x": -0.4, "antenna_y": 0.1, "l_x": -0.04, "l_y": 0.02}
+    rows = "".join(f'[[parameter]]\nname = "{n}"\nvalue = {v}\nfree = false\n' for n, v in arms.items())
+    text = blocks(PAGE, "toml")[0].replace("effects = []", 'effects = ["antenna", "lever-arm"]')
+    (folder / "antenna.toml").write_text(text + rows, encoding="utf-8")
+    words = ["export", folder / "antenna.toml", "--to", "python", "--name", "antenna", "-o", folder / "antenna.py"]
+    ident.main([str(w) for w in words], standalone_mode=False)
+    monkeypatch.syspath_prepend(folder)
+    exported = importlib.import_module("antenna")
+    p, y = exported.P, dict(zip(exported.OUTPUTS, exported.Simulation(0.1).outputs(), strict=True))
+    assert y["x"] == pytest.approx(p["antenna_x"] + p["l_x"]) == pytest.approx(-0.44)
+    assert y["y"] == pytest.approx(p["antenna_y"] + p["l_y"]) == pytest.approx(0.12)
 
 
 @pytest.mark.parametrize("block", [1, 2, 3, 4], ids=["pid", "lqr", "shafts", "ramp"])

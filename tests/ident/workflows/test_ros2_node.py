@@ -9,6 +9,7 @@ import signal
 import sys
 from collections import defaultdict
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -37,6 +38,7 @@ class Ros:
         self.heard: dict[str, Callable[[Any], None]] = {}
         self.timers: list[list[Any]] = []  # period, next time [s], callback
         self.silent: set[str] = set()  # topics without messages
+        self.shares = (1.0, 1.0)  # shaft speed of the left and the right thruster over that of the model
         self.logged: list[tuple[str, str]] = []
         self.parameters: dict[str, Any] = {}
         self.up, self.own_signals = False, False
@@ -69,10 +71,11 @@ class Ros:
                 ros.timers.append([period, ros.now + period, callback])
 
             def get_logger(self) -> Any:
-                return types(info=lambda text: ros.logged.append(("info", text)), error=self._error)
+                kinds = ("info", "warning", "error")
+                return types(**{kind: partial(self._log, kind) for kind in kinds})
 
-            def _error(self, text: str) -> None:
-                ros.logged.append(("error", text))
+            def _log(self, kind: str, text: str) -> None:
+                ros.logged.append((kind, text))
 
         def message(**values: Any) -> Any:
             return types(**values)
@@ -122,7 +125,8 @@ class Ros:
         """Let time pass: the boat moves with the last commands, its sensors send, and due timers are called."""
         for _ in range(round(seconds / DT)):
             last = [self.sent[f"/thrusters/{n}/command"][-1:] for n in ("left", "right")]
-            self.simulation.step([command[0][1] if command else 0.0 for command in last])
+            commands = [command[0][1] if command else 0.0 for command in last]
+            self.simulation.step([share * n for share, n in zip(self.shares, commands, strict=True)])
             self.now += DT
             x = self.state
             angles = (x["psi"], 0.0, 0.0)
@@ -253,12 +257,79 @@ def test_the_law_is_that_of_the_state_feedback(node: Any, ros: Ros) -> None:
         ros.heard[IMU](SimpleNamespace(angular_velocity=odometry.twist.twist.angular))
         assert math.remainder(ros.node.x["psi"] - boat["psi"], 2.0 * math.pi) == pytest.approx(0.0, abs=1e-9)
         ros.parameters.update(heading=178.0, limit=1.0, speed=0.7)
-        ros.node.wanted = 0.7
+        ros.node.wanted, ros.node.correction = 0.7, 0.0
         ros.node.update()
         wanted = ros.control(boat, psi=math.radians(178.0), u=0.7)
         assert max(map(abs, wanted)) < 1.0
         assert wanted[0] != pytest.approx(wanted[1], abs=0.1)
         assert ros.commands(1) == pytest.approx(wanted)
+
+    run(node, ros, scenario)
+
+
+@pytest.mark.parametrize("model", ["ros", "commanded"])
+def test_a_weaker_thruster_leaves_no_heading_error(
+    model: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The left thruster gives 15 % less thrust than in the model. The feedback without the integral is wrong by it."""
+    ros = request.getfixturevalue(model)
+    node = imported_node(ros, monkeypatch)
+    ros.shares = (math.sqrt(0.85), 1.0)
+    ros.parameters["heading"] = 40.0
+
+    def error() -> float:
+        return math.degrees(ros.state["psi"]) - ros.parameters["heading"]
+
+    def scenario() -> None:
+        ros.sail(90.0)
+        assert error() == pytest.approx(0.0, abs=0.3)
+        held = ros.node.correction
+        assert held > math.radians(0.5)
+        ros.parameters["heading"] = 130.0  # a turn does not change it by much
+        found = []
+        for _ in range(60):
+            ros.sail(1.0)
+            found.append(error())
+        assert max(found) < 4.0
+        assert max(map(abs, found[-20:])) < 0.3
+        monkeypatch.setattr(node, "INTEGRAL", math.inf)
+        ros.node.correction = 0.0
+        ros.sail(40.0)
+        assert error() < -0.5
+
+    run(node, ros, scenario)
+
+
+@pytest.mark.parametrize("share", [0.85, 0.95])
+def test_a_limit_near_the_inputs_of_the_speed_is_logged(share: float, node: Any, ros: Ros) -> None:
+    """Above 0.9 of the limit, the feedback has too little room to steer."""
+    largest = max(ros.control.u0)
+    ros.parameters["limit"] = largest / share
+    run(node, ros, lambda: ros.sail(3.0))
+    warnings = [text for kind, text in ros.logged if kind == "warning"]
+    assert len(warnings) == (share > 0.9)
+    for text in warnings:
+        assert text.startswith(
+            f"too little room to steer: the speed of the feedback needs left {ros.control.u0[0]:.2f}"
+        )
+
+
+def test_the_integral_of_the_heading_rests_at_the_limit_and_is_bounded(node: Any, ros: Ros) -> None:
+    def scenario() -> None:
+        ros.sail(5.0)
+        ros.node.correction = 0.1
+        ros.parameters["limit"] = 0.05
+        ros.sail(1.0)
+        assert ros.node.correction == 0.1
+        ros.parameters["limit"] = 0.6
+        for _ in range(1000):
+            ros.node.integrate(-0.3)
+        assert ros.node.correction == pytest.approx(-math.radians(20.0))
+        ros.node.integrate(math.pi / 2.0)  # a turn
+        assert ros.node.correction == pytest.approx(-math.radians(20.0))
+        ros.silent.add(IMU)
+        ros.sail(1.0)
+        assert ros.node.correction == 0.0
 
     run(node, ros, scenario)
 
