@@ -112,7 +112,7 @@ class StateFeedback:
             if is_of_thruster(missing[0], SHAFT_SPEED):
                 words += (
                     "; if no sensor measures the shaft speed, estimate it from the commands that were sent, with delay "
-                    "and lag (docs/how-to/control.md, LQR without measured shaft speeds)"
+                    "and lag (documentation: Controllers from a fitted model, LQR without measured shaft speeds)"
                 )
             raise SeatrialError(words)
         _check_names("state", wanted, self.states)

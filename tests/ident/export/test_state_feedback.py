@@ -218,7 +218,7 @@ def test_wrong_weights_and_names_are_refused(linear: LinearModel) -> None:
     with pytest.raises(SeatrialError, match=r"the state psi is missing; the feedback needs [a-z_, ]*$"):
         control(dict.fromkeys(linear.states, 0.0))
     if "n_left" in control.states:
-        words = r"n_left is missing; .* estimate it from the commands that were sent, .* \(docs/how-to/control.md"
+        words = r"n_left is missing; .* estimate it from the commands that were sent, .* \(documentation: Controllers"
         with pytest.raises(SeatrialError, match=words):
             control(dict.fromkeys(set(control.states) - {"n_left"}, 0.0))
     with pytest.raises(SeatrialError, match="the model has no state 'heading'"):
