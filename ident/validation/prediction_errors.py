@@ -21,7 +21,7 @@ from seatrial.ident.model import Model
 from seatrial.ident.numerics import Array, correlation_length, student_ppf, wrap
 
 MIN_STRIDE = 2  # rows between the starts of predictions over the horizon
-MAX_STARTS = 600  # approximate largest number of starts in a record; longer records get a larger stride
+MAX_STARTS = 4000  # approximate largest number of starts in a record; longer records get a larger stride
 RECORD_GAP_S = 1e3  # between the times of two pooled records
 WARM_UP = 15.0  # s of measurements before a simulation
 BLOCK_HORIZONS = 2.0  # block length of the jackknife: errors are correlated over one horizon
@@ -113,7 +113,7 @@ def horizon_errors(
 
     The predictions use the inputs alone; the disturbance forces decay. Each channel is predicted at its own samples. A
     prediction starts at the last row that is at least ``seconds`` earlier. Only one prediction of a channel starts in
-    every two rows; in records of 1800 rows or more the starts are farther apart, so that there are about 600.
+    every two rows; in records of 12 000 rows or more the starts are farther apart, so that there are about 4000.
 
     Parameters
     ----------
