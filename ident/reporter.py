@@ -139,7 +139,7 @@ class TimedReporter:
         self._reporter, self._began = reporter, time.monotonic()
 
     def times(self) -> str:
-        """Return the time so far as text, such as ``0:40 so far``."""
+        """Return the time since the start as text, such as ``0:40 so far``."""
         return times_text(time.monotonic() - self._began, None)
 
     def progress(self, text: str, times: Callable[[], str] | None = None) -> None:

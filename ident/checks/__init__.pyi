@@ -10,6 +10,7 @@ from .log_checks import check_signals as check_signals
 from .log_checks import device_faults as device_faults
 from .log_checks import invalidates_fit as invalidates_fit
 from .log_checks import log_evidence as log_evidence
+from .recent_results import RecentResults as RecentResults
 from .shaft_gain import compare_shaft_gains as compare_shaft_gains
 from .shaft_gain import followed_command as followed_command
 from .shaft_gain import held_of_thrusters as held_of_thrusters

@@ -26,7 +26,8 @@ class RecentResults(Generic[R]):
         Parameters
         ----------
         arrays
-            Arrays that the result depends on. The same arrays are meant, not equal ones.
+            Arrays that the result depends on. The same arrays are meant, not equal ones. They may be empty if
+            ``options`` has all that the result depends on.
         compute
             Function that computes the result.
         options

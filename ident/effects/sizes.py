@@ -9,7 +9,7 @@ Estimates = Mapping[str, tuple[float, float]]  # estimate and standard error by 
 
 
 def size_in_words(value: float, error: float, unit: str) -> str:
-    """Return a size with its standard error in words, such as "1.4 ± 0.1 s" (`_with_error`)."""
+    """Return a size, its standard error and its unit as text, such as "1.4 ± 0.1 s" (`_with_error`)."""
     return f"{_with_error(value, error, 2)} {unit}"
 
 

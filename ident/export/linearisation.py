@@ -313,7 +313,7 @@ class LinearModel:
 
     @property
     def stable(self) -> bool:
-        """Whether all poles of the estimates have a negative real part. `stability` says what the data show of it."""
+        """Whether all poles of the estimates have a negative real part. The data may not show this: see `stability`."""
         return bool((self.poles.real < 0.0).all())
 
     @property

@@ -267,7 +267,7 @@ class LinearSystem(Protocol):
 
     @property
     def unstable_speeds(self) -> UnstableSpeeds | None:
-        """Speeds about that of the operating point with an unstable pole; None if there is none at this one."""
+        """Range of speeds around the operating point at which the system is unstable. None if it is stable there."""
 
 
 def lqr(

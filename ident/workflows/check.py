@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import math
 import pickle
-from collections import deque
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +20,7 @@ from seatrial.daq.errors import SeatrialError, counted
 from seatrial.ident.checks import (
     ESTIMATED,
     IMPORTED,
+    RecentResults,
     check_copies,
     check_signals,
     compare_headings,
@@ -56,9 +56,9 @@ from seatrial.ident.report import write_check_page
 LEAST_WHITE = 0.02  # least white noise of a navigation filter's output, relative to that of a usual sensor
 TURNING = 0.05  # of full speed; a shaft turns at larger speeds
 INITIAL_FACTOR = 1.5  # initial value of a noise with a floor, relative to the floor
-# Findings of the logs checked last, by a hash of the samples. A fit, its diagnosis and a comparison of models check the
-# same log each time, which takes as long as some evaluations of the likelihood.
-_recent_findings: deque[tuple[bytes, tuple[Finding, ...]]] = deque(maxlen=64)
+# A fit, its diagnosis and a comparison of models check the same log each time, which takes as long as some evaluations
+# of the likelihood.
+_findings = RecentResults[tuple[Finding, ...]]()
 
 
 def write_check(report: CheckReport, command: str, out: Path) -> None:
@@ -281,14 +281,9 @@ def _signal_findings(
     c: Mapping[str, Channel], sides: Mapping[str, float], known_noise: Collection[str]
 ) -> tuple[Finding, ...]:
     """Return the findings of `check_signals`, from memory if signals with the same samples were checked recently."""
-    arguments = pickle.dumps((dict(c), dict(sides), sorted(known_noise)))
-    key = hashlib.sha256(arguments).digest()
-    for known, findings in tuple(_recent_findings):  # a copy, because other threads append to it
-        if known == key:
-            return findings
-    findings = tuple(check_signals(c, sides, known_noise))
-    _recent_findings.append((key, findings))
-    return findings
+    # A log that is opened again has other arrays with the same samples, so that a hash of the samples is the key.
+    key = hashlib.sha256(pickle.dumps((dict(c), dict(sides), sorted(known_noise)))).digest()
+    return _findings.get((), lambda: tuple(check_signals(c, sides, known_noise)), key)
 
 
 def sides_of_model(model: Model, log: LoadedLog) -> Mapping[str, float]:
