@@ -366,7 +366,7 @@ def turn_rate(c: Channels, edges: Array, name: str) -> Array | None:
     """
     t = (edges[1:] + edges[:-1]) / 2
     if name == "gyro":
-        return fill_gaps(t, block_mean(c["r"], edges)[0]) if "r" in c else None
+        return fill_gaps(t, block_mean(c["r"], edges)) if "r" in c else None
     if name == "heading":
         return _central_rate(c["psi"].t, np.unwrap(c["psi"].value), t) if "psi" in c else None
     if not {"x", "y"} <= set(c):
@@ -456,7 +456,7 @@ def _surge_effect(c: Channels, t: Array, edges: Array, f: Array) -> RegressionEf
     if (u := surge_speed(c, t)) is not None:
         found = _thrust_effect(u, f, drift, SURGE_LAGS)
     if "ax" in c and np.abs(found.t).max() < 2 * SIGNIFICANT_T:
-        ax = fill_gaps(t, block_mean(c["ax"], edges)[0])
+        ax = fill_gaps(t, block_mean(c["ax"], edges))
         by_acceleration = _thrust_effect(ax, f, [], SURGE_LAGS, washed=True)
         if np.abs(by_acceleration.t).sum() > np.abs(found.t).sum():
             return by_acceleration

@@ -7,7 +7,7 @@ A row of a record is one instant: it has the samples of this instant, and the in
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from typing import Any
@@ -105,7 +105,7 @@ def sample_and_hold(channel: Channel, t: Array) -> Array:
     return channel.value[np.clip(at, 0, None)]
 
 
-def block_mean(channel: Channel, edges: Array, angle: bool = False) -> tuple[Array, Array]:
+def block_mean(channel: Channel, edges: Array, angle: bool = False) -> Array:
     """Return the mean values of a signal over consecutive intervals of time (blocks).
 
     Parameters
@@ -119,10 +119,8 @@ def block_mean(channel: Channel, edges: Array, angle: bool = False) -> tuple[Arr
 
     Returns
     -------
-    mean : Array (n,)
+    Array (n,)
         Mean value of the samples of each block, NaN for an empty block.
-    centre : Array (n,)
-        Mean time [s] of the samples of each block, NaN for an empty block.
     """
     value = channel.value
     if angle:  # a sum over a NaN would spoil all samples after it
@@ -131,12 +129,9 @@ def block_mean(channel: Channel, edges: Array, angle: bool = False) -> tuple[Arr
         value[known] = np.unwrap(value[known])
     index = np.searchsorted(edges, channel.t, side="right") - 1
     inside = (index >= 0) & (index < edges.size - 1) & np.isfinite(value)
-    index, value, t = index[inside], value[inside], channel.t[inside]
-    count = np.bincount(index, minlength=edges.size - 1)
+    index, value = index[inside], value[inside]
     with np.errstate(invalid="ignore"):
-        mean = np.bincount(index, value, edges.size - 1) / count
-        centre = np.bincount(index, t, edges.size - 1) / count
-    return mean, centre
+        return np.asarray(np.bincount(index, value, edges.size - 1) / np.bincount(index, minlength=edges.size - 1))
 
 
 @dataclass(frozen=True)
@@ -364,11 +359,13 @@ def build_record(
             f"{name}: inputs and sensors overlap for only {max(end - start, 0.0):.2f} s, and {2.0 / rate:g} s are "
             "needed: check the time stamps, or use a longer part of the log"
         )
+    intervals = {s.name: _median_interval(channels[s.outputs[0].name], start, end) for s in present}
+    fast = {n for n, interval in intervals.items() if interval <= AVERAGED / rate}
+    samples = _samples(name, present, channels, (start, end), rate, fast)
     windows = {
-        s.name: _averaging_window(_median_interval(channels[s.outputs[0].name], start, end), rate) for s in present
+        s.name: _averaging_window(intervals[s.name], samples[s.name][0]) if s.averaged and s.name in fast else 0.0
+        for s in present
     }
-    samples = {s.name: _sensor_samples(name, s, channels, start, end, rate, windows[s.name] > 0.0) for s in present}
-    windows |= {s.name: 0.0 for s in present if not s.averaged}
     window = min((windows[s.name] for s in present if _has_feedthrough(model, s)), default=0.0)
     exact = [i for i in own if i.hold == "zero" and not (i.prefilter and window)]
     switches = [_change_times(channels[i.name]) for i in exact]
@@ -489,12 +486,54 @@ def _derived_inputs(model: Model, channels: Mapping[str, Channel]) -> dict[str, 
     return derived
 
 
-def _sensor_samples(
-    name: str, sensor: Sensor, channels: Mapping[str, Channel], start: float, end: float, rate: float, faster: bool
+def _samples(
+    name: str,
+    present: Sequence[Sensor],
+    channels: Mapping[str, Channel],
+    interval: tuple[float, float],
+    rate: float,
+    fast: Set[str],
+) -> dict[str, tuple[Array, Array]]:
+    """Return the times (n,) [s] and values (n, n_outputs) of the samples of each sensor in a record, by its name.
+
+    Parameters
+    ----------
+    name
+        Name of the record, for messages.
+    present
+        The sensors.
+    channels
+        The signals by name.
+    interval
+        Start and end of the record [s], both included.
+    rate
+        Rate of the rows [Hz].
+    fast
+        Names of the sensors that are so fast that their samples are reduced to one for each block of 1/rate. This is
+        the mean of the block or, if the model wants no mean (`Sensor.averaged`), the sample nearest to the middle of
+        the block.
+
+    Raises
+    ------
+    ValueError
+        If the outputs of a sensor that is not averaged have no common time.
+    """
+    averaged = [s for s in present if s.averaged and s.name in fast]
+    samples = {
+        s.name: _own_samples(name, s, channels, *interval, rate if s.name in fast else None)
+        for s in present
+        if s not in averaged
+    }
+    blocks = _Blocks.around([times for times, _ in samples.values()], *interval, rate)
+    return samples | {s.name: _averaged_samples(s, channels, blocks) for s in averaged}
+
+
+def _own_samples(
+    name: str, sensor: Sensor, channels: Mapping[str, Channel], start: float, end: float, thinned_to: float | None
 ) -> tuple[Array, Array]:
     """Return the times (n,) [s] and values (n, n_outputs) of the samples of a sensor from ``start`` to ``end`` [s].
 
-    Both ends are included. The means of blocks end within half a block before or after ``end``.
+    Both ends are included.
 
     Parameters
     ----------
@@ -506,52 +545,151 @@ def _sensor_samples(
         The signals by name.
     start, end
         Interval of the record [s].
-    rate
-        Rate of the rows [Hz].
-    faster
-        Whether the sensor is so fast that its samples are reduced to one for each block of 1/rate. This is the mean of
-        the block or, if the model wants no mean (`Sensor.averaged`), the sample nearest to the middle of the block.
+    thinned_to
+        Rate [Hz] of the rows if only the sample nearest to the middle of each block of 1/rate is returned. None: all
+        samples are returned.
 
     Raises
     ------
     ValueError
-        If the outputs of a sensor that is not averaged have no common time.
+        If the outputs of the sensor have no common time.
     """
     first = channels[sensor.outputs[0].name]
-    if not (faster and sensor.averaged):
-        # An import drops NaN for each signal separately. A sample needs all outputs at the same time.
-        own_channels, inside = [channels[o.name] for o in sensor.outputs], (first.t >= start) & (first.t <= end)
-        times = reduce(np.intersect1d, [c.t for c in own_channels[1:]], first.t[inside])
-        if not times.size and inside.any():
-            names = " and ".join(o.name for o in sensor.outputs)
-            raise ValueError(
-                f"{name}: {names} are used together as the sensor {sensor.name}, but they have no common time stamp; "
-                "give both the same time stamps"
-            )
-        if faster:
-            times = _nearest_to_block_middles(times, start, end, rate)
-        values = np.column_stack([c.value[np.searchsorted(c.t, times)] for c in own_channels])
-    else:
-        own_times = np.concatenate([channels[o.name].t for o in sensor.outputs])
-        edges = _block_edges(own_times[(own_times >= start) & (own_times <= end)], start, end, rate)
-        blocks = [block_mean(channels[o.name], edges, o.angle) for o in sensor.outputs]
-        times, values = blocks[0][1], np.column_stack([b[0] for b in blocks])
+    # An import drops NaN for each signal separately. A sample needs all outputs at the same time.
+    own_channels, inside = [channels[o.name] for o in sensor.outputs], (first.t >= start) & (first.t <= end)
+    times = reduce(np.intersect1d, [c.t for c in own_channels[1:]], first.t[inside])
+    if not times.size and inside.any():
+        names = " and ".join(o.name for o in sensor.outputs)
+        raise ValueError(
+            f"{name}: {names} are used together as the sensor {sensor.name}, but they have no common time stamp; "
+            "give both the same time stamps"
+        )
+    if thinned_to is not None:
+        times = _nearest_to_block_middles(times, start, end, thinned_to)
+    values = np.column_stack([c.value[np.searchsorted(c.t, times)] for c in own_channels])
     good = np.isfinite(times) & np.isfinite(values).all(axis=1)
     return times[good], values[good]
 
 
-def _block_edges(times: Array, start: float, end: float, rate: float) -> Array:
-    """Return the edges [s] of blocks of 1/rate from ``start`` to ``end`` [s], but only those near ``times`` (n,) [s].
+def _averaged_samples(sensor: Sensor, channels: Mapping[str, Channel], block: _Blocks) -> tuple[Array, Array]:
+    """Return the times (n,) [s] and values (n, n_outputs) of the means of a fast sensor, one for each block.
 
-    The blocks that contain a time, and their neighbours, are complete. No edge is later than half a block after
-    ``end``. If a time is near ``end``, the last edge is within half a block before or after ``end``. ``rate`` is in Hz.
-    All edges in a gap of years would need gigabytes.
+    Parameters
+    ----------
+    sensor
+        The sensor. A block without a sample of one of its outputs is left out.
+    channels
+        The signals by name.
+    block
+        The blocks, which all averaged sensors have in common.
     """
-    step = (start + 1.0 / rate) - start  # as np.arange has it
-    last = math.ceil((end + 0.5 / rate - start) * rate) - 1
-    block = np.unique(np.floor((times - start) / step))
-    near = np.unique(np.concatenate([block + k for k in (-1.0, 0.0, 1.0, 2.0)]))  # one more than needed: rounding
-    return np.asarray(start + near[(near >= 0.0) & (near <= last)] * step)
+    means = [block.mean(channels[o.name], o.angle) for o in sensor.outputs]
+    times = reduce(np.intersect1d, [t for t, _ in means])
+    return times, np.column_stack([value[np.searchsorted(t, times)] for t, value in means])
+
+
+@dataclass(frozen=True)
+class _Blocks:
+    """Blocks of time over which all fast sensors are averaged, each around an instant that gets a row of the record.
+
+    Attributes
+    ----------
+    start, end : float
+        Interval of the record [s], with both ends.
+    rate : float
+        Rate [Hz]. A block is about 1/rate long.
+    anchors : Array (n,)
+        Instants [s] that other rows have already, increasing. Between two of them the other instants are equidistant,
+        at most `JITTER` (1.1) times 1/rate apart. Before the first and after the last they are 1/rate apart.
+
+    Notes
+    -----
+    A slow sensor, as a GPS of 5 Hz, keeps its own times. If the blocks of a fast sensor lay beside them, each sample of
+    both would need a row of its own, and an evaluation of the likelihood takes time for each row.
+    """
+
+    start: float
+    end: float
+    rate: float
+    anchors: Array
+
+    @classmethod
+    def around(cls, slow: Sequence[Array], start: float, end: float, rate: float) -> _Blocks:
+        """Return the blocks around the times of slow sensors.
+
+        Parameters
+        ----------
+        slow
+            Times of the samples of each slow sensor [s]. Those of the sensor with the most samples are preferred. A
+            time less than half a block away from another one is no anchor.
+        start, end, rate
+            As the attributes.
+        """
+        apart, anchors = 0.5 / rate, np.empty(0)
+        for times in sorted(slow, key=lambda t: -t.size):
+            free = times[np.append(True, np.diff(times) >= apart)[: times.size]]
+            if anchors.size:
+                after = np.searchsorted(anchors, free)
+                padded = np.concatenate([[-np.inf], anchors, [np.inf]])
+                free = free[(free - padded[after] >= apart) & (padded[after + 1] - free >= apart)]
+            anchors = np.sort(np.concatenate([anchors, free]))
+        return cls(start, end, rate, anchors if anchors.size else np.array([start + apart]))
+
+    def instant(self, t: Array) -> Array:
+        """Return the instant [s] of the block in which each of the times ``t`` (n,) [s] from start to end lies."""
+        step, anchors = 1.0 / self.rate, self.anchors
+        at = np.searchsorted(anchors, t, side="right")
+        before, after = anchors[np.maximum(at - 1, 0)], anchors[np.minimum(at, anchors.size - 1)]
+        inner = (at > 0) & (at < anchors.size)
+        gap = np.where(inner, after - before, step)
+        n = np.where(inner, np.maximum(np.ceil(gap / (JITTER * step) - 1e-6), 1.0), 1.0)
+        k = np.round((t - before) / (gap / n))
+        # No instant before the start or after the end. The whole part of a quotient such as 0.3/0.1 may be one too low.
+        k = np.clip(k, np.ceil((self.start - before) / step - 1e-6), None)
+        k = np.where(inner, k, np.minimum(k, np.floor((self.end - before) / step + 1e-6)))
+        return np.where(inner & (k == n), after, before + k * (gap / n))
+
+    def mean(self, channel: Channel, angle: bool) -> tuple[Array, Array]:
+        """Return the instants (n,) [s] of the blocks with a sample of a signal, and the mean values (n,) at them.
+
+        Parameters
+        ----------
+        channel
+            The signal. Samples with NaN, and samples outside the record, are ignored.
+        angle
+            Whether the signal is an angle [rad]. It is then unwrapped before it is averaged.
+
+        Notes
+        -----
+        The mean of the samples belongs to the mean of their times. It is moved to the instant, which is about half a
+        sample interval away, by the slope of the straight line of least squares through these samples and their
+        neighbours. A block whose samples have all the same time, without neighbours, has that time as its instant.
+        """
+        t, value = channel.t, channel.value
+        known = np.isfinite(value) & (t >= self.start) & (t <= self.end)
+        t, value = t[known], value[known]
+        if not t.size:
+            return t, value
+        if angle:
+            value = np.unwrap(value)
+        of_block = self.instant(t)
+        first = np.flatnonzero(np.append(True, np.diff(of_block) > 0.0))
+        last = np.append(first[1:], t.size) - 1
+        instant, origin = of_block[first], value[first]
+        d, v = t - of_block, value - np.repeat(origin, last - first + 1)
+        n = last - first + 1.0
+        sum_d, sum_v, sum_dd, sum_dv = (np.add.reduceat(a, first) for a in (d, v, d * d, d * v))
+        mean_d, mean_v = sum_d / n, sum_v / n
+        for neighbour in (first - 1, last + 1):
+            inside = np.clip(neighbour, 0, t.size - 1)
+            d, v = t[inside] - instant, value[inside] - origin
+            used = (inside == neighbour) & (np.abs(d - mean_d) <= 1.0 / self.rate)
+            n, sum_d, sum_v = n + used, sum_d + used * d, sum_v + used * v
+            sum_dd, sum_dv = sum_dd + used * d * d, sum_dv + used * d * v
+        spread = n * sum_dd - sum_d**2
+        sloped = spread > SAME_TIME**2
+        slope = np.divide(n * sum_dv - sum_d * sum_v, spread, out=np.zeros(n.size), where=sloped)
+        return np.where(sloped, instant, instant + mean_d), origin + mean_v - slope * mean_d
 
 
 def _nearest_to_block_middles(times: Array, start: float, end: float, rate: float) -> Array:
@@ -579,14 +717,14 @@ def _median_interval(channel: Channel, start: float, end: float) -> float:
     return float(np.median(np.diff(channel.t[inside]))) if inside.sum() > 2 else np.inf
 
 
-def _averaging_window(interval: float, rate: float) -> float:
+def _averaging_window(interval: float, instants: Array) -> float:
     """Return the length [s] of the moving average of a continuous signal that is equivalent to a mean of samples.
 
-    The mean is that of the samples, ``interval`` [s] apart, in blocks of 1/rate, with the rate of the rows ``rate``
-    [Hz]. Both averages have the same variance of time. The result is zero for a sensor that is too slow to be averaged:
-    whose interval is longer than `AVERAGED` (0.6) times 1/rate.
+    The mean is that of the samples, ``interval`` [s] apart, in blocks around ``instants`` (n,) [s], of which the median
+    length counts. Both averages have the same variance of time.
     """
-    return math.sqrt(1.0 / rate**2 - interval**2) if interval <= AVERAGED / rate else 0.0
+    block = float(np.median(np.diff(instants))) if instants.size > 1 else 0.0
+    return math.sqrt(max(block**2 - interval**2, 0.0))
 
 
 def _has_feedthrough(model: Model, sensor: Sensor) -> bool:
