@@ -395,11 +395,12 @@ def is_worth_its_parameters(importance: EffectImportance, policy: SearchPolicy =
     """Return whether an effect justifies its parameters beside the other effects.
 
     Three conditions have to hold. The validation data support the effect: the gain is positive and t exceeds
-    ``policy.min_t``, or ``policy.min_t_if_predicting`` if the effect improves the prediction. The prediction over the
-    horizon is not significantly worse with the effect. The prediction errors are smaller with it by an amount that
-    matters: it improves the prediction (`improves_prediction`), or the errors over the horizon fall by an amount that
-    matters (`falls_materially`), or the error ratio by inputs alone exceeds ``policy.material_error_ratio``. False if
-    the importance is unknown (NaN).
+    ``policy.min_t``, or ``policy.min_t_if_predicting`` if the effect improves the prediction. If the whole 95 %
+    interval of the error ratio over the horizon is below ``policy.max_ratio_without_t``, a positive gain is enough. The
+    prediction over the horizon is not significantly worse with the effect. The prediction errors are smaller with it by
+    an amount that matters: it improves the prediction (`improves_prediction`), or the errors over the horizon fall by
+    an amount that matters (`falls_materially`), or the error ratio by inputs alone exceeds
+    ``policy.material_error_ratio``. False if the importance is unknown (NaN).
 
     Parameters
     ----------
@@ -416,7 +417,10 @@ def is_worth_its_parameters(importance: EffectImportance, policy: SearchPolicy =
         or importance.error_ratio > policy.material_error_ratio
     )
     least_t = policy.min_t_if_predicting if improves else policy.min_t
-    return importance.validation_gain > 0 and importance.t > least_t and matters and not worse
+    # A few blocks with a large gain make t small, because they also raise its standard error.
+    fell_far = importance.prediction is not None and importance.prediction.high < policy.max_ratio_without_t
+    supported = importance.validation_gain > 0 and (importance.t > least_t or fell_far)
+    return supported and matters and not worse
 
 
 def should_be_removed(

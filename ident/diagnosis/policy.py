@@ -86,6 +86,9 @@ class SearchPolicy:
     min_t_if_predicting
         Replaces ``min_t`` in the backward elimination for an effect that improves the prediction, which is further
         evidence.
+    max_ratio_without_t
+        Error ratio over the horizon, with the effect over without it. If its whole 95 % interval is below this value,
+        the backward elimination asks for a positive gain on the validation data, and for no t statistic.
     min_identified_ratio, min_identified_ratio_beside
         Error ratio, without the effect over with it, below which an effect is not identified. The second value replaces
         the first one if the model has the common errors, and always for an effect of the form of the hull. A real boat
@@ -183,6 +186,7 @@ class SearchPolicy:
     min_t_if_pooled: float = 1.0
     min_trial_criterion: float = 50.0
     min_t_if_predicting: float = 1.0
+    max_ratio_without_t: float = 0.8
     min_error_ratio: float = 1.015
     material_error_ratio: float = 1.005
     input_horizon: float = 0.6

@@ -200,6 +200,14 @@ def test_effect_importance_reports_support_and_improved_prediction(
     assert not is_worth_its_parameters(EffectImportance("wind", 100.0, error, -3.0, 4.0, prediction))
 
 
+@pytest.mark.parametrize(("high", "gain", "pays"), [(0.6, 20.0, True), (0.85, 20.0, False), (0.6, -1.0, False)])
+def test_effect_with_a_certain_large_fall_of_the_error_needs_no_t_statistic(
+    high: float, gain: float, pays: bool
+) -> None:
+    weight = EffectImportance("wind", 100.0, 1.5, gain, 0.76, change(0.43, 0.32, high))
+    assert is_worth_its_parameters(weight) is pays
+
+
 @pytest.mark.parametrize(
     ("outcomes", "of_round"),
     [
