@@ -31,7 +31,7 @@ def model(hold: str = "zero", feels: str = "") -> Model:
     return plain_model(
         "cart",
         f=lambda x, u, p: {"s": u.w},
-        h=lambda x, u, p: {n: u.w if n == feels else x.s for n in ("psi", "a", "b")},
+        h=lambda x, u, p: {n: u.w if n == feels else x.s for n in ("psi", "a", "b", "x")},
         states=(State("s"),),
         inputs=(Input("w", "N", hold),),  # type: ignore[arg-type]
         sensors=(
@@ -78,6 +78,54 @@ def test_fast_sensor_is_averaged_and_a_slow_one_keeps_its_times() -> None:
     np.testing.assert_allclose(record.t[whole], np.arange(0, 10.01, 0.25), atol=1e-9)
     np.testing.assert_allclose(pair[whole], np.column_stack([np.sin(record.t[whole]), np.cos(record.t[whole])]))
     assert record.outputs == ("psi", "a", "b")
+
+
+def jittered(rate: float, seed: int, seconds: float = 60.0) -> np.ndarray:
+    """Return times [s] of samples that are up to a fifth of an interval late."""
+    return np.arange(0.0, seconds, 1 / rate) + np.random.default_rng(seed).uniform(
+        0.0, 0.2 / rate, round(seconds * rate)
+    )
+
+
+def test_sensors_with_own_times_share_rows() -> None:
+    """Heading at 20 Hz, a pair at 50 Hz and positions at 5 Hz, all with other stamps, need 10 rows a second."""
+    boat = model()
+    boat = replace(boat, sensors=(*boat.sensors, Sensor("fix", (Output("x", "m", "e"),))))
+    wave = lambda t: np.sin(1.5 * t)  # noqa: E731
+    at = {n: jittered(rate, i) for i, (n, rate) in enumerate({"psi": 20.0, "a": 50.0, "x": 5.0}.items())}
+    at["b"] = at["a"]
+    signals = {n: Channel(t, 3.0 + wave(t)) for n, t in at.items()}
+    record = build_record(boat, signals | {"w": channels()["w"]}, t_to=59.0)
+    seen = np.isfinite(record.y)
+    assert record.n_rows < 1.1 * 590
+    assert (seen[:, :3].sum(axis=0) > 0.97 * record.n_rows).all()
+    np.testing.assert_array_equal(record.y[seen[:, 3], 3], 3.0 + wave(record.meta["t0"] + record.t[seen[:, 3]]))
+    for j in range(3):
+        expected = 3.0 + wave(record.meta["t0"] + record.t[seen[:, j]])
+        # The mean of a sine over 0.1 s is 0.1 % smaller, and the samples of a block are not quite symmetrical.
+        np.testing.assert_allclose(record.y[seen[:, j], j], expected, atol=0.006)
+        assert np.mean(record.y[seen[:, j], j] - expected) == pytest.approx(0.0, abs=1e-4)
+
+
+def test_noise_of_means_at_the_times_of_another_sensor_is_white() -> None:
+    """The straight line through a block and its neighbours adds little noise, and correlates the means little."""
+    t, rng = jittered(20.0, 1, 500.0), np.random.default_rng(2)
+    fix = jittered(5.0, 3, 500.0)
+    signals = channels() | {"psi": Channel(t, 0.1 * rng.normal(size=t.size)), "a": Channel(fix, 0.0 * fix)}
+    record = build_record(model(), signals | {"b": signals["a"], "w": Channel(np.array([0.0, 499.0]), np.zeros(2))})
+    psi = record.y[np.isfinite(record.y[:, 0]), 0]
+    assert psi.std() == pytest.approx(0.1 / np.sqrt(2), rel=0.1)
+    assert abs(np.corrcoef(psi[1:], psi[:-1])[0, 1]) < 0.15
+
+
+def test_lone_sample_of_a_fast_sensor_keeps_its_own_time() -> None:
+    psi = channel(50.0)
+    alone = (psi.t < 3.0) | (psi.t > 5.0) | (np.abs(psi.t - 4.04) < 1e-6)
+    signals = channels() | {"psi": replace(psi, t=psi.t[alone], value=psi.value[alone])}
+    record = build_record(model(), signals)
+    at = int(np.argmin(np.abs(record.t - 4.04)))
+    assert (record.t[at], record.y[at, 0]) == pytest.approx((4.04, np.sin(4.04)), abs=1e-9)
+    assert np.isnan(record.y[(record.t > 3.1) & (record.t < 4.9) & (np.arange(record.n_rows) != at), 0]).all()
 
 
 def test_fast_sensor_without_averaging_has_one_sample_in_each_row() -> None:
