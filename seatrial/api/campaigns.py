@@ -10,7 +10,7 @@ from seatrial.api.arguments import as_path
 from seatrial.api.calls import python_call
 from seatrial.api.fits import FitOptions, Logs, vehicle_request
 from seatrial.api.fleet import common_window
-from seatrial.api.logs import PathLike, as_paths
+from seatrial.api.logs import PathLike, as_logs
 from seatrial.api.messages import Messages, errors_of_users, in_python, text_of, warn_of_result
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError
@@ -146,7 +146,7 @@ def compare_campaigns(
 
     if not 0.0 < false_discovery_rate <= 0.5:
         raise SeatrialError(f"false_discovery_rate={false_discovery_rate:g}: give a number above 0, at most 0.5")
-    earlier, later = as_paths(before), as_paths(after)
+    earlier, later = as_logs(before, after)
     window = common_window(options, before, after)
     with errors_of_users():
         vehicle, progress = vehicle_request((), (), str(model), window, {"score_tests": False, **options})

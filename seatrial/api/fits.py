@@ -21,7 +21,7 @@ from seatrial.api.arguments import Role, as_path, check_switches, check_values, 
 from seatrial.api.calls import python_call
 from seatrial.api.figures import Figure
 from seatrial.api.findings import DiagnosisFindings
-from seatrial.api.logs import Log, PathLike, as_list, as_paths
+from seatrial.api.logs import Log, PathLike, as_list, as_logs
 from seatrial.api.messages import Messages, errors_of_users, warn_of_result
 from seatrial.api.series import ByRecord, Prediction, Series
 from seatrial.api.shown import Content, Shown
@@ -685,7 +685,8 @@ def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[
     from seatrial.ident.workflows.vehicle import fit_vehicle
 
     with errors_of_users():
-        request, progress = vehicle_request(as_paths(logs), _paths_or_none(validate), model, window_of(logs), options)
+        paths, validation = _logs_and_validation(logs, validate)
+        request, progress = vehicle_request(paths, validation, model, window_of(logs), options)
         messages = Messages(progress)
         command = python_call(fit, {"logs": logs, "model": model, "validate": validate, **options})
         done: VehicleFit = fit_vehicle(request, command, messages)
@@ -807,10 +808,11 @@ def diagnose(
     if "effects_file" in given:
         given["effects_file"] = Path(given["effects_file"])
     with errors_of_users(), model_path(model) as path:
+        paths, validation = _logs_and_validation(logs, validate)
         request = DiagnosisRequest(
             path,
-            as_paths(logs),
-            _paths_or_none(validate),
+            paths,
+            validation,
             Path(),
             EstimationOptions(**estimation),
             window=window_of(logs),
@@ -884,18 +886,19 @@ def window_of(logs: Logs) -> Any:
     return windows[0] if len(set(windows)) == 1 else windows
 
 
-def _paths_or_none(logs: Logs) -> list[Path]:
-    """Return the paths of validation logs, which are used whole. Without logs return an empty list.
+def _logs_and_validation(logs: Logs, validate: Logs) -> tuple[list[Path], list[Path]]:
+    """Return the paths of the logs of a fit and of its validation logs, which are used whole and may be none.
 
     Raises
     ------
     SeatrialError
-        If a log does not exist, or if a `Log` has a window.
+        As `as_logs`, or if a `Log` of the validation has a window.
     """
-    several = as_list(logs)
+    several = as_list(validate)
     if cut := [x.path.name for x in several if isinstance(x, Log) and (x.start > 0.0 or np.isfinite(x.end))]:
         raise SeatrialError(f"validation logs are always used as a whole: open {', '.join(cut)} without start and end")
-    return as_paths(several) if several else []
+    paths, *validation = as_logs(logs, *([several] if several else ()))
+    return paths, validation[0] if validation else []
 
 
 def known_options(given: Mapping[str, Any], options: type) -> dict[str, Any]:

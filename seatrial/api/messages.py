@@ -45,12 +45,13 @@ VALUES_OF_PARAMETERS = re.compile(  # several of them in sequence
     "{0}(?: {0})*".format(re.sub(r"\?P<\w+>", "?:", VALUE_OF_PARAMETER.pattern))
 )
 OPTION = re.compile(r"(?<![\w-])(?:--[a-z]+(?:-[a-z]+)*|-o(?![\w-]))")
-GUESS = "seatrial import --guess "  # command that st.import_log without a map replaces, before the paths
+IMPORT = "seatrial import "  # command that st.import_log replaces, before the paths
+GUESS = f"{IMPORT}--guess "  # command that st.import_log without a map or st.guess_map replaces
 DESIGN = "seatrial mission design "  # command that st.design replaces, before the model
 
 # Functions of `seatrial` by the command that calls them, in a text between backticks.
 FUNCTIONS = {
-    "seatrial check": "st.check", "seatrial ident changes": "st.compare_campaigns",
+    "seatrial check": "st.check", "seatrial import": "st.import_log", "seatrial ident changes": "st.compare_campaigns",
     "seatrial ident compare": "st.compare", "seatrial ident diagnose": "st.diagnose",
     "seatrial ident export": "st.export", "seatrial ident fleet": "st.fit_many",
     "seatrial ident navigate": "st.navigate", "seatrial ident thruster": "st.thruster",
@@ -69,16 +70,16 @@ def in_python(text: str, own: Mapping[str, str] = MappingProxyType({})) -> str:
 
     For example, ``--fix e_psi=0.03`` becomes ``fixed={'e_psi': 0.03}``, and a command without arguments between
     backticks becomes the function that it calls. Values after each other become one argument for each option. Options
-    without an entry in the tables stay. So does a command with arguments, which can be run as it is, except the guess
-    of an import map alone, which becomes ``st.import_log``, and the design of a mission that discriminates two effects,
-    which becomes ``st.design``.
+    without an entry in the tables stay. So does a command with arguments, which can be run as it is, except an
+    import or the guess of an import map without further options, which become ``st.import_log`` and ``st.guess_map``,
+    and the design of a mission that discriminates two effects, which becomes ``st.design``.
     ``own`` has the arguments of a function that differ from those of the others, by the option.
     """
     arguments = {**ARGUMENTS, **own}
 
     def replaced(part: str, between_backticks: bool) -> str:
         """Return a part of the message, between two backticks or outside of them, in the words of Python."""
-        if between_backticks and part.startswith(GUESS):
+        if between_backticks and part.startswith(IMPORT):
             return _as_import(part)
         if between_backticks and part.startswith(DESIGN):
             return _as_design(part)
@@ -104,12 +105,25 @@ def _as_dictionaries(options: re.Match[str]) -> str:
 
 
 def _as_import(command: str) -> str:
-    """Return the command of a guessed import map as a call of Python; unchanged if it has further options."""
-    paths = shlex.split(command.removeprefix(GUESS))
-    if any(path.startswith("-") for path in paths):
+    """Return a command of `seatrial import` as a call of Python; unchanged if it has further options.
+
+    A guess with ``-o`` becomes ``st.guess_map``, a guess without it and an import with a map ``st.import_log``. The
+    word ``FILE...`` for any files becomes the name ``files``.
+    """
+    is_guess = command.startswith(GUESS)
+    words = shlex.split(command.removeprefix(GUESS if is_guess else IMPORT))
+    if is_guess and words[-2:-1] == ["-o"]:
+        paths, of_map = words[:-2], words[-1]
+    else:
+        paths, of_map = (words, "") if is_guess else (words[1:], words[0])
+    if (
+        not paths
+        or any(word.startswith("-") for word in (*paths, of_map))
+        or not (is_guess or of_map.endswith(".toml"))
+    ):
         return command
-    files: object = paths[0] if len(paths) == 1 else paths
-    return f"st.import_log({files!r})"
+    files = "files" if paths == ["FILE..."] else repr(paths[0] if len(paths) == 1 else paths)
+    return f"st.{'guess_map' if is_guess and of_map else 'import_log'}({files}{f', {of_map!r}' if of_map else ''})"
 
 
 def _as_design(command: str) -> str:

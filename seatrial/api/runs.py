@@ -34,7 +34,7 @@ from seatrial.api.fits import (
     model_path,
     window_of,
 )
-from seatrial.api.logs import PathLike, as_paths
+from seatrial.api.logs import PathLike, as_logs
 from seatrial.api.messages import OF_THRUSTER, Messages, errors_of_users, warn_of_result, with_texts_in_python
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError
@@ -369,7 +369,7 @@ def thruster(logs: Logs, **options: Unpack[ThrusterOptions]) -> FittedThruster |
     reporter = Messages(given.pop("progress", False))
     estimation = {n: given.pop(n) for n in ("outlier_model", "reml", "horizon") if n in given}
     how = replace(EstimationOptions(reml=True), **estimation)
-    paths = as_paths(logs)
+    (paths,) = as_logs(logs)
 
     def work(out: Path) -> Any:
         """Fit the thruster, write the files of the command to the folder `out`, and return the fit."""
@@ -434,7 +434,7 @@ def navigate(
 
     check_rate(rate)
     outages = as_intervals("gnss_outages", gnss_outages)
-    paths, curve = as_paths(logs), None if thruster is None else model_file(as_path(thruster, "thruster"))
+    (paths,), curve = as_logs(logs), None if thruster is None else model_file(as_path(thruster, "thruster"))
 
     def work(out: Path) -> Any:
         """Estimate the states, write the files of the command to the folder `out`, and return the result."""

@@ -1920,6 +1920,32 @@ def test_wrong_arguments_give_a_one_line_error(
     assert "\n" not in str(raised.value)
 
 
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda a, b, good, model: st.compare_campaigns([a, good], [good, b]),
+        lambda a, b, good, model: st.compare(model, [a, good, b]),
+        lambda a, b, good, model: st.fit([good, a], validate=b),
+        lambda a, b, good, model: st.diagnose(model, [a, b], validate=good),
+        lambda a, b, good, model: st.navigate(model, [a, good, b]),
+        lambda a, b, good, model: st.thruster([a, b]),
+        lambda a, b, good, model: st.check([a, b, good]),
+    ],
+)
+def test_all_files_that_are_no_logs_are_named_before_the_first_is_read(call: Any, tmp_path: Path) -> None:
+    a, b, good, model = (tmp_path / name for name in ("a.csv", "b.csv", "good.mcap", "model.toml"))
+    for file in (a, b, model):
+        file.write_text("t,u\n0,1\n", encoding="utf-8")
+    good.write_bytes(b"\x89MCAP0\r\n")
+    with pytest.raises(SeatrialError) as error:
+        call(a, b, good, model)
+    files = [str(a), str(b)]
+    assert str(error.value) == (
+        f"{a}, {b}: not MCAP logs; use `st.import_log` for logs of other formats: `st.guess_map({files!r}, "
+        f"'map.toml')`, then `st.import_log({files!r}, 'map.toml')`"
+    )
+
+
 def test_a_file_of_a_ros_bag_is_named_with_the_way_to_import_it(logs: list[Path], tmp_path: Path) -> None:
     (fault,) = st.check(file_of_ros(tmp_path)).faults
     assert (fault.code, fault.text) == ("ros-bag", "it is a bag of ROS 2, not a log")
