@@ -48,16 +48,16 @@ class CampaignComparison(Shown):
     def to_pandas(self) -> Any:
         """Return the differences as a ``pandas.DataFrame`` with a row for each parameter, in SI units and radians.
 
-        The columns are before, after, difference, se, low, high, relative, scatter, p, q, changed and unit. The
-        difference, its standard error and its interval (low, high) are in this unit; relative is the difference as a
-        part of before.
+        The columns are before, after, difference, se, low, high, relative, scatter, p, q, changed, detectable and unit.
+        The difference, its standard error and its interval (low, high) are in this unit, and so is detectable, the
+        size from which on a difference would be a change. relative is the difference as a part of before.
 
         Raises
         ------
         SeatrialError
             If pandas is not installed.
         """
-        names = ("difference", "se", "low", "high", "relative", "scatter", "p", "q", "changed", "unit")
+        names = ("difference", "se", "low", "high", "relative", "scatter", "p", "q", "changed", "detectable", "unit")
         rows = {
             p.name: {"before": p.before.mean, "after": p.after.mean} | {n: getattr(p, n) for n in names}
             for p in self.result.parameters
