@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seatrial.daq.checks import too_many_rows_missing, unknown_names_text, unknown_times
+from seatrial.daq.checks import too_many_rows_missing, unknown_names, unknown_names_text, unknown_times
 from seatrial.daq.errors import SeatrialError, counted, warn
 from seatrial.daq.importers.boat_tables import BoatTable
 from seatrial.daq.importers.import_map import TIME_UNITS, ImportMap, Piece, Source, load_import_map
 from seatrial.daq.importers.missing_inputs import gap_lines
-from seatrial.daq.importers.signals import Held, RowsLeftOut, SignalData, Signals, coarse_advice, read_signals
+from seatrial.daq.importers.signals import TURNED, Held, RowsLeftOut, SignalData, Signals, coarse_advice, read_signals
 from seatrial.daq.importers.sources import source_kind
 from seatrial.daq.importers.table import Table
 from seatrial.daq.importers.write_log import sha256_of, write_signals
@@ -71,6 +71,8 @@ def import_files(
     import_map = load_import_map(map_path, geometry, scale)
     if unknown := unknown_names_text(s.name for source in import_map.sources for s in source.signals):
         warn(f"{map_path}: {unknown}")
+    if assumed := _assumed_roles_line(import_map):
+        warn(f"{map_path}: {assumed}")
     groups = _files_of_logs(import_map, files)
     pieces_of = [_pieces_of_file(import_map, group) for _, group in groups]
     if out is not None and (n_logs := sum(map(len, pieces_of))) > 1:
@@ -112,6 +114,24 @@ def import_files(
             f"{spoiled[0][0]}: {spoiled[0][1].text}{rest}: the log is written, but too many rows are missing; {advice}"
         )
     return written
+
+
+def _assumed_roles_line(import_map: ImportMap) -> str:
+    """Return a line on the signals that are outputs only because the map has no role for them; empty without any.
+
+    Signals whose name a built-in model or the conversion of frames uses, and those that should have another name
+    (`unknown_names`), are left out.
+    """
+    signals = [signal for source in import_map.sources for signal in source.signals]
+    unclear = {name for name, advice in unknown_names(signal.name for signal in signals).items() if not advice} - TURNED
+    names = dict.fromkeys(signal.name for signal in signals if signal.is_role_assumed and signal.name in unclear)
+    if not names:
+        return ""
+    are = "no model uses this name, so it is" if len(names) == 1 else "no model uses these names, so they are"
+    return (
+        f"{', '.join(names)}: {are} imported as {'an output' if len(names) == 1 else 'outputs'} (measured "
+        'values); give role = "input" for a command or another input, or role = "output" to confirm'
+    )
 
 
 def _pieces_of_file(import_map: ImportMap, group: Sequence[tuple[Path, Source]]) -> tuple[Piece, ...]:

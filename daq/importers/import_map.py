@@ -118,6 +118,8 @@ class Signal:
         Units of the columns with `make`.
     repeats : str
         "keep" or "drop" values that repeat the previous one; "" for `TextStyle.repeats` of the source.
+    is_role_assumed : bool
+        Whether the map has no role for the signal, which is then an output.
     """
 
     name: str
@@ -142,6 +144,7 @@ class Signal:
     make: str = ""  # a key of MAKES
     units: tuple[str, ...] = ()
     repeats: str = ""  # keep | drop: values that repeat the previous one; "": as TextStyle.repeats
+    is_role_assumed: bool = False
 
     @property
     def log_name(self) -> str:
@@ -522,6 +525,7 @@ def _signal_of_table(table: TomlTable, frame: str) -> Signal:
         make,
         units,
         table.text("repeats", "", choices=("keep", "drop", "")),
+        not table.has("role"),
     )
     table.done()
     return found

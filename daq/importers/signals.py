@@ -19,7 +19,7 @@ from seatrial.daq.importers.table import Column, Table
 from seatrial.daq.importers.units import UNITS
 
 # Signals whose sign differs between ENU and FLU (east, north, up; forward, left, up) and NED and FRD
-_TURNED = {"v", "w", "q", "r", "ay", "az", "theta", "N", "Y"}
+TURNED = {"v", "w", "q", "r", "ay", "az", "theta", "N", "Y"}
 COARSE = 0.3  # share of rows with a repeated time; with more, the stamps are coarser than the rows
 # Times with two rows at least, and standard deviation of their intervals over the mean, of two sources in one table
 FEWEST_PAIRS, REGULAR = 5, 0.4
@@ -415,7 +415,7 @@ def _in_ned(signal: Signal, values: Column) -> tuple[Signal, Column]:
         return signal, values
     if signal.name == "psi":
         values = np.pi / 2.0 - values
-    sign = -1.0 if signal.name in _TURNED else 1.0
+    sign = -1.0 if signal.name in TURNED else 1.0
     return replace(signal, name=signal.log_name), sign * values
 
 

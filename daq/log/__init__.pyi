@@ -21,6 +21,7 @@ from .segments import first_segments as first_segments
 from .segments import is_bag as is_bag
 from .segments import is_log as is_log
 from .segments import log_file as log_file
+from .segments import require_logs as require_logs
 from .segments import segment_path as segment_path
 from .tables import LogTable as LogTable
 from .tables import Resampled as Resampled

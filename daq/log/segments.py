@@ -6,10 +6,11 @@ a file alone is not sufficient. Segments may be missing, and each segment may be
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from itertools import pairwise
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from seatrial.daq.log.mcap_reader import LAST_NS, MAX_WARNINGS, RawLog
 
 _NUMBER = r"[1-9]\d{0,5}"  # number of a later segment in its name
 MAX_NAMED = 8  # logs that an error message names
+MAX_IN_COMMAND = 4  # files that a command in an error message names
 ROS_PROFILE = b"\x04\x00\x00\x00ros2"  # profile in the header of a .mcap file of ROS 2, with its length
 OWN_LIBRARY = b"\x08\x00\x00\x00seatrial"  # program in the header of a log, with its length
 HEADER_BYTES = 64  # of a .mcap file after its first bytes, in which both stand
@@ -338,6 +340,28 @@ def is_log(path: Path) -> bool:
             return file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
     except OSError:  # the reader of the file reports it
         return False
+
+
+def require_logs(paths: Iterable[Path]) -> None:
+    """Check that all files are logs, before the first of them is read.
+
+    Folders, missing files and files that cannot be read are left to the reader of logs.
+
+    Raises
+    ------
+    SeatrialError
+        If files are no logs. The error names all of them, and the commands that import them.
+    """
+    wrong = [path for path in dict.fromkeys(paths) if not is_log(path) and path.is_file() and os.access(path, os.R_OK)]
+    if toml := [path for path in wrong if path.suffix.lower() == ".toml"]:
+        raise SeatrialError(f"{toml[0]}: a TOML file and not a log; check the order of the arguments")
+    if wrong:
+        files = shlex.join(map(str, wrong)) if len(wrong) <= MAX_IN_COMMAND else "FILE..."
+        raise SeatrialError(
+            f"{', '.join(map(str, wrong))}: not {'an MCAP log' if len(wrong) == 1 else 'MCAP logs'}; use `seatrial "
+            f"import` for logs of other formats: `seatrial import --guess {files} -o map.toml`, then `seatrial import "
+            f"map.toml {files}`"
+        )
 
 
 def first_segment_of(path: Path) -> Path | None:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import os
 import re
-import shlex
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -31,7 +29,6 @@ if TYPE_CHECKING:
 FOLDER = click.Path(file_okay=False, path_type=Path)
 FILE = click.Path(dir_okay=False, path_type=Path)
 SOURCE_FILE = ExistingPath(dir_okay=False)
-MOST_FILES = 4  # files that a command in an error message names
 
 
 class ModelPath(ExistingPath):
@@ -328,29 +325,17 @@ def check_output(context: click.Context, parameter: click.Parameter, out: Path |
 
 
 def check_logs(context: click.Context) -> None:
-    """Check that all files that a command takes as logs are logs, before it opens the first of them.
-
-    A file that cannot be read is left to the reader of logs.
+    """Check that all files that a command takes as logs are logs (`require_logs`), before it opens the first of them.
 
     Raises
     ------
     SeatrialError
-        If files are no logs. The error names all of them, and the commands that import them.
+        If files are no logs. The error names all of them.
     """
-    from seatrial.daq.log import is_log
+    from seatrial.daq.log import require_logs
 
     given = [context.params.get(p.name or "") or () for p in context.command.params if p.type is LOG]
-    paths = dict.fromkeys(Path(path) for value in given for path in ((value,) if isinstance(value, Path) else value))
-    wrong = [path for path in paths if not is_log(path) and path.is_file() and os.access(path, os.R_OK)]
-    if toml := [path for path in wrong if path.suffix.lower() == ".toml"]:
-        raise SeatrialError(f"{toml[0]}: a TOML file and not a log; check the order of the arguments")
-    if wrong:
-        files = shlex.join(map(str, wrong)) if len(wrong) <= MOST_FILES else "FILE..."
-        raise SeatrialError(
-            f"{', '.join(map(str, wrong))}: not {'an MCAP log' if len(wrong) == 1 else 'MCAP logs'}; use `seatrial "
-            f"import` for logs of other formats: `seatrial import --guess {files} -o map.toml`, then `seatrial import "
-            f"map.toml {files}`"
-        )
+    require_logs(Path(path) for value in given for path in ((value,) if isinstance(value, Path) else value))
 
 
 def out_option(default: str) -> Callable[..., Any]:

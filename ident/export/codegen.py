@@ -477,12 +477,13 @@ def _input_lines(content: Content) -> list[str]:
         if signal and len(copies) >= SHORTEST_GROUP:
             (first, i), (last, end) = copies[0], copies[-1]
             lines.append(
-                f"  {first} to {last}: {signal} {_unit_text(content.unit(i.unit))}, {i.delay:g} to {end.delay:g} s ago"
+                f"  {first} to {last}: {signal} {_unit_text(content.unit(i.unit))}, {len(copies)} delayed copies, "
+                f"{i.delay:g} to {end.delay:g} s late, made by the export"
             )
             continue
         for name, i in copies:
             if i.tap:
-                lines.append(f"  {name}: {i.tap_of}, {i.delay:g} s ago")
+                lines.append(f"  {name}: {i.tap_of}, {i.delay:g} s late")
             else:
                 lines.append(f"  {name} {_unit_text(content.unit(i.unit))}{_input_meaning(i)}")
     if taps:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from itertools import groupby
 
 from seatrial.ident.data import WORK_UNIT
-from seatrial.ident.export.codegen import PYTHON, Content, Program, comment, header
+from seatrial.ident.export.codegen import PYTHON, SHORTEST_GROUP, Content, Program, comment, header
 from seatrial.ident.export.codegen import write as write_lines
 from seatrial.ident.export.python_simulation import NEEDED_FOR_PAST, PAST, SIMULATION
 
@@ -114,7 +114,7 @@ def constants(content: Content) -> list[str]:
     )
     return [
         f"STATES = {_tuple_text(content.states)}",
-        f"INPUTS = {_tuple_text(content.inputs)}",
+        f"INPUTS = {_inputs_text(content.inputs)}",
         f"OUTPUTS = {_tuple_text(content.outputs)}",
         f"PHYSICAL_INPUTS = {_tuple_text(content.physical_inputs)}",
         *[f"{kind}_UNITS = {_tuple_text([content.unit(signal.unit) for signal in part])}" for kind, part in units],
@@ -133,7 +133,7 @@ def constants(content: Content) -> list[str]:
         f"HOLDS = {_tuple_text(content.holds)}  # physical inputs between their samples, as in the fit",
         "# For each input its index in PHYSICAL_INPUTS (-1: time, -2: work), and its delay [s]",
         f"SOURCES = {_tuple_text(past.sources)}",
-        f"DELAYS = {_tuple_text(past.delays)}",
+        f"DELAYS = {_delays_text(content.inputs, past.delays)}",
         f"MAX_STEP = {past.max_step!r}  # longest step of the integration [s]; longer steps are divided",
         "_KEEPS_MEAN, _ANGLES = (",
         f"    {_tuple_text([i.prefilter for i in past.inputs])},",
@@ -157,6 +157,60 @@ def _tuple_text(items: Sequence[str | float]) -> str:
     if len(words) > 8:
         return "(\n" + "".join(f"    {', '.join(words[k : k + 8])},\n" for k in range(0, len(words), 8)) + ")"
     return f"({', '.join(words)}{',' * (len(words) == 1)})"
+
+
+def _inputs_text(names: Sequence[str]) -> str:
+    """Return the tuple of the names of inputs as Python code, with one line for the numbered copies of an input."""
+    runs = _numbered_runs(names)
+    if not any(prefix for prefix, _ in runs):
+        return _tuple_text(names)
+    parts = [
+        f"*({json.dumps(prefix)} + str(k) for k in range({numbers.start}, {numbers.stop})),"
+        if prefix
+        else "".join(f"{json.dumps(names[i])}, " for i in numbers).rstrip()
+        for prefix, numbers in runs
+    ]
+    return "(\n" + "".join(f"    {part}\n" for part in parts) + ")"
+
+
+def _delays_text(names: Sequence[str], delays: Sequence[float]) -> str:
+    """Return the tuple of the delays of inputs [s] as Python code, with one line for the numbered copies of an input.
+
+    If the delays of numbered copies are no multiples of a step, all delays are listed.
+    """
+    parts, i = list[str](), 0
+    for prefix, numbers in _numbered_runs(names):
+        of_run = delays[i : i + len(numbers)]
+        i += len(numbers)
+        step = of_run[-1] / numbers[-1] if prefix else 0.0
+        if not prefix:
+            parts.append("".join(f"{delay!r}, " for delay in of_run).rstrip())
+        elif [step * k for k in numbers] == list(of_run):
+            parts.append(f"*({step!r} * k for k in range({numbers.start}, {numbers.stop})),")
+        else:
+            return _tuple_text(delays)
+    if all(part[0] != "*" for part in parts):
+        return _tuple_text(delays)
+    return "(\n" + "".join(f"    {part}\n" for part in parts) + ")"
+
+
+def _numbered_runs(names: Sequence[str]) -> list[tuple[str, range]]:
+    """Return consecutive runs of names: numbered ones as prefix and numbers, others as an empty prefix and indices.
+
+    A run of numbered names has at least `SHORTEST_GROUP` names with numbers one after the other.
+    """
+    runs = list[tuple[str, range]]()
+    split = [(m[1], int(m[2])) if (m := re.fullmatch(r"(\w*?)(0|[1-9]\d*)", n)) else (n, 0) for n in names]
+    for _, group in groupby(enumerate(split), lambda item: (item[1][0], item[1][1] - item[0])):
+        (i, (prefix, first)), *rest = group
+        n = 1 + len(rest)
+        if n >= SHORTEST_GROUP:
+            runs.append((prefix, range(first, first + n)))
+        elif runs and not runs[-1][0]:
+            runs[-1] = ("", range(runs[-1][1].start, i + n))
+        else:
+            runs.append(("", range(i, i + n)))
+    return runs
 
 
 def unpacked(content: Content, program: Program) -> list[str]:

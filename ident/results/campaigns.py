@@ -82,6 +82,13 @@ class ParameterDifference(Part, frozen=True, kw_only=True):
         Meta(description="p value adjusted for the number of parameters (Benjamini and Hochberg); null as `p`"),
     ]
     changed: Annotated[bool, Meta(description="verdict: `q` is at most the false discovery rate")]
+    detectable: Annotated[
+        float | None,
+        Meta(
+            description="size of the difference from which on the verdict would be a change, with this standard error "
+            "and the p values of the other parameters; null as `p`, and in a result of an earlier version"
+        ),
+    ] = None
     logs: Annotated[tuple[LogEstimate, ...], Meta(description="estimate from each log")]
 
 

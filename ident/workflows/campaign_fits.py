@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from seatrial.daq.errors import counted
 from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import (
     AT_BOUND,
@@ -43,6 +44,8 @@ FAR_FROM_ZERO = 3.0  # standard errors: relative changes and factors need a mean
 LEVEL = 0.05  # of the presence of an effect, and of the test of a common factor
 NOT_SIGNIFICANT = 2.0  # standard errors: an estimate of a log that is as close to zero shows no effect
 LEAST_FACTOR = 3  # parameters that a common factor needs
+FEW_LOGS = 6  # with up to so many logs of both campaigns, intervals by Student's t are at least 1.4 times as wide
+MOST_NAMED = 4  # parameters that the note on few logs names
 NOMINAL = ("c1", "c2", "k_thrust", "c1/T", "c2/T")  # the thrust itself, to which the other parameters are proportional
 Values = dict[str, float]
 Row = Mapping[str, Any]
@@ -167,8 +170,8 @@ def compare_fits(fitted: FittedLogs, false_discovery_rate: float = FALSE_DISCOVE
     reasons = {name: _why_not_compared(fitted, name) for name in fitted.names}
     names = [name for name, reason in reasons.items() if reason is None]
     differences = {name: _difference(fitted, name) for name in names}
-    q = _adjusted_p_values(fitted, differences)
-    parameters = tuple(_parameter(fitted, n, differences[n], q[n], false_discovery_rate) for n in names)
+    tests = _tests(fitted, differences, false_discovery_rate)
+    parameters = tuple(_parameter(fitted, n, differences[n], tests[n]) for n in names)
     dynamic = [p.name for p in parameters if not p.nuisance and fitted.known(p.name).all()]
     scatter = {n: float(np.nan_to_num(d.scatter)) for n, d in differences.items()}
     joint = None
@@ -225,22 +228,58 @@ def _difference(fitted: FittedLogs, name: str) -> CampaignDifference:
     return campaign_difference(values, own_variances(rows, common), common, part.after)
 
 
-def _adjusted_p_values(fitted: FittedLogs, differences: Mapping[str, CampaignDifference]) -> dict[str, float]:
-    """Return the q value of each parameter (Benjamini and Hochberg 1995); NaN if there is no p value.
+@dataclass(frozen=True)
+class _Test:
+    """Test of the difference of one parameter, adjusted for the number of parameters.
+
+    Attributes
+    ----------
+    q
+        Smallest false discovery rate at which the parameter has changed; NaN if there is no p value.
+    changed
+        Whether q is at most the false discovery rate.
+    detectable
+        Size of the difference from which on it would have changed, with the p values of the other parameters; NaN as q.
+    """
+
+    q: float = float("nan")
+    changed: bool = False
+    detectable: float = float("nan")
+
+
+def _tests(
+    fitted: FittedLogs, differences: Mapping[str, CampaignDifference], false_discovery_rate: float
+) -> dict[str, _Test]:
+    """Return the test of each parameter (Benjamini and Hochberg 1995).
 
     Parameters of noise, disturbances and sensors are adjusted among themselves, so that a boat with many sensors shows
     a change as well as one with few.
     """
-    found = dict.fromkeys(differences, float("nan"))
+    found = dict.fromkeys(differences, _Test())
     for nuisance in (False, True):
         family = {
             n: d.difference.p
             for n, d in differences.items()
             if fitted.rows[0][n]["nuisance"] is nuisance and np.isfinite(d.difference.p)
         }
-        if family:
-            found |= dict(zip(family, _q_values(np.array(list(family.values()))).tolist(), strict=True))
+        if not family:
+            continue
+        p = np.array(list(family.values()))
+        for k, (name, q) in enumerate(zip(family, _q_values(p).tolist(), strict=True)):
+            level, contrast = _level(np.delete(p, k), false_discovery_rate), differences[name].difference
+            detectable = contrast.error * float(student_ppf(1.0 - level / 2.0, differences[name].df))
+            found[name] = _Test(q, q <= false_discovery_rate, detectable)
     return found
+
+
+def _level(rest: Array, false_discovery_rate: float) -> float:
+    """Return the largest p value with which a parameter has changed, from the p values of the others, ``rest`` (n,).
+
+    It is k / (n + 1) of the false discovery rate, with the largest k for which k - 1 of the others are as small.
+    """
+    levels = false_discovery_rate * np.arange(1, rest.size + 2) / (rest.size + 1)
+    enough = (rest[:, None] <= levels).sum(axis=0) >= np.arange(rest.size + 1)
+    return float(levels[np.flatnonzero(enough)[-1]])
 
 
 def _q_values(p: Array) -> Array:
@@ -255,9 +294,7 @@ def _q_values(p: Array) -> Array:
     return np.clip(q, 0.0, 1.0)
 
 
-def _parameter(
-    fitted: FittedLogs, name: str, found: CampaignDifference, q: float, false_discovery_rate: float
-) -> ParameterDifference:
+def _parameter(fitted: FittedLogs, name: str, found: CampaignDifference, test: _Test) -> ParameterDifference:
     """Return the entry of the result for one compared parameter."""
     known = fitted.known(name)
     part = fitted.part(known)
@@ -282,8 +319,9 @@ def _parameter(
         relative=difference.value / mean.value if far else None,
         scatter=finite(found.scatter),
         p=finite(difference.p),
-        q=finite(q),
-        changed=bool(q <= false_discovery_rate),
+        q=finite(test.q),
+        changed=test.changed,
+        detectable=finite(test.detectable),
         logs=tuple(
             LogEstimate(log=log, campaign=campaign_of(after), value=r["value"], se=se)
             for log, after, r, se in estimates
@@ -420,4 +458,34 @@ def _notes(fitted: FittedLogs, parameters: Sequence[ParameterDifference]) -> tup
         for p in parameters
         if p.before.n + p.after.n < len(fitted.logs)
     ]
-    return tuple(notes)
+    return (*notes, *_few_logs_notes(fitted, parameters))
+
+
+def _few_logs_notes(fitted: FittedLogs, parameters: Sequence[ParameterDifference]) -> list[str]:
+    """Return the note on differences that are no changes only because few logs make the intervals wide.
+
+    They are larger than their standard error. The note says from which size on they would be changes, and how far more
+    logs narrow the intervals. It is left out with more than `FEW_LOGS` logs.
+    """
+    n, n_after = len(fitted.logs), int(fitted.after.sum())
+    missed = [p for p in parameters if not (p.nuisance or p.changed) and p.detectable and abs(p.difference) > p.se]
+    if n > FEW_LOGS or n < 3 or not missed:
+        return []
+    missed.sort(key=lambda p: -abs(p.difference) / p.se)
+    more = f", and {len(missed) - MOST_NAMED} more" if len(missed) > MOST_NAMED else ""
+    quantile, normal, twice = (float(student_ppf(0.975, df)) for df in (n - 2, 1e9, 2 * n - 2))
+    return [
+        f"Few logs make the intervals wide: with {n - n_after} before and {n_after} after, Student's t has "
+        f"{counted(n - 2, 'degree')} of freedom, and the 95 % intervals are {quantile / normal:.1f} times as wide as "
+        f"with many logs. Twice as many logs would make them about {twice / quantile / 2.0**0.5:.1f} times as wide as "
+        "now. Differences that are not significant, and the size from which on each would be: "
+        f"{', '.join(map(_missed_text, missed[:MOST_NAMED]))}{more}."
+    ]
+
+
+def _missed_text(p: ParameterDifference) -> str:
+    """Return a difference and the size from which on it would be a change: ``d_u +52 % (from 180 % on)``."""
+    detectable = p.detectable or 0.0
+    if p.relative is None:
+        return f"{p.name} {p.difference:+.2g} (from {detectable:.2g} {p.unit}".rstrip() + " on)"
+    return f"{p.name} {100.0 * p.relative:+.0f} % (from {100.0 * detectable / p.before.mean:.0f} % on)"

@@ -10,7 +10,7 @@ from seatrial.api.arguments import as_path
 from seatrial.api.calls import python_call
 from seatrial.api.fits import FitOptions, Logs, vehicle_request
 from seatrial.api.fleet import common_window
-from seatrial.api.logs import PathLike, as_paths
+from seatrial.api.logs import PathLike, as_logs
 from seatrial.api.messages import Messages, errors_of_users, in_python, text_of, warn_of_result
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError
@@ -48,16 +48,16 @@ class CampaignComparison(Shown):
     def to_pandas(self) -> Any:
         """Return the differences as a ``pandas.DataFrame`` with a row for each parameter, in SI units and radians.
 
-        The columns are before, after, difference, se, low, high, relative, scatter, p, q, changed and unit. The
-        difference, its standard error and its interval (low, high) are in this unit; relative is the difference as a
-        part of before.
+        The columns are before, after, difference, se, low, high, relative, scatter, p, q, changed, detectable and unit.
+        The difference, its standard error and its interval (low, high) are in this unit, and so is detectable, the
+        size from which on a difference would be a change. relative is the difference as a part of before.
 
         Raises
         ------
         SeatrialError
             If pandas is not installed.
         """
-        names = ("difference", "se", "low", "high", "relative", "scatter", "p", "q", "changed", "unit")
+        names = ("difference", "se", "low", "high", "relative", "scatter", "p", "q", "changed", "detectable", "unit")
         rows = {
             p.name: {"before": p.before.mean, "after": p.after.mean} | {n: getattr(p, n) for n in names}
             for p in self.result.parameters
@@ -146,7 +146,7 @@ def compare_campaigns(
 
     if not 0.0 < false_discovery_rate <= 0.5:
         raise SeatrialError(f"false_discovery_rate={false_discovery_rate:g}: give a number above 0, at most 0.5")
-    earlier, later = as_paths(before), as_paths(after)
+    earlier, later = as_logs(before, after)
     window = common_window(options, before, after)
     with errors_of_users():
         vehicle, progress = vehicle_request((), (), str(model), window, {"score_tests": False, **options})

@@ -15,7 +15,7 @@ from seatrial.api.arguments import as_path, check_above_zero, check_rate, named_
 from seatrial.api.calls import python_call
 from seatrial.api.figures import Figure
 from seatrial.api.fits import FittedResult, Logs, model_path, refuse_log, window_of
-from seatrial.api.logs import Log, PathLike, as_paths
+from seatrial.api.logs import Log, PathLike, as_logs
 from seatrial.api.messages import Messages, errors_of_users, text_of, warn_of_result
 from seatrial.api.series import ByRecord, ComparedPredictions, Prediction, Series
 from seatrial.api.shown import Content, Shown, number
@@ -399,7 +399,7 @@ def compare(
         if not named:
             raise SeatrialError("there is no model; give one, or several as a list, and then the logs")
         paths = [stack.enter_context(model_path(m)) for m in named.values()]
-        files = as_paths(data)
+        (files,) = as_logs(data)
         request = CompareRequest(
             paths,
             files,
@@ -410,7 +410,7 @@ def compare(
             names=tuple(named),
             workers=Workers(jobs, backend, scheduler),
         )
-        messages = Messages(False)
+        messages = Messages()
         arguments = {"models": chosen, "logs": data, "horizon": horizon, "rate": rate, "thruster": thruster}
         command = python_call(compare, {**arguments, "backend": backend, "scheduler": scheduler, "jobs": jobs})
         result = compare_models(request, command, messages)

@@ -21,7 +21,7 @@ from seatrial.api.arguments import Role, as_path, check_switches, check_values, 
 from seatrial.api.calls import python_call
 from seatrial.api.figures import Figure
 from seatrial.api.findings import DiagnosisFindings
-from seatrial.api.logs import Log, PathLike, as_list, as_paths
+from seatrial.api.logs import Log, PathLike, as_list, as_logs
 from seatrial.api.messages import Messages, errors_of_users, warn_of_result
 from seatrial.api.series import ByRecord, Prediction, Series
 from seatrial.api.shown import Content, Shown
@@ -97,7 +97,8 @@ class FitOptions(TypedDict, total=False):
     despite_faults : bool
         Whether to fit logs with faults that make a fit meaningless, False by default.
     progress : bool
-        Whether to print a line for each step of the computation.
+        Whether to print a line for each step of the computation. Without it, a terminal or notebook shows a line every
+        30 s.
     """
 
     thruster: PathLike
@@ -135,15 +136,16 @@ class DiagnosisOptions(TypedDict, total=False):
     mass : float
         Weighed mass of the boat [kg], as that of `FitOptions`.
     outlier_model : bool
-        Whether outliers are part of the noise of all sensors, so that they have little weight.
+        Whether outliers are part of the noise of all sensors, so that they have little weight. False by default.
     horizon : float
-        Horizon [s] of the predictions with which the models are evaluated.
+        Horizon [s] of the predictions with which the models are evaluated; by default 10 s, for a thruster 1 s.
     rate : float
-        Rate of the rows [Hz] to which faster sensors are averaged; None for the usual rate of the model.
+        Rate of the rows [Hz] to which faster sensors are averaged; by default 10 Hz, for a thruster 50 Hz.
     despite_faults : bool
-        Whether to search in logs with faults that make a fit meaningless.
+        Whether to search in logs with faults that make a fit meaningless, False by default.
     progress : bool
-        Whether to print a line for each step of the computation.
+        Whether to print a line for each step of the computation. Without it, a terminal or notebook shows a line every
+        30 s.
     """
 
     max_effects: int
@@ -685,7 +687,8 @@ def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[
     from seatrial.ident.workflows.vehicle import fit_vehicle
 
     with errors_of_users():
-        request, progress = vehicle_request(as_paths(logs), _paths_or_none(validate), model, window_of(logs), options)
+        paths, validation = _logs_and_validation(logs, validate)
+        request, progress = vehicle_request(paths, validation, model, window_of(logs), options)
         messages = Messages(progress)
         command = python_call(fit, {"logs": logs, "model": model, "validate": validate, **options})
         done: VehicleFit = fit_vehicle(request, command, messages)
@@ -695,7 +698,7 @@ def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[
 
 def vehicle_request(
     logs: Sequence[Path], validation: Sequence[Path], model: str, window: Any, options: Mapping[str, Any]
-) -> tuple[VehicleRequest, bool]:
+) -> tuple[VehicleRequest, bool | None]:
     """Return the request of a vehicle fit from the options of the user, and whether progress is printed.
 
     Parameters
@@ -725,7 +728,7 @@ def vehicle_request(
             f"model: {shortened(model)} is no name of a model; give a name, such as 'horizontal:command', the path of "
             "a model.toml, or FILE.py:NAME of your own"
         )
-    progress = given.pop("progress", False)
+    progress = given.pop("progress", None)
     estimation = {n: given.pop(n) for n in ("outlier_model", "reml", "mean_order", "horizon") if n in given}
     if "thruster" in given:
         given["thruster"] = model_file(as_path(given["thruster"], "thruster"))
@@ -802,15 +805,16 @@ def diagnose(
     from seatrial.ident.workflows.diagnose import DiagnosisRequest, diagnose_model
 
     given = known_options(options, DiagnosisOptions)
-    messages = Messages(given.pop("progress", False))
+    messages = Messages(given.pop("progress", None))
     estimation = {n: given.pop(n) for n in ("outlier_model", "horizon") if n in given}
     if "effects_file" in given:
         given["effects_file"] = Path(given["effects_file"])
     with errors_of_users(), model_path(model) as path:
+        paths, validation = _logs_and_validation(logs, validate)
         request = DiagnosisRequest(
             path,
-            as_paths(logs),
-            _paths_or_none(validate),
+            paths,
+            validation,
             Path(),
             EstimationOptions(**estimation),
             window=window_of(logs),
@@ -884,18 +888,19 @@ def window_of(logs: Logs) -> Any:
     return windows[0] if len(set(windows)) == 1 else windows
 
 
-def _paths_or_none(logs: Logs) -> list[Path]:
-    """Return the paths of validation logs, which are used whole. Without logs return an empty list.
+def _logs_and_validation(logs: Logs, validate: Logs) -> tuple[list[Path], list[Path]]:
+    """Return the paths of the logs of a fit and of its validation logs, which are used whole and may be none.
 
     Raises
     ------
     SeatrialError
-        If a log does not exist, or if a `Log` has a window.
+        As `as_logs`, or if a `Log` of the validation has a window.
     """
-    several = as_list(logs)
+    several = as_list(validate)
     if cut := [x.path.name for x in several if isinstance(x, Log) and (x.start > 0.0 or np.isfinite(x.end))]:
         raise SeatrialError(f"validation logs are always used as a whole: open {', '.join(cut)} without start and end")
-    return as_paths(several) if several else []
+    paths, *validation = as_logs(logs, *([several] if several else ()))
+    return paths, validation[0] if validation else []
 
 
 def known_options(given: Mapping[str, Any], options: type) -> dict[str, Any]:

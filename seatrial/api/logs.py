@@ -21,7 +21,7 @@ from seatrial.api.series import Series
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.checks import FAULT, WARNING, Finding, findings_lines, findings_summary, worst_first
 from seatrial.daq.errors import SeatrialError, UnknownName, closest_name, counted, file_hint, first_names, warn
-from seatrial.daq.log import import_library, log_file
+from seatrial.daq.log import import_library, log_file, require_logs
 
 if TYPE_CHECKING:
     from seatrial.daq.importers.boat_tables import BoatTable
@@ -509,7 +509,7 @@ def check(logs: PathLike | Log | Sequence[PathLike | Log]) -> Findings:
     from seatrial.daq.log import WHOLE, TimeWindow
     from seatrial.ident.checks import LogChecks
 
-    checks, paths = LogChecks(), as_paths(logs)
+    checks, (paths,) = LogChecks(), as_logs(logs)
     windows = [TimeWindow(x.start, x.end) if isinstance(x, Log) else WHOLE for x in as_list(logs)]
     with errors_of_users():
         found = worst_first(log_findings(checks.check, paths, checks.differences, windows))
@@ -524,6 +524,20 @@ def as_list(logs: PathLike | Log | Sequence[PathLike | Log]) -> list[PathLike | 
     if isinstance(logs, Iterable) and not isinstance(logs, str | Mapping) and not hasattr(logs, "columns"):
         return list(logs)
     return [logs]  # type: ignore[list-item]  # an object of another class, which the caller refuses
+
+
+def as_logs(*groups: PathLike | Log | Sequence[PathLike | Log]) -> list[list[Path]]:
+    """Return the paths of each group of logs, as `as_paths`, once the files of all groups are known to be logs.
+
+    Raises
+    ------
+    SeatrialError
+        As `as_paths`, or if files are no logs. The error then names all such files of all groups.
+    """
+    paths = [as_paths(group) for group in groups]
+    with errors_of_users():
+        require_logs(path for group in paths for path in group)
+    return paths
 
 
 def as_paths(

@@ -45,12 +45,13 @@ VALUES_OF_PARAMETERS = re.compile(  # several of them in sequence
     "{0}(?: {0})*".format(re.sub(r"\?P<\w+>", "?:", VALUE_OF_PARAMETER.pattern))
 )
 OPTION = re.compile(r"(?<![\w-])(?:--[a-z]+(?:-[a-z]+)*|-o(?![\w-]))")
-GUESS = "seatrial import --guess "  # command that st.import_log without a map replaces, before the paths
+IMPORT = "seatrial import "  # command that st.import_log replaces, before the paths
+GUESS = f"{IMPORT}--guess "  # command that st.import_log without a map or st.guess_map replaces
 DESIGN = "seatrial mission design "  # command that st.design replaces, before the model
 
 # Functions of `seatrial` by the command that calls them, in a text between backticks.
 FUNCTIONS = {
-    "seatrial check": "st.check", "seatrial ident changes": "st.compare_campaigns",
+    "seatrial check": "st.check", "seatrial import": "st.import_log", "seatrial ident changes": "st.compare_campaigns",
     "seatrial ident compare": "st.compare", "seatrial ident diagnose": "st.diagnose",
     "seatrial ident export": "st.export", "seatrial ident fleet": "st.fit_many",
     "seatrial ident navigate": "st.navigate", "seatrial ident thruster": "st.thruster",
@@ -69,16 +70,16 @@ def in_python(text: str, own: Mapping[str, str] = MappingProxyType({})) -> str:
 
     For example, ``--fix e_psi=0.03`` becomes ``fixed={'e_psi': 0.03}``, and a command without arguments between
     backticks becomes the function that it calls. Values after each other become one argument for each option. Options
-    without an entry in the tables stay. So does a command with arguments, which can be run as it is, except the guess
-    of an import map alone, which becomes ``st.import_log``, and the design of a mission that discriminates two effects,
-    which becomes ``st.design``.
+    without an entry in the tables stay. So does a command with arguments, which can be run as it is, except an
+    import or the guess of an import map without further options, which become ``st.import_log`` and ``st.guess_map``,
+    and the design of a mission that discriminates two effects, which becomes ``st.design``.
     ``own`` has the arguments of a function that differ from those of the others, by the option.
     """
     arguments = {**ARGUMENTS, **own}
 
     def replaced(part: str, between_backticks: bool) -> str:
         """Return a part of the message, between two backticks or outside of them, in the words of Python."""
-        if between_backticks and part.startswith(GUESS):
+        if between_backticks and part.startswith(IMPORT):
             return _as_import(part)
         if between_backticks and part.startswith(DESIGN):
             return _as_design(part)
@@ -104,12 +105,25 @@ def _as_dictionaries(options: re.Match[str]) -> str:
 
 
 def _as_import(command: str) -> str:
-    """Return the command of a guessed import map as a call of Python; unchanged if it has further options."""
-    paths = shlex.split(command.removeprefix(GUESS))
-    if any(path.startswith("-") for path in paths):
+    """Return a command of `seatrial import` as a call of Python; unchanged if it has further options.
+
+    A guess with ``-o`` becomes ``st.guess_map``, a guess without it and an import with a map ``st.import_log``. The
+    word ``FILE...`` for any files becomes the name ``files``.
+    """
+    is_guess = command.startswith(GUESS)
+    words = shlex.split(command.removeprefix(GUESS if is_guess else IMPORT))
+    if is_guess and words[-2:-1] == ["-o"]:
+        paths, of_map = words[:-2], words[-1]
+    else:
+        paths, of_map = (words, "") if is_guess else (words[1:], words[0])
+    if (
+        not paths
+        or any(word.startswith("-") for word in (*paths, of_map))
+        or not (is_guess or of_map.endswith(".toml"))
+    ):
         return command
-    files: object = paths[0] if len(paths) == 1 else paths
-    return f"st.import_log({files!r})"
+    files = "files" if paths == ["FILE..."] else repr(paths[0] if len(paths) == 1 else paths)
+    return f"st.{'guess_map' if is_guess and of_map else 'import_log'}({files}{f', {of_map!r}' if of_map else ''})"
 
 
 def _as_design(command: str) -> str:
@@ -124,28 +138,38 @@ def _as_design(command: str) -> str:
     return f"st.design(diagnosis, 'tell-apart.toml', between={tuple(words[2].split(','))!r})"
 
 
+def _is_interactive() -> bool:
+    """Return whether a user reads stderr: at a terminal, or in a notebook, whose kernel is ipykernel."""
+    return "ipykernel" in sys.modules or (sys.stderr is not None and sys.stderr.isatty())
+
+
 class Messages:
     """Receiver of the messages of a workflow (fit, diagnosis, ...) in the Python interface.
 
-    Warnings become Python warnings. Lines of progress are printed to stderr only if the user has asked for them.
+    Warnings become Python warnings. Lines of progress are printed to stderr: one for each step if the user has asked
+    for them, and one in 30 s if the user has not chosen and sits at a terminal or notebook.
     """
 
-    def __init__(self, progress: bool) -> None:
-        """Store whether to print a line for each step of the computation (``progress``)."""
-        self._progress, self._lines = progress, StepLines()
+    def __init__(self, progress: bool | None = None) -> None:
+        """Store whether each step of the computation has a line (``progress``); None: the user did not choose."""
+        self._progress = _is_interactive() if progress is None else progress
+        self._lines = StepLines(every_step=progress is not None)
         self.issued: set[str] = set()  # texts of the warnings
 
     def progress(self, text: str, times: Callable[[], str] | None = None) -> None:
-        """Print the line `text` about a step of the computation to stderr, if progress is printed; else do nothing.
+        """Print the line `text` about a step of the computation to stderr, if one is due; else do nothing.
 
         ``times`` returns the time so far and the time left, which are printed before the text.
         """
-        if self._progress:
-            print(in_python(self._lines.start(text, times)), file=sys.stderr, flush=True)
+        self._print(self._lines.start(text, times))
 
     def detail(self, text: str) -> None:
         """Print how far the step is to stderr, if progress is printed and its last line is at least 30 s old."""
-        if self._progress and (line := self._lines.detail(text)):
+        self._print(self._lines.detail(text))
+
+    def _print(self, line: str) -> None:
+        """Print a line of progress to stderr, if progress is printed and the line is not empty."""
+        if self._progress and line:
             print(in_python(line), file=sys.stderr, flush=True)
 
     def warning(self, text: str) -> None:

@@ -34,7 +34,7 @@ from seatrial.api.fits import (
     model_path,
     window_of,
 )
-from seatrial.api.logs import PathLike, as_paths
+from seatrial.api.logs import PathLike, as_logs
 from seatrial.api.messages import OF_THRUSTER, Messages, errors_of_users, warn_of_result, with_texts_in_python
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError
@@ -57,19 +57,20 @@ class ThrusterOptions(TypedDict, total=False):
     name : str
         Name of the thruster in the rig; needed if the logs have several thrusters.
     settle : float
-        Time after each change of command that is left out from means of the force [s].
+        Time after each change of command that is left out from means of the force [s], 1.5 s by default.
     profiles : sequence of str
         Names of the parameters whose profile likelihood is computed.
     outlier_model : bool
-        Whether outliers are part of the noise of all sensors, so that they have little weight.
+        Whether outliers are part of the noise of all sensors, so that they have little weight. False by default.
     reml : bool
-        Whether the noise is estimated by restricted maximum likelihood.
+        Whether the noise is estimated by restricted maximum likelihood, True by default.
     horizon : float
-        Horizon [s] of the predictions with which the fit is evaluated.
+        Horizon [s] of the predictions with which the fit is evaluated, 1 s by default.
     despite_faults : bool
-        Whether to fit logs with faults that make a fit meaningless.
+        Whether to fit logs with faults that make a fit meaningless, False by default.
     progress : bool
-        Whether to print a line for each step of the computation.
+        Whether to print a line for each step of the computation. Without it, a terminal or notebook shows a line every
+        30 s.
     """
 
     name: str
@@ -88,41 +89,43 @@ class DesignOptions(TypedDict, total=False):
     Attributes
     ----------
     duration : float
-        Length of the mission [s].
+        Length of the mission [s], 600 s by default.
     steps : int
         Number of steps of the commands. If it is left out: one for each 5 s, but at least 8, and no more than the
         shortest step allows.
     criterion : ``D``, ``A``, ``E`` or ``Ds``
-        Scalar of the Fisher information that is optimised: determinant (D), mean variance (A), largest variance (E), or
-        determinant of the chosen parameters (Ds).
+        Scalar of the Fisher information that is optimised: determinant (D, the default), mean variance (A), largest
+        variance (E), or determinant of the chosen parameters (Ds).
     chosen : tuple of str
         Names of the parameters of the criterion; empty for all that the sensors observe.
     between : tuple of two str
         Names of two effects that the mission distinguishes; empty for a design by the criterion. The search usually
-        takes 2 to 10 minutes; ``progress=True`` prints how far it is.
+        takes 2 to 10 minutes.
     area : tuple of two float
-        Sides (north, east) [m] of the area for the whole track, which begins with a heading of north.
+        Sides (north, east) [m] of the area for the whole track, which begins with a heading of north. No limit by
+        default.
     max_speed : float
-        Largest speed through the water [m/s].
+        Largest speed through the water [m/s]. No limit by default.
     energy : float
-        Largest mean of ``|n|^3`` over time and thrusters, 0 to 1 (full power).
+        Largest mean of ``|n|^3`` over time and thrusters, 0 to 1 (full power). No limit by default.
     current : float
-        Largest current [m/s], from any direction, in which the track has to keep to area and speed.
+        Largest current [m/s], from any direction, in which the track has to keep to area and speed; 0 by default.
     n_max : float
-        Largest magnitude of a command, 0 to 1 (full command).
+        Largest magnitude of a command, 0 to 1 (full command); 1 by default.
     slew : float
-        Slew limit of a command [1/s].
+        Slew limit of a command [1/s]. No limit by default.
     shortest : float
-        Length of the shortest step [s].
+        Length of the shortest step [s], 1 s by default.
     rates : dict of str to float
         Sample rates [Hz] by name of the sensor. Others have the rate of the data that the model was fitted to, or 10 Hz
         if it is unknown.
     evaluations : int
-        Number of simulations of the mission in the search for the best commands, at least 500.
+        Number of simulations of the mission in the search for the best commands, at least 500; 20000 by default.
     seed : int
-        Seed of all random draws.
+        Seed of all random draws, 1 by default.
     progress : bool
-        Whether to print a line for each step of the computation.
+        Whether to print a line for each step of the computation. Without it, a terminal or notebook shows a line every
+        30 s.
     """
 
     duration: float
@@ -366,10 +369,10 @@ def thruster(logs: Logs, **options: Unpack[ThrusterOptions]) -> FittedThruster |
     given = known_options(options, ThrusterOptions)
     if "settle" in given:
         check_number("settle", given["settle"], "s")
-    reporter = Messages(given.pop("progress", False))
+    reporter = Messages(given.pop("progress", None))
     estimation = {n: given.pop(n) for n in ("outlier_model", "reml", "horizon") if n in given}
     how = replace(EstimationOptions(reml=True), **estimation)
-    paths = as_paths(logs)
+    (paths,) = as_logs(logs)
 
     def work(out: Path) -> Any:
         """Fit the thruster, write the files of the command to the folder `out`, and return the fit."""
@@ -434,14 +437,14 @@ def navigate(
 
     check_rate(rate)
     outages = as_intervals("gnss_outages", gnss_outages)
-    paths, curve = as_paths(logs), None if thruster is None else model_file(as_path(thruster, "thruster"))
+    (paths,), curve = as_logs(logs), None if thruster is None else model_file(as_path(thruster, "thruster"))
 
     def work(out: Path) -> Any:
         """Estimate the states, write the files of the command to the folder `out`, and return the result."""
         request = NavigationRequest(path, paths, out, smoothed, outages, window_of(logs), rate, curve)
         return navigate_logs(request, command, messages)
 
-    messages = Messages(False)
+    messages = Messages()
     arguments = {"model": model, "logs": logs, "gnss_outages": outages, "smoothed": smoothed, "thruster": thruster}
     command = python_call(navigate, {**arguments, "rate": rate})
     with model_path(model) as path:
@@ -492,7 +495,7 @@ def design(
 
     given, file = known_options(options, DesignOptions), as_path(out, "out")
     _check_design(given)
-    reporter = Messages(given.pop("progress", False))
+    reporter = Messages(given.pop("progress", None))
     area, speed, energy, current = (given.pop(name, None) for name in ("area", "max_speed", "energy", "current"))
     limits = DesignLimits(None if area is None else as_sides("area", area), speed, energy, current or 0.0)
     fitted = isinstance(model, FittedVehicle | FittedDiagnosis | Saved) or Path(str(model)).exists()

@@ -16,7 +16,7 @@ import sys
 import tomllib
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -36,9 +36,14 @@ from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
 from seatrial.daq.importers.import_map import parse_import_map
 from seatrial.daq.log import bag_of_ros
 from seatrial.ident.data.loading import load_run
+from seatrial.ident.estimation.maximum_likelihood import EstimationOptions
 from seatrial.ident.estimation.model_file import load_model
 from seatrial.ident.experiment_design.problem import DesignLimits
 from seatrial.ident.results import read_result
+from seatrial.ident.workflows.design import DesignRequest
+from seatrial.ident.workflows.diagnose import DiagnosisRequest
+from seatrial.ident.workflows.thruster import ThrusterRequest
+from seatrial.ident.workflows.vehicle_model import VehicleRequest
 from seatrial.mocks.plant.bench import draw_bench
 from tests.missions import bench_log, boat_log, boat_with
 from tests.page_runner import run_python
@@ -1348,6 +1353,28 @@ def test_the_page_runs_as_written(page: Page) -> None:
     assert {p.name for p in (page.folder / "vehicle").iterdir()} == names
 
 
+@pytest.mark.parametrize(
+    ("options", "request_type"),
+    [
+        (st.FitOptions, VehicleRequest),
+        (st.DiagnosisOptions, DiagnosisRequest),
+        (st.ThrusterOptions, ThrusterRequest),
+        (st.DesignOptions, DesignRequest),
+    ],
+)
+def test_the_help_of_options_states_their_defaults(options: type, request_type: Any) -> None:
+    """A default of a switch, number or text of the computation stands in the entry of the option."""
+    entries = re.split(r"\n *(?=\w+ : )", inspect.getdoc(options) or "")[1:]
+    words = {entry.partition(" : ")[0]: " ".join(entry.split()) for entry in entries}
+    assert list(words) == list(options.__annotations__)
+    of_request = {f.name: f.default for f in fields(request_type) + fields(EstimationOptions)}
+    of_request |= {"reml": True, "mean_order": 2}  # of a fit in Python and by the commands
+    for name, default in of_request.items():
+        if name in words and isinstance(default, bool | int | float | str) and default not in ("", np.inf):
+            text = f"{default:g}" if isinstance(default, float) else str(default)
+            assert re.search(rf"\b{text}\b.*default|default.*\b{text}\b", words[name]), name
+
+
 def test_options_with_another_name_in_python_are_in_the_reference() -> None:
     page = (ROOT / "docs/reference.md").read_text(encoding="utf-8")
     table = page.partition("## Options with another name on the command line")[2].partition("## Results")[0]
@@ -1918,6 +1945,32 @@ def test_wrong_arguments_give_a_one_line_error(
         call(logs, fit)
     assert message in str(raised.value)
     assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda a, b, good, model: st.compare_campaigns([a, good], [good, b]),
+        lambda a, b, good, model: st.compare(model, [a, good, b]),
+        lambda a, b, good, model: st.fit([good, a], validate=b),
+        lambda a, b, good, model: st.diagnose(model, [a, b], validate=good),
+        lambda a, b, good, model: st.navigate(model, [a, good, b]),
+        lambda a, b, good, model: st.thruster([a, b]),
+        lambda a, b, good, model: st.check([a, b, good]),
+    ],
+)
+def test_all_files_that_are_no_logs_are_named_before_the_first_is_read(call: Any, tmp_path: Path) -> None:
+    a, b, good, model = (tmp_path / name for name in ("a.csv", "b.csv", "good.mcap", "model.toml"))
+    for file in (a, b, model):
+        file.write_text("t,u\n0,1\n", encoding="utf-8")
+    good.write_bytes(b"\x89MCAP0\r\n")
+    with pytest.raises(SeatrialError) as error:
+        call(a, b, good, model)
+    files = [str(a), str(b)]
+    assert str(error.value) == (
+        f"{a}, {b}: not MCAP logs; use `st.import_log` for logs of other formats: `st.guess_map({files!r}, "
+        f"'map.toml')`, then `st.import_log({files!r}, 'map.toml')`"
+    )
 
 
 def test_a_file_of_a_ros_bag_is_named_with_the_way_to_import_it(logs: list[Path], tmp_path: Path) -> None:

@@ -34,7 +34,11 @@ from seatrial.ident.cli.commands import design
         ("it exists; -o names another, as in a-o and --on", "it exists; out names another, as in a-o and --on"),
         ("import it with `seatrial import --guess '/a b/c'`", "import it with `st.import_log('/a b/c')`"),
         ("`seatrial import --guess a b`", "`st.import_log(['a', 'b'])`"),
-        ("`seatrial import --guess a -o map.toml`", "`seatrial import --guess a -o map.toml`"),
+        ("`seatrial import --guess a -o map.toml`", "`st.guess_map('a', 'map.toml')`"),
+        ("`seatrial import --guess a --topic x -o map.toml`", "`seatrial import --guess a --topic x -o map.toml`"),
+        ("`seatrial import map.toml FILE...`", "`st.import_log(files, 'map.toml')`"),
+        ("`seatrial import map.toml a b --force`", "`seatrial import map.toml a b --force`"),
+        ("`seatrial import rig.yaml a`", "`seatrial import rig.yaml a`"),
         (
             "`seatrial mission design 'my boat/model.toml' --discriminate delay,lag` generates the mission.",
             "`st.design(diagnosis, 'tell-apart.toml', between=('delay', 'lag'))` generates the mission.",

@@ -41,6 +41,16 @@ def change_of(p: ParameterDifference) -> str:
     return f"{value}{unit}" if low is None or high is None else f"{value}{unit} ({low} to {high})"
 
 
+def _detectable_text(p: ParameterDifference) -> str:
+    """Return the size from which on a change of a parameter would have been found, in the unit of `change_of`."""
+    if p.detectable is None:
+        return formatting.plain(None)
+    if p.relative is not None and p.difference != 0.0:
+        return f"{formatting.plain(100.0 * p.detectable / p.before.mean, 2)} %"
+    factor, _ = formatting.degrees_for(p.unit)
+    return formatting.plain(factor * p.detectable, 2)
+
+
 def _signed(value: float, percent: bool, error: float) -> str:
     """Return a number with its sign: whole per cent, one decimal if the ``error`` is below 1 %, or three digits.
 
@@ -64,7 +74,7 @@ def changes_section(result: CampaignsResult) -> Section:
     """Return the section of the differences of all parameters, of the effects, and of what could not be compared."""
     columns = (
         ("parameter", ""), ("", ""), ("before ± s.e.", "num"), ("after ± s.e.", "num"), ("change (95 %)", "num"),
-        ("scatter", "num"), ("p", "num"), ("q", "num"), ("verdict", ""),
+        ("found from", "num"), ("scatter", "num"), ("p", "num"), ("q", "num"), ("verdict", ""),
     )  # fmt: skip
     boat = [p for p in result.parameters if not p.nuisance]
     rest = [p for p in result.parameters if p.nuisance]
@@ -75,7 +85,8 @@ def changes_section(result: CampaignsResult) -> Section:
     lead = (
         "Means of the separate fits to the logs, with the scatter between logs as a random effect (REML) and intervals "
         "by Student's t (Hartung and Knapp). A parameter has changed if q, the p value adjusted for the number of "
-        f"parameters (Benjamini and Hochberg), is at most {100 * result.false_discovery_rate:g} %."
+        f"parameters (Benjamini and Hochberg), is at most {100 * result.false_discovery_rate:g} %. Found from: size "
+        "from which on a change would have been found."
     )
     lines = []
     if result.joint is not None and result.joint.p is not None:
@@ -108,7 +119,7 @@ def _cells(p: ParameterDifference) -> list[Cell | str]:
     factor, unit = formatting.degrees_for(p.unit)
     before, after = (formatting.with_error(factor * m.mean, factor * m.se) for m in (p.before, p.after))
     scatter = None if p.scatter is None else factor * p.scatter
-    numbers = (before, after, change_of(p), formatting.plain(scatter, 2))
+    numbers = (before, after, change_of(p), _detectable_text(p), formatting.plain(scatter, 2))
     verdict = Cell("changed", "strong") if p.changed else Cell("unknown" if p.q is None else "–", "quiet")
     return [
         Cell(p.name, "symbol"),

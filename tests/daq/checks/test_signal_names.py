@@ -53,9 +53,8 @@ def test_signals_with_the_same_advice_are_joined() -> None:
 def test_import_and_check_name_a_signal_that_no_model_uses(tmp_path: Path) -> None:
     rows = "\n".join(f"{0.1 * k:.1f},{np.sin(0.1 * k):.4f},{0.01 * k:.3f}" for k in range(300))
     (tmp_path / "run.csv").write_text(f"t,hdg,wind\n{rows}\n")
-    signals = (
-        '{ name = "heading", column = "hdg", unit = "rad" }, { name = "wind_angle", column = "wind", unit = "rad" }'
-    )
+    wind = '{ name = "wind_angle", column = "wind", unit = "rad", role = "output" }'
+    signals = f'{{ name = "heading", column = "hdg", unit = "rad" }}, {wind}'
     text = f'format = "seatrial-import 1"\ntime = {{ column = "t", format = "s" }}\nsignal = [{signals}]\n'
     (tmp_path / "map.toml").write_text(text)
     with pytest.warns(
@@ -65,3 +64,29 @@ def test_import_and_check_name_a_signal_that_no_model_uses(tmp_path: Path) -> No
     named = [f for f in LogChecks().check(log) if f.code == "signal-name"]
     assert [(f.level, f.where) for f in named] == [("warning", "heading")]
     assert named[0].advice == "import the heading by the name psi"
+
+
+@pytest.mark.parametrize(
+    ("rudder", "wind", "line"),
+    [
+        ("", "", "rudder, wind: no model uses these names, so they are imported as outputs (measured values); give"),
+        ("", 'role = "output"', "rudder: no model uses this name, so it is imported as an output (measured values); "),
+        ('role = "input"', 'role = "output"', ""),
+    ],
+)
+def test_an_import_names_the_unknown_signals_that_are_outputs_without_a_word(
+    rudder: str, wind: str, line: str, tmp_path: Path, recwarn: pytest.WarningsRecorder
+) -> None:
+    """The role of a known signal, such as the heading, is clear without a key."""
+    rows = "\n".join(f"{0.1 * k:.1f},{np.sin(0.1 * k):.4f},{0.01 * k:.3f},{0.02 * k:.3f}" for k in range(300))
+    (tmp_path / "run.csv").write_text(f"t,psi,rudder,wind\n{rows}\n")
+    signals = "".join(
+        f'[[signal]]\nname = "{name}"\ncolumn = "{name}"\nunit = "rad"\n{role}\n'
+        for name, role in (("psi", ""), ("rudder", rudder), ("wind", wind))
+    )
+    text = f'format = "seatrial-import 1"\ntime = {{ column = "t", format = "s" }}\n{signals}'
+    (tmp_path / "map.toml").write_text(text)
+    import_files(tmp_path / "map.toml", [tmp_path / "run.csv"], out=tmp_path / "run.mcap")
+    texts = [str(w.message) for w in recwarn]
+    assert len(texts) == bool(line)
+    assert all(f"map.toml: {line}" in text and 'role = "input"' in text for text in texts)

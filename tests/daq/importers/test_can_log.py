@@ -198,7 +198,7 @@ def test_frames_that_do_not_match_the_dbc_are_counted(tmp_path: Path) -> None:
     (table,) = by_dbc(tmp_path, "can0 101#0001000000000000", "can0 101#0501000000000000", "can0 101#00")
     assert table.columns["a"].tolist() == [1.0]
     text = 'format = "seatrial-import 1"\ncan = { dbc = "many.dbc" }\n'
-    text += '[[signal]]\nname = "a"\ntopic = "Mux"\nfield = "a"\nunit = "1"\n'
+    text += '[[signal]]\nname = "a"\ntopic = "Mux"\nfield = "a"\nunit = "1"\nrole = "output"\n'
     (tmp_path / "map.toml").write_text(text)
     with pytest.warns(SeatrialWarning, match=r"run\.log: Mux: 2 frames left out: the DBC cannot decode them"):
         import_files(tmp_path / "map.toml", [tmp_path / "run.log"], out=tmp_path / "x.mcap")

@@ -160,7 +160,7 @@ def test_header_describes_inputs_validity_and_omissions(target: str) -> None:
     for words in (
         "made by: seatrial ident vehicle a.mcap --x",
         "a.mcap sha256:12",
-        "n_left_ago_1 to u[9] n_left_ago_8: n_left [-], 0.1 to 0.8 s ago",
+        "n_left_ago_1 to u[9] n_left_ago_8: n_left [-], 8 delayed copies, 0.1 to 0.8 s late",
         "NAME~K",
         "u from -0.5 to 1.2",
         "Left out, as a controller does not need them: b_X, b_Y, b_N, bias_",
@@ -175,7 +175,7 @@ def test_header_describes_inputs_validity_and_omissions(target: str) -> None:
     assert "Left out" not in kept
     assert "tau_b" in kept
     bench = export(saved(thruster_model()), target)
-    assert "u[0] n_cmd_0 to u[48] n_cmd_48: n_cmd [-], 0 to 0.6 s ago" in bench
+    assert "u[0] n_cmd_0 to u[48] n_cmd_48: n_cmd [-], 49 delayed copies, 0 to 0.6 s late" in bench
 
 
 @pytest.mark.parametrize("target", TARGETS)

@@ -107,7 +107,14 @@ def test_header_of_a_joined_model_is_short() -> None:
     assert isinstance(text, str)
     head = text.partition("\nfrom math")[0]
     assert len(head.splitlines()) < 46  # one of them names the physical inputs
-    assert "u[0] n_cmd_left_0 to u[48] n_cmd_left_48: n_cmd_left [-], 0 to 0.6 s ago" in head
+    words = "n_cmd_left [-], 49 delayed copies, 0 to 0.6 s late, made by the export"
+    assert f"u[0] n_cmd_left_0 to u[48] n_cmd_left_48: {words}" in head
+    for prefix in ("n_cmd_left_", "n_cmd_right_"):  # and so do the names at the top of the file
+        assert f'\n    *("{prefix}" + str(k) for k in range(0, 49)),\n' in text
+    scope: dict[str, Any] = {}
+    exec(text, scope)
+    assert scope["INPUTS"] == tuple(f"n_cmd_{side}_{k}" for side in ("left", "right") for k in range(49))
+    assert scope["DELAYS"] == tuple(0.0125 * k for k in range(49)) * 2
     assert 'INPUT_UNITS = ("",) * 98' in text
 
 

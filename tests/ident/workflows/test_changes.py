@@ -278,6 +278,39 @@ def test_false_discovery_rate_is_held() -> None:
     assert np.mean(power) > 0.9
 
 
+@pytest.mark.parametrize("n", [2, 3, 5])
+def test_a_difference_has_changed_if_it_is_at_least_the_detectable_one(n: int) -> None:
+    """One parameter at a time gets a difference on both sides of the limit, with the others as they are."""
+    rng = np.random.default_rng(n)
+    values = {f"p{j}": 50.0 + rng.normal(size=2 * n) + (np.arange(2 * n) >= n) * 9.0 * (j < 3) for j in range(8)}
+    for p in compared(rows_of(values), n).parameters:
+        assert p.detectable is not None
+        assert p.changed == (abs(p.difference) >= p.detectable)
+        for factor, changed in ((1.01, True), (0.99, False)):
+            moved = values[p.name] + (np.arange(2 * n) < n) * (p.difference - factor * p.detectable)
+            (found,) = [x for x in compared(rows_of(values | {p.name: moved}), n).parameters if x.name == p.name]
+            assert found.changed is changed
+
+
+def test_few_logs_are_the_reason_of_a_large_difference_that_is_no_change() -> None:
+    d_u = np.array([10.0, 11.0, 15.0, 16.5])
+    values = {"d_u": d_u, "m_u": np.array([30.0, 31.0, 30.2, 30.9]), "a": np.array([0.2, -0.2, 0.9, 0.4])}
+    found = compared(rows_of(values), 2)
+    of = {p.name: p for p in found.parameters}
+    drag = of["d_u"]
+    assert not drag.changed
+    assert drag.detectable == pytest.approx(drag.se * scipy.stats.t.ppf(1 - 0.05 / 3 / 2, 2))
+    (note,) = found.notes
+    assert note.startswith(
+        "Few logs make the intervals wide: with 2 before and 2 after, Student's t has 2 degrees of freedom, and the 95 "
+        "% intervals are 2.2 times as wide as with many logs. Twice as many logs would make them about 0.4 times as "
+    )
+    assert f": d_u +50 % (from {100 * drag.detectable / drag.before.mean:.0f} % on), a +0.65 (from " in note
+    assert "m_u" not in note  # its difference is smaller than its standard error
+    more = compared(rows_of({name: np.tile(v.reshape(2, 2), 2).ravel() for name, v in values.items()}), 4)
+    assert not more.notes  # with eight logs, the number of logs is not the reason
+
+
 def test_parameters_that_cannot_be_compared_have_a_reason() -> None:
     values = {n: np.full(4, 1.0) for n in ("bound", "held", "current", "thrust", "lost", "good")}
     rows = rows_of(values, free={"held": False}, origin={"held": "measured"}, per_log={"current": True})
