@@ -441,6 +441,13 @@ def fleet(logs: tuple[Path, ...], out: Path, workers: Any, force: bool, as_json:
     show_default=True,
     help="Largest expected share of false ones among the changed parameters.",
 )
+@click.option(
+    "--common-errors/--no-common-errors",
+    default=True,
+    show_default=True,
+    help="Fit the first four logs before together, and add the small errors of sensors and hull form that they show to "
+    "the model of all logs. No influence on a model.toml or a model of your own.",
+)
 @model_options(
     score_tests=False,
     why="Off, because effects would be added in some logs and not in others; the scatter between the logs contains "
@@ -461,9 +468,9 @@ def changes(
     before: tuple[Path, ...],
     after: tuple[Path, ...],
     false_discovery_rate: float,
+    common_errors: bool,
     out: Path,
     workers: Any,
-    force: bool,
     as_json: bool,
     **how: Any,
 ) -> None:
@@ -484,8 +491,9 @@ def changes(
     from seatrial.ident.workflows.changes import ChangesRequest, find_changes
     from seatrial.ident.workflows.vehicle_model import VehicleRequest
 
+    force = how.pop("force")
     vehicle = VehicleRequest((), (), out, **with_estimation_options(how))
-    request = ChangesRequest(before, after, vehicle, out, workers, force, false_discovery_rate)
+    request = ChangesRequest(before, after, vehicle, out, workers, force, false_discovery_rate, common_errors)
     run_workflow(lambda reporter: find_changes(request, command_line(), reporter).result, out, as_json)
 
 

@@ -187,6 +187,10 @@ class CampaignsResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="
     model: Annotated[str, Meta(description="name of the model as given; `auto`: chosen for each log")]
     table: Annotated[str, Meta(description="file of all estimates; empty: no file was written")]
     score_tests: Annotated[bool | None, Meta(description=SCORE_TESTED)] = None
+    common_errors: Annotated[
+        tuple[str, ...],
+        Meta(description="effects of the model: common errors that a fit of the first logs before has added"),
+    ] = ()
     horizon: Annotated[float, Meta(description="prediction horizon [s]")]
     false_discovery_rate: Annotated[
         float, Meta(description="largest expected share of false ones among the changed parameters")
@@ -283,10 +287,11 @@ def _load_sentence(changed: Sequence[ParameterDifference]) -> str:
 def _model_sentence(result: CampaignsResult) -> str:
     """Return a sentence on a model with common errors, if the changed parameters do not help the prediction; else "".
 
-    It is left out if the fits have score tests, or the model of a file, which may have common errors already.
+    It is left out if the fits have score tests or common errors, or the model of a file, which may have them already.
     """
     verdicts = [e.verdict for e in result.errors if e.logs == "after" and e.values == "changed"]
-    if result.score_tests or result.model.endswith(".toml") or not verdicts or "fell" in verdicts:
+    has_them = result.score_tests or result.common_errors or result.model.endswith(".toml")
+    if has_them or not verdicts or "fell" in verdicts:
         return ""
     return (
         "The changes do not help this model to predict, so that it may lack small errors of sensors and hull form. Fit "

@@ -1,30 +1,33 @@
 """Workflow of `seatrial ident changes`: one vehicle model on two campaigns of logs, and what differs between them.
 
-The model is fitted to each log separately, as by `seatrial ident fleet`, with the same table of estimates. The means of
-the campaigns are compared with the scatter between logs as a random effect (docs/decisions/0049-campaigns.md). The logs
+The model is fitted to each log separately, as by `seatrial ident fleet`, with the same table of estimates. It has the
+common errors of sensors and hull form that a fit of the logs before shows, the same for all logs. The means of the
+campaigns are compared with the scatter between logs as a random effect (docs/decisions/0049-campaigns.md). The logs
 are then predicted with the values of each campaign.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from seatrial.daq.errors import SeatrialError
+from seatrial.daq.errors import SeatrialError, counted
 from seatrial.ident.parallel import Workers
 from seatrial.ident.reporter import Reporter
 from seatrial.ident.results import (
     CampaignLog,
     CampaignsResult,
     FailedLog,
+    VehicleResult,
     campaigns_answer,
     provenance,
     write_result,
 )
+from seatrial.ident.results.result_file import read_result
 from seatrial.ident.workflows.campaign_errors import prediction_errors
 from seatrial.ident.workflows.campaign_fits import FALSE_DISCOVERY_RATE, Row, campaign_of, compare_fits, fitted_logs
 from seatrial.ident.workflows.fleet import (
@@ -36,8 +39,10 @@ from seatrial.ident.workflows.fleet import (
     score_test_note,
     warnings_of_logs,
 )
-from seatrial.ident.workflows.vehicle import is_tested
+from seatrial.ident.workflows.vehicle import fit_vehicle, is_tested, write_vehicle_fit
 from seatrial.ident.workflows.vehicle_model import VehicleRequest, is_saved_model
+
+LOGS_TOGETHER = 4  # logs before that are fitted together to find the common errors; more would only take longer
 
 
 @dataclass(frozen=True)
@@ -58,6 +63,9 @@ class ChangesRequest:
         Whether to start again if the folder has fits. Otherwise the fits in it are used.
     false_discovery_rate
         Largest expected share of false ones among the changed parameters, between 0 and 1.
+    common_errors
+        Whether the first logs before are fitted together first, and the common errors that they show are added to the
+        model of all logs. It has no influence on a saved or user-defined model, and on fits with score tests.
     """
 
     before: Sequence[Path]
@@ -67,6 +75,7 @@ class ChangesRequest:
     workers: Workers = field(default_factory=Workers)
     force: bool = False
     false_discovery_rate: float = FALSE_DISCOVERY_RATE
+    common_errors: bool = True
 
 
 @dataclass(frozen=True)
@@ -119,8 +128,10 @@ def find_changes(request: ChangesRequest, command: str, reporter: Reporter) -> C
         if log.sha256 in twice:
             raise SeatrialError(f"{log.name}: is in both campaigns (as {twice[log.sha256]}); leave it out of one")
     logs = [*before, *after]
-    fits = FleetRequest((), request.vehicle, request.out, request.workers, request.force)
-    table = fit_logs(logs, fits, code, reporter)
+    vehicle, common = request.vehicle, tuple[str, ...]()
+    if request.common_errors and not is_tested(vehicle) and not is_saved_model(vehicle.model):
+        vehicle, common = _with_common_errors(request, [log.path for log in before], reporter)
+    table = fit_logs(logs, FleetRequest((), vehicle, request.out, request.workers, request.force), code, reporter)
     rows = table.to_pylist()
     later = {log.sha256 for log in after}
     fitted = fitted_logs(rows, later)
@@ -129,13 +140,13 @@ def find_changes(request: ChangesRequest, command: str, reporter: Reporter) -> C
         first = _failed([r for r in rows if (r["sha256"] in later) == (which == "after")])[0]
         raise SeatrialError(f"no fit to a log {which} has converged; {first.log}: {first.reason}")
     comparison = compare_fits(fitted, request.false_discovery_rate)
-    errors, horizon = prediction_errors(fitted, comparison, logs, request.vehicle, code, request.workers, reporter)
+    errors, horizon = prediction_errors(fitted, comparison, logs, vehicle, code, request.workers, reporter)
     made = provenance([], command)
     result = CampaignsResult(
         created=made.created, seatrial=made.seatrial, command=made.command, answer="",
         warnings=warnings_of_logs(rows),
-        notes=(*comparison.notes, *_notes_on_models(request.vehicle), score_test_note(request.vehicle, rows)),
-        model=request.vehicle.model, score_tests=is_tested(request.vehicle),
+        notes=(*comparison.notes, *_notes_on_models(request.vehicle, common), score_test_note(vehicle, rows)),
+        model=vehicle.model, score_tests=is_tested(vehicle), common_errors=common,
         table="" if request.out is None else str(request.out / TABLE),
         horizon=horizon, false_discovery_rate=request.false_discovery_rate,
         campaigns=_campaign_logs(rows, later), failed=_failed(rows), parameters=comparison.parameters,
@@ -151,11 +162,90 @@ def find_changes(request: ChangesRequest, command: str, reporter: Reporter) -> C
     return Changes(result, table)
 
 
-def _notes_on_models(vehicle: VehicleRequest) -> list[str]:
-    """Return the note on a model with common errors, and how the sizes of added effects depend on the model.
+def _with_common_errors(
+    request: ChangesRequest, before: Sequence[Path], reporter: Reporter
+) -> tuple[VehicleRequest, tuple[str, ...]]:
+    """Return the options of each fit with the common errors of the logs before, and the names of these errors.
 
-    The result is empty for fits with score tests, and for the model of a file.
+    The first `LOGS_TOGETHER` logs before are fitted together, as by `seatrial ident vehicle`. With a folder for the
+    results, this fit is in its folder ``before``, and a continued run reads it there. The options are unchanged if the
+    logs show too few common errors, if they cannot be fitted together, or for a user-defined model.
+
+    Parameters
+    ----------
+    request : ChangesRequest
+        Options of each fit, and the folder for the results.
+    before : sequence of Path
+        Logs of the campaign before.
+    reporter : Reporter
+        Receives the progress, and a warning if the logs cannot be fitted together.
     """
+    together = replace(request.vehicle, logs=before[:LOGS_TOGETHER], score_tests=True)
+    if not is_tested(together):
+        return request.vehicle, ()
+    folder = None if request.out is None else request.out / "before"
+    if folder is not None and not request.force and (folder / "result.json").exists():
+        found = read_result(folder / "result.json")
+    else:
+        try:
+            done = fit_vehicle(together, "", _ProgressOnly(reporter))
+        except SeatrialError as problem:
+            reporter.warning(f"the logs before cannot be fitted together to find common errors: {problem}")
+            return request.vehicle, ()
+        if folder is not None:
+            write_vehicle_fit(done, folder)
+        found = done.result
+    if not isinstance(found, VehicleResult) or found.common_errors is None:
+        return request.vehicle, ()
+    common = [name for name in found.common_errors.names if name not in request.vehicle.effects]
+    own = {p.name for p in found.common_errors.parameters}  # without those of one log, whose names have its name too
+    # The estimates are the start of the fits to single logs, which have less data.
+    start = {p.name: p.value for p in found.fit.parameters if p.name in own and p.free}
+    vehicle = replace(
+        request.vehicle,
+        effects=(*request.vehicle.effects, *common),
+        initial={**start, **request.vehicle.initial},
+    )
+    return vehicle, tuple(common)
+
+
+class _ProgressOnly:
+    """Reporter for the fit of the logs before, whose warnings come again with the fit of each log."""
+
+    def __init__(self, reporter: Reporter) -> None:
+        """Store the reporter that receives the progress."""
+        self.reporter = reporter
+
+    def progress(self, text: str, times: Callable[[], str] | None = None) -> None:
+        """Pass the text on."""
+        self.reporter.progress(text, times)
+
+    def detail(self, text: str) -> None:
+        """Pass the text on."""
+        self.reporter.detail(text)
+
+    def warning(self, text: str) -> None:
+        """Ignore the text."""
+
+
+def _notes_on_models(vehicle: VehicleRequest, common: Sequence[str]) -> list[str]:
+    """Return the note on the common errors of the model, or on a model without them.
+
+    The note also says how the sizes of effects depend on the model. The result is empty for fits with score tests, and
+    for the model of a file.
+
+    Parameters
+    ----------
+    vehicle : VehicleRequest
+        Options of each fit as the user gave them.
+    common : sequence of str
+        Names of the common errors that a fit of the logs before has added.
+    """
+    if common:
+        return [
+            f"The model has the {counted(len(common), 'common error')} of sensors and hull form that the logs before "
+            f"show: {', '.join(common)} (--no-common-errors, in Python common_errors=False, leaves them out)."
+        ]
     if is_tested(vehicle) or is_saved_model(vehicle.model):
         return []
     sizes = ""

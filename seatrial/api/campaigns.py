@@ -100,6 +100,7 @@ def compare_campaigns(
     scheduler: str = "",
     jobs: int = -1,
     force: bool = False,
+    common_errors: bool = True,
     **options: Unpack[FitOptions],
 ) -> CampaignComparison:
     """Fit one model to the logs of two campaigns, and find what differs, as ``seatrial ident changes``.
@@ -121,6 +122,9 @@ def compare_campaigns(
         Largest expected share of false ones among the changed parameters, above 0 and at most 0.5.
     backend, scheduler, jobs, force
         As in `fit_many`.
+    common_errors : bool
+        Whether the first four logs before are fitted together first, and the small errors of sensors and hull form that
+        they show are added to the model of all logs. It has no influence on a model.toml or a model of your own.
     **options
         `FitOptions` of each fit, which ``help(st.FitOptions)`` describes, except ``profiles``. The default of
         ``score_tests`` is False.
@@ -152,11 +156,14 @@ def compare_campaigns(
         vehicle, progress = vehicle_request((), (), str(model), window, {"score_tests": False, **options})
         folder = None if out is None else as_path(out, "out")
         request = ChangesRequest(
-            earlier, later, vehicle, folder, Workers(jobs, backend, scheduler), force, false_discovery_rate
-        )
+            earlier, later, vehicle, folder, Workers(jobs, backend, scheduler), force, false_discovery_rate,
+            common_errors,
+        )  # fmt: skip
         arguments: dict[str, Any] = {"before": before, "after": after, "model": model, "out": out}
         arguments |= {"false_discovery_rate": false_discovery_rate, "backend": backend, "scheduler": scheduler}
-        command = python_call(compare_campaigns, {**arguments, "jobs": jobs, "force": force, **options})
+        command = python_call(
+            compare_campaigns, {**arguments, "jobs": jobs, "force": force, "common_errors": common_errors, **options}
+        )
         messages = Messages(progress)
         done = find_changes(request, command, messages)
         warn_of_result(done.result, messages)

@@ -25,11 +25,20 @@ from seatrial.ident.models.components import telemetry_age
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.report.sections.campaigns import _signed
 from seatrial.ident.report.terminal import campaign_tables
-from seatrial.ident.results import CampaignErrors, CampaignsResult, ErrorComparison, NotCompared, campaigns_answer
+from seatrial.ident.reporter import Quiet
+from seatrial.ident.results import (
+    CampaignErrors,
+    CampaignsResult,
+    ErrorComparison,
+    NotCompared,
+    campaigns_answer,
+    write_result,
+)
+from seatrial.ident.results.parts import CommonErrorsRow, EffectParameter
 from seatrial.ident.results.result_file import read_result
 from seatrial.ident.workflows.campaign_errors import _campaign_values
 from seatrial.ident.workflows.campaign_fits import Comparison, FittedLogs, _q_values, compare_fits, fitted_logs
-from seatrial.ident.workflows.changes import _notes_on_models
+from seatrial.ident.workflows.changes import ChangesRequest, _notes_on_models, _with_common_errors
 from seatrial.ident.workflows.fleet import SIDES, _effects_by_parameter
 from seatrial.ident.workflows.vehicle import VehicleFit
 from seatrial.ident.workflows.vehicle_model import VehicleRequest
@@ -237,6 +246,53 @@ def test_a_saved_model_is_fitted_again(logs: dict[str, list[Path]], tmp_path: Pa
     assert "c1" not in again.standard_errors
     other = st.fit(logs["fouled"][0], model=str(tmp_path / "model/model.toml"), score_tests=False)
     assert other.params["d_uu"] > 1.1 * first.params["d_uu"]
+
+
+@pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")
+def test_common_errors_of_the_logs_before_are_in_the_model_of_all(logs: dict[str, list[Path]], tmp_path: Path) -> None:
+    """A continued run takes the common errors of the fit in its folder, and starts at its estimates."""
+    fit = st.fit(logs["before"][0], fixed=FIXED, effects=["lever-arm"], score_tests=False).result
+    arm = tuple(
+        EffectParameter(name=p.name, meaning=p.meaning, unit=p.unit, value=p.value, se=p.se)
+        for p in fit.fit.parameters
+        if p.name in ("l_x", "l_y")
+    )
+    common = CommonErrorsRow(
+        names=("lever-arm",), titles=("",), gain=None, df=None, validation_gain=None, t=None, prediction=None,
+        parameters=arm,
+    )  # fmt: skip
+    (tmp_path / "before").mkdir()
+    write_result(msgspec.structs.replace(fit, common_errors=common), tmp_path / "before/result.json")
+    vehicle = VehicleRequest((), (), Path(), fixed=FIXED, score_tests=False)
+    request = ChangesRequest(logs["before"], logs["same"], vehicle, tmp_path)
+    changed, names = _with_common_errors(request, logs["before"], Quiet())
+    assert names == changed.effects == ("lever-arm",)
+    assert changed.initial == {p.name: p.value for p in arm}
+    assert not changed.score_tests
+
+    found = st.compare_campaigns(logs["before"][:2], logs["same"][:2], fixed=FIXED, out=tmp_path, jobs=1)
+    assert found.result.common_errors == ("lever-arm",)
+    assert {"l_x", "l_y"} <= {p.name for p in found.result.parameters}
+    assert any("the 1 common error of sensors and hull form" in note for note in found.notes)
+    plain = st.compare_campaigns(
+        logs["before"][:2], logs["same"][:2], fixed=FIXED, out=tmp_path / "plain", jobs=1, common_errors=False
+    )
+    assert plain.result.common_errors == ()
+    assert "l_x" not in {p.name for p in plain.result.parameters}
+    assert not (tmp_path / "plain/before").exists()
+
+
+def test_logs_that_cannot_be_fitted_together_are_fitted_without_common_errors(tmp_path: Path) -> None:
+    class Heard(Quiet):
+        def warning(self, text: str) -> None:
+            texts.append(text)
+
+    texts = list[str]()
+    (tmp_path / "broken.mcap").write_bytes(b"no log")
+    vehicle = VehicleRequest((), (), Path(), score_tests=False)
+    request = ChangesRequest((tmp_path / "broken.mcap",), (), vehicle, None)
+    assert _with_common_errors(request, request.before, Heard()) == (vehicle, ())
+    assert texts[0].startswith("the logs before cannot be fitted together to find common errors: ")
 
 
 def rows_of(
@@ -466,15 +522,15 @@ def test_sides_that_may_deviate_are_a_common_error_of_their_logs() -> None:
 def test_a_model_without_common_errors_has_a_note() -> None:
     """Small errors of sensors can hide changes, and only the model of a diagnosis gives its sizes of effects."""
     vehicle = VehicleRequest((), (), Path(), effects=("mismatch",), score_tests=False)
-    (note,) = _notes_on_models(vehicle)
+    (note,) = _notes_on_models(vehicle, ())
     assert "The size of mismatch can differ from that of a diagnosis" in note
-    (plain,) = _notes_on_models(replace(vehicle, effects=()))
+    (plain,) = _notes_on_models(replace(vehicle, effects=()), ())
     assert "The size of" not in plain
     for n in (note, plain):
         assert n.startswith("The model has no common errors of sensors and hull form, which can hide changes.")
         assert n.endswith("--model of a fit or a diagnosis of the logs before (before/model.toml).")
     for same in (replace(vehicle, score_tests=True), replace(vehicle, model="diagnosis/model.toml")):
-        assert not _notes_on_models(same)
+        assert not _notes_on_models(same, ())
 
 
 @pytest.mark.parametrize(("model", "verdict", "asked"), [
