@@ -184,9 +184,7 @@ def _with_common_errors(
     if not is_tested(together):
         return request.vehicle, ()
     folder = None if request.out is None else request.out / "before"
-    if folder is not None and not request.force and (folder / "result.json").exists():
-        found = read_result(folder / "result.json")
-    else:
+    if folder is None or request.force or not (folder / "result.json").exists():
         try:
             done = fit_vehicle(together, "", _ProgressOnly(reporter))
         except SeatrialError as problem:
@@ -194,7 +192,8 @@ def _with_common_errors(
             return request.vehicle, ()
         if folder is not None:
             write_vehicle_fit(done, folder)
-        found = done.result
+    # The rounded values of the file, so that a continued run has the same start.
+    found = done.result if folder is None else read_result(folder / "result.json")
     if not isinstance(found, VehicleResult) or found.common_errors is None:
         return request.vehicle, ()
     common = [name for name in found.common_errors.names if name not in request.vehicle.effects]
