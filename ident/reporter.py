@@ -45,6 +45,11 @@ class Quiet:
 class StepLines:
     """Lines of a step of a computation, for reporters that print lines: the step, then its details now and then.
 
+    Parameters
+    ----------
+    every_step
+        Whether each step has a line. Otherwise a step has one only if the last line, or the start, is 30 s old.
+
     Attributes
     ----------
     SPACING_S
@@ -53,21 +58,29 @@ class StepLines:
 
     SPACING_S = 30.0
 
-    def __init__(self) -> None:
+    def __init__(self, every_step: bool = True) -> None:
         """Begin without a step."""
-        self._step, self._detail, self._printed = "", "", -math.inf
+        self._every_step = every_step
+        self._step, self._detail, self._printed = "", "", -math.inf if every_step else time.monotonic()
         self._times: Callable[[], str] | None = None
 
     def start(self, step: str, times: Callable[[], str] | None = None) -> str:
-        """Return the line of a step that starts now: its text, after the time so far if ``times`` returns it."""
-        self._step, self._detail, self._times, self._printed = step, "", times, time.monotonic()
-        return self.line()
+        """Return the line of a step that starts now: its text, after the time so far if ``times`` returns it.
+
+        It is empty if no line is due.
+        """
+        self._step, self._detail, self._times = step, "", times
+        return self._due_line(self._every_step)
 
     def detail(self, text: str) -> str:
         """Return the line with a detail of the present step; "" if the last line is less than 30 s old."""
         self._detail = text
+        return self._due_line(False)
+
+    def _due_line(self, at_once: bool) -> str:
+        """Return the line of the present step; "" if the last line is less than 30 s old and ``at_once`` is false."""
         now = time.monotonic()
-        if now - self._printed < self.SPACING_S:
+        if not at_once and now - self._printed < self.SPACING_S:
             return ""
         self._printed = now
         return self.line()

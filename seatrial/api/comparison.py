@@ -410,7 +410,7 @@ def compare(
             names=tuple(named),
             workers=Workers(jobs, backend, scheduler),
         )
-        messages = Messages(False)
+        messages = Messages()
         arguments = {"models": chosen, "logs": data, "horizon": horizon, "rate": rate, "thruster": thruster}
         command = python_call(compare, {**arguments, "backend": backend, "scheduler": scheduler, "jobs": jobs})
         result = compare_models(request, command, messages)

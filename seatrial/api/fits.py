@@ -97,7 +97,8 @@ class FitOptions(TypedDict, total=False):
     despite_faults : bool
         Whether to fit logs with faults that make a fit meaningless, False by default.
     progress : bool
-        Whether to print a line for each step of the computation.
+        Whether to print a line for each step of the computation. Without it, a terminal or notebook shows a line every
+        30 s.
     """
 
     thruster: PathLike
@@ -143,7 +144,8 @@ class DiagnosisOptions(TypedDict, total=False):
     despite_faults : bool
         Whether to search in logs with faults that make a fit meaningless.
     progress : bool
-        Whether to print a line for each step of the computation.
+        Whether to print a line for each step of the computation. Without it, a terminal or notebook shows a line every
+        30 s.
     """
 
     max_effects: int
@@ -696,7 +698,7 @@ def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[
 
 def vehicle_request(
     logs: Sequence[Path], validation: Sequence[Path], model: str, window: Any, options: Mapping[str, Any]
-) -> tuple[VehicleRequest, bool]:
+) -> tuple[VehicleRequest, bool | None]:
     """Return the request of a vehicle fit from the options of the user, and whether progress is printed.
 
     Parameters
@@ -726,7 +728,7 @@ def vehicle_request(
             f"model: {shortened(model)} is no name of a model; give a name, such as 'horizontal:command', the path of "
             "a model.toml, or FILE.py:NAME of your own"
         )
-    progress = given.pop("progress", False)
+    progress = given.pop("progress", None)
     estimation = {n: given.pop(n) for n in ("outlier_model", "reml", "mean_order", "horizon") if n in given}
     if "thruster" in given:
         given["thruster"] = model_file(as_path(given["thruster"], "thruster"))
@@ -803,7 +805,7 @@ def diagnose(
     from seatrial.ident.workflows.diagnose import DiagnosisRequest, diagnose_model
 
     given = known_options(options, DiagnosisOptions)
-    messages = Messages(given.pop("progress", False))
+    messages = Messages(given.pop("progress", None))
     estimation = {n: given.pop(n) for n in ("outlier_model", "horizon") if n in given}
     if "effects_file" in given:
         given["effects_file"] = Path(given["effects_file"])

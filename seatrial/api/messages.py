@@ -138,28 +138,38 @@ def _as_design(command: str) -> str:
     return f"st.design(diagnosis, 'tell-apart.toml', between={tuple(words[2].split(','))!r})"
 
 
+def _is_interactive() -> bool:
+    """Return whether a user reads stderr: at a terminal, or in a notebook, whose kernel is ipykernel."""
+    return "ipykernel" in sys.modules or (sys.stderr is not None and sys.stderr.isatty())
+
+
 class Messages:
     """Receiver of the messages of a workflow (fit, diagnosis, ...) in the Python interface.
 
-    Warnings become Python warnings. Lines of progress are printed to stderr only if the user has asked for them.
+    Warnings become Python warnings. Lines of progress are printed to stderr: one for each step if the user has asked
+    for them, and one in 30 s if the user has not chosen and sits at a terminal or notebook.
     """
 
-    def __init__(self, progress: bool) -> None:
-        """Store whether to print a line for each step of the computation (``progress``)."""
-        self._progress, self._lines = progress, StepLines()
+    def __init__(self, progress: bool | None = None) -> None:
+        """Store whether each step of the computation has a line (``progress``); None: the user did not choose."""
+        self._progress = _is_interactive() if progress is None else progress
+        self._lines = StepLines(every_step=progress is not None)
         self.issued: set[str] = set()  # texts of the warnings
 
     def progress(self, text: str, times: Callable[[], str] | None = None) -> None:
-        """Print the line `text` about a step of the computation to stderr, if progress is printed; else do nothing.
+        """Print the line `text` about a step of the computation to stderr, if one is due; else do nothing.
 
         ``times`` returns the time so far and the time left, which are printed before the text.
         """
-        if self._progress:
-            print(in_python(self._lines.start(text, times)), file=sys.stderr, flush=True)
+        self._print(self._lines.start(text, times))
 
     def detail(self, text: str) -> None:
         """Print how far the step is to stderr, if progress is printed and its last line is at least 30 s old."""
-        if self._progress and (line := self._lines.detail(text)):
+        self._print(self._lines.detail(text))
+
+    def _print(self, line: str) -> None:
+        """Print a line of progress to stderr, if progress is printed and the line is not empty."""
+        if self._progress and line:
             print(in_python(line), file=sys.stderr, flush=True)
 
     def warning(self, text: str) -> None:

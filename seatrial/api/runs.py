@@ -69,7 +69,8 @@ class ThrusterOptions(TypedDict, total=False):
     despite_faults : bool
         Whether to fit logs with faults that make a fit meaningless.
     progress : bool
-        Whether to print a line for each step of the computation.
+        Whether to print a line for each step of the computation. Without it, a terminal or notebook shows a line every
+        30 s.
     """
 
     name: str
@@ -99,7 +100,7 @@ class DesignOptions(TypedDict, total=False):
         Names of the parameters of the criterion; empty for all that the sensors observe.
     between : tuple of two str
         Names of two effects that the mission distinguishes; empty for a design by the criterion. The search usually
-        takes 2 to 10 minutes; ``progress=True`` prints how far it is.
+        takes 2 to 10 minutes.
     area : tuple of two float
         Sides (north, east) [m] of the area for the whole track, which begins with a heading of north.
     max_speed : float
@@ -122,7 +123,8 @@ class DesignOptions(TypedDict, total=False):
     seed : int
         Seed of all random draws.
     progress : bool
-        Whether to print a line for each step of the computation.
+        Whether to print a line for each step of the computation. Without it, a terminal or notebook shows a line every
+        30 s.
     """
 
     duration: float
@@ -366,7 +368,7 @@ def thruster(logs: Logs, **options: Unpack[ThrusterOptions]) -> FittedThruster |
     given = known_options(options, ThrusterOptions)
     if "settle" in given:
         check_number("settle", given["settle"], "s")
-    reporter = Messages(given.pop("progress", False))
+    reporter = Messages(given.pop("progress", None))
     estimation = {n: given.pop(n) for n in ("outlier_model", "reml", "horizon") if n in given}
     how = replace(EstimationOptions(reml=True), **estimation)
     (paths,) = as_logs(logs)
@@ -441,7 +443,7 @@ def navigate(
         request = NavigationRequest(path, paths, out, smoothed, outages, window_of(logs), rate, curve)
         return navigate_logs(request, command, messages)
 
-    messages = Messages(False)
+    messages = Messages()
     arguments = {"model": model, "logs": logs, "gnss_outages": outages, "smoothed": smoothed, "thruster": thruster}
     command = python_call(navigate, {**arguments, "rate": rate})
     with model_path(model) as path:
@@ -492,7 +494,7 @@ def design(
 
     given, file = known_options(options, DesignOptions), as_path(out, "out")
     _check_design(given)
-    reporter = Messages(given.pop("progress", False))
+    reporter = Messages(given.pop("progress", None))
     area, speed, energy, current = (given.pop(name, None) for name in ("area", "max_speed", "energy", "current"))
     limits = DesignLimits(None if area is None else as_sides("area", area), speed, energy, current or 0.0)
     fitted = isinstance(model, FittedVehicle | FittedDiagnosis | Saved) or Path(str(model)).exists()

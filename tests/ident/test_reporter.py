@@ -4,6 +4,7 @@ in a live line.
 
 from __future__ import annotations
 
+import sys
 import time
 from io import StringIO
 from types import SimpleNamespace
@@ -12,6 +13,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+import seatrial as st
 from seatrial.api.messages import Messages
 from seatrial.ident.cli.options import LineReporter, LiveLine
 from seatrial.ident.reporter import TimeLeft, times_text
@@ -52,6 +54,44 @@ def test_details_are_printed_at_most_every_30_seconds(
     printed = capsys.readouterr()
     assert printed.out.split("\n") == [*(f"  {line}" for line in shown), ""]
     assert printed.err.split("\n") == [*shown, ""]
+
+
+@pytest.mark.parametrize("at_a_terminal", [True, False])
+def test_a_user_who_chose_nothing_sees_a_line_every_30_seconds_at_a_terminal(
+    at_a_terminal: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A script, whose output goes to a file, stays silent."""
+    now = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    monkeypatch.delitem(sys.modules, "ipykernel", raising=False)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: at_a_terminal, raising=False)
+    messages = Messages()
+    for k in range(75):
+        now[0] += 1.0
+        messages.progress(f"design: {k + 1} of 75 comparisons", lambda: f"{now[0] - 100.0:.0f} s so far")
+        messages.detail("two of three")
+    shown = [f"{k} s so far: design: {k} of 75 comparisons" for k in (30, 60)] if at_a_terminal else []
+    assert capsys.readouterr().err.splitlines() == shown
+
+
+def test_a_design_in_python_shows_its_progress_like_a_diagnosis(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither is given ``progress``: the reporter of both decides by the place of the user."""
+    made: list[bool | None] = []
+
+    class Stop(Exception):
+        """End of the call after the reporter is made."""
+
+    def stopped(progress: bool | None = None) -> Messages:
+        made.append(progress)
+        raise Stop
+
+    for name in ("runs", "fits"):
+        monkeypatch.setattr(f"seatrial.api.{name}.Messages", stopped)
+    for call in (lambda: st.design("horizontal:command", "x.toml", between=("wind", "mismatch")),
+                 lambda: st.diagnose("model.toml", "run.mcap")):  # fmt: skip
+        with pytest.raises(Stop):
+            call()
+    assert made == [None, None]
 
 
 def test_a_live_line_shows_the_step_and_its_present_detail() -> None:
