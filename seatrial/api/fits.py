@@ -136,13 +136,13 @@ class DiagnosisOptions(TypedDict, total=False):
     mass : float
         Weighed mass of the boat [kg], as that of `FitOptions`.
     outlier_model : bool
-        Whether outliers are part of the noise of all sensors, so that they have little weight.
+        Whether outliers are part of the noise of all sensors, so that they have little weight. False by default.
     horizon : float
-        Horizon [s] of the predictions with which the models are evaluated.
+        Horizon [s] of the predictions with which the models are evaluated; by default 10 s, for a thruster 1 s.
     rate : float
-        Rate of the rows [Hz] to which faster sensors are averaged; None for the usual rate of the model.
+        Rate of the rows [Hz] to which faster sensors are averaged; by default 10 Hz, for a thruster 50 Hz.
     despite_faults : bool
-        Whether to search in logs with faults that make a fit meaningless.
+        Whether to search in logs with faults that make a fit meaningless, False by default.
     progress : bool
         Whether to print a line for each step of the computation. Without it, a terminal or notebook shows a line every
         30 s.

@@ -48,7 +48,7 @@ class ExportOptions(TypedDict, total=False):
     name : str
         Prefix of functions and of the file; by default the name of the model.
     with_disturbance_states : bool
-        Whether disturbance forces and sensor biases are kept as states.
+        Whether disturbance forces and sensor biases are kept as states, False by default.
     thruster : path, or dict of str to path
         model.toml of the bench test of all thrusters, or of each thruster by name (``left``, ``right``). The inputs of
         the exported model are then commands. A fit of ``st.thruster`` to a log of the boat with commands and shaft
@@ -56,9 +56,9 @@ class ExportOptions(TypedDict, total=False):
     thrust_curve : "bench" or "boat"
         Thrust curve of a model with ``thruster``; ``bench`` by default.
     thrust_input : bool
-        Whether the inputs are thrusts [N] in place of shaft speeds.
+        Whether the inputs are thrusts [N] in place of shaft speeds, False by default.
     source_only : bool
-        Whether an FMU has no binary, and needs no compiler here.
+        Whether an FMU has no binary, and needs no compiler here. False by default.
     mass : float
         Mass of the boat without added mass [kg]; needed for Gazebo and VRX.
     inertia : float

@@ -57,17 +57,17 @@ class ThrusterOptions(TypedDict, total=False):
     name : str
         Name of the thruster in the rig; needed if the logs have several thrusters.
     settle : float
-        Time after each change of command that is left out from means of the force [s].
+        Time after each change of command that is left out from means of the force [s], 1.5 s by default.
     profiles : sequence of str
         Names of the parameters whose profile likelihood is computed.
     outlier_model : bool
-        Whether outliers are part of the noise of all sensors, so that they have little weight.
+        Whether outliers are part of the noise of all sensors, so that they have little weight. False by default.
     reml : bool
-        Whether the noise is estimated by restricted maximum likelihood.
+        Whether the noise is estimated by restricted maximum likelihood, True by default.
     horizon : float
-        Horizon [s] of the predictions with which the fit is evaluated.
+        Horizon [s] of the predictions with which the fit is evaluated, 1 s by default.
     despite_faults : bool
-        Whether to fit logs with faults that make a fit meaningless.
+        Whether to fit logs with faults that make a fit meaningless, False by default.
     progress : bool
         Whether to print a line for each step of the computation. Without it, a terminal or notebook shows a line every
         30 s.
@@ -89,39 +89,40 @@ class DesignOptions(TypedDict, total=False):
     Attributes
     ----------
     duration : float
-        Length of the mission [s].
+        Length of the mission [s], 600 s by default.
     steps : int
         Number of steps of the commands. If it is left out: one for each 5 s, but at least 8, and no more than the
         shortest step allows.
     criterion : ``D``, ``A``, ``E`` or ``Ds``
-        Scalar of the Fisher information that is optimised: determinant (D), mean variance (A), largest variance (E), or
-        determinant of the chosen parameters (Ds).
+        Scalar of the Fisher information that is optimised: determinant (D, the default), mean variance (A), largest
+        variance (E), or determinant of the chosen parameters (Ds).
     chosen : tuple of str
         Names of the parameters of the criterion; empty for all that the sensors observe.
     between : tuple of two str
         Names of two effects that the mission distinguishes; empty for a design by the criterion. The search usually
         takes 2 to 10 minutes.
     area : tuple of two float
-        Sides (north, east) [m] of the area for the whole track, which begins with a heading of north.
+        Sides (north, east) [m] of the area for the whole track, which begins with a heading of north. No limit by
+        default.
     max_speed : float
-        Largest speed through the water [m/s].
+        Largest speed through the water [m/s]. No limit by default.
     energy : float
-        Largest mean of ``|n|^3`` over time and thrusters, 0 to 1 (full power).
+        Largest mean of ``|n|^3`` over time and thrusters, 0 to 1 (full power). No limit by default.
     current : float
-        Largest current [m/s], from any direction, in which the track has to keep to area and speed.
+        Largest current [m/s], from any direction, in which the track has to keep to area and speed; 0 by default.
     n_max : float
-        Largest magnitude of a command, 0 to 1 (full command).
+        Largest magnitude of a command, 0 to 1 (full command); 1 by default.
     slew : float
-        Slew limit of a command [1/s].
+        Slew limit of a command [1/s]. No limit by default.
     shortest : float
-        Length of the shortest step [s].
+        Length of the shortest step [s], 1 s by default.
     rates : dict of str to float
         Sample rates [Hz] by name of the sensor. Others have the rate of the data that the model was fitted to, or 10 Hz
         if it is unknown.
     evaluations : int
-        Number of simulations of the mission in the search for the best commands, at least 500.
+        Number of simulations of the mission in the search for the best commands, at least 500; 20000 by default.
     seed : int
-        Seed of all random draws.
+        Seed of all random draws, 1 by default.
     progress : bool
         Whether to print a line for each step of the computation. Without it, a terminal or notebook shows a line every
         30 s.

@@ -16,7 +16,7 @@ import sys
 import tomllib
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -36,9 +36,14 @@ from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
 from seatrial.daq.importers.import_map import parse_import_map
 from seatrial.daq.log import bag_of_ros
 from seatrial.ident.data.loading import load_run
+from seatrial.ident.estimation.maximum_likelihood import EstimationOptions
 from seatrial.ident.estimation.model_file import load_model
 from seatrial.ident.experiment_design.problem import DesignLimits
 from seatrial.ident.results import read_result
+from seatrial.ident.workflows.design import DesignRequest
+from seatrial.ident.workflows.diagnose import DiagnosisRequest
+from seatrial.ident.workflows.thruster import ThrusterRequest
+from seatrial.ident.workflows.vehicle_model import VehicleRequest
 from seatrial.mocks.plant.bench import draw_bench
 from tests.missions import bench_log, boat_log, boat_with
 from tests.page_runner import run_python
@@ -1346,6 +1351,28 @@ def test_the_page_runs_as_written(page: Page) -> None:
     tables = {"steady.csv", "lookup.csv", "ardupilot.param"}
     assert {p.name for p in (page.folder / "thruster").iterdir()} == names | tables
     assert {p.name for p in (page.folder / "vehicle").iterdir()} == names
+
+
+@pytest.mark.parametrize(
+    ("options", "request_type"),
+    [
+        (st.FitOptions, VehicleRequest),
+        (st.DiagnosisOptions, DiagnosisRequest),
+        (st.ThrusterOptions, ThrusterRequest),
+        (st.DesignOptions, DesignRequest),
+    ],
+)
+def test_the_help_of_options_states_their_defaults(options: type, request_type: Any) -> None:
+    """A default of a switch, number or text of the computation stands in the entry of the option."""
+    entries = re.split(r"\n *(?=\w+ : )", inspect.getdoc(options) or "")[1:]
+    words = {entry.partition(" : ")[0]: " ".join(entry.split()) for entry in entries}
+    assert list(words) == list(options.__annotations__)
+    of_request = {f.name: f.default for f in fields(request_type) + fields(EstimationOptions)}
+    of_request |= {"reml": True, "mean_order": 2}  # of a fit in Python and by the commands
+    for name, default in of_request.items():
+        if name in words and isinstance(default, bool | int | float | str) and default not in ("", np.inf):
+            text = f"{default:g}" if isinstance(default, float) else str(default)
+            assert re.search(rf"\b{text}\b.*default|default.*\b{text}\b", words[name]), name
 
 
 def test_options_with_another_name_in_python_are_in_the_reference() -> None:
