@@ -26,6 +26,14 @@ from .signal_id import drive_word as drive_word
 from .signal_id import is_of_thruster as is_of_thruster
 from .signal_id import shaft_speed_of as shaft_speed_of
 from .signal_id import thrust_of as thrust_of
+from .sizes import Estimates as Estimates
+from .sizes import directed_in_sentence as directed_in_sentence
+from .sizes import directed_size as directed_size
+from .sizes import in_sentence as in_sentence
+from .sizes import largest_of_headings as largest_of_headings
+from .sizes import share_in_sentence as share_in_sentence
+from .sizes import share_in_words as share_in_words
+from .sizes import size_in_words as size_in_words
 from .smooth_modulus import SPEED_WIDTH as SPEED_WIDTH
 from .smooth_modulus import YAW_RATE_WIDTH as YAW_RATE_WIDTH
 from .smooth_modulus import smooth_modulus as smooth_modulus

@@ -21,6 +21,7 @@ from seatrial.ident.model import (
     ParameterRole,
     Signals,
     State,
+    directed_in_sentence,
 )
 from seatrial.ident.models import rotations
 from seatrial.ident.models.horizontal import BUILT_IN, SIDES, VELOCITIES, shift_in_time
@@ -279,6 +280,7 @@ def telemetry_age() -> Effect:
         place="sensor",
         requires=("n_stamp",),  # a Nomoto model already has a delay of its inputs
         kind=EffectKind.SENSOR_OFFSET,
+        in_words=directed_in_sentence("tau_age", "s", "the shaft speeds are logged {}", "late", "early"),
     )
 
 

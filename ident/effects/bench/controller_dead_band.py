@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from seatrial.ident.model import Effect, Parameter, Signals
+from seatrial.ident.model import Effect, Parameter, Signals, share_in_sentence
 from seatrial.ident.models import beyond_dead_band
 
 
@@ -37,4 +37,5 @@ EFFECT = Effect(
     requires=("bench",),
     one_sided=True,
     alternatives=("speed-curve",),
+    in_words=share_in_sentence("b_cmd", "the shaft stands still up to {} % of full command"),
 )

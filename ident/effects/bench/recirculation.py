@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from seatrial.ident.model import Effect, Parameter, Signals, State
+from seatrial.ident.model import Effect, Estimates, Parameter, Signals, State, share_in_words, size_in_words
 
 
 def lose(s: Signals) -> None:
@@ -19,6 +19,12 @@ def drive_recirculation(s: Signals) -> None:
     The recirculation follows the squared normalised shaft speed with the time constant ``T_wash``.
     """
     s.rate["wash"] = (s.x.n * s.x.n - s.x.wash) / s.p.T_wash
+
+
+def loss(estimates: Estimates) -> str:
+    """Return a clause for reports: the loss of thrust in steady state, and its time constant."""
+    share, time = share_in_words(*estimates["k_wash"]), size_in_words(*estimates["T_wash"], "s")
+    return f"at steady full speed the thrust falls by {share} %, with a time constant of {time}"
 
 
 EFFECT = Effect(
@@ -56,4 +62,5 @@ EFFECT = Effect(
     requires=("bench", "thrust"),
     one_sided=True,
     alternatives=("supply-sag", "cell-drift"),
+    in_words=loss,
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from seatrial.ident.model import Effect, Parameter, Signals
+from seatrial.ident.model import Effect, Parameter, Signals, share_in_sentence
 
 
 def lose(s: Signals) -> None:
@@ -31,4 +31,5 @@ EFFECT = Effect(
     experiment="as many steady levels in reverse as in forward, up to full speed",
     requires=("bench", "thrust"),
     alternatives=("thrust-exponent",),
+    in_words=share_in_sentence("rho_astern", "at full reverse the thrust falls by {} %"),
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from seatrial.ident.model import Effect, Parameter, Signals, State
+from seatrial.ident.model import Effect, Parameter, Signals, State, share_in_sentence
 
 WORK_UNIT_S = 30.0  # s at full power: the unit of work
 
@@ -47,4 +47,5 @@ EFFECT = Effect(
     requires=("bench",),
     one_sided=True,
     alternatives=("speed-curve", "recirculation"),
+    in_words=share_in_sentence("k_sag", "the shaft speed falls by {} % in 30 s of full power"),
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from seatrial.ident.model import Effect, Parameter, Signals
+from seatrial.ident.model import Effect, Parameter, Signals, share_in_sentence
 from seatrial.ident.models import beyond_dead_band
 
 
@@ -36,4 +36,5 @@ EFFECT = Effect(
     requires=("bench", "thrust"),
     one_sided=True,
     alternatives=("thrust-exponent",),
+    in_words=share_in_sentence("n_band", "no thrust below {} % of full speed"),
 )

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from seatrial.ident.model import Effect, Parameter, Signals
+from seatrial.ident.model import Effect, Estimates, Parameter, Signals, size_in_words
 
 AT_REST = 1e-6  # added to the squared shaft speed, so that its logarithm is finite at rest
 
@@ -34,6 +34,12 @@ def bend(s: Signals) -> None:
     s.force = s.force * factor(s.n, s.p.p_n)
 
 
+def power(estimates: Estimates) -> str:
+    """Return a clause for reports: the power of the shaft speed with which the thrust grows."""
+    less_two, error = estimates["p_n"]
+    return f"the thrust grows with the power {size_in_words(2.0 + less_two, error, '').rstrip()} of the shaft speed"
+
+
 EFFECT = Effect(
     name="thrust-exponent",
     title="a thrust-curve exponent other than two, on the bench",
@@ -45,4 +51,5 @@ EFFECT = Effect(
     experiment="many levels of steady speed, with long levels below a third of full speed",
     requires=("bench", "thrust"),
     alternatives=("thrust-dead-band", "reverse-loss"),
+    in_words=power,
 )

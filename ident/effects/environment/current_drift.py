@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from seatrial.ident.model import Effect, Input, Parameter, Signals
+from seatrial.ident.model import Effect, Estimates, Input, Parameter, Signals, directed_size
 
 
 def drift(s: Signals) -> None:
@@ -14,6 +14,13 @@ def drift(s: Signals) -> None:
     elapsed = s.u.t / 600.0 - 0.5  # centred, so that V_x and V_y are the current in the middle of 600 s
     s.rate["x"] = s.rate["x"] + s.p.V_dx * elapsed
     s.rate["y"] = s.rate["y"] + s.p.V_dy * elapsed
+
+
+def change(estimates: Estimates) -> str:
+    """Return a clause for reports: the change of the current [m/s] in 600 s to the north and to the east."""
+    north = directed_size(estimates["V_dx"], "m/s", "to the north", "to the south")
+    east = directed_size(estimates["V_dy"], "m/s", "to the east", "to the west")
+    return f"in 600 s the current changes by {north} and {east}"
 
 
 EFFECT = Effect(
@@ -50,4 +57,5 @@ EFFECT = Effect(
     experiment="drifting without thrust at the start, in the middle and at the end",
     requires=("plane",),
     alternatives=("wind", "battery-sag", "tether"),
+    in_words=change,
 )

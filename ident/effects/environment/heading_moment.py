@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from seatrial.ident.effects.sizes import Estimates, directed_size
-from seatrial.ident.model import Effect, ForceCurve, Parameter, Signals
+from seatrial.ident.model import Effect, Estimates, ForceCurve, Parameter, Signals, directed_size, largest_of_headings
 
 
 def add(s: Signals) -> None:
@@ -22,14 +21,8 @@ def largest(estimates: Estimates) -> str:
 
     Its standard error leaves out the correlations of the coefficients.
     """
-    psi = np.radians(np.arange(360.0))
-    shapes = np.array([np.sin(psi), np.cos(psi), np.sin(2 * psi), np.cos(2 * psi)])
-    values, errors = np.array([estimates[n] for n in ("N_s", "N_c", "N_2s", "N_2c")]).T
-    moment = values @ shapes
-    k = int(np.argmax(np.abs(moment)))
-    error = float(np.linalg.norm(errors * shapes[:, k]))
-    size = directed_size((float(moment[k]), error), "N m", "to starboard", "to port")
-    return f"at most {size}, on heading {k} deg"
+    moment, error, heading = largest_of_headings(estimates, ("N_s", "N_c", "N_2s", "N_2c"))
+    return f"at most {directed_size((moment, error), 'N m', 'to starboard', 'to port')}, on heading {heading} deg"
 
 
 EFFECT = Effect(

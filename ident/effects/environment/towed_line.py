@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from seatrial.ident.effects.sizes import Estimates, directed_size, size_in_words
-from seatrial.ident.model import INF, Effect, Parameter, Signals, State
+from seatrial.ident.model import INF, Effect, Estimates, Parameter, Signals, State, directed_size, size_in_words
 
 STRETCH = 0.02  # of the length; over this stretch the line becomes taut, because a filter needs a smooth tension
 # Largest speed of the end of the line, relative to that of the tow point. A line of exactly its length is drawn with

@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 
-from seatrial.ident.effects.sizes import Estimates, size_in_words
-from seatrial.ident.model import Effect, Parameter, Signals
+from seatrial.ident.model import Effect, Estimates, Parameter, Signals, size_in_words
 
 
 def blow(s: Signals) -> None:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from seatrial.ident.effects.sizes import Estimates, directed_size, size_in_words
-from seatrial.ident.model import Effect, Parameter, Signals
+from seatrial.ident.model import Effect, Estimates, Parameter, Signals, directed_size, size_in_words
 
 
 def add(s: Signals) -> None:

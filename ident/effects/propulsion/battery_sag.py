@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from seatrial.ident.effects.sizes import Estimates, share_in_words
-from seatrial.ident.model import INF, Effect, Input, Parameter, Signals
+from seatrial.ident.model import INF, Effect, Estimates, Input, Parameter, Signals, share_in_words
 
 
 def sag(s: Signals) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from seatrial.ident.model import Effect, Parameter, Signals
+from seatrial.ident.model import Effect, Parameter, Signals, share_in_sentence
 from seatrial.ident.models import beyond_dead_band
 
 
@@ -39,4 +39,5 @@ EFFECT = Effect(
     one_sided=True,
     alternatives=("reverse-thrust", "coulomb"),
     takes_over=("dead_zone",),
+    in_words=share_in_sentence("n_dead", "no thrust below {} % of full speed"),
 )

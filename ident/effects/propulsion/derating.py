@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from seatrial.ident.effects.sizes import share_in_words
-from seatrial.ident.model import Effect, Parameter, Signals, State
+from seatrial.ident.model import Effect, Parameter, Signals, State, share_in_words
 from seatrial.ident.models import SIDES
 
 # A thruster that becomes hot over most of a run and does not cool in it looks like a battery that sags: with a time

@@ -6,8 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from seatrial.ident.effects.sizes import share_in_words
-from seatrial.ident.model import INF, Effect, Input, Parameter, Signals
+from seatrial.ident.model import INF, Effect, Input, Parameter, Signals, share_in_words
 
 WIDTH_S = 5.0  # time in which the thrust changes [s]; the likelihood needs a derivative by the time of the change
 

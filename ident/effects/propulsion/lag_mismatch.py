@@ -13,8 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from seatrial.ident.effects.propulsion.thrust_history import FULL, GIVEN, MEASURED
-from seatrial.ident.effects.sizes import size_in_words
-from seatrial.ident.model import Effect, Parameter, Signals, State
+from seatrial.ident.model import Effect, Parameter, Signals, State, size_in_words
 from seatrial.ident.models import SHORTEST_LAG, SIDES, first_order
 
 # A score test sees the slope at a time constant of zero. The response of a lag of 0.05 s has little in common with that

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from seatrial.ident.model import Effect, Parameter, Signals
+from seatrial.ident.model import Effect, Estimates, Parameter, Signals, share_in_words
 
 
 def sag(s: Signals) -> None:
@@ -15,6 +15,13 @@ def sag(s: Signals) -> None:
     power = sum(abs(n) ** 3 for n in s.n.values()) / len(s.n)
     for side, f in s.f.items():
         s.f[side] = f / (1 + s.p.beta_P * power)
+
+
+def remaining(estimates: Estimates) -> str:
+    """Return a clause for reports: the share of the thrust that is left with all thrusters at full speed."""
+    lost, error = estimates["beta_P"]
+    left = 1.0 / (1.0 + lost)
+    return f"with all thrusters at full speed, {share_in_words(left, error * left**2)} % of the thrust is left"
 
 
 EFFECT = Effect(
@@ -41,4 +48,5 @@ EFFECT = Effect(
     requires=("n", "f"),
     one_sided=True,
     alternatives=("thruster-interaction", "battery-sag", "thrust-power", "advance-ratio"),
+    in_words=remaining,
 )

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from seatrial.ident.effects.sizes import share_in_words
-from seatrial.ident.model import Effect, Parameter, Signals
+from seatrial.ident.model import Effect, Parameter, Signals, share_in_words
 
 
 def scale(s: Signals) -> None:

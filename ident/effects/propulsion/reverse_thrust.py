@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from seatrial.ident.model import Effect, Parameter, Signals
+from seatrial.ident.model import Effect, Parameter, Signals, share_in_sentence
 
 
 def lose(s: Signals) -> None:
@@ -23,4 +23,7 @@ EFFECT = Effect(
     experiment="reverse steps of several levels, and turning on the spot",
     requires=("n", "f"),
     alternatives=("dead-band", "reverse-mismatch", "mismatch", "thruster-interaction"),
+    in_words=share_in_sentence(
+        "rho_rev", "in reverse a thruster gives {} % of the thrust of the estimated curve (c1 - c2)", left=True
+    ),
 )

@@ -14,8 +14,7 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from seatrial.ident.effects.sizes import in_sentence
-from seatrial.ident.model import Effect, Input, Parameter, Signals, State
+from seatrial.ident.model import Effect, Input, Parameter, Signals, State, in_sentence
 from seatrial.ident.models import SIDES, first_order, shift_in_time
 
 N_DELAY = 8

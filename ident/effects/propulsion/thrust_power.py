@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from seatrial.ident.effects.bench.thrust_exponent import EXPONENT, SOURCE, factor
+from seatrial.ident.effects.bench.thrust_exponent import EXPONENT, SOURCE, factor, power
 from seatrial.ident.model import Effect, Signals
 
 
@@ -26,4 +26,5 @@ EFFECT = Effect(
     experiment="many levels of steady command, with long levels below a third of full forward",
     requires=("n", "f"),
     alternatives=("thrust-linearity", "load-sag"),
+    in_words=power,
 )

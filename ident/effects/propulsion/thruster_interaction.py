@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from seatrial.ident.model import INF, Effect, Parameter, Signals
+from seatrial.ident.model import INF, Effect, Parameter, Signals, share_in_sentence
 
 
 def lose(s: Signals) -> None:
@@ -34,4 +34,5 @@ EFFECT = Effect(
     requires=("n", "f"),
     one_sided=True,
     alternatives=("load-sag", "wash", "advance-ratio", "reverse-thrust"),
+    in_words=share_in_sentence("kappa", "a thruster loses {} % of its thrust while the other one runs at full speed"),
 )

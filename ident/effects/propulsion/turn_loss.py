@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+
 from seatrial.ident.model import (
     INF,
     SPEED_WIDTH,
     YAW_RATE_WIDTH,
     Effect,
+    Estimates,
     ForceCurve,
     ModelFunction,
     Parameter,
     Signals,
+    share_in_words,
     smooth_modulus,
 )
 
@@ -32,6 +37,21 @@ def _thrust_reducer(parameter: str, variable: str) -> ModelFunction:
             s.f[side] = f * remaining
 
     return lose
+
+
+def _remaining(parameter: str, at: float, words: str) -> Callable[[Estimates], str]:
+    """Return a function for ``Effect.in_words``: the share of the thrust that is left at one value of the variable.
+
+    The value is ``at`` in SI units, and ``words`` in the clause, such as "30 deg/s of yaw rate".
+    """
+
+    def describe(estimates: Estimates) -> str:
+        """Return the clause with the share."""
+        loss, error = estimates[parameter]
+        left = 1.0 / (1.0 + loss * at)
+        return f"at {words}, {share_in_words(left, error * at * left**2)} % of the thrust is left"
+
+    return describe
 
 
 def _loss_effect(
@@ -66,9 +86,11 @@ def _loss_effect(
         one_sided=True,
         alternatives=alternatives,
         parametric_form_of=ForceCurve("T", variable),
+        in_words=_remaining(parameter.name, *EXAMPLES[variable]),
     )
 
 
+EXAMPLES = {"r": (math.radians(30.0), "30 deg/s of yaw rate"), "v": (0.5, "0.5 m/s of sway")}
 BY_YAW = Parameter(
     "loss_r", 0.0, "s/rad", "relative loss of thrust per yaw rate", prior=(0.0, 0.7), bounds=(0.0, INF), step=0.01
 )

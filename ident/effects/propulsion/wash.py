@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from seatrial.ident.effects.sizes import share_in_words
-from seatrial.ident.model import Effect, Parameter, Signals
+from seatrial.ident.model import Effect, Parameter, Signals, share_in_words
 
 WIDTH = 0.15  # shaft speed at which half of the loss is reached, so that the thrust has a derivative at zero
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from seatrial.ident.model import Effect, Parameter, Signals
+from seatrial.ident.model import Effect, Parameter, Signals, directed_in_sentence
 
 
 def scale(s: Signals) -> None:
@@ -24,4 +24,5 @@ EFFECT = Effect(
     experiment="hard starts and stops, and turning circles at speed; or the sensor on each of its faces on a table",
     requires=("hull",),
     alternatives=("accelerometer-tilt", "lag"),
+    in_words=directed_in_sentence("k_acc", "%", "the accelerations read {}", "too high", "too low"),
 )

@@ -6,11 +6,12 @@ compass heading, positive to the east. Their coefficients therefore have the opp
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 
-from seatrial.ident.model import Effect, Parameter, Signals
+from seatrial.ident.model import Effect, Estimates, Parameter, Signals, directed_size, largest_of_headings
 
 
 def turn_body_velocity(s: Signals, angle: Any) -> None:
@@ -54,6 +55,13 @@ def deviate(s: Signals) -> None:
     turn_body_velocity(s, deviation)
 
 
+def largest(estimates: Estimates) -> str:
+    """Return a clause for reports: the largest deviation of the heading [deg], and the heading at which it occurs."""
+    deviation, error, heading = largest_of_headings(estimates, ("dev_s", "dev_c", "dev_2s", "dev_2c"))
+    size = directed_size((math.degrees(deviation), math.degrees(error)), "deg", "too high", "too low")
+    return f"the heading reads at most {size}, on heading {heading} deg"
+
+
 EFFECT = Effect(
     name="compass",
     title="compass deviation",
@@ -71,4 +79,5 @@ EFFECT = Effect(
     experiment="swinging the compass: slow turns through all headings, in both directions",
     requires=("hull",),
     alternatives=("mount", "gyro-scale", "wind", "compass-filtered"),
+    in_words=largest,
 )

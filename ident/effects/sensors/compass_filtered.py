@@ -7,8 +7,10 @@ model, the delay looks like magnetic interference of the motors, because the mot
 
 from __future__ import annotations
 
+import math
+
 from seatrial.ident.effects.sensors.compass import heading_terms, turn_body_velocity
-from seatrial.ident.model import Effect, Parameter, Signals, State
+from seatrial.ident.model import Effect, Estimates, Parameter, Signals, State, directed_size, largest_of_headings
 
 TERMS = (("1s", "sin psi", 0.15), ("1c", "cos psi", 0.15), ("2s", "sin 2 psi", 0.05), ("2c", "cos 2 psi", 0.05))
 
@@ -37,6 +39,13 @@ def _add_deviation(s: Signals) -> None:
     deviation = p.dev_f1s * sin + p.dev_f1c * cos + p.dev_f2s * sin_2 + p.dev_f2c * cos_2 - s.x.dev_behind
     s.y["psi"] = s.y["psi"] + deviation
     turn_body_velocity(s, deviation)
+
+
+def largest(estimates: Estimates) -> str:
+    """Return a clause for reports: the largest deviation of the heading [deg], and the heading at which it occurs."""
+    deviation, error, heading = largest_of_headings(estimates, [f"dev_f{name}" for name, *_ in TERMS])
+    size = directed_size((math.degrees(deviation), math.degrees(error)), "deg", "too high", "too low")
+    return f"the heading reads at most {size}, on heading {heading} deg"
 
 
 EFFECT = Effect(
@@ -70,4 +79,5 @@ EFFECT = Effect(
     scan={"T_head": (1.0, 3.0, 8.0)},
     nests=("compass",),
     alternatives=("compass", "compass-motor"),
+    in_words=largest,
 )

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from seatrial.ident.effects.sizes import in_sentence
-from seatrial.ident.model import INF, Effect, Parameter, Signals
+from seatrial.ident.model import INF, Effect, Parameter, Signals, in_sentence
 
 
 def lag_yaw_rate(s: Signals) -> None:

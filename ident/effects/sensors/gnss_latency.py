@@ -14,8 +14,17 @@ from typing import Any
 
 import numpy as np
 
-from seatrial.ident.effects.sizes import in_sentence
-from seatrial.ident.model import HISTORY_STEP, INF, Effect, Input, Parameter, Signals, tap_name, weighted_sum
+from seatrial.ident.model import (
+    HISTORY_STEP,
+    INF,
+    Effect,
+    Input,
+    Parameter,
+    Signals,
+    in_sentence,
+    tap_name,
+    weighted_sum,
+)
 from seatrial.ident.models import LONGEST_DELAY, SHORTEST_LAG, SIDES, available_taps
 
 N_PAST = 5  # number of earlier samples of each input

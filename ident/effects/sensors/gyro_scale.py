@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from seatrial.ident.model import Effect, Parameter, Signals
+from seatrial.ident.model import Effect, Parameter, Signals, directed_in_sentence
 
 
 def scale(s: Signals) -> None:
@@ -22,4 +22,5 @@ EFFECT = Effect(
     experiment="several full turns in one direction, then as many in the other",
     requires=("hull",),
     alternatives=("compass",),
+    in_words=directed_in_sentence("k_gyro", "%", "the yaw rate reads {}", "too high", "too low"),
 )

@@ -8,8 +8,7 @@ too early, like a compass deviation, or like added yaw inertia.
 from __future__ import annotations
 
 from seatrial.ident.effects.sensors.compass import turn_body_velocity
-from seatrial.ident.effects.sizes import in_sentence
-from seatrial.ident.model import INF, Effect, Parameter, Signals
+from seatrial.ident.model import INF, Effect, Parameter, Signals, in_sentence
 
 
 def trail(s: Signals) -> None:

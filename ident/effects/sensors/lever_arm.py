@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from seatrial.ident.effects.sizes import Estimates, directed_size
-from seatrial.ident.model import Effect, Parameter, Signals
+from seatrial.ident.model import Effect, Estimates, Parameter, Signals, directed_size
 from seatrial.ident.models import rotations, shift
 
 

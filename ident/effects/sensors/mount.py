@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 
 from seatrial.ident.effects.sensors.compass import turn_body_velocity
-from seatrial.ident.model import Effect, Parameter, Signals
+from seatrial.ident.model import Effect, Estimates, Parameter, Signals, directed_in_sentence, directed_size
 from seatrial.ident.models import rotations
 from seatrial.ident.numerics import Matrix, rotation_matrix
 
@@ -61,6 +62,22 @@ COMMON: dict[str, Any] = {
     "causes": "an AHRS that is turned on its mount, magnetic in place of true north",
     "alternatives": ("compass", "wind"),
 }
+
+
+def angles(estimates: Estimates) -> str:
+    """Return a clause for reports: how the AHRS is turned in yaw, roll and pitch [deg] from the axes of the boat."""
+    directions = (
+        ("psi_mount", "clockwise", "anticlockwise"),
+        ("phi_mount", "in roll to starboard", "in roll to port"),
+        ("theta_mount", "in pitch upwards", "in pitch downwards"),
+    )
+    sizes = [
+        directed_size((math.degrees(estimates[n][0]), math.degrees(estimates[n][1])), "deg", *words)
+        for n, *words in directions
+    ]
+    return f"the AHRS is mounted {sizes[0]}, {sizes[1]} and {sizes[2]}"
+
+
 EFFECTS = (
     Effect(
         "mount",
@@ -68,6 +85,7 @@ EFFECTS = (
         {"axes": turn},
         (PSI,),
         experiment="straight runs on opposite headings, with and against the current",
+        in_words=directed_in_sentence("psi_mount", "deg", "the heading reads {}", "too high", "too low"),
         formula="psi_measured = psi + psi_0; accelerations rotated by psi_0",
         requires=("hull",),
         **COMMON,
@@ -79,6 +97,7 @@ EFFECTS = (
         (PSI, *TILT),
         formula="R_measured = R R_m; body rates and accelerations rotated by R_m', R_m of roll, pitch and psi_0",
         experiment="straight runs on opposite headings, with and against the current; turns while rolling and pitching",
+        in_words=angles,
         requires=("attitude",),
         **COMMON,
     ),

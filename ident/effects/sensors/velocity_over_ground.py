@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from seatrial.ident.model import Effect, Parameter, Signals
+from seatrial.ident.model import Effect, Parameter, Signals, directed_in_sentence
 from seatrial.ident.numerics import body_to_ned
 
 
@@ -36,6 +36,7 @@ EFFECTS = (
         source="units (knots for m/s, a nautical mile of 1.85 km), filters of slow receivers",
         causes="a unit in the import map (knots)",
         alternatives=("accelerometer-scale", "gnss-latency"),
+        in_words=directed_in_sentence("k_V", "%", "the velocity over ground reads {}", "too high", "too low"),
         **COMMON,
     ),
     Effect(
@@ -47,6 +48,7 @@ EFFECTS = (
         source="a course relative to magnetic or grid north, with positions relative to true north",
         causes="velocities relative to magnetic or grid north",
         alternatives=("mount", "compass", "lever-arm"),
+        in_words=directed_in_sentence("chi_0", "deg", "the course over ground reads {}", "too high", "too low"),
         **COMMON,
     ),
 )

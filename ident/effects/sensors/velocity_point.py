@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from seatrial.ident.model import Effect, Parameter, Signals
+from seatrial.ident.model import Effect, Estimates, Parameter, Signals, directed_size
 
 
 def move(s: Signals) -> None:
@@ -12,6 +12,13 @@ def move(s: Signals) -> None:
     ``v + r b_x``.
     """
     s.y["u"], s.y["v"] = s.y["u"] - s.p.b_y * s.x.r, s.y["v"] + s.p.b_x * s.x.r
+
+
+def point(estimates: Estimates) -> str:
+    """Return a clause for reports: the distances [m] of the point of measurement from the origin."""
+    forward = directed_size(estimates["b_x"], "m", "forward of", "aft of")
+    beside = directed_size(estimates["b_y"], "m", "to starboard of", "to port of")
+    return f"the velocity is measured {forward} and {beside} the origin"
 
 
 EFFECT = Effect(
@@ -28,4 +35,5 @@ EFFECT = Effect(
     experiment="turning on the spot, in both directions",
     requires=("hull", "body_velocity"),
     alternatives=("lever-arm", "cg-offset"),
+    in_words=point,
 )

@@ -16,6 +16,7 @@ from seatrial.ident.engine.vectorised_model import VectorisedModel
 from seatrial.ident.estimation.fitted_model import fit_and_evaluate, fit_nominal_model, nominal_model
 from seatrial.ident.export.linearisation import linearise
 from seatrial.ident.model.structure import Model, Signals
+from seatrial.ident.models.components import telemetry_age
 from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
 from tests.missions import boat_with, channels_of, sail
@@ -373,6 +374,68 @@ def test_shafts_follow_their_commands_with_time_constants_that_differ() -> None:
             {"N_s": (-3.0, 0.4), "N_c": (0.0, 0.2), "N_2s": (0.0, 0.2), "N_2c": (0.0, 0.3)},
             "at most 3.0 ± 0.5 N m to port, on heading 90 deg",
         ),
+        (
+            "compass",
+            {"dev_s": (0.14, 0.009), "dev_c": (0.0, 0.01), "dev_2s": (0.0, 0.01), "dev_2c": (0.0, 0.009)},
+            "the heading reads at most 8.0 ± 0.7 deg too high, on heading 90 deg",
+        ),
+        (
+            "compass-filtered",
+            {
+                "dev_f1s": (0.0, 0.01),
+                "dev_f1c": (-0.14, 0.0),
+                "dev_f2s": (0.0, 0.01),
+                "dev_f2c": (0.0, 0.0),
+                "T_head": (3.0, 0.1),
+            },
+            "the heading reads at most 8.02 deg too low, on heading 0 deg",
+        ),
+        ("mount", {"psi_mount": (-0.05, 0.005)}, "the heading reads 2.9 ± 0.3 deg too low"),
+        (
+            "mount-attitude",
+            {"psi_mount": (0.05, 0.005), "phi_mount": (-0.02, 0.01), "theta_mount": (0.02, 0.01)},
+            "the AHRS is mounted 2.9 ± 0.3 deg clockwise, 1.1 ± 0.6 deg in roll to port and 1.1 ± 0.6 deg in pitch "
+            "upwards",
+        ),
+        ("velocity-course", {"chi_0": (0.05, 0.005)}, "the course over ground reads 2.9 ± 0.3 deg too high"),
+        ("velocity-scale", {"k_V": (-0.05, 0.005)}, "the velocity over ground reads 5.0 ± 0.5 % too low"),
+        ("gyro-scale", {"k_gyro": (0.03, 0.01)}, "the yaw rate reads 3 ± 1 % too high"),
+        ("accelerometer-scale", {"k_acc": (0.03, 0.01)}, "the accelerations read 3 ± 1 % too high"),
+        (
+            "velocity-point",
+            {"b_x": (0.3, 0.02), "b_y": (-0.1, 0.03)},
+            "the velocity is measured 0.30 ± 0.02 m forward of and 0.10 ± 0.03 m to port of the origin",
+        ),
+        ("reverse-loss", {"rho_astern": (0.2, 0.03)}, "at full reverse the thrust falls by 20 ± 3 %"),
+        (
+            "reverse-thrust",
+            {"rho_rev": (0.2, 0.03)},
+            "in reverse a thruster gives 80 ± 3 % of the thrust of the estimated curve (c1 - c2)",
+        ),
+        ("load-sag", {"beta_P": (0.25, 0.05)}, "with all thrusters at full speed, 80 ± 3 % of the thrust is left"),
+        ("supply-sag", {"k_sag": (0.1, 0.01)}, "the shaft speed falls by 10 ± 1 % in 30 s of full power"),
+        (
+            "thruster-interaction",
+            {"kappa": (0.2, 0.02)},
+            "a thruster loses 20 ± 2 % of its thrust while the other one runs at full speed",
+        ),
+        ("dead-band", {"n_dead": (0.1, 0.01)}, "no thrust below 10 ± 1 % of full speed"),
+        ("thrust-dead-band", {"n_band": (0.1, 0.01)}, "no thrust below 10 ± 1 % of full speed"),
+        ("controller-dead-band", {"b_cmd": (0.1, 0.01)}, "the shaft stands still up to 10 ± 1 % of full command"),
+        (
+            "current-drift",
+            {"V_dx": (0.1, 0.02), "V_dy": (-0.2, 0.02)},
+            "in 600 s the current changes by 0.10 ± 0.02 m/s to the north and 0.20 ± 0.02 m/s to the west",
+        ),
+        ("thrust-power", {"p_n": (-0.3, 0.05)}, "the thrust grows with the power 1.70 ± 0.05 of the shaft speed"),
+        ("thrust-exponent", {"p_n": (0.3, 0.05)}, "the thrust grows with the power 2.30 ± 0.05 of the shaft speed"),
+        (
+            "recirculation",
+            {"k_wash": (0.2, 0.02), "T_wash": (6.0, 0.5)},
+            "at steady full speed the thrust falls by 20 ± 2 %, with a time constant of 6.0 ± 0.5 s",
+        ),
+        ("turn-loss", {"loss_r": (0.5, 0.1)}, "at 30 deg/s of yaw rate, 79 ± 3 % of the thrust is left"),
+        ("inflow-loss", {"loss_v": (0.5, 0.1)}, "at 0.5 m/s of sway, 80 ± 3 % of the thrust is left"),
         ("gnss-latency-command", {"tau_gnss": (0.184, 0.011)}, "the fix is 0.18 ± 0.01 s old at its time stamp"),
     ],
 )
@@ -382,6 +445,13 @@ def test_sizes_with_a_natural_unit_are_told_in_words(
     told = catalogue()[name].in_words
     assert told is not None
     assert told(estimates) == words
+
+
+@pytest.mark.parametrize(("age", "words"), [(0.08, "0.08 ± 0.01 s late"), (-0.02, "0.02 ± 0.01 s early")])
+def test_the_age_of_telemetry_is_told_in_words(age: float, words: str) -> None:
+    told = telemetry_age().in_words
+    assert told is not None
+    assert told({"tau_age": (age, 0.01)}) == f"the shaft speeds are logged {words}"
 
 
 def test_effects_of_the_thrusters_are_told_in_words() -> None:
