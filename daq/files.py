@@ -50,7 +50,7 @@ def require_file(path: Path) -> None:
         os.close(opened)
 
 
-def require_new(path: Path, force: bool = False, option: str = "-o") -> None:
+def require_new(path: Path, force: bool = False, option: str = "-o", switch: str = "--force") -> None:
     """Check that an output may be created at a path.
 
     A path that does not exist, or cannot be examined, is accepted; the writer reports an error.
@@ -62,7 +62,9 @@ def require_new(path: Path, force: bool = False, option: str = "-o") -> None:
     force
         Whether an existing regular file may be replaced.
     option
-        The command-line option that names another output, for the error message.
+        The command-line option that names another output, for the error message; an argument of a Python function.
+    switch
+        The command-line option that lets an existing file be replaced, for the error message; ``force=True`` in Python.
 
     Raises
     ------
@@ -80,7 +82,7 @@ def require_new(path: Path, force: bool = False, option: str = "-o") -> None:
     if not stat.S_ISREG(mode):
         raise SeatrialError(f"{path}: exists already, and is a folder, a pipe or a device; name another output")
     if not force:
-        raise SeatrialError(f"{path}: the file exists already; --force replaces it, {option} names another")
+        raise SeatrialError(f"{path}: the file exists already; {switch} replaces it, {option} names another")
 
 
 def require_parent(path: Path) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.daq.errors import SeatrialError, closest_name, warn
-from seatrial.daq.files import write_output
+from seatrial.daq.files import require_new, write_output
 from seatrial.ident.export.conditions import conditions_text
 from seatrial.ident.export.matlab import cell_array, check_mat_name, write_mat
 from seatrial.ident.model import COMMAND, SHAFT_SPEED, is_of_thruster
@@ -160,7 +160,7 @@ class StateFeedback:
         """
         file = Path(path)
         check_mat_name(file)
-        _check_new(file, force)
+        require_new(file, force, "path", "force=True")
         found = self._variables()
         write_mat(file, {n: cell_array(v) if isinstance(v, list) else v for n, v in found.items()}, force)
         return file
@@ -186,7 +186,7 @@ class StateFeedback:
         file = Path(path)
         if file.suffix != ".json":
             raise SeatrialError(f"{file}: give a name that ends in .json; `to_mat` writes a file for MATLAB")
-        _check_new(file, force)
+        require_new(file, force, "path", "force=True")
         found = self._variables()
         found["poles"] = np.column_stack([self.poles.real, self.poles.imag])
         lists = {n: v.tolist() if isinstance(v, np.ndarray) else v for n, v in found.items()}
@@ -337,12 +337,6 @@ def lqr(
     x0 = np.append(linear.x0, np.full(len(states) - n, linear.conditions.get(HEADING, 0.0)))
     units = {**linear.units, **({HEADING: "rad"} if steered else {})}
     return StateFeedback(states, linear.inputs, gain, x0, linear.u0, poles, units, limit)
-
-
-def _check_new(file: Path, force: bool) -> None:
-    """Raise SeatrialError if a file exists and may not be replaced."""
-    if file.exists() and not force:
-        raise SeatrialError(f"{file}: the file exists already; force=True replaces it, path names another")
 
 
 def _is_share_of_full(name: str) -> bool:

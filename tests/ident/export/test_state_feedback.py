@@ -130,6 +130,9 @@ def test_feedback_is_written_to_files(linear: LinearModel, tmp_path: Path) -> No
     with pytest.raises(SeatrialError, match=r"control\.mat: the file exists already; force=True replaces it"):
         control.to_mat(tmp_path / "control.mat")
     control.to_json(tmp_path / "control.json", force=True)
+    (tmp_path / "of a folder.json").mkdir()
+    with pytest.raises(SeatrialError, match=r"of a folder\.json: exists already, and is a folder, a pipe or a device"):
+        control.to_json(tmp_path / "of a folder.json")  # force would not replace it
     with pytest.raises(SeatrialError, match=r"control\.m: MATLAB loads files whose name ends in \.mat"):
         control.to_mat(tmp_path / "control.m")
     with pytest.raises(SeatrialError, match=r"control\.yaml: give a name that ends in \.json; `to_mat` writes"):
