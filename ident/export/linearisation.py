@@ -189,7 +189,8 @@ class LinearModel:
     ranges : dict of str to tuple of float
         Smallest and largest value of the states and inputs in the fitted data by name. Empty if they are unknown.
     at_speed : callable or None
-        Function that linearises the same fitted model at another speed [m/s]. None: there is only this linear model.
+        Function that linearises the same fitted model at another speed [m/s], with the argument ``near`` of
+        `linearise`. None: there is only this linear model.
     """
 
     speed: float
@@ -206,7 +207,7 @@ class LinearModel:
     conditions: Mapping[str, float] = field(default_factory=dict)
     assumed: tuple[str, ...] = ()
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    at_speed: Callable[[float], LinearModel] | None = field(default=None, compare=False)
+    at_speed: Callable[..., LinearModel] | None = field(default=None, compare=False)
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -406,7 +407,7 @@ class LinearModel:
         if self.at_speed is None or speed == 0.0:
             return float("nan")
         try:
-            return float(self.at_speed(speed).poles.real.max(initial=0.0))
+            return float(self.at_speed(speed, near=self).poles.real.max(initial=0.0))
         except (SeatrialError, ArithmeticError, np.linalg.LinAlgError):
             return float("nan")  # for example a speed that the boat does not reach
 
