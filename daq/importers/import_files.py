@@ -71,7 +71,7 @@ def import_files(
     import_map = load_import_map(map_path, geometry, scale)
     if unknown := unknown_names_text(s.name for source in import_map.sources for s in source.signals):
         warn(f"{map_path}: {unknown}")
-    if assumed := _assumed_roles_line(import_map):
+    if assumed := assumed_roles_line(import_map):
         warn(f"{map_path}: {assumed}")
     groups = _files_of_logs(import_map, files)
     pieces_of = [_pieces_of_file(import_map, group) for _, group in groups]
@@ -116,7 +116,7 @@ def import_files(
     return written
 
 
-def _assumed_roles_line(import_map: ImportMap) -> str:
+def assumed_roles_line(import_map: ImportMap) -> str:
     """Return a line on the signals that are outputs only because the map has no role for them; empty without any.
 
     Signals whose name a built-in model or the conversion of frames uses, and those that should have another name

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from seatrial.daq.errors import SeatrialError
-from seatrial.daq.importers.import_files import import_files
+from seatrial.daq.importers.import_files import assumed_roles_line, import_files
 from seatrial.daq.importers.import_map import load_import_map
 from seatrial.daq.importers.units import UNITS
 from seatrial.daq.log.reader import open_log
@@ -34,7 +34,9 @@ def test_units_agree_with_their_definitions() -> None:
 @pytest.mark.parametrize("path", sorted(EXAMPLES.rglob("*.toml")), ids=lambda path: path.stem)
 def test_the_worked_maps_are_valid(path: Path) -> None:
     if "seatrial-import-csv" in path.read_text(encoding="utf-8"):
-        assert load_import_map(path).sources
+        import_map = load_import_map(path)
+        assert import_map.sources
+        assert not assumed_roles_line(import_map)
 
 
 def test_the_documented_map_is_valid(folder: Path) -> None:
@@ -44,7 +46,9 @@ def test_the_documented_map_is_valid(folder: Path) -> None:
     assert found
     for text in found:
         (folder / "map.toml").write_text(text)
-        assert load_import_map(folder / "map.toml").sources
+        import_map = load_import_map(folder / "map.toml")
+        assert import_map.sources
+        assert not assumed_roles_line(import_map)
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ format = "seatrial-import-csv 1"
 [time]
 rate_hz = 20.0
 """
-SIGNAL = '[[signal]]\nname = "{0}"\ncolumn = "{0}"\nunit = "{1}"\n'
+SIGNAL = '[[signal]]\nname = "{0}"\ncolumn = "{0}"\nunit = "{1}"\nrole = "output"\n'
 
 
 def run(*words: str, status: int = 0) -> None:
