@@ -77,6 +77,7 @@ LEAST_LARGEST_COMMAND = 0.3  # of a source, from which its largest shaft speed s
 MOST_NAMED = 3  # files of a shared map that its first line names
 MOST_LISTED = 12  # columns that were not recognised and are listed as comments
 UNKNOWN_CDEG = 65535  # an unknown heading in MAVLink (hdg)
+FEWEST_ZEROS = 10  # rows; a measured signal that is 0 in so many, and in all others, is not measured
 TURN = 6.6  # rad; slightly more than a whole turn
 Clocks = Mapping[int, Clock]  # clock of each table, by the id of the table
 BOATS = {10, 11, 12}  # MAV_TYPE: rover (ArduPilot's boats too), boat, submarine
@@ -222,12 +223,15 @@ def guess_map(
     candidates = [_with_full_speed(c, full or {}, known or {}) for c in candidates]
     candidates = [_with_unit_caveats(_with_frame_key(c) if kind.name == "ros" else c) for c in candidates]
     main = _main_clock(candidates, clocks)
-    taken, lines = _chosen_signals(candidates, clocks, main, max(len(files), 1))
+    silent = [c for c in candidates if _is_always_zero(c)]
+    measured = [c for c in candidates if c not in silent]
+    taken, lines = _chosen_signals(measured, clocks, main, max(len(files), 1))
     problem = _missing_for_fit(taken, tables)
     head += _style_line(options, kind.name) + _time_lines(tables, candidates, clocks, main)
     unrecognised = _unrecognised_columns(tables, candidates, clocks)
     remarks = [f"# caveat: {table.full_remark}" for table in tables if table.full_remark]
     remarks += [line for table in tables for line in _not_measured_lines(table)]
+    remarks += [_always_zero_line(c) for c in silent]
     remarks += [line for table in tables for line in _length_lines(table, clocks[id(table)], main)]
     remarks += [f"# caveat: {line}" for line in _held_signal_comments(candidates, taken, clocks)]
     closing = ["]", *_boat_lines(taken)]
@@ -305,6 +309,25 @@ def _not_measured_lines(table: Table) -> list[str]:
         for part, changes in unmeasured_parts(table).items()
         if not changes
     ]
+
+
+def _is_always_zero(candidate: Candidate) -> bool:
+    """Return whether the columns of measured signals are 0 in all of at least `FEWEST_ZEROS` (10) rows.
+
+    Drivers write 0 for what they do not measure. A command may be zero in a whole log.
+    """
+    if any('role = "input"' in signal.extra for signal in candidate.signals):
+        return False
+    columns = [candidate.table.numbers(column) for signal in candidate.signals for column in signal.columns]
+    known = [values[np.isfinite(values)] for values in columns]
+    return all(values.size >= FEWEST_ZEROS and not values.any() for values in known)
+
+
+def _always_zero_line(candidate: Candidate) -> str:
+    """Return a comment line that names the columns of a candidate that is 0 in all rows."""
+    columns = dict.fromkeys(column for signal in candidate.signals for column in signal.columns)
+    of_topic = f" of {candidate.table.topic}" if candidate.table.topic else ""
+    return f"# not measured: {first_names(list(columns), MOST_NAMED)}{of_topic}, 0 in the whole source"
 
 
 def _length_lines(table: Table, clock: Clock, main: Clock) -> list[str]:

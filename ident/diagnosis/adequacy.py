@@ -34,6 +34,7 @@ from seatrial.ident.experiment_design import reason_without_mission
 from seatrial.ident.model import Effect, EffectKind, Parameter
 from seatrial.ident.models import SENSOR_ERRORS, THRUST_LOSSES
 
+HEADING_ERROR, YAW_RATE = "psi", "r"  # sensor error that is a curve, and channel of another sensor
 MOST_ADVISED = 3  # candidates that the advice on an experiment names
 MOST_SIZES = 4  # sizes of an effect that a reason for ambiguity lists
 SIZE_IS_KNOWN = 1.96  # standard errors from zero, from which the 95 % interval of a size does not contain zero
@@ -157,6 +158,9 @@ def _remaining_test_reasons(
     keeps its size beside the strongest remaining candidates is not there in their place. Only its alternatives that
     were not among these candidates are then a reason. But an effect of little importance stays ambiguous if many tests
     pass: where so much is unexplained, several of the remaining effects together can look like it.
+
+    An error of the measured heading is no reason against an effect that improves the prediction of the yaw rate, which
+    another sensor measures (`_predicts_yaw_rate`).
     """
     refit = search_round.chosen
     assert refit is not None
@@ -165,8 +169,10 @@ def _remaining_test_reasons(
     limit = max(policy.max_remaining_criterion, policy.max_remaining_share * total)
     # the remaining criterion has to be small compared with all effects and with this effect
     own_limit = max(policy.max_remaining_criterion, refit.criterion)
-    strong = [s for s in evidence.remaining if s.criterion(evidence.n) > min(limit, own_limit)]
-    remaining, unaffected = evidence.remaining, refit.effect.name in evidence.unaffected
+    unaffected, remaining = refit.effect.name in evidence.unaffected, evidence.remaining
+    if _predicts_yaw_rate(refit.effect.name, evidence.importances, policy):
+        remaining = [s for s in remaining if s.curve is None or s.curve.force != HEADING_ERROR]
+    strong = [s for s in remaining if s.criterion(evidence.n) > min(limit, own_limit)]
     many = _many_remaining_tests_reasons(remaining, len(evidence.nominal), policy)
     if unaffected:
         strong = []
@@ -180,6 +186,15 @@ def _remaining_test_reasons(
         *_remaining_alternative_reasons(still_found),
         *_nonparametric_curve_reasons(chosen, search_round, unaffected, policy),
     ], still_found
+
+
+def _predicts_yaw_rate(name: str, importances: Sequence[EffectImportance], policy: SearchPolicy) -> bool:
+    """Return whether the error of the yaw rate over the horizon surely falls by an amount that matters with an effect.
+
+    The whole 95 % interval of its ratio, without the effect over with it, is above ``policy.min_ratio_beside_many``.
+    """
+    channels = [w.prediction.channels for w in importances if w.effect == name and w.prediction is not None]
+    return any(YAW_RATE in c and c[YAW_RATE].high < 1.0 / policy.min_ratio_beside_many for c in channels)
 
 
 def _matters_beside_many(name: str, importances: Sequence[EffectImportance], policy: SearchPolicy) -> bool:

@@ -973,12 +973,14 @@ def _model_for_use(diagnosis: Diagnosis, given: GivenModel) -> str:
 def _notes(diagnosis: Diagnosis, given: GivenModel) -> list[str]:
     """Return the notes of a diagnosis of a given model, in this order.
 
-    They are about common errors in the model, candidates that signals contradict, candidates that still pass the score
-    test, the reason why the search ended, effects that were removed again, validation runs that the model does not fit
-    (without effects, the answer has them), which model to use without effects, and parameters with a flag. A note that
-    does not apply is left out.
+    They are about the names of the effects, common errors in the model, candidates that signals contradict, candidates
+    that still pass the score test, the reason why the search ended, effects that were removed again, validation runs
+    that the model does not fit (without effects, the answer has them), which model to use without effects, and
+    parameters with a flag. A note that does not apply is left out.
     """
-    notes = common_errors_notes(diagnosis.common_errors, "the effects")
+    named = [f"{r.effect.name} ({r.effect.title})" for r in diagnosis.effects if r.effect.name in catalogue()]
+    notes = [f"Names for --effect: {', '.join(named)}."] if named else []
+    notes += common_errors_notes(diagnosis.common_errors, "the effects")
     notes += [f"The data exclude {r.effect.title}, which was not tested: {r.reason}." for r in diagnosis.refuted]
     if diagnosis.remaining and not diagnosis.untried_scores:
         if diagnosis.effects:

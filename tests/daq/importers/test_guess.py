@@ -539,6 +539,17 @@ def test_assumed_units_have_caveats(guess_of: Guessing) -> None:
     assert "# caveat" not in guess_of("matlab", Table(Path("x"), "", known, TIME)).text
 
 
+def test_a_measured_signal_that_is_always_zero_is_left_out(tmp_path: Path) -> None:
+    """A command may be zero in a whole log, and a short table says nothing."""
+    columns = {"t": TIME, "heading_deg": 10.0 * TIME, "ax": 0.0 * TIME, "ay": 0.0 * TIME, "cmd_left": 0.0 * TIME}
+    columns |= {"cmd_right": np.sin(TIME)}
+    text = guess_map(write(tmp_path, columns)).text
+    assert "# not measured: ax, ay, 0 in the whole source\n" in text
+    assert {signal["name"] for signal in tomllib.loads(text)["signal"]} == {"psi", "n_left", "n_right"}
+    short = guess_map(write(tmp_path, {name: values[:5] for name, values in columns.items()})).text
+    assert {"ax", "ay"} <= {signal["name"] for signal in tomllib.loads(short)["signal"]}
+
+
 def test_the_unit_of_a_rate_follows_from_the_heading(tmp_path: Path) -> None:
     psi = 60.0 * np.sin(0.8 * TIME)  # deg, 10 Hz
     degrees = {"t": TIME, "yaw": psi, "yaw_rate": 48.0 * np.cos(0.8 * TIME)}

@@ -32,7 +32,7 @@ from seatrial.ident.report.page import write_report
 from seatrial.ident.report.terminal import print_result
 from seatrial.ident.results.diagnosis import in_words
 from seatrial.ident.results.tables import effect_parameter_rows
-from seatrial.ident.validation.prediction_errors import PredictionChange
+from seatrial.ident.validation.prediction_errors import ChannelChange, PredictionChange
 from tests.ident.pages import loaded
 from tests.ident.report_example import diagnosis
 from tests.ident.unlisted import kind_of
@@ -184,6 +184,28 @@ def test_an_effect_of_little_importance_is_ambiguous_where_many_tests_pass(
     # The fit beside the remaining candidates is not made if it cannot change that.
     needed = depends_on_remaining_tests(rounds, replace(evidence, unaffected=frozenset()))
     assert needed == (attribution == "identified")
+
+
+@pytest.mark.parametrize(
+    ("curve", "channel", "high", "attribution"),
+    [
+        ("psi(n_diff)", "r", 0.5, "identified"),
+        ("psi(n_diff)", "r", 0.9, "ambiguous"),
+        ("psi(n_diff)", "psi", 0.5, "ambiguous"),
+        ("N(n_diff)", "r", 0.5, "ambiguous"),
+    ],
+)
+def test_an_error_of_the_heading_is_no_rival_of_an_effect_that_predicts_the_yaw_rate(
+    curve: str, channel: str, high: float, attribution: str
+) -> None:
+    """The gyro measures the yaw rate, so that an error of the heading cannot make its prediction better."""
+    change = ChannelChange(0.4, 0.3, high, 0.05, 0.02)
+    weight = EffectImportance(
+        "thrust-angle", 200.0, 1.8, 90.0, 5.0, PredictionChange(0.4, 0.3, 0.5, 10.0, {channel: change})
+    )
+    evidence = AttributionEvidence((score(curve, 240.0),), N, importances=[weight])
+    (found,) = assess_alternatives([one_round(refit("thrust-angle", 800.0))], evidence)
+    assert found.attribution == attribution
 
 
 def test_every_alternative_that_is_not_excluded_has_its_reason() -> None:
