@@ -541,7 +541,13 @@ def sensor_delay(
         advice = f"check filters, output rate and time stamps of the {late}; {DELAY_OF_PAIR}"
         yield Finding(level, "sensor-late", "late", late_source, text, advice)
     elif found.half > UNKNOWN_DELAY or abs(found.lag) >= DELAY_WARNING - SENSOR_GRID_S / 2:
-        text = f"the delay between {first} and {second} is not known ({interval})"
+        # If the best lag hardly explains the error, it may be chance, and its interval says nothing.
+        why = (
+            interval
+            if found.half > UNKNOWN_DELAY
+            else f"the best lag removes only {100 * found.gain:.0f} % of the error"
+        )
+        text = f"the delay between {first} and {second} is not known ({why})"
         yield Finding(UNKNOWN, "delay-unknown", "late", first_source, text)
     else:
         same = abs(found.lag) < SENSOR_GRID_S / 2

@@ -106,7 +106,7 @@ PASSED_TESTS = (
 SHORT_FOR_SIMULATION = 4.0  # warm-ups: of a shorter record, the errors of a simulation leave out a large part
 SIMULATION_COVERS = f"The errors of the simulation leave out the {WARM_UP:g} s of filtering before it: they cover"
 MOST_OF_ERROR = "A small part of the time has most of the squared error"  # begins the note of a comparison
-RUNS_AWAY = "The simulation of a directionally unstable model runs away from the measured motion"  # begins a note
+RUNS_AWAY = "The simulation of a directionally unstable model can run away from the measured motion"  # begins a note
 LIFT = "Y_uv"  # parameter of the hull lift: damping of sway per forward speed
 LEAST_PULL = 0.03  # difference of the inputs of both sides on a straight course, relative to their mean, to report
 SAME_WEATHER = timedelta(hours=3)  # between the starts of logs, up to which one value of the wind is plausible

@@ -256,8 +256,9 @@ def campaigns_answer(result: CampaignsResult) -> str:
     only = [f"{e.name} (only {'after' if e.after else 'before'})" for e in one]
     if only:
         sentences.append(f"Effects of one campaign: {', '.join(only)}.")
-    sentences += filter(None, (_errors_sentence(result), _model_sentence(result), _worse_predicted_sentence(result)))
-    return " ".join(sentences)
+    sentences += filter(None, (_errors_sentence(result), _model_sentence(result)))
+    # The changes of a model that lacks an effect may stand for this effect, so that this sentence comes first.
+    return " ".join(filter(None, (_worse_predicted_sentence(result), *sentences)))
 
 
 def _load_sentence(changed: Sequence[ParameterDifference]) -> str:
@@ -348,10 +349,10 @@ def _worse_predicted_sentence(result: CampaignsResult) -> str:
         return ""
     worst = max(ratios, key=lambda n: ratios[n])
     return (
-        "With values of their own, the logs after are still predicted much worse than those before (most of all "
+        "With values of their own, the logs after are predicted much worse than those before (most of all "
         f"{worst}: its error is {ratios[worst]:.1f} times as large relative to its motion), so the model lacks an "
         "effect that is new in them. Run `seatrial ident diagnose` on the logs after, and compare the campaigns with "
-        "the effect that it finds (--effect NAME)."
+        "the effect that it finds (--effect NAME). Until then a change of a parameter may stand for the missing effect."
     )
 
 

@@ -166,6 +166,8 @@ class Linearisation(Shown, LinearModel):
         """Return the variables of the MATLAB file by name."""
         values = {name: np.asarray(getattr(self, name)) for name in ("A", "B", "x0", "u0")}
         errors = {f"{n}_se": self.error_of(v, [getattr(m, n) for m in self.moved]) for n, v in values.items()}
+        # An empty struct would be read as a struct with one element.
+        conditions = {"conditions": dict(self.conditions)} if self.conditions else {}
         return {
             **values,
             **errors,
@@ -179,7 +181,7 @@ class Linearisation(Shown, LinearModel):
             "input_delay": np.array([self.delays.get(n, 0.0) for n in self.inputs]),
             "by_heading": self.by_heading,
             "speed": self.speed,
-            "conditions": dict(self.conditions),
+            **conditions,
         }
 
     def step_response(self, inputs: Inputs, t: ArrayLike | None = None) -> dict[str, NDArray[np.float64]]:

@@ -930,6 +930,7 @@ def test_linear_model_is_written_for_matlab(fit: st.FittedVehicle, tmp_path: Pat
     assert [str(cell[0]) for cell in read["state_units"].ravel()] == ["m/s", "m/s", "rad/s"]
     np.testing.assert_array_equal(read["u0"][:, 0], at.u0)
     assert read["input_delay"].tolist() == [[0.0], [0.0]]
+    assert "conditions" not in read
     # The error of the surge rate by the speed follows from that of the pole of surge, which is this element.
     k = int(np.argmin(np.abs(at.poles - at.A[0, 0])))
     assert read["A_se"][0, 0] == pytest.approx(at.pole_errors[k], rel=0.05)
@@ -940,6 +941,8 @@ def test_linear_model_is_written_for_matlab(fit: st.FittedVehicle, tmp_path: Pat
         at.to_mat(tmp_path / "linear.m")
     delayed = replace(at, delays={"n_right": 0.2}).to_mat(tmp_path / "delayed.mat")
     assert loadmat(delayed)["input_delay"].tolist() == [[0.0], [0.2]]
+    windy = replace(at, conditions={"psi": 0.3}).to_mat(tmp_path / "windy.mat")
+    assert loadmat(windy)["conditions"]["psi"][0, 0] == 0.3
 
 
 def test_an_unstable_pole_has_no_time_constant(fit: st.FittedVehicle) -> None:

@@ -73,8 +73,8 @@ def effect_words(effect: EffectDifference) -> tuple[str, str, str, str]:
 def changes_section(result: CampaignsResult) -> Section:
     """Return the section of the differences of all parameters, of the effects, and of what could not be compared."""
     columns = (
-        ("parameter", ""), ("", ""), ("before ± s.e.", "num"), ("after ± s.e.", "num"), ("change (95 %)", "num"),
-        ("found from", "num"), ("scatter", "num"), ("p", "num"), ("q", "num"), ("verdict", ""),
+        ("parameter", ""), ("", ""), ("verdict", ""), ("before ± s.e.", "num"), ("after ± s.e.", "num"),
+        ("change (95 %)", "num"), ("found from", "num"), ("scatter", "num"), ("p", "num"), ("q", "num"),
     )  # fmt: skip
     boat = [p for p in result.parameters if not p.nuisance]
     rest = [p for p in result.parameters if p.nuisance]
@@ -124,9 +124,9 @@ def _cells(p: ParameterDifference) -> list[Cell | str]:
     return [
         Cell(p.name, "symbol"),
         Cell(unit, "nowrap"),
+        verdict,
         *(Cell(n, "num") for n in numbers),
         *(Cell(formatting.probability(v), "num") for v in (p.p, p.q)),
-        verdict,
     ]
 
 

@@ -44,6 +44,10 @@ from seatrial.ident.results import (
 )
 
 SMALLEST_T = 1e-3  # smaller t statistics are shown as zero
+FROM_PRIOR = (
+    "From prior: share of the information on a parameter that is from its own prior. Masses and damping are in "
+    "proportion to the thrust, so that the prior of its scale (c1) counts for them too."
+)
 MAX_NUMBERED = 14  # parameters; larger correlation matrices show their numbers on hover only
 
 
@@ -81,12 +85,16 @@ def parameters_section(
         columns += [*((title, style) for _, title, style in used), ("meaning", "")]
         titles, keys = [t for t, _ in columns], [key for key, _, _ in used]
         blocks.append(Table(columns, [_parameter_cells(row, titles, keys) for row in table]))
+        if "prior_share" in keys:
+            blocks.append(Prose(FROM_PRIOR, "quiet"))
         for row in table:
             if row.flag and len(row.flag) > formatting.LONGEST_FLAG:
                 where = f", {row.record}" if row.record else ""
                 blocks.append(Prose(f"⚠ {row.name}{where}: {row.flag}"))
     blocks += (
-        common_errors_blocks(common_errors) + _change_blocks(changes) + _correlation_blocks(canvas, fit.correlation)
+        common_errors_blocks(common_errors)
+        + _change_blocks(changes)
+        + _correlation_blocks(canvas, fit.correlation, table)
     )
     return Section("parameters", "Parameters", blocks)
 
@@ -243,13 +251,14 @@ def _change_cells(row: ParameterChange) -> list[Cell | str]:
     return [Cell(row.name, "symbol"), *(Cell(words, "num") for words in texts), Cell(unit, "nowrap"), shift]
 
 
-def _correlation_blocks(canvas: Canvas, correlation: Correlation) -> list[Any]:
+def _correlation_blocks(canvas: Canvas, correlation: Correlation, rows: Sequence[ParameterRow]) -> list[Any]:
     """Return heading, strongest pairs, and heat map of the correlation of the estimated parameters.
 
     The list is empty for fewer than two parameters. The map shows its numbers for up to 14 parameters, otherwise only
-    on hover, and the map is not printed. It is added to ``canvas``.
+    on hover, and the map is not printed. It is added to ``canvas``. ``rows`` are the rows of the parameters, with the
+    record of those that have a value for each record.
     """
-    names, table = correlation.names, correlation.matrix
+    names, table = [_with_record(name, rows) for name in correlation.names], correlation.matrix
     if len(names) < 2:
         return []
     labels = [drawing.escaped(name) for name in names]
@@ -284,6 +293,13 @@ def _correlation_blocks(canvas: Canvas, correlation: Correlation) -> list[Any]:
     words = "On the screen, the page also has the matrix of all correlations."
     shown = matrix if len(names) <= MAX_NUMBERED else OnScreen([matrix], words)
     return [Heading("Correlation of the estimates"), *lead, shown]
+
+
+def _with_record(name: str, rows: Sequence[ParameterRow]) -> str:
+    """Return the name of an estimate with its record in place of the number of the record: ``V_x, run1`` of V_x@0."""
+    own, _, number = name.partition("@")
+    records = [row.record for row in rows if row.name == own and row.record]
+    return f"{own}, {records[int(number)]}" if number and int(number) < len(records) else name
 
 
 def _strongest_pairs(names: Sequence[str], table: Array, n: int = 4) -> str:

@@ -239,6 +239,7 @@ REASONS = {
     "vx": "an error of the heading turns the velocity over ground",
     "vy": "an error of the heading turns the velocity over ground",
 }
+SETTLING = 5.0  # s from the start of a simulation, in which a wide interval is not told
 WIDE = 0.5  # an interval is wide if half of its width exceeds this part of the range of the measured values
 USELESS = 5.0  # an interval is useless if its width exceeds so many ranges of the measured values, or a full turn
 GAP = 5.0  # a gap is longer than this many median intervals of the samples
@@ -287,7 +288,9 @@ def wide_band(row: Trace, t: Array, sd: Array, horizon: float | None, forces: st
     if not good.any() or seen.sum() < 2:
         return None
     factor, unit = formatting.degrees_for(row.unit)
-    half = drawing.Z95 * np.where(good, sd, 0.0)
+    # Before that, the uncertainty is that of the initial state, which the figure hardly shows.
+    settled = t >= t[0] + SETTLING if horizon is None and np.ptp(t) > 2.0 * SETTLING else np.ones(t.size, bool)
+    half = drawing.Z95 * np.where(good & settled, sd, 0.0)
     k = int(np.argmax(half))
     spread = 2.0 * np.pi if row.angle else float(np.ptp(row.measured[seen]))
     if not half[k] > WIDE * spread:

@@ -339,6 +339,14 @@ def test_a_wide_interval_of_a_diagnosis_advises_the_next_experiment() -> None:
     assert why.endswith("Record longer and more varied runs, and diagnose again with their logs")
 
 
+def test_uncertainty_of_the_initial_state_is_no_wide_interval() -> None:
+    row = trace()
+    begin = np.where(row.t < 1.0, 5.0, 0.1)
+    assert wide_band(row, row.t, begin, None, FORCES) is None
+    where, _ = wide_band(row, row.t, np.where(row.t == 60.0, 1.0, begin), None, FORCES) or ("", "")
+    assert where == "position north x (widest at 60 s, ± 2.0 m)"
+
+
 def test_interval_that_says_nothing_has_no_number() -> None:
     """A heading is unknown beyond half a turn, and a position beyond a few times the size of the track."""
     row = trace()
