@@ -687,7 +687,8 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
             of_catalogue &= {effect.name, competitor} <= set(catalogue())
             if of_catalogue and not reason_without_mission(diagnosis.before.model):
                 lines.append(
-                    f"`seatrial mission design MODEL --discriminate {effect.name},{competitor}` generates the mission."
+                    f"`seatrial mission design MODEL --discriminate {effect.name},{competitor}` generates the mission; "
+                    "--area, --duration and --n-max are the limits of your water."
                 )
         elif attribution.attribution == "ambiguous":
             lines.append(f"To test whether it is {effect.title}: {effect.experiment}.")

@@ -599,7 +599,7 @@ def diagnosis_caveat(diagnosis: Diagnosis) -> str | None:
         f"It is not certain that {which} is {titles.get(j.effect, j.effect)}: {j.reasons[0]}." for j in doubted
     ]
     if doubted and recommended_experiment(diagnosis):
-        sentences.append("The recommended experiment (Next experiment, in the report) can decide this.")
+        sentences.append("The recommended experiment (Next experiment, in the report) may decide this.")
     if diagnosis.remaining and diagnosis.untried_scores:
         many = counted(sum(search_round.chosen is not None for search_round in diagnosis.rounds), "effect")
         gone = f", and removed {len(diagnosis.removed)} of them again" if diagnosis.removed else ""

@@ -242,7 +242,8 @@ def compare_models(request: CompareRequest, command: str, reporter: Reporter) ->
         compared.append(_Candidate(name, path, known, model, segments))
     rate = rate or 10.0
     horizons = tuple(dict.fromkeys(request.horizons)) or (saved[0].model.horizon,)
-    records = records_of_same_time([(c.model, c.segments) for c in compared], rate)
+    models = with_equal_averages([c.model for c in compared])
+    records = records_of_same_time([(m, c.segments) for m, c in zip(models, compared, strict=True)], rate)
     block = block_of_comparison([c.model for c in compared], records, horizons)
     predicted = _predicted(compared, records, horizons, rate, block, request.workers, reporter)
     result = _result(compared, records, predicted, horizons, loaded, command, notes)
@@ -284,6 +285,19 @@ def labels(n: int) -> list[str]:
     """Return the labels of n models: ``a`` to ``z``, then ``a1``, ``b1``, ..."""
     letters = string.ascii_lowercase
     return [letters[k % len(letters)] + (str(k // len(letters)) if k >= len(letters) else "") for k in range(n)]
+
+
+def with_equal_averages(models: Sequence[Model]) -> list[Model]:
+    """Return the models for their records, in which a sensor is averaged for all models if it is for one of them.
+
+    A sensor that one model averages and another one does not (`Sensor.averaged`, of the model ``nomoto``) would have
+    samples at other instants in each, and no sample that both predict.
+    """
+    averaged = {s.name for model in models for s in model.sensors if s.averaged}
+    return [
+        replace(model, sensors=tuple(replace(s, averaged=s.name in averaged) for s in model.sensors))
+        for model in models
+    ]
 
 
 def records_of_same_time(models: Sequence[tuple[Model, Sequence[LogSegment]]], rate: float) -> list[list[Record]]:
@@ -744,6 +758,8 @@ def comparison_answer(result: ComparisonResult) -> str:
     best = next((row for row in shown if row[0].label == result.best), None)
     if best is not None:
         words = f"Best {seconds:g} s ahead: ({best[0].label}) {best[0].name}. {_change_words(*best, first)}"
+        if equal := _indistinguishable(result, seconds):
+            words += f" No channel distinguishes it from {equal}."
         words += "".join(
             f" The error of ({m.label}) {m.name} is smaller still, but differs too much between the blocks of time for "
             f"a verdict. {_change_words(m, ratio, first)}"
@@ -764,6 +780,20 @@ def comparison_answer(result: ComparisonResult) -> str:
             words += f" {_change_words(*shown[0], first)}"
     of = best[0] if best is not None else shown[0][0] if len(shown) == 1 else None
     return words if of is None else words + _other_horizons(of, result.horizons[1:])
+
+
+def _indistinguishable(result: ComparisonResult, seconds: float) -> str:
+    """Return the models other than the first that no channel over a horizon [s] distinguishes from the best one.
+
+    The text has their labels and names, joined by "and"; it is empty for none.
+    """
+    rows = [row for row in result.channels if row.seconds == seconds and row.best is not None]
+    found = [
+        f"({m.label}) {m.name}"
+        for m in result.models[1:]
+        if m.label != result.best and rows and all({m.label, result.best} <= set(row.not_worse) for row in rows)
+    ]
+    return " and ".join(found)
 
 
 def _evaluation_answer(result: ComparisonResult) -> str:

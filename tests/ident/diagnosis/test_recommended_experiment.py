@@ -44,7 +44,7 @@ def test_a_mission_is_recommended_only_for_effects_that_its_command_knows(
     text = recommended_experiment(ambiguous(effect, competitor))
     assert text is not None
     assert text.startswith(f"To distinguish {effect.title} from {competitor.name}: {effect.experiment}.")
-    command = f"`seatrial mission design MODEL --discriminate {effect.name},{competitor.name}` generates the mission."
+    command = f"`seatrial mission design MODEL --discriminate {effect.name},{competitor.name}` generates the mission; "
     assert (command in text) == has_command
     assert ("--discriminate" in text) == has_command
 

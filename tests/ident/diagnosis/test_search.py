@@ -323,7 +323,7 @@ def test_search_that_reached_its_limit_names_the_untried_candidates(monkeypatch:
     assert diagnosis_caveat(found) == caveat  # The caveat is also shown on the screen.
     assert caveat not in _notes(found, GivenModel("model.toml"))
     doubted = replace(found, attributions=(EffectAttribution("hump", "ambiguous", ("a lag resembles it",)),))
-    next_step = "The recommended experiment (Next experiment, in the report) can decide this."
+    next_step = "The recommended experiment (Next experiment, in the report) may decide this."
     doubt = f"It is not certain that the missing effect is hump: a lag resembles it. {next_step}"
     assert diagnosis_caveat(doubted) == f"{doubt} {caveat}"
 
@@ -365,7 +365,7 @@ def test_caveat_of_a_certain_name_has_the_candidates_that_still_pass() -> None:
     note = next(n for n in _notes(replace(found, rounds=rounds[:1]), GivenModel("m.toml")) if "still pass" in n)
     assert "none of them was added: steady wind. They were not tried: beside the effects that were found" in note
     doubted = replace(found, attributions=(EffectAttribution("hump", "ambiguous", ("a lag resembles it",)),))
-    next_step = "The recommended experiment (Next experiment, in the report) can decide this."
+    next_step = "The recommended experiment (Next experiment, in the report) may decide this."
     doubt = "It is not certain that the missing effect is hump: a lag resembles it."
     assert diagnosis_caveat(doubted) == f"{doubt} {next_step}"
     both = (*doubted.attributions, EffectAttribution("wind", "ambiguous", ("steady-pull is as good",)))

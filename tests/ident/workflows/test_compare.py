@@ -7,9 +7,11 @@ import json
 import re
 import shutil
 import warnings
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import msgspec
 import numpy as np
@@ -31,6 +33,7 @@ from seatrial.ident.estimation.interval_widening import ErrorScale
 from seatrial.ident.estimation.model_file import SavedModel, load_model
 from seatrial.ident.model.parameter import Parameter, ParameterOrigin
 from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.models.nomoto import nomoto_model
 from seatrial.ident.models.surge import surge_model
 from seatrial.ident.parallel import Workers
 from seatrial.ident.report.blocks import Cell
@@ -45,12 +48,14 @@ from seatrial.ident.validation.prediction_errors import PredictionErrors
 from seatrial.ident.workflows import compare
 from seatrial.ident.workflows.compare import (
     CompareRequest,
+    _indistinguishable,
     _limited_warnings,
     block_of_comparison,
     compare_models,
     comparison_answer,
     labels,
     records_of_same_time,
+    with_equal_averages,
 )
 from seatrial.ident.workflows.compared_predictions import ONE_STEP, SIMULATION, Curve, PredictedRecord
 from seatrial.ident.workflows.comparison_errors import (
@@ -632,6 +637,22 @@ def test_records_of_models_with_other_inputs_cover_the_same_time() -> None:
     np.testing.assert_array_equal(a.t, b.t)
 
 
+def test_a_model_that_thins_its_sensors_shares_the_samples_of_the_others() -> None:
+    """The model nomoto takes single samples of heading and gyro, and the others take means."""
+    ahrs, gnss = 0.018 * np.arange(3000), 0.2037 * np.arange(250)
+    channels = {n: Channel(ahrs, np.sin(ahrs)) for n in ("psi", "r")}
+    channels |= {n: Channel(gnss, np.cos(gnss)) for n in ("x", "y", "vx", "vy")}
+    channels |= {n: Channel(gnss, np.cos(gnss), hold="zero") for n in ("n_left", "n_right")}
+    models = [nomoto_model(), horizontal_model("shaft")]
+    (a,), (b,) = records_of_same_time([(m, [LogSegment("run", channels)]) for m in with_equal_averages(models)], 10.0)
+    for name in ("psi", "r"):
+        samples = [
+            record.t[np.isfinite(record.y[:, record.outputs.index(name)])] + record.meta["t0"] for record in (a, b)
+        ]
+        assert samples[0].size > 400
+        np.testing.assert_allclose(samples[0], samples[1], atol=1e-9)
+
+
 def predicted(t: np.ndarray, ll: np.ndarray, samples: dict[str, int] | None = None) -> dict[str, PredictedRecord]:
     """Return the predictions of a model on one record, of which only the log-likelihood is used."""
     return {"run": PredictedRecord(t, samples or {"r": t.size}, ll, {}, {})}
@@ -714,6 +735,17 @@ def test_answer_without_a_significant_difference(compared: ComparisonResult) -> 
     assert comparison_answer(msgspec.structs.replace(compared, models=(first, unlike))).startswith(
         "The logs have no prediction"
     )
+
+
+@pytest.mark.parametrize(("as_good", "words"), [((("b", "c"), ("c", "b")), "(b) second"), ((("b", "c"), ("c",)), "")])
+def test_answer_names_the_models_that_no_channel_distinguishes_from_the_best(
+    as_good: Sequence[tuple[str, ...]], words: str
+) -> None:
+    models = [SimpleNamespace(label=label, name=name) for label, name in (("a", "first"), ("b", "second"), ("c", "d"))]
+    rows = [SimpleNamespace(seconds=10.0, best="c", not_worse=labels) for labels in as_good]
+    rows.append(SimpleNamespace(seconds=3.0, best="c", not_worse=("c",)))
+    result = cast(ComparisonResult, SimpleNamespace(models=models, channels=rows, best="c"))
+    assert _indistinguishable(result, 10.0) == words
 
 
 def test_answer_names_a_model_with_a_smaller_error_but_without_a_verdict(compared: ComparisonResult) -> None:
