@@ -219,7 +219,7 @@ def check_frozen(c: Channels) -> Iterator[Finding]:
             value = float(c[name].value[np.searchsorted(c[name].t, begin)])
             advice = "check the sensor; give another column in the import map, or leave the signal out of the map"
             if end - begin >= 0.99 * duration:
-                text, code = f"stays at {value:g} in the whole log, but the boat moves", "channel-constant"
+                text, code = f"stays at {value + 0.0:g} in the whole log, but the boat moves", "channel-constant"
             else:
                 code = "channel-frozen"
                 advice += ", or leave this time out (t_from, t_to under [[log]])"

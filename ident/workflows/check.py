@@ -341,8 +341,8 @@ def with_estimator_errors(
     line = (
         "The position is probably the output of a navigation filter, or of an RTK receiver: its noise from sample to "
         f"sample is below {100 * ESTIMATED:g} cm, which is less than that of other receivers. Correlated errors of its "
-        f"{errors} are therefore states of the model; --fix {position}=... gives "
-        "white noise instead."
+        f"{errors} are therefore states of the model. For an RTK receiver whose errors do not last, give its white "
+        f"noise instead, such as --fix {position}=0.02 (m)."
     )
     return model + estimator_error(sensors), [line]
 
