@@ -25,9 +25,9 @@ from seatrial.ident.results import (
     VehicleResult,
     campaigns_answer,
     provenance,
+    read_result,
     write_result,
 )
-from seatrial.ident.results.result_file import read_result
 from seatrial.ident.workflows.campaign_errors import prediction_errors
 from seatrial.ident.workflows.campaign_fits import FALSE_DISCOVERY_RATE, Row, campaign_of, compare_fits, fitted_logs
 from seatrial.ident.workflows.fleet import (

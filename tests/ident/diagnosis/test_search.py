@@ -994,7 +994,7 @@ def test_single_log_is_cross_validated_and_the_answer_reports_it() -> None:
 def test_one_minute_of_data_never_identifies_an_effect() -> None:
     found = diagnose(horizontal_model(), segments(boat_with("mismatch", 1), seconds=60.0), [], effects=FEW)
     assert [(j.effect, j.attribution) for j in found.attributions] == [("mismatch", "ambiguous")]
-    assert "short" in found.attributions[0].reasons[-1]
+    assert any("short" in reason for reason in found.attributions[0].reasons)
 
 
 @pytest.mark.slow
