@@ -14,7 +14,7 @@ LEAST_DENSITY, MOST_DENSITY = 0.5, 500.0
 # Antenna and thrusters are on the boat, so that none is farther from the centre of gravity than one length, even on a
 # mast or an outrigger. An arm in centimetres or millimetres is.
 ARMS = {"antenna_x": "antenna", "antenna_y": "antenna", "antenna_z": "antenna", "y_left": "thruster left",
-        "y_right": "thruster right"}  # fmt: skip
+        "y_right": "thruster right", "x_thrusters": "thrusters"}  # fmt: skip
 
 
 def mass_problem(vehicle: Mapping[str, float]) -> str:
@@ -52,7 +52,7 @@ def arm_problem(vehicle: Mapping[str, float]) -> str:
     if not far:
         return ""
     name, arm = far[0]
-    axis = {"x": "ahead", "y": "to starboard", "z": "down"}[name[-1] if name.startswith("antenna") else "y"]
+    axis = {"x": "ahead", "y": "to starboard", "z": "down"}[name.removeprefix("antenna_")[0]]
     return f"{ARMS[name]}: {arm:g} m {axis} of the centre of gravity, but the length is {length:g} m"
 
 

@@ -15,8 +15,8 @@ from seatrial.daq.config import TomlTable
 from seatrial.daq.errors import SeatrialError, warn
 
 BoatTable = Mapping[str, float | Sequence[float]]
-# Positions of the thrusters to starboard and length of the hull [m], and weighed mass [kg].
-GEOMETRY = ("y_left", "y_right", "length", "mass")
+# Positions of the thrusters to starboard and forward, and length of the hull [m], and weighed mass [kg].
+GEOMETRY = ("y_left", "y_right", "x_thrusters", "length", "mass")
 ANTENNA = ("antenna_x", "antenna_y", "antenna_z")  # parameters of the key `lever_arm_m` of [geometry] [m]
 SCALE = ("c1", "c2")  # thrust of one thruster at n = 1 and -1: c1 + c2 and -(c1 - c2) [N]
 PULLS = ("ahead", "astern")  # sizes of both thrusts [N], as of a bollard pull: the other form of `SCALE`
@@ -115,8 +115,8 @@ def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, fl
     The result is empty if `table` is None. Raise SeatrialError if a number is impossible, a key is unknown, or the
     number of an uncertainty is missing. [geometry] may also have `lever_arm_m`, the position of the antenna in body
     axes [m], whose three numbers have the names `ANTENNA`. Thrusts, length, mass and standard uncertainties must be
-    positive, the size of c2 less than c1, y_left less than y_right, and both at most `length` from the middle. A mass
-    that is unusual for the length gives a warning. The antenna must be within one length.
+    positive, the size of c2 less than c1, y_left less than y_right, and both and x_thrusters at most `length` from the
+    middle. A mass that is unusual for the length gives a warning. The antenna must be within one length.
     """
     if table is None:
         return {}
@@ -135,10 +135,10 @@ def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, fl
             f"{found['c2']:g} N is not smaller than c1 = {found['c1']:g} N: the thrust ahead is c1 + c2 and "
             "that astern c1 - c2, and both must be positive",
         )
-    for name in ("y_left", "y_right"):
+    for name, positive in (("y_left", "to starboard"), ("y_right", "to starboard"), ("x_thrusters", "forward")):
         if abs(found.get(name, 0.0)) > found.get("length", math.inf):
             where = f"{abs(found[name]):g} m from the middle of a hull of {found['length']:g} m"
-            raise table.error(name, f"{where}; write positions in metres, positive to starboard")
+            raise table.error(name, f"{where}; write positions in metres, positive {positive}")
     if {"y_left", "y_right"} <= set(found) and found["y_left"] >= found["y_right"]:
         raise table.error(
             "y_left", "must be less than y_right, because positions are positive to starboard; correct one of them"

@@ -261,6 +261,7 @@ def _boat_lines(taken: Sequence[MapSignal]) -> list[str]:
         "# [geometry]",
         "# y_left = -0.3   # thrusters to starboard of the middle [m]",
         "# y_right = 0.3",
+        "# x_thrusters = -0.5  # ahead of the centre of gravity [m]: negative behind it",
         "# mass = 30.0     # weighed [kg], for a check of the result",
         "# length = 1.6    # of the hull [m], likewise",
         "# lever_arm_m = [0.1, 0.0, 0.0]  # GNSS antenna ahead of the centre of gravity, to starboard and down [m]",

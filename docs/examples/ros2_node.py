@@ -2,7 +2,8 @@
 
 THE THRUSTERS TURN AS SOON AS IT RUNS. It needs rclpy and the file of the feedback, but neither seatrial nor numpy.
 
-Messages give psi, u, v and r (`SOURCES`). The shaft speeds n_left and n_right, which only a model with commands has,
+Messages give psi, u, v and r (`SENSORS`): those of an odometry and an IMU, or, with `-p sensors:=gnss`, those of a GNSS
+receiver and an IMU with a heading. The shaft speeds n_left and n_right, which only a model with commands has,
 are ESTIMATED from the commands that the node sends, by the delay, dead zone and lag of the model. No message corrects
 them.
 """
@@ -19,15 +20,15 @@ from functools import partial
 from typing import Any
 
 import rclpy
+from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.signals import SignalHandlerOptions
-from sensor_msgs.msg import Imu
+from sensor_msgs.msg import Imu, NavSatFix
 from std_msgs.msg import Float64
 
-TOPICS = {"odometry": "/odometry/filtered", "imu": "/imu/data"}
 RATE = 10.0  # Hz, of the commands
 STALE = 0.3  # s: an older message stops the thrusters
 ZEROS = 1.0  # s, of zero commands with fresh messages before the first thrust
@@ -35,27 +36,60 @@ RAMP = 0.05  # m/s2: the wanted speed rises from that of the boat (page: start b
 INTEGRAL = 10.0  # s, time constant of the heading's integral: at least five times that of the slowest pole of the loop
 NEAR = math.radians(20.0)  # the integral rests at larger errors, as in a turn
 LARGEST = math.radians(20.0)  # of the integral
+ANTENNA = (0.0, 0.0)  # m, of the GNSS antenna forward and to starboard of the centre of gravity
+State = dict[str, float]
 
 
-def motion(odometry: Any) -> dict[str, float]:
-    """Return heading and speeds of the model (NED, FRD) from a nav_msgs/Odometry (pose ENU, twist FLU: REP-103)."""
-    q, speed = odometry.pose.pose.orientation, odometry.twist.twist.linear
+def heading(q: Any) -> State:
+    """Return the heading of the model (clockwise from north) from a quaternion of ROS (ENU: REP-103)."""
     if abs(math.hypot(q.w, q.x, q.y, q.z) - 1.0) > 0.01:
-        return {"psi": math.nan}  # an odometry without a heading has zeros there
-    yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
-    return {"psi": math.pi / 2.0 - yaw, "u": speed.x, "v": -speed.y}
+        return {"psi": math.nan}  # a message without a heading has zeros there
+    return {"psi": math.pi / 2.0 - math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))}
 
 
-def turn_rate(imu: Any) -> dict[str, float]:
+def motion(odometry: Any, _: State) -> State:
+    """Return heading and speeds of the model (NED, FRD) from a nav_msgs/Odometry (pose ENU, twist FLU: REP-103)."""
+    speed = odometry.twist.twist.linear
+    return heading(odometry.pose.pose.orientation) | {"u": speed.x, "v": -speed.y}
+
+
+def turn_rate(imu: Any, _: State) -> State:
     """Return the yaw rate of the model (positive to starboard) from a sensor_msgs/Imu with the axes FLU."""
     return {"r": -imu.angular_velocity.z}
 
 
-# Type, conversion and states of each topic. A state that is given here is taken from its messages, not estimated: add a
-# topic of the shaft speeds here and in TOPICS, if the boat has one.
-SOURCES: dict[str, tuple[Any, Callable[[Any], dict[str, float]], set[str]]] = {
-    "odometry": (Odometry, motion, {"psi", "u", "v"}),
-    "imu": (Imu, turn_rate, {"r"}),
+def attitude(imu: Any, x: State) -> State:
+    """Return heading and yaw rate from a sensor_msgs/Imu whose orientation is from ENU to FLU."""
+    if imu.orientation_covariance[0] == -1.0:
+        return {"psi": math.nan}  # REP-145: the IMU has no orientation
+    return heading(imu.orientation) | turn_rate(imu, x)
+
+
+def ground_speeds(velocity: Any, x: State) -> State:
+    """Return the speeds over ground from a geometry_msgs/TwistStamped (ENU), with heading and yaw rate of the IMU."""
+    east, north, (forward, starboard) = velocity.twist.linear.x, velocity.twist.linear.y, ANTENNA
+    psi, r = x.get("psi", math.nan), x.get("r", math.nan)  # NaN before the first message of the IMU
+    c, s = math.cos(psi), math.sin(psi)
+    return {"u": north * c + east * s + r * starboard, "v": east * c - north * s - r * forward}
+
+
+def valid_fix(fix: Any, _: State) -> State:
+    """Return no state from a sensor_msgs/NavSatFix, or a NaN if the receiver has no fix: its velocity is then wrong."""
+    return {} if fix.status.status >= 0 else {"fix": math.nan}
+
+
+# Type, conversion and states of each topic, for each value of the parameter `sensors`. A state that is given here is
+# taken from its messages, not estimated: add a topic of the shaft speeds here, if the boat has one.
+SENSORS: dict[str, dict[str, tuple[Any, Callable[[Any, State], State], set[str]]]] = {
+    "odometry": {
+        "/odometry/filtered": (Odometry, motion, {"psi", "u", "v"}),
+        "/imu/data": (Imu, turn_rate, {"r"}),
+    },
+    "gnss": {
+        "/imu/data": (Imu, attitude, {"psi", "r"}),
+        "/gnss/velocity": (TwistStamped, ground_speeds, {"u", "v"}),
+        "/gnss/fix": (NavSatFix, valid_fix, set()),
+    },
 }
 
 
@@ -100,47 +134,51 @@ class Controller(Node):
 
     def __init__(self) -> None:
         super().__init__("boat_controller")
+        self.declare_parameter("sensors", "odometry")  # or gnss
         for name, default in (("feedback", "feedback.json"), ("speed", 0.8), ("heading", 0.0), ("limit", 0.6)):
             self.declare_parameter(name, default)  # heading: deg, clockwise from north; limit: largest command
+        if (sensors := self.get_parameter("sensors").value) not in SENSORS:
+            raise ValueError(f"the parameter sensors is {sensors}; it must be {' or '.join(SENSORS)}")
+        topics = SENSORS[sensors]
         with open(self.get_parameter("feedback").value, encoding="utf-8") as file:
             self.feedback = json.load(file)
         names = [n.removeprefix("n_").removeprefix("cmd_") for n in self.feedback["inputs"]]
-        missing = set(self.feedback["states"]).difference(*(states for _, _, states in SOURCES.values()))
+        missing = set(self.feedback["states"]).difference(*(states for _, _, states in topics.values()))
         # The commands give the shaft speeds, if the file has the model of the shafts.
         sides = [n for n in names if f"n_{n}" in missing] if self.feedback.get("shafts") else []
         if missing := missing - {f"n_{n}" for n in sides}:
             raise ValueError(
-                f"no message gives the states {sorted(missing)}: subscribe to them (SOURCES). Shaft speeds are "
+                f"no message gives the states {sorted(missing)}: subscribe to them (SENSORS). Shaft speeds are "
                 "estimated if the file of the feedback has the key shafts: write it as docs/how-to/control.md shows"
             )
         self.shafts = {n: Shaft(n, self.feedback["shafts"]) for n in sides}  # by side
         self.names = names
         self.commands = [self.create_publisher(Float64, f"/thrusters/{n}/command", 10) for n in names]
-        self.x: dict[str, float] = {}
-        self.heard = dict.fromkeys(TOPICS, -math.inf)  # s, of the last valid message of each topic
+        self.x: State = {}
+        self.heard = dict.fromkeys(topics, -math.inf)  # s, of the last valid message of each topic
         self.stopped, self.since, self.wanted = "start", time.monotonic(), 0.0  # reason, its time [s], ramp [m/s]
         self.correction = 0.0  # rad, of the wanted heading: the integral of the heading error
-        for name, (kind, convert, _) in SOURCES.items():
-            self.create_subscription(kind, TOPICS[name], partial(self.hear, name, convert), qos_profile_sensor_data)
+        for topic, (kind, convert, _) in topics.items():
+            self.create_subscription(kind, topic, partial(self.hear, topic, convert), qos_profile_sensor_data)
         # A steady clock: a jump of the time of day, such as by GNSS, changes neither the rate nor an age.
         self.create_timer(1.0 / RATE, self.update, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self.get_logger().info(f"zero thrust until messages arrive on {' and '.join(TOPICS.values())}")
+        self.get_logger().info(f"zero thrust until messages arrive on {' and '.join(topics)}")
         if sides:
             self.get_logger().info(f"estimated from the commands: {', '.join(f'n_{n}' for n in sides)}")
 
-    def hear(self, name: str, convert: Callable[[Any], dict[str, float]], message: Any) -> None:
+    def hear(self, topic: str, convert: Callable[[Any, State], State], message: Any) -> None:
         """Store the measured values of a message. The node ignores a message with a value that is not finite."""
-        found = convert(message)
+        found = convert(message, self.x)
         if all(map(math.isfinite, found.values())):
             self.x |= found
-            self.heard[name] = time.monotonic()
+            self.heard[topic] = time.monotonic()
 
     def update(self) -> None:
         """Send the commands of the feedback, or zero. ``ros2 param set`` changes a set-point while the node runs."""
         speed, heading, limit = (self.get_parameter(n).value for n in ("speed", "heading", "limit"))
         now = time.monotonic()
         self.x |= {f"n_{n}": shaft.estimate(now) for n, shaft in self.shafts.items()}
-        if late := [TOPICS[n] for n, heard in self.heard.items() if now - heard > STALE]:
+        if late := [topic for topic, heard in self.heard.items() if now - heard > STALE]:
             return self.stop(f"no valid message within {STALE} s on {' and '.join(late)}")
         if not all(map(math.isfinite, (speed, heading, limit))):
             return self.stop("speed, heading and limit must be finite")

@@ -31,7 +31,7 @@ from seatrial.ident.diagnosis.score_test import Score
 from seatrial.ident.effects import catalogue, is_special_case
 from seatrial.ident.estimation import AT_BOUND, Fit, FittedModel, ReportedEstimates
 from seatrial.ident.experiment_design import reason_without_mission
-from seatrial.ident.model import Effect, EffectKind, Parameter
+from seatrial.ident.model import Effect, EffectKind, Parameter, ParameterOrigin
 from seatrial.ident.models import SENSOR_ERRORS, THRUST_LOSSES
 
 HEADING_ERROR, YAW_RATE = "psi", "r"  # sensor error that is a curve, and channel of another sensor
@@ -423,9 +423,11 @@ def _unusual_position_reasons(effect: Effect, fitted: FittedModel, policy: Searc
         value, error = fit.estimate(p.name)
         mean, sd = p.prior
         if abs(value - mean) > policy.max_position_distance * math.hypot(sd, error):
+            given = p.origin is ParameterOrigin.PRIOR
+            far = "far from the given position" if given else "unusual for a boat of this size"
             return [
-                f"its parameter {p.name} ({p.meaning}) is {value:.2f} ± {error:.2f} m, which is unusual for a boat of "
-                f"this size ({mean:.2f} ± {sd:.2f} m): something else may act in a similar way"
+                f"its parameter {p.name} ({p.meaning}) is {value:.2f} ± {error:.2f} m, which is {far} "
+                f"({mean:.2f} ± {sd:.2f} m): something else may act in a similar way"
             ]
     return []
 

@@ -109,7 +109,7 @@ from seatrial.ident.estimation import (
     without_unknown_noise,
 )
 from seatrial.ident.model import Effect, EffectKind, ForceCurve, Model, Parameter, curve_name, segment_name
-from seatrial.ident.models import residuals_of, scale_priors, sensor_errors_of, size_of, variables_of
+from seatrial.ident.models import effect_for, residuals_of, scale_priors, sensor_errors_of, size_of, variables_of
 from seatrial.ident.reporter import QUIET, Reporter
 from seatrial.ident.validation import (
     PredictionChange,
@@ -452,9 +452,9 @@ def _prepared_search(
     settings = COMMON_SEARCH if given_common_errors(nominal, policy) else None
     with work_of(reporter).timed("start"):
         before, validation_data = _first_fit(nominal, records, runs, settings, reporter)
-    size, in_catalogue = size_of(before.fit.model), catalogue()
+    in_catalogue = catalogue()
     # user-defined effects keep their priors
-    scaled = {n: scale_priors(e, size) if in_catalogue.get(n) is e else e for n, e in candidates.items()}
+    scaled = {n: effect_for(before.fit.model, e) if in_catalogue.get(n) is e else e for n, e in candidates.items()}
     scaled |= between_runs(before.fit)
     return _SearchStart(
         before=before,

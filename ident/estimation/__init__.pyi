@@ -82,6 +82,7 @@ from .prior_knowledge import fix_parameters as fix_parameters
 from .prior_knowledge import parameters_of_effects as parameters_of_effects
 from .prior_knowledge import set_initial_values as set_initial_values
 from .prior_knowledge import set_priors as set_priors
+from .prior_knowledge import with_effect_priors as with_effect_priors
 from .prior_knowledge import with_effects as with_effects
 from .prior_knowledge import with_values_per_log as with_values_per_log
 from .profile_likelihood import Profile as Profile

@@ -10,20 +10,22 @@ from seatrial.daq.errors import SeatrialError, closest_name
 from seatrial.daq.rig import Rig
 from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation.model_file import SavedModel, load_model
-from seatrial.ident.model import Effect, Model, ModelKind, Parameter, ParameterOrigin
+from seatrial.ident.model import Effect, EffectPrior, Model, ModelKind, Parameter, ParameterOrigin
 from seatrial.ident.models import (
     CURRENT_WALK,
     SIDES,
     TELEMETRY_AGE,
     antenna_component,
     current_walk,
-    scale_priors,
-    size_of,
+    effect_for,
     telemetry_age,
 )
 
 GNSS = {"x", "y", "vx", "vy"}
 ARMS = ("y_left", "y_right", "y_arm")  # positions of the thrusters to starboard
+POSITION = "x_thrusters"  # of both thrusters forward of the centre of gravity [m], in [geometry] or [vehicle]
+POSITION_SD_M = 0.05  # standard uncertainty of a position by a tape, if none is given
+AT_THRUSTERS = ("x_delta", "x_walk", "x_swing")  # parameters of effects that are the position of the thrusters
 LONGEST_ARM_M = 5.0  # m, of a boat of a lab; a larger number is probably in centimetres
 SHORTEST_SPAN_M = 0.01  # between the thrusters; with less, no thrust difference turns the boat
 
@@ -37,7 +39,8 @@ def apply_rig_geometry(
     ``y_left`` and ``y_right``) and the lever arm of the antenna, of the rig or in ``vehicle``. A value in ``vehicle``
     takes precedence over the position of the thruster. A value with a standard uncertainty becomes the mean of a prior.
     A value without one is the initial value of a parameter that the model estimates, and fixes any other parameter.
-    Values that are no parameter of the model are ignored.
+    ``x_thrusters`` is the prior of the position of the thrusters in effects that have one (`with_effect_priors`). Other
+    values that are no parameter of the model are ignored.
 
     Parameters
     ----------
@@ -74,11 +77,29 @@ def apply_rig_geometry(
                 raise SeatrialError(
                     f"the rig file or the import map gives {name} = {value:g}: {problem}; correct it there"
                 ) from problem
-    model = model.replace_parameters(*known)
+    model = with_effect_priors(model.replace_parameters(*known), given)
     if "antenna_x" in given or not rig:
         forward, starboard, down = (given.get(f"antenna_{axis}", 0.0) for axis in "xyz")
         return _with_antenna(model, [(forward, starboard, down)], "import map")
     return _with_antenna(model, [d.lever_arm_m for d in rig.devices], "rig")
+
+
+def with_effect_priors(model: Model, vehicle: Mapping[str, float]) -> Model:
+    """Return the model with the priors of effects that the numbers of the boat give.
+
+    The position of the thrusters, ``x_thrusters`` with the standard uncertainty ``x_thrusters_sd`` (0.05 m by default),
+    becomes the prior of the parameters `AT_THRUSTERS` of effects that are added later. SeatrialError is raised for an
+    uncertainty that is not positive.
+    """
+    if POSITION not in vehicle:
+        return model
+    mean, sd = vehicle[POSITION], vehicle.get(f"{POSITION}_sd", POSITION_SD_M)
+    if sd <= 0.0:
+        raise SeatrialError(
+            f"the rig file or the import map gives {POSITION}_sd = {sd:g}: a standard uncertainty must be positive; "
+            "correct it there"
+        )
+    return replace(model, effect_priors=tuple(EffectPrior(name, mean, sd) for name in AT_THRUSTERS))
 
 
 def _with_antenna(
@@ -113,8 +134,8 @@ def with_effects(model: Model, names: Sequence[str]) -> Model:
     """Return the model with the effects of these names added (option ``--effect``).
 
     Some effects have several forms, of which a model accepts one; that form is added. Priors are scaled to the size of
-    the boat. Free parameters with the value zero start at their characteristic step instead: at zero the likelihood of
-    some effects has no slope.
+    the boat, or are those that its numbers give (`with_effect_priors`). Free parameters with the value zero start at
+    their characteristic step instead: at zero the likelihood of some effects has no slope.
 
     Raises
     ------
@@ -122,7 +143,7 @@ def with_effects(model: Model, names: Sequence[str]) -> Model:
         If there is no such effect, or if the model has it already or cannot have it.
     """
     for name in names:
-        effect = scale_priors(_effect_form_for_model(model, name), size_of(model))
+        effect = effect_for(model, _effect_form_for_model(model, name))
         model = model + replace(effect, parameters=tuple(_moved_from_zero(p) for p in effect.parameters))
     return model
 

@@ -41,7 +41,11 @@ def write(content: Content) -> str:
     Raise ValueError if the model uses an operation that C lacks.
     """
     guard = f"{content.name.upper()}_MODEL_H"
-    head = [*header(content, "C99"), "", f"{content.name}_advance has one value for each physical input."]
+    head = [
+        *header(content, "C99", f"{content.name}_advance"),
+        "",
+        f"{content.name}_advance has one value for each physical input.",
+    ]
     head.append(f"{content.name}_inputs gives u from one value for each physical input, without a past.")
     head = [line.replace("*/", "* /").replace("/*", "/ *") for line in head]
     return "\n".join(

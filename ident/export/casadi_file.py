@@ -112,7 +112,7 @@ def write(content: Content) -> str:
 
     Raise ValueError if the model uses an operation that the export lacks.
     """
-    head = header(content, "CasADi")
+    head = header(content, "CasADi", "make_step")
     head += [
         "",
         "f(x, u, p), h(x, u, p) and step(x, u, dt, p) are casadi.Functions; DEFAULTS is p in the order of P.",

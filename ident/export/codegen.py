@@ -433,16 +433,22 @@ def provenance_lines(content: Content, target: str) -> list[str]:
     return [" ".join(line.splitlines()) for line in lines]
 
 
-def header(content: Content, target: str) -> list[str]:
+def header(content: Content, target: str, stepper: str) -> list[str]:
     """Return the lines of the comment at the top of an exported file, without the comment signs of the language.
 
     They describe the model, its provenance, states, inputs, outputs, range of validity, and remarks on noise and
-    parameters. ``target`` is the name of the language, for the first line. A line break within a text of the model
-    becomes a space.
+    parameters. ``target`` is the name of the language, for the first line, and ``stepper`` that of the function that
+    keeps the past of the inputs. A line break within a text of the model becomes a space.
+    """
+    return [*provenance_lines(content, target), "", *description_lines(content, stepper)]
+
+
+def description_lines(content: Content, stepper: str = "") -> list[str]:
+    """Return the lines of a header after the provenance. The arguments are those of `header`.
+
+    With an empty ``stepper``, no line says what makes the delayed copies.
     """
     lines = [
-        *provenance_lines(content, target),
-        "",
         "Rates dx/dt = f(x, u; p), outputs y = h(x, u; p); SI units and radians.",
     ]
     if {"u", "r"} <= {s.name for s in content.model.states}:
@@ -452,7 +458,7 @@ def header(content: Content, target: str) -> list[str]:
         f"  x[{i}] {n} {_unit_text(content.unit(s.unit))} {s.meaning}".rstrip()
         for i, (n, s) in enumerate(zip(content.states, content.model.states, strict=True))
     ]
-    lines += _input_lines(content)
+    lines += _input_lines(content, stepper)
     lines += [
         f"  y[{i}] {n} {_unit_text(content.unit(o.unit))}" + (", an angle" if o.angle else "")
         for i, (n, o) in enumerate(zip(content.outputs, content.model.outputs, strict=True))
@@ -464,11 +470,19 @@ def header(content: Content, target: str) -> list[str]:
     return [" ".join(line.splitlines()) for line in lines + _remark_lines(content)]
 
 
-def _input_lines(content: Content) -> list[str]:
+def copies_sentence(content: Content, stepper: str) -> str:
+    """Return a sentence on what the function ``stepper`` takes, and on the number of delayed copies that it makes."""
+    n, given = sum(bool(i.tap_of) for i in content.model.inputs), ", ".join(content.physical_inputs) or "no inputs"
+    if not n:
+        return f"{stepper} takes {given}."
+    return f"{n} of the {len(content.inputs)} inputs are delayed copies: {stepper} makes them and takes only {given}."
+
+
+def _input_lines(content: Content, stepper: str) -> list[str]:
     """Return the header lines of the inputs, one for each input of the equations.
 
     Three or more delayed copies of one signal, one after the other, have a common line. If there are numbered copies
-    (taps), a last line explains their names.
+    (taps), two lines explain their names. A last line says how many copies there are, and which function makes them.
     """
     lines, taps = list[str](), [i for i in content.model.inputs if i.tap]
     numbered = enumerate(zip(content.inputs, content.model.inputs, strict=True))
@@ -490,6 +504,8 @@ def _input_lines(content: Content) -> list[str]:
         step = taps[0].delay / taps[0].tap
         lines.append(f"  NAME_ago_K (NAME~K in seatrial) is the input NAME delayed by K times {step:g} s,")
         lines.append("  which a delay, a lag or the age of telemetry in the model needs.")
+    if stepper and any(i.tap_of for i in content.model.inputs):
+        lines.append(f"  {copies_sentence(content, stepper)}")
     return lines
 
 

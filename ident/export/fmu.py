@@ -93,7 +93,7 @@ def _documentation(content: Content) -> str:
     """Return the page of the FMU: the header of the exported file, as preformatted text in HTML."""
     words = "\n".join(
         [
-            *header(content, "FMI 2.0 (co-simulation)"),
+            *header(content, "FMI 2.0 (co-simulation)", "fmi2DoStep"),
             "",
             "Variables: inputs and states by their names; sensor.NAME: output of a sensor; p.NAME: parameter;",
             "start.NAME: state at the start; before.NAME: input before the start. Inputs are held in a step.",

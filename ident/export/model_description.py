@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Literal
 from xml.etree import ElementTree
 
-from seatrial.ident.export.codegen import RELATIVE, Content, Program, comment, header
+from seatrial.ident.export.codegen import RELATIVE, Content, Program, comment, provenance_lines
 from seatrial.ident.model import Parameter
 
 BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
@@ -158,7 +158,7 @@ def model_description(content: Content, guid: str, version: str) -> bytes:
         fmiVersion="2.0",
         modelName=content.name,
         guid=guid,
-        description=_text(header(content, "FMI 2.0")[0]),
+        description=_text(provenance_lines(content, "FMI 2.0")[0]),
         generationTool=f"seatrial {version}",
         variableNamingConvention="structured",
         numberOfEventIndicators="0",

@@ -9,7 +9,16 @@ from collections.abc import Sequence
 from itertools import groupby
 
 from seatrial.ident.data import WORK_UNIT
-from seatrial.ident.export.codegen import PYTHON, SHORTEST_GROUP, Content, Program, comment, header
+from seatrial.ident.export.codegen import (
+    PYTHON,
+    SHORTEST_GROUP,
+    Content,
+    Program,
+    comment,
+    copies_sentence,
+    description_lines,
+    provenance_lines,
+)
 from seatrial.ident.export.codegen import write as write_lines
 from seatrial.ident.export.python_simulation import NEEDED_FOR_PAST, PAST, SIMULATION
 
@@ -62,15 +71,27 @@ def write(content: Content) -> str:
         | {n for n in FUNCTION_CALL.findall(body) if n in _math_functions()}
         | {n for n in ("inf", "nan") if re.search(rf"\b{n}\b", limits + body)}
     )
-    about = [
-        "Simulation has one value for each physical input and keeps their past; inputs_from gives u without a past."
-    ]
+    about = ["inputs_from gives u from one value for each physical input, without a past."]
     if content.inputs != content.physical_inputs:
         about.append("PHYSICAL_INPUTS has their names. INPUTS has those of the inputs of f and h, with delayed copies.")
-    head = [*header(content, "Python"), "", *about]
-    parts = [*("# " + line if line else "#" for line in head), ""]
+    head = [*description_lines(content), "", *about]
+    parts = [*_docstring(content), *("# " + line if line else "#" for line in head), ""]
     parts += ["from difflib import get_close_matches", f"from math import {', '.join(imported)}", ""]
     return "\n".join([*parts, *constants(content), limits, "", body])
+
+
+def _docstring(content: Content) -> list[str]:
+    """Return the lines of the docstring of the file: the provenance of the model, and an example of a simulation."""
+    example = ", ".join(["0.5"] * len(content.physical_inputs))
+    lines = [
+        *provenance_lines(content, "Python"),
+        "",
+        copies_sentence(content, "Simulation.step"),
+        "    simulation = Simulation(0.1)  # step [s]",
+        f"    x = simulation.step([{example}])  # states after the step",
+    ]
+    escaped = [line.replace("\\", "\\\\").replace('"', '\\"') for line in lines]
+    return ['"""' + escaped[0], *escaped[1:], '"""', ""]
 
 
 def _limits(content: Content) -> str:

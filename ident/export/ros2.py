@@ -79,7 +79,7 @@ def write(content: Content) -> str:
             f"  {_yaml_key(n)}: [{_number_text(low)}, {_number_text(high)}]"
             for n, (low, high) in content.validity.items()
         ]
-    top = ["# " + line if line else "#" for line in header(content, "ROS 2 (parameters of a node)")]
+    top = ["# " + line if line else "#" for line in header(content, "ROS 2 (parameters of a node)", "The node")]
     return "\n".join([*top, f"{content.name}:", "  ros__parameters:", *("    " + row for row in rows), ""])
 
 

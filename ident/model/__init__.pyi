@@ -41,6 +41,7 @@ from .structure import PARAMETERS as PARAMETERS
 from .structure import DisturbanceChannel as DisturbanceChannel
 from .structure import Effect as Effect
 from .structure import EffectKind as EffectKind
+from .structure import EffectPrior as EffectPrior
 from .structure import ForceCurve as ForceCurve
 from .structure import Hold as Hold
 from .structure import Input as Input

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property, update_wrapper
 from types import SimpleNamespace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from seatrial.ident.model.delayed_inputs import HISTORY_STEP, tap_name
 from seatrial.ident.model.parameter import Parameter, ParameterRole
@@ -583,6 +583,22 @@ class Variable:
     pair: ThrusterPair | None = None
 
 
+class EffectPrior(NamedTuple):
+    """Prior of a parameter of an effect, from the numbers of the boat.
+
+    Attributes
+    ----------
+    name : str
+        Name of the parameter.
+    mean, sd : float
+        Mean and standard deviation of the prior, in the unit of the parameter.
+    """
+
+    name: str
+    mean: float
+    sd: float
+
+
 @dataclass(frozen=True)
 class Model:
     """Model in continuous time: ``dx = f(x, u; p) dt + noise``, and ``y_k = h(x(t_k), u(t_k); p) + e_k``.
@@ -626,6 +642,9 @@ class Model:
         Maximum time between two rows [s], for the fastest states.
     second_order : bool
         Whether the filter is of second order (`seatrial.ident.engine.ekf_graph`).
+    effect_priors : tuple[EffectPrior, ...]
+        Priors of parameters of effects that this boat may have, in place of those of the catalogue
+        (`seatrial.ident.models.scaling.effect_for`).
     """
 
     name: str
@@ -647,6 +666,7 @@ class Model:
     disturbance: Effect | None = None
     max_step: float = 0.1
     second_order: bool = False
+    effect_priors: tuple[EffectPrior, ...] = ()
 
     def __post_init__(self) -> None:
         """Check the names of the components.

@@ -47,6 +47,7 @@ from .published_values import ARM as ARM
 from .published_values import TABLE_2 as TABLE_2
 from .published_values import TABLE_5_3DOF as TABLE_5_3DOF
 from .scaling import VesselScale as VesselScale
+from .scaling import effect_for as effect_for
 from .scaling import force_power as force_power
 from .scaling import is_moment as is_moment
 from .scaling import rescale as rescale

@@ -221,6 +221,24 @@ def scale_priors(effect: Effect, size: VesselScale) -> Effect:
     )
 
 
+def effect_for(model: Model, effect: Effect) -> Effect:
+    """Return an effect of the catalogue for the boat of a model.
+
+    Its priors have the size of the boat (`scale_priors`). A prior that the numbers of the boat give
+    (`Model.effect_priors`) replaces that of the catalogue, and its mean the values to scan.
+    """
+    scaled = scale_priors(effect, size_of(model))
+    given = {p.name: p for p in model.effect_priors}
+    return replace(
+        scaled,
+        parameters=tuple(
+            p.known(given[p.name].mean, given[p.name].sd, ParameterOrigin.PRIOR) if p.name in given else p
+            for p in scaled.parameters
+        ),
+        scan={name: (given[name].mean,) if name in given else tried for name, tried in scaled.scan.items()},
+    )
+
+
 def rescale_effects(model: Model, assumed: VesselScale, found: VesselScale) -> Model:
     """Return the model with the priors of its effects scaled from an assumed size of the boat to the found one.
 

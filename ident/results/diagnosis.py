@@ -28,7 +28,7 @@ from seatrial.ident.diagnosis import (
 from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import FittedModel, ParameterShift, ReportedEstimates, Role, between_runs_title
 from seatrial.ident.model import Effect, EffectKind, Model, ModelKind
-from seatrial.ident.models import scale_priors, size_of
+from seatrial.ident.models import effect_for
 from seatrial.ident.numerics import is_undetermined
 from seatrial.ident.results import parts
 from seatrial.ident.results.answers import (
@@ -785,8 +785,7 @@ def _detectable_rows(diagnosis: Diagnosis, reported: ReportedEstimates) -> tuple
     """
     n, effects = sum(v.record.n_rows for v in diagnosis.after.estimation), catalogue()
     added, rows = {r.effect.name for r in diagnosis.effects}, []
-    boat = size_of(diagnosis.after.model)
-    scaled = [p for effect in effects.values() for p in scale_priors(effect, boat).parameters]
+    scaled = [p for effect in effects.values() for p in effect_for(diagnosis.after.model, effect).parameters]
     prior_sds = {p.name: p.prior[1] for p in scaled if p.prior is not None}
     found_sizes = detectable_sizes(diagnosis.scores, n, diagnosis.policy, prior_sds)
     for found in sorted(found_sizes, key=lambda d: d.effect):

@@ -57,7 +57,7 @@ from seatrial.ident.experiment_design import (
     separation,
 )
 from seatrial.ident.model import Effect, Model, Parameter
-from seatrial.ident.models import make_model, scale_priors, size_of
+from seatrial.ident.models import effect_for, make_model
 from seatrial.ident.numerics import Array, violates_constraint
 from seatrial.ident.report import typeset_unit, write_design_page
 from seatrial.ident.reporter import QUIET, Reporter, TimedReporter, TimeLeft
@@ -689,7 +689,7 @@ def _effect_for(model: Model, name: str) -> Effect:
         raise SeatrialError(
             f"--discriminate: effect {name!r} does not apply to model {model.name}; use another effect or model"
         )
-    return scale_priors(effect, size_of(model))
+    return effect_for(model, effect)
 
 
 def _typical_sizes(effect: Effect) -> dict[str, float]:

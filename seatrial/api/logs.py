@@ -247,8 +247,8 @@ def guess_map(
         Whether an existing file is replaced. If false, an existing file is an error.
     geometry : dict, optional
         Numbers of the boat for the table [geometry]: ``y_left``, ``y_right`` (thrusters to starboard of the middle
-        [m]), ``mass`` (weighed [kg]), ``length`` (hull [m]), ``lever_arm_m`` (antenna forward, to starboard and down
-        [m]).
+        [m]), ``x_thrusters`` (thrusters forward of the centre of gravity [m], negative behind it), ``mass`` (weighed
+        [kg]), ``length`` (hull [m]), ``lever_arm_m`` (antenna forward, to starboard and down [m]).
     scale : dict, optional
         Thrust of one thruster at full speed [N] for the table [scale]: ``ahead`` and ``astern``, with their standard
         uncertainties ``ahead_sd`` and ``astern_sd``. In place of these, ``c1`` (mean of ahead and astern) and ``c2``

@@ -26,4 +26,5 @@ def test_an_arm_in_millimetres_is_longer_than_the_boat() -> None:
     problem = "antenna: -50 m to starboard of the centre of gravity, but the length is 1.6 m"
     assert arm_problem(boat) == problem
     assert arm_problem({"length": 1.6, "y_right": 42.0}).startswith("thruster right: 42 m to starboard of")
+    assert arm_problem({"length": 1.6, "x_thrusters": -50.0}).startswith("thrusters: -50 m ahead of the centre of")
     assert [(f.level, f.code, f.text) for f in check_boat_numbers(boat)] == [("warning", "arm-of-length", problem)]

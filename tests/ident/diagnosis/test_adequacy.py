@@ -25,8 +25,9 @@ from seatrial.ident.diagnosis.score_test import Score
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.standard_errors import AT_BOUND
 from seatrial.ident.model.parameter import Parameter
-from seatrial.ident.model.structure import Effect, ForceCurve
+from seatrial.ident.model.structure import Effect, EffectPrior, ForceCurve
 from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.models.scaling import effect_for
 from seatrial.ident.numerics import Array
 from seatrial.ident.report.page import write_report
 from seatrial.ident.report.terminal import print_result
@@ -372,6 +373,17 @@ def test_propellers_far_behind_the_boat_are_no_sure_name(x_walk: float, attribut
     assert found.attribution == attribution
     if found.reasons:
         assert "x_walk (position of the propellers ahead of the origin) is -1.62 ± 0.33 m" in found.reasons[0]
+
+
+def test_propellers_far_from_their_given_position_are_no_sure_name() -> None:
+    model = replace(horizontal_model(), effect_priors=(EffectPrior("x_walk", -0.5, 0.05),))
+    effect = effect_for(model, catalogue()["propeller-walk"])
+    errors = np.diag(np.square([0.01, 0.01, 0.05]))
+    fit = a_fit(tuple(p.name for p in effect.parameters), [-0.09, -0.002, -0.9], errors)
+    fitted = cast(Any, SimpleNamespace(fit=fit, records=[]))
+    (found,) = attributions_of(one_round(replace(refit(effect.name, 800.0, fit=fit), effect=effect, fitted=fitted)))
+    assert found.attribution == "ambiguous"
+    assert "is -0.90 ± 0.05 m, which is far from the given position (-0.50 ± 0.05 m)" in found.reasons[0]
 
 
 @pytest.mark.parametrize(("error", "attribution"), [(1.3, "identified"), (1.003, "ambiguous")])

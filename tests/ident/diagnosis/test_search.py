@@ -31,8 +31,8 @@ from seatrial.ident.diagnosis.search import _Search, _with_initial_values, diagn
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.fitted_model import FittedModel, validated_in_blocks
 from seatrial.ident.estimation.homogeneity import BETWEEN, ParameterShift
-from seatrial.ident.model.parameter import Parameter
-from seatrial.ident.model.structure import Effect, EffectKind, ForceCurve, Input
+from seatrial.ident.model.parameter import Parameter, ParameterOrigin
+from seatrial.ident.model.structure import Effect, EffectKind, EffectPrior, ForceCurve, Input
 from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.reporter import QUIET
@@ -587,6 +587,23 @@ def test_failed_refit_is_repeated_from_other_starts_and_then_listed_as_untested(
     else:
         assert isinstance(found, Refit)
         assert found.gain == pytest.approx(100.0)
+
+
+def test_candidates_have_the_given_position_of_the_thrusters() -> None:
+    """Candidates and common errors have it, and a wide prior only without it."""
+    effects = {name: catalogue()[name] for name in ("propeller-walk", "thrust-angle", "wind")}
+    runs = segments(boat_with("mismatch", 1), seconds=60.0)[:1]
+    plain = horizontal_model()
+    given = replace(plain, effect_priors=(EffectPrior("x_walk", -0.8, 0.05), EffectPrior("x_delta", -0.8, 0.05)))
+    for model, known in ((given, True), (plain, False)):
+        start = search._prepared_search(model, runs, [], effects, 10.0, QUIET, search.DEFAULT_POLICY)
+        for name, parameter in (("propeller-walk", "x_walk"), ("thrust-angle", "x_delta")):
+            effect = start.candidates[name]
+            (p,) = (p for p in effect.parameters if p.name == parameter)
+            assert (p.prior == (-0.8, 0.05)) == known
+            assert (effect.scan[parameter] == (-0.8,)) == known
+            assert start.common.get(name, effect) is effect
+        assert start.candidates["wind"].parameters[0].origin is not ParameterOrigin.PRIOR
 
 
 def test_extended_model_that_fits_worse_is_refitted_from_another_start(monkeypatch: pytest.MonkeyPatch) -> None:

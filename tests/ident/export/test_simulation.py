@@ -323,6 +323,35 @@ def test_header_of_python_names_the_constant_of_the_physical_inputs() -> None:
         assert (about in text) == copies
 
 
+@pytest.mark.parametrize("model", [COMMAND, horizontal_model()], ids=["command", "shaft speeds"])
+def test_docstring_of_python_has_an_example_that_runs_and_the_number_of_delayed_copies(model: Model) -> None:
+    hostile = replace(saved(model), provenance={"made_by": 'seatrial ident vehicle C:\\new\\"""a".mcap'})
+    text, space = export(hostile, "python"), dict[str, Any]()
+    exec(text, space)
+    about = space["__doc__"]
+    assert about.startswith("horizontal: fitted model, exported to Python by seatrial.\n")
+    assert 'made by: seatrial ident vehicle C:\\new\\"""a".mcap\n' in about
+    example = [line.strip() for line in about.splitlines() if line.startswith("    ")]
+    assert len(example) == 2
+    exec("\n".join(example), space)
+    assert space["x"] == space["Simulation"](0.1).step([0.5, 0.5])
+    assert space["x"][3] > 0.0 or model is COMMAND  # the commands are late
+    n = len(space["INPUTS"]) - 2
+    copies = (
+        f"{n} of the {n + 2} inputs are delayed copies: Simulation.step makes them and takes only n_cmd_left, n_cmd"
+    )
+    assert (copies in about) == (model is COMMAND)
+
+
+@pytest.mark.parametrize(
+    ("target", "stepper"), [("casadi", "make_step"), ("c", "horizontal_advance"), ("ros2", "The node")]
+)
+def test_header_says_what_makes_the_delayed_copies(target: str, stepper: str) -> None:
+    words = f"inputs are delayed copies: {stepper} makes them and takes only n_cmd_left, n_cmd_right."
+    assert words in export(saved(COMMAND), target)
+    assert "delayed copies:" not in export(saved(horizontal_model()), target)
+
+
 def test_ros2_parameters_list_physical_inputs_and_delays() -> None:
     yaml = pytest.importorskip("ruamel.yaml", reason="no YAML reader here (ruamel.yaml)")
     reader = yaml.YAML(typ="safe", pure=True)

@@ -27,6 +27,7 @@ __all__ = ["folder"]
 NODE = ROOT / "docs/examples/ros2_node.py"
 DT = 0.05  # s, of the simulated boat
 ODOMETRY, IMU = "/odometry/filtered", "/imu/data"
+VELOCITY, FIX = "/gnss/velocity", "/gnss/fix"
 
 
 class Ros:
@@ -38,6 +39,7 @@ class Ros:
         self.heard: dict[str, Callable[[Any], None]] = {}
         self.timers: list[list[Any]] = []  # period, next time [s], callback
         self.silent: set[str] = set()  # topics without messages
+        self.antenna = (0.0, 0.0)  # m, forward and to starboard of the centre of gravity
         self.shares = (1.0, 1.0)  # shaft speed of the left and the right thruster over that of the model
         self.logged: list[tuple[str, str]] = []
         self.parameters: dict[str, Any] = {}
@@ -87,7 +89,8 @@ class Ros:
             "rclpy.qos": {"qos_profile_sensor_data": None},
             "rclpy.signals": {"SignalHandlerOptions": types(NO="none")},
             "nav_msgs": {}, "nav_msgs.msg": {"Odometry": message},
-            "sensor_msgs": {}, "sensor_msgs.msg": {"Imu": message},
+            "geometry_msgs": {}, "geometry_msgs.msg": {"TwistStamped": message},
+            "sensor_msgs": {}, "sensor_msgs.msg": {"Imu": message, "NavSatFix": message},
             "std_msgs": {}, "std_msgs.msg": {"Float64": message},
         }  # fmt: skip
         made = {name: ModuleType(name) for name in parts}
@@ -135,14 +138,27 @@ class Ros:
             zero = (np.zeros((6, 6)),) * 2
             position = np.array([x["x"], x["y"], 0.0])
             self.odometry = next(pose_messages(self.now, position, angles, twist, zero, types)).message
-            if ODOMETRY not in self.silent:
-                self.heard[ODOMETRY](self.odometry)
-            if IMU not in self.silent:
-                self.heard[IMU](SimpleNamespace(angular_velocity=self.odometry.twist.twist.angular))
+            for topic, message in self.messages().items():
+                if topic in self.heard and topic not in self.silent:
+                    self.heard[topic](message)
             for timer in self.timers:
                 if self.now >= timer[1] - 1e-9:
                     timer[1] += timer[0]
                     timer[2]()
+
+    def messages(self) -> dict[str, Any]:
+        """Return the message of each topic, in axes of ROS. The velocity is that of the antenna, east and north."""
+        pose, twist = self.odometry.pose.pose, self.odometry.twist.twist
+        yaw = 2.0 * math.atan2(pose.orientation.z, pose.orientation.w)
+        forward, port = self.antenna[0], -self.antenna[1]
+        speed = complex(twist.linear.x - twist.angular.z * port, twist.linear.y + twist.angular.z * forward)
+        speed *= complex(math.cos(yaw), math.sin(yaw))
+        velocity = SimpleNamespace(linear=SimpleNamespace(x=speed.real, y=speed.imag, z=0.0))
+        imu = SimpleNamespace(
+            orientation=pose.orientation, orientation_covariance=[0.01] * 9, angular_velocity=twist.angular
+        )
+        fix = SimpleNamespace(status=SimpleNamespace(status=0), latitude=54.0, longitude=10.0, altitude=0.0)
+        return {ODOMETRY: self.odometry, IMU: imu, VELOCITY: SimpleNamespace(twist=velocity), FIX: fix}
 
     def commands(self, n: int) -> list[float]:
         """Return the last n commands of every thruster."""
@@ -214,7 +230,10 @@ def run(node: Any, ros: Ros, scenario: Callable[[], None]) -> None:
     assert not ros.up
 
 
-def test_the_node_reaches_its_set_point_and_turns_to_starboard(node: Any, ros: Ros) -> None:
+@pytest.mark.parametrize("sensors", ["odometry", "gnss"])
+def test_the_node_reaches_its_set_point_and_turns_to_starboard(sensors: str, node: Any, ros: Ros) -> None:
+    ros.parameters["sensors"] = sensors
+
     def scenario() -> None:
         ros.sail(40.0)
         assert ros.state["u"] == pytest.approx(0.8, abs=0.01)
@@ -330,6 +349,61 @@ def test_the_integral_of_the_heading_rests_at_the_limit_and_is_bounded(node: Any
         ros.silent.add(IMU)
         ros.sail(1.0)
         assert ros.node.correction == 0.0
+
+    run(node, ros, scenario)
+
+
+def test_states_by_gnss_are_those_of_the_boat(node: Any, ros: Ros, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a turn the antenna ahead of and beside the centre of gravity has other speeds than the boat."""
+    monkeypatch.setattr(node, "ANTENNA", (0.4, -0.3))
+    ros.parameters["sensors"], ros.antenna = "gnss", (0.4, -0.3)
+
+    def scenario() -> None:
+        ros.sail(20.0)
+        ros.parameters["heading"] = 150.0
+        for _ in range(20):
+            ros.sail(1.0)
+            found = ros.node.x
+            for name in ("u", "v", "r"):
+                assert found[name] == pytest.approx(ros.state[name], abs=1e-9)
+            assert math.remainder(found["psi"] - ros.state["psi"], 2.0 * math.pi) == pytest.approx(0.0, abs=1e-9)
+
+    run(node, ros, scenario)
+    assert not ros.errors[:-1]
+
+
+def test_unknown_sensors_are_refused(node: Any, ros: Ros) -> None:
+    ros.parameters["sensors"] = "gps"
+    with pytest.raises(ValueError, match=r"^the parameter sensors is gps; it must be odometry or gnss$"):
+        run(node, ros, lambda: None)
+
+
+@pytest.mark.parametrize("fault", ["no fix", "no orientation", "no heading", "nan", "silent imu", "silent velocity"])
+def test_a_fault_of_the_gnss_or_its_imu_stops_the_thrusters(fault: str, node: Any, ros: Ros) -> None:
+    ros.parameters["sensors"] = "gnss"
+    topic = {"no fix": FIX, "nan": VELOCITY, "silent velocity": VELOCITY}.get(fault, IMU)
+
+    def scenario() -> None:
+        ros.sail(10.0)
+        assert min(ros.commands(1)) > 0.1
+        good = ros.heard[topic]
+
+        def broken(message: Any) -> None:
+            if fault == "no fix":
+                message.status.status = -1
+            elif fault == "no orientation":
+                message.orientation_covariance[0] = -1.0
+            elif fault == "no heading":
+                message.orientation = SimpleNamespace(x=0.0, y=0.0, z=0.0, w=0.0)
+            elif fault == "nan":
+                message.twist.linear.y = math.nan
+            if not fault.startswith("silent"):
+                good(message)
+
+        ros.heard[topic] = broken
+        ros.sail(1.0)
+        assert ros.commands(5) == [0.0] * 10
+        assert ros.errors == [f"zero thrust: no valid message within 0.3 s on {topic}"]
 
     run(node, ros, scenario)
 
@@ -498,11 +572,11 @@ def test_the_shaft_has_the_delay_dead_zone_and_lag_of_the_model(
 def test_shaft_speeds_with_a_topic_are_taken_from_it(
     node_of_commands: Any, commanded: Ros, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def shaft_speeds(message: Any) -> dict[str, float]:
+    def shaft_speeds(message: Any, _: dict[str, float]) -> dict[str, float]:
         return {"n_left": message.left, "n_right": message.right}
 
-    monkeypatch.setitem(node_of_commands.TOPICS, "shafts", "/shafts")
-    monkeypatch.setitem(node_of_commands.SOURCES, "shafts", (None, shaft_speeds, {"n_left", "n_right"}))
+    shafts = (None, shaft_speeds, {"n_left", "n_right"})
+    monkeypatch.setitem(node_of_commands.SENSORS["odometry"], "/shafts", shafts)
 
     def scenario() -> None:
         assert not commanded.node.shafts

@@ -19,7 +19,9 @@ from seatrial.ident.estimation.prior_knowledge import (
     fix_parameters,
     set_initial_values,
     set_priors,
+    with_effects,
 )
+from seatrial.ident.model.parameter import ParameterOrigin
 from seatrial.ident.models.catalogue import make_model
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.models.nomoto import nomoto_model
@@ -203,6 +205,29 @@ def test_given_thrust_that_is_not_positive_is_rejected() -> None:
         fix_parameters(horizontal_model(), None, {"c1": -1.0})
     model, _ = fix_parameters(horizontal_model(), None, {"c1": 1.0})  # the built-in c2 is larger, and is estimated
     assert model.values["c1"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("name", "parameter"), [("thrust-angle", "x_delta"), ("propeller-walk", "x_walk"), ("swinging-mount", "x_swing")]
+)
+def test_position_of_the_thrusters_is_the_prior_in_the_effects_that_have_it(name: str, parameter: str) -> None:
+    """The option --prior replaces it."""
+    boat = {"m_u": 80.0, "x_thrusters": -0.9, "x_thrusters_sd": 0.02}
+    model, notes = apply_rig_geometry(horizontal_model(), None, boat)
+    assert notes == []
+    p = with_effects(model, [name]).parameter(parameter)
+    assert (p.value, p.prior, p.free, p.origin) == (-0.9, (-0.9, 0.02), True, ParameterOrigin.PRIOR)
+    (effect,) = with_effects(model, [name]).effects
+    assert effect.scan.get(parameter, (-0.9,)) == (-0.9,)
+    default, _ = apply_rig_geometry(horizontal_model(), None, {"x_thrusters": 0.0})
+    assert with_effects(default, [name]).parameter(parameter).prior == (0.0, 0.05)
+    changed = set_priors(with_effects(model, [name]), {parameter: (-0.7, 0.1)})
+    assert changed.parameter(parameter).prior == (-0.7, 0.1)
+    without, _ = apply_rig_geometry(horizontal_model(), None, {})
+    built_in = with_effects(without, [name]).parameter(parameter)
+    assert (built_in.prior, built_in.origin) == ((-0.5, 0.3), ParameterOrigin.BUILT_IN)
+    with pytest.raises(SeatrialError, match=r"^the rig file or the import map gives x_thrusters_sd = 0: a standard"):
+        apply_rig_geometry(horizontal_model(), None, {"x_thrusters": -0.9, "x_thrusters_sd": 0.0})
 
 
 def test_thrusters_at_one_place_are_rejected() -> None:

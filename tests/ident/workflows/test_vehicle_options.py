@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +15,14 @@ from rich.console import Console
 import seatrial as st
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.cli.commands import ident
+from seatrial.ident.data.loading import load_run
 from seatrial.ident.estimation.model_file import load_model
 from seatrial.ident.model.outlier_density import robust_sensors
 from seatrial.ident.report.terminal import print_result
 from seatrial.ident.reporter import QUIET
 from seatrial.ident.results.commands import ONLY_CHOSEN
 from seatrial.ident.workflows.diagnose import DiagnosisRequest, diagnosis
+from seatrial.ident.workflows.vehicle_model import VehicleRequest, vehicle_problem
 from tests.missions import boat_log, boat_with
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
@@ -121,6 +124,17 @@ def test_second_order_mean_is_saved_with_the_model_and_not_used_in_a_diagnosis(l
     request = DiagnosisRequest(folder / "model.toml", logs[:1], logs[1:], diagnosed, rate=10.0, max_effects=1)
     diagnosis(request, "test", QUIET)
     assert not load_model(folder / "diagnosis/model.toml").model.second_order
+
+
+@pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")  # signals that the model does not use
+@pytest.mark.parametrize("saved", [False, True])
+def test_effects_have_the_position_of_the_thrusters_of_the_log(saved: bool, logs: tuple[Path, Path], out: Path) -> None:
+    """They have it in a model of the catalogue and in a model.toml, whose log did not give it."""
+    model = str(out / "model.toml") if saved else "horizontal:shaft"
+    request = VehicleRequest(logs[:1], [], out, model=model, effects=("thrust-angle", "propeller-walk"))
+    log = replace(load_run(logs[0], "one"), vehicle={"x_thrusters": -0.9, "x_thrusters_sd": 0.03})
+    found = vehicle_problem(request, [log], []).model
+    assert [found.parameter(n).prior for n in ("x_delta", "x_walk")] == [(-0.9, 0.03)] * 2
 
 
 @pytest.mark.study
