@@ -17,7 +17,7 @@ SHOWS = {
     "log-to-plot": ("<Log run1.mcap: 60.0 s", "strongest left turn", "0 faults, 0 warnings"),
     "fit-validate-compare": ("better: with mismatch", "log score is +"),
     "own-model-to-diagnosis": ("'wind':", "% smaller than that"),
-    "many-logs-on-a-cluster": ("fitted to 6 of 7 logs, 1 failed.", "standard errors in m_r", "day7"),
+    "many-logs-on-a-cluster": ("fitted to 6 of 7 logs, 1 failed.", "standard errors in m_u, m_r", "day7"),
 }
 
 

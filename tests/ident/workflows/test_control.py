@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import importlib
 import re
-from math import cos, sin
 from pathlib import Path
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import pytest
 
 import seatrial as st
 from seatrial.ident.cli.commands import ident
-from seatrial.ident.models.components import shift
 from tests.ident.workflows.test_use_a_model import run
 from tests.test_docs import blocks, how_to
 
 if TYPE_CHECKING:
-    from seatrial.ident.model import Signals
+    pass
 
 PAGE = how_to("control")
 WIND = {"F_wx": -3.0, "F_wy": 2.0, "w_x": 0.3}  # N, N, and the frontal area over the lateral one
@@ -53,23 +50,11 @@ def test_controller_of_the_page(block: int, folder: Path) -> None:
     assert run(code, folder) == output(code)
 
 
-def test_velocity_of_the_antenna_is_turned_into_that_of_the_boat() -> None:
-    """The formulas for boats without odometry invert the output equations of the models."""
-    u, v, r, psi, l_x, l_y = 1.1, -0.2, 0.9, 2.3, 0.3, -0.15
-    over_ground = {"vx": u * cos(psi) - v * sin(psi), "vy": u * sin(psi) + v * cos(psi), "x": 0.0, "y": 0.0}
-    shift(cast("Signals", SimpleNamespace(x=SimpleNamespace(psi=psi, r=r), y=over_ground)), l_x, l_y)
-    known = {"v_n": over_ground["vx"], "v_e": over_ground["vy"], "r": r, "psi": psi, "l_x": l_x, "l_y": l_y}
-    found = re.search("`u = (v_n [^`]+)`, `v = (v_e [^`]+)`", PAGE.read_text(encoding="utf-8"))
-    assert found is not None
-    products = [re.sub(r"(?<=\w) (?=\w)", " * ", formula) for formula in found.groups()]
-    assert [eval(formula, {"cos": cos, "sin": sin}, known) for formula in products] == pytest.approx([u, v])
-
-
 def test_the_arm_of_the_antenna_is_its_given_position_and_the_deviation(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The boat is at the origin with its bow to north, so that the measured position is the arm."""
-    assert "the arm is `antenna_x + l_x` and `antenna_y + l_y`" in PAGE.read_text(encoding="utf-8")
+    assert "It is `antenna_x + l_x` and `antenna_y + l_y` of the exported `P`" in PAGE.read_text(encoding="utf-8")
     arms = {"antenna_x": -0.4, "antenna_y": 0.1, "l_x": -0.04, "l_y": 0.02}
     rows = "".join(f'[[parameter]]\nname = "{n}"\nvalue = {v}\nfree = false\n' for n, v in arms.items())
     text = blocks(PAGE, "toml")[0].replace("effects = []", 'effects = ["antenna", "lever-arm"]')
