@@ -223,8 +223,9 @@ def guess_map(
     candidates = [_with_full_speed(c, full or {}, known or {}) for c in candidates]
     candidates = [_with_unit_caveats(_with_frame_key(c) if kind.name == "ros" else c) for c in candidates]
     main = _main_clock(candidates, clocks)
-    silent = [c for c in candidates if _is_always_zero(c)]
-    measured = [c for c in candidates if c not in silent]
+    silent, measured = list[Candidate](), list[Candidate]()
+    for c in candidates:
+        (silent if _is_always_zero(c) else measured).append(c)
     taken, lines = _chosen_signals(measured, clocks, main, max(len(files), 1))
     problem = _missing_for_fit(taken, tables)
     head += _style_line(options, kind.name) + _time_lines(tables, candidates, clocks, main)

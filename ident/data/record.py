@@ -105,7 +105,7 @@ def sample_and_hold(channel: Channel, t: Array) -> Array:
     return channel.value[np.clip(at, 0, None)]
 
 
-def block_mean(channel: Channel, edges: Array, angle: bool = False) -> Array:
+def block_mean(channel: Channel, edges: Array) -> Array:
     """Return the mean values of a signal over consecutive intervals of time (blocks).
 
     Parameters
@@ -114,8 +114,6 @@ def block_mean(channel: Channel, edges: Array, angle: bool = False) -> Array:
         The signal. Samples with NaN, and samples outside all blocks, are ignored.
     edges
         Edges of the blocks (n + 1,) [s], increasing. A block contains its first edge, but not its last edge.
-    angle
-        Whether the signal is an angle [rad]. It is then unwrapped before it is averaged, so that the mean is unwrapped.
 
     Returns
     -------
@@ -123,10 +121,6 @@ def block_mean(channel: Channel, edges: Array, angle: bool = False) -> Array:
         Mean value of the samples of each block, NaN for an empty block.
     """
     value = channel.value
-    if angle:  # a sum over a NaN would spoil all samples after it
-        known = np.isfinite(value)
-        value = value.copy()
-        value[known] = np.unwrap(value[known])
     index = np.searchsorted(edges, channel.t, side="right") - 1
     inside = (index >= 0) & (index < edges.size - 1) & np.isfinite(value)
     index, value = index[inside], value[inside]

@@ -444,9 +444,9 @@ def header(content: Content, target: str, stepper: str) -> list[str]:
 
 
 def description_lines(content: Content, stepper: str = "") -> list[str]:
-    """Return the lines of a header after the provenance. The arguments are those of `header`.
+    """Return the lines of a header that follow the provenance. The arguments are those of `header`.
 
-    With an empty ``stepper``, no line says what makes the delayed copies.
+    If ``stepper`` is empty, the lines do not name the function that makes the delayed copies.
     """
     lines = [
         "Rates dx/dt = f(x, u; p), outputs y = h(x, u; p); SI units and radians.",

@@ -168,7 +168,7 @@ class _Candidate:
 
     @property
     def per_log(self) -> tuple[str, ...]:
-        """Names of the parameters with their own estimate for each compared log, such as the current."""
+        """Names of the parameters that are estimated anew for each compared log, such as the current."""
         return tuple(p.name for p in self.model.parameters if p.free and p.per_record)
 
     def widens(self, seconds: float | None) -> bool:
@@ -569,7 +569,7 @@ def _by_logs(
 
 
 def _subjects(alike: Sequence[ComparedModel], models: Sequence[ComparedModel]) -> str:
-    """Return the subject of a sentence on some of the models, such as ``(a) and (b)``."""
+    """Return the labels of some models as the subject of a sentence, such as ``(a) and (b)``."""
     *first, last = (_subject(m, models) for m in alike)
     return f"{', '.join(first)} and {last}" if first else last
 

@@ -80,7 +80,7 @@ class ExportOptions(TypedDict, total=False):
 
 @dataclass(frozen=True, repr=False)
 class Saved(MotionMethods, Shown):
-    """Saved fit that `load` has read. It has a model, a result, or both.
+    """Fit that `load` has read from files. The fit has a model, a result, or both.
 
     Attributes
     ----------

@@ -653,7 +653,7 @@ def steady(
 def _check_conditions(at: object) -> None:
     """Raise SeatrialError if the conditions ``at`` are neither None nor a dict of numbers.
 
-    Warn if their heading is more than one turn: its unit is then probably the degree.
+    A warning is issued if the heading is larger than one turn, because it is then probably in degrees.
     """
     if at is None:
         return

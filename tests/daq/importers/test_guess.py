@@ -686,6 +686,16 @@ def guess_of(monkeypatch: pytest.MonkeyPatch) -> Guessing:
     return guess_of
 
 
+def test_a_second_table_measures_what_the_first_one_does_not(guess_of: Guessing) -> None:
+    tables = [
+        Table(Path("x"), "", {"t": TIME, "ax": factor * np.sin(TIME), "ay": factor * np.cos(TIME)})
+        for factor in (0.0, 1.0)
+    ]
+    text = guess_of("mat", *tables).text
+    assert "# not measured: ax, ay, 0 in the whole source\n" in text
+    assert '{ name = "ax", ' in text
+
+
 def scalar(topic: str, values: np.ndarray) -> Table:
     """Return a topic that contains only numbers."""
     return Table(Path("x"), topic, {"data": values}, TIME, "std_msgs/msg/Float64")

@@ -153,22 +153,21 @@ def test_noise_of_a_block_mean_falls_with_the_root_of_its_size() -> None:
     assert psi.std() == pytest.approx(0.1 / np.sqrt(20), rel=0.2)
 
 
-def test_a_missing_angle_costs_only_its_own_sample() -> None:
-    t = np.arange(0.0, 1.0, 0.01)
-    turning = Channel(t, np.where(np.arange(t.size) == 3, np.nan, np.mod(3.0 + t + np.pi, 2 * np.pi) - np.pi))
-    value = block_mean(turning, np.array([0.0, 0.5, 1.0]), angle=True)
-    np.testing.assert_allclose(value, [3.0 + np.delete(t[:50], 3).mean(), 3.0 + t[50:].mean()])
+def test_mean_of_an_angle_ignores_the_wrap_and_a_missing_sample() -> None:
+    """A missing angle costs only its own sample."""
+    psi = channel(50.0, f=lambda t: np.mod(3.0 + t + np.pi, 2 * np.pi) - np.pi)
+    value = np.where(np.arange(psi.t.size) == 33, np.nan, psi.value)
+    record = build_record(model(), channels() | {"psi": replace(psi, value=value)})
+    seen = np.isfinite(record.y[:, 0])
+    assert seen.sum() == 121
+    np.testing.assert_allclose(record.y[seen, 0], 3.0 + record.t[seen], atol=1e-9)
 
 
-def test_block_mean_of_an_angle_ignores_the_wrap() -> None:
+def test_blocks_without_known_samples_have_no_mean() -> None:
     t = np.arange(0.0, 1.0, 0.01)
-    turning = Channel(t, np.mod(3.0 + t + np.pi, 2 * np.pi) - np.pi)
     edges = np.array([0.0, 0.1, 0.2, 0.3, 2.0, 3.0])
-    value = block_mean(turning, edges, angle=True)
-    np.testing.assert_allclose(value[:4], 3.0 + np.array([0.045, 0.145, 0.245, 0.645]))
-    assert np.isnan(value[4])
-    holes = Channel(t, np.where(t < 0.1, np.nan, 1.0))
-    np.testing.assert_array_equal(block_mean(holes, edges), [np.nan, 1.0, 1.0, 1.0, np.nan])
+    found = block_mean(Channel(t, np.where(t < 0.1, np.nan, t)), edges)
+    np.testing.assert_allclose(found, [np.nan, 0.145, 0.245, 0.645, np.nan])
 
 
 @pytest.mark.parametrize("averaged", [True, False])
