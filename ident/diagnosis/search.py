@@ -840,27 +840,27 @@ class _Search:
             Largest number of effects.
         """
         self._plan(max_effects)
-        current, passed = self.forward(before, max_effects)
+        current, again = self.forward(before, max_effects), False
         while True:
             n_removed, n_rounds = len(self.removed), len(self.rounds)
             is_full = sum(r.chosen is not None for r in self.rounds) >= max_effects + n_removed
             self._plan(0)
+            self.work.plan("tests", int(is_full), 1)
             self.reporter.progress("computing the importance of the effects found")
             base, current, weights, self.removed = self.weighed_effects(before, current)
-            if len(self.removed) == n_removed:
+            if len(self.removed) == n_removed or not is_full:
                 break
-            if not is_full:
-                passed = self.scored(current)[1]  # the last scores are those of a larger model
-                break
-            current, passed = self.forward(before, max_effects + len(self.removed), current)
+            current, again = self.forward(before, max_effects + len(self.removed), current), True
             if all(r.chosen is None for r in self.rounds[n_rounds:]):
+                is_full = False
                 break
+        # The last scores may be those of a larger model, or of one with fewer effects.
+        passed = self.scored(current)[1]
+        self.untried = self._to_be_tried(passed, again) if is_full else []
         return SearchOutcome(base, current, passed, weights, self.removed)
 
-    def forward(
-        self, before: FittedModel, max_effects: int, current: FittedModel | None = None
-    ) -> tuple[FittedModel, list[Score]]:
-        """Add effects one after the other; return the last model and the scores that pass on it.
+    def forward(self, before: FittedModel, max_effects: int, current: FittedModel | None = None) -> FittedModel:
+        """Add effects one after the other, and return the last model.
 
         The search ends after ``max_effects`` rounds in all, after a round without an added effect (unless two effects
         at once are accepted then: `_look_ahead`), or if no score that passes may be tried. After a nonparametric
@@ -889,34 +889,22 @@ class _Search:
 
         Returns
         -------
-        model
-            The last model; ``current`` itself if nothing was added.
-        passing
-            The scores that pass on it, also those that were not tried; the largest criterion first.
+        FittedModel
+            The last model; ``current`` itself if nothing was added. It has not been scored if it has the largest number
+            of effects: one of them may be removed at once, so that its score tests would be in vain.
         """
-        gone = {r.effect.name for r in self.removed}
         again = current is not None
-        self.nominal, current, self.untried = before, current or before, []
-        kept = [r.chosen for r in self.rounds if r.chosen is not None and r.chosen.effect.name not in gone]
-        unknown = any(c.nonparametric for c in kept)
+        self.nominal, current = before, current or before
         while True:
+            if len(self.rounds) >= max_effects and not self.common:
+                return current
             scores, passed = self.scored(current)
             if (extended := self.add_common_errors(current, passed)) is not None:
                 current = extended
                 continue
-            largest = max((r.chosen.criterion for r in self.rounds if r.chosen is not None), default=0.0)
-            least = self.policy.min_gain_ratio_after_curve * largest
-            tried = [s for s in passed if not s.nonparametric and s.criterion(self.n) > least] if unknown else passed
-            tried = [s for s in tried if s.name not in gone]
-            if again:
-                failed = self._failed_before()
-                strong = [s for s in tried if s.criterion(self.n) > self.policy.min_trial_criterion]
-                tried = [s for s in strong if s.name not in failed]
-            if self.common_errors is not None:  # what is left is the difference between a real boat and any model
-                tried = [s for s in tried if s.criterion(self.n) > self.policy.max_remaining_criterion]
+            tried = self._to_be_tried(passed, again)
             if len(self.rounds) >= max_effects or not tried:
-                self.untried = tried
-                return current, passed
+                return current
             self._possible_rounds = max_effects - len(self.rounds)
             self._report_round(scores, passed, tried)
             found = self._run_round(current, scores, tried)
@@ -927,9 +915,28 @@ class _Search:
             else:
                 self.rounds.append(found)
             if found.chosen is None:
-                return current, passed
-            current, unknown = found.chosen.fitted, unknown or found.chosen.nonparametric
+                return current
+            current = found.chosen.fitted
             self.candidates.pop(found.chosen.effect.name, None)
+
+    def _to_be_tried(self, passed: Sequence[Score], again: bool) -> list[Score]:
+        """Return those of the scores that pass on a model which may be tried, under the conditions of `forward`.
+
+        ``again``: whether it is a later call of `forward`.
+        """
+        gone = {r.effect.name for r in self.removed}
+        added = [r.chosen for r in self.rounds if r.chosen is not None]
+        tried = [s for s in passed if s.name not in gone]
+        if any(c.nonparametric for c in added if c.effect.name not in gone):
+            least = self.policy.min_gain_ratio_after_curve * max(c.criterion for c in added)
+            tried = [s for s in tried if not s.nonparametric and s.criterion(self.n) > least]
+        if again:
+            failed = self._failed_before()
+            strong = [s for s in tried if s.criterion(self.n) > self.policy.min_trial_criterion]
+            tried = [s for s in strong if s.name not in failed]
+        if self.common_errors is not None:  # what is left is the difference between a real boat and any model
+            tried = [s for s in tried if s.criterion(self.n) > self.policy.max_remaining_criterion]
+        return tried
 
     def _plan(self, after: int, here: tuple[float, float] | None = None) -> None:
         """Plan the work that is still ahead, for the time left.

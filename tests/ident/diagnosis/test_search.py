@@ -311,7 +311,7 @@ def test_search_that_reached_its_limit_names_the_untried_candidates(monkeypatch:
     """The untried candidates were never refitted, so their importance is unknown."""
     mine, score = a_search(Effect("wind", "wind", {})), Score("wind", 900.0, 1, 50.0, {}, {}, threshold=12.0)
     monkeypatch.setattr(mine, "scored", lambda _fitted: ([score], [score]))
-    mine.forward(blank(), 0)
+    mine.run(blank(), 0)
     assert mine.untried == [score]
     chosen = refit("hump", 900.0)
     after = blank(fit=blank(flags=()))
@@ -396,7 +396,13 @@ def test_a_removed_effect_takes_no_place_of_another(monkeypatch: pytest.MonkeyPa
     mine = a_search(*(Effect(n, n, {}) for n in ("motor", "wind", "hump")))
     mine.n = 100
     scores = [Score(n, lm, 1, 50.0, {}, {}, threshold=12.0) for n, lm in (("motor", 900.0), ("wind", 90.0))]
-    monkeypatch.setattr(mine, "scored", lambda _fitted: (scores, scores))
+    tested = list[Any]()
+
+    def scored(fitted: Any) -> tuple[list[Score], list[Score]]:
+        tested.append(getattr(fitted, "name", "start"))
+        return scores, scores
+
+    monkeypatch.setattr(mine, "scored", scored)
     removed = blank(effect=Effect("motor", "motor", {}))
 
     def added(_current: Any, _scores: Any, tried: list[Score]) -> Round:
@@ -410,6 +416,7 @@ def test_a_removed_effect_takes_no_place_of_another(monkeypatch: pytest.MonkeyPa
     assert [r.chosen.effect.name for r in mine.rounds if r.chosen is not None] == ["motor", "wind"]
     assert (found.model.name, found.removed) == ("windy", [removed])
     assert not weighed
+    assert tested == ["start", "plain", "windy"]  # not the models with an effect that may be removed at once
 
 
 def test_a_removed_effect_is_replaced_only_by_a_strong_candidate_that_did_not_fail(
@@ -423,7 +430,7 @@ def test_a_removed_effect_is_replaced_only_by_a_strong_candidate_that_did_not_fa
     monkeypatch.setattr(mine, "scored", lambda _fitted: (scores, scores))
     monkeypatch.setattr(mine, "_run_round", lambda *_: pytest.fail("no candidate is worth a round"))
     current = blank()
-    assert mine.forward(blank(), 3, current)[0] is current
+    assert mine.forward(blank(), 3, current) is current
     assert mine.untried == []
 
 
