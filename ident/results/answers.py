@@ -726,11 +726,17 @@ def thrust_ahead_warnings(fit: Fit) -> list[ResultWarning]:
         return []
     prior = known["c1"].prior
     given_c1 = known["c1"].value if prior is None else prior[0]
+    ahead, astern = given_c1, given_c1 * (c1 - c2) / (c1 + c2)
+    mean, half = (ahead + astern) / 2.0, (ahead - astern) / 2.0
+    sd = mean * (0.05 if prior is None else prior[1] / prior[0])
+    sd_half = max(error * ahead / (c1 + c2), 0.1 * abs(half))
     text = (
         f"At full speed the thrust is {c1 + c2:.3g} N ahead and {c1 - c2:.3g} N astern by this fit; c1, which was "
-        f"given as {given_c1:.3g} N, is the mean of both. If {given_c1:.3g} N was measured ahead only, multiply it by "
-        f"{c1 / (c1 + c2):.3f} and fit again. If it is the mean, give the half difference too (--prior "
-        f"c2={c2:.3g}:{max(error, 0.1 * abs(c2)):.2g}), and this warning ends."
+        f"given as {given_c1:.3g} N, is the mean of both. If {given_c1:.3g} N was measured ahead only, the thrust "
+        f"astern is about {astern:.3g} N by these data: give both (`ahead = {ahead:.4g}` and `astern = {astern:.3g}` "
+        f"in [scale] of the import map, or --prior c1={mean:.3g}:{sd:.2g} --prior c2={half:.3g}:{sd_half:.2g}), and "
+        "fit again. If it is the mean, give the half difference too "
+        f"(--prior c2={c2:.3g}:{max(error, 0.1 * abs(c2)):.2g}). With either, this warning ends."
     )
     return [ResultWarning(code="thrust-ahead", text=text)]
 

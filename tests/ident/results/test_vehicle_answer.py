@@ -563,7 +563,13 @@ def test_thrust_that_may_be_that_ahead_is_reported(
     if warned and c2 > 0.0:
         assert "is 7.77 N ahead and 5.91 N astern by this fit; c1, which was given as 6.84 N, is the" in found[0].text
         assert "give the half difference too (--prior c2=0.93:0.3)" in found[0].text
-        assert "multiply it by 0.880" in found[0].text
+        assert "If 6.84 N was measured ahead only, the thrust astern is about 5.2 N by these data" in found[0].text
+        assert "--prior c1=6.02:0.3 --prior c2=0.819:0.26" in found[0].text
+        given = [
+            replace(p, value=v, origin=ParameterOrigin.GIVEN) for p, v in zip(parameters, (6.02, 0.82), strict=True)
+        ]
+        again: Any = SimpleNamespace(model=SimpleNamespace(parameters=given), estimate=estimates.__getitem__)
+        assert not thrust_ahead_warnings(again)  # a reader who follows the advice is not asked again
 
 
 @pytest.mark.parametrize(("c1", "c2", "warned"), [(239.0, 179.0, True), (209.0, 30.0, False), (40.0, -25.0, True)])
