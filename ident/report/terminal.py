@@ -13,7 +13,7 @@ from rich.text import Text
 from seatrial.daq.console import print_prose, print_table
 from seatrial.daq.errors import counted
 from seatrial.ident.report import formatting
-from seatrial.ident.report.sections.campaigns import VALUES, change_of, effect_words
+from seatrial.ident.report.sections.campaigns import VALUES, absolute_change, change_of, effect_words
 from seatrial.ident.report.sections.comparison import (
     INSIDE,
     MARKS,
@@ -224,24 +224,28 @@ def campaign_tables(result: CampaignsResult) -> list[Table]:
     """Return the tables of two campaigns: changes, effects, prediction errors, and what could not be compared.
 
     Parameters of noise, disturbances and sensors are left out unless they have changed, and so are parameters that are
-    fixed or have a value for each log. Tables without rows are left out.
+    fixed or have a value for each log. Changed parameters come first. The unit follows the numbers that are in it.
+    Tables without rows are left out.
     """
-    shown = [p for p in result.parameters if not p.nuisance or p.changed]
+    shown = [p for p in result.changed_first if not p.nuisance or p.changed]
     left = len(result.parameters) - len(shown)
     tables = list[Table]()
     if shown:
         table = titled_table(f"Changes{f' ({left} of noise and disturbances in the report)' if left else ''}")
         table.padding = (0, 1, 0, 0)
         table.add_column("", no_wrap=True)
-        for title in ("before ± s.e.", "after ± s.e.", "change (95 %)", "q"):
+        for title in ("before ± s.e.", "after ± s.e.", "change"):
             table.add_column(title, justify="right", no_wrap=True)
         table.add_column("", no_wrap=True)
+        for title in ("change (95 %)", "q"):
+            table.add_column(title, justify="right", no_wrap=True)
         for p in shown:
             factor, unit = formatting.degrees_for(p.unit)
             means = (formatting.with_error(factor * m.mean, factor * m.se) for m in (p.before, p.after))
             style = "bold green" if p.changed else ""
             words = [Text(w) for w in means]
-            words += [Text(change_of(p), style), Text(formatting.probability(p.q), style), Text(unit)]
+            words += [Text(absolute_change(p), style), Text(unit)]
+            words += [Text(change_of(p), style), Text(formatting.probability(p.q), style)]
             table.add_row(Text(p.name, style or "bold"), *words)
         tables.append(table)
     if result.effects:
@@ -509,6 +513,7 @@ def _growth_text(factor: float) -> str:
 def print_result(result: Result, console: Console) -> None:
     """Print the warnings, the answer, the caveat of a diagnosis and the tables of a result to the console.
 
+    The warnings of a comparison follow its answer: they are about single models of it.
     The notes of a run over many logs follow its tables, and so do the names of the common errors in a vehicle model,
     and notes on what no table shows: no weighed mass, simulations of short records or that run
     away, and times of most of the errors.
