@@ -531,11 +531,12 @@ def print_result(result: Result, console: Console) -> None:
         Console of rich to print to.
     """
     console.print()
-    for warning in result.warnings:
-        print_prose(console, Text(f"⚠ {warning.text}", style="yellow"))
     failed = isinstance(result, FitResult) and not result.converged
+    opening = [Text(f"⚠ {warning.text}", style="yellow") for warning in result.warnings]
     answer = Text(f"⚠ {result.answer}", "bold yellow") if failed else Text(result.answer, "bold")
-    print_prose(console, answer)
+    opening.insert(0 if isinstance(result, ComparisonResult) else len(opening), answer)
+    for paragraph in opening:
+        print_prose(console, paragraph)
     if isinstance(result, DiagnosisResult) and (names := name_probabilities(result.effects)):
         print_prose(console, Text(names))
     if isinstance(result, DiagnosisResult) and result.caveat:
