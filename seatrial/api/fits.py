@@ -17,7 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.api import plots, tables
-from seatrial.api.arguments import Role, as_path, check_switches, check_values, output_folder, shortened
+from seatrial.api.arguments import (
+    Role,
+    as_path,
+    check_switches,
+    check_values,
+    output_folder,
+    shortened,
+    with_short_help,
+)
 from seatrial.api.calls import python_call
 from seatrial.api.figures import Figure
 from seatrial.api.findings import DiagnosisFindings
@@ -54,8 +62,11 @@ LISTS = (
 PARAMETER_VALUES = {"fixed": '{"c1": 6.85}', "initial": '{"m_u": 30.0}', "priors": '{"c1": (6.85, 0.3)}'}
 
 
+@with_short_help
 class FitOptions(TypedDict, total=False):
     """Options of `fit`. All are optional; the defaults are those of ``seatrial ident vehicle``.
+
+    An option without a default below is not set.
 
     Attributes
     ----------
@@ -119,8 +130,11 @@ class FitOptions(TypedDict, total=False):
     progress: bool
 
 
+@with_short_help
 class DiagnosisOptions(TypedDict, total=False):
     """Options of `diagnose`. All are optional; the defaults are those of ``seatrial ident diagnose``.
+
+    An option without a default below is not set.
 
     Attributes
     ----------

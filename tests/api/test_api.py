@@ -8,6 +8,7 @@ import importlib.util
 import inspect
 import io
 import json
+import pydoc
 import re
 import runpy
 import shutil
@@ -18,7 +19,7 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, is_typeddict
 
 import numpy as np
 import pytest
@@ -277,6 +278,20 @@ def test_help_of_a_function_names_the_help_of_its_options(function: Any) -> None
     for option in options.__annotations__:
         assert re.search(rf"^{option} : .+\n    \S", described, re.MULTILINE), option
         assert re.search(rf"\b{option}\b", text), option
+
+
+@pytest.mark.parametrize(
+    "options", [st.FitOptions, st.DiagnosisOptions, st.ThrusterOptions, st.DesignOptions, st.ExportOptions]
+)
+def test_help_of_options_lists_them_with_their_types_and_no_method_of_dict(options: Any) -> None:
+    text = pydoc.plain(pydoc.render_doc(options))
+    for name in options.__annotations__:
+        assert f"|  {name} : " in text
+    assert "by default" in text
+    for method in ("clear(", "copy(", "fromkeys(", "setdefault("):
+        assert method not in text
+    assert is_typeddict(options)
+    assert options(progress=True) == {"progress": True}
 
 
 def test_signals_of_a_log(logs: list[Path]) -> None:
