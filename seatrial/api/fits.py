@@ -245,7 +245,8 @@ class FitReport(Shown):
     def to_pandas(self) -> Any:
         """Return the parameters as a ``pandas.DataFrame`` with a row for each.
 
-        The columns are value, se, low, high (95 % interval), t, unit, origin, free, flag and meaning.
+        The columns are value, se, low, high (95 % interval), t, unit, origin, free, flag and meaning. A flag is a short
+        code of what is wrong with the estimate, such as ``at bound`` or ``prior``; `summary` has its text.
 
         Raises
         ------
