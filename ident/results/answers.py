@@ -28,6 +28,7 @@ from seatrial.ident.estimation import (
     FittedModel,
     HomogeneityTest,
     PriorDistance,
+    Role,
     ThrustScale,
     between_runs_title,
     least_yaw_inertia,
@@ -94,6 +95,8 @@ UNITS_OF_THRUST = {"kgf": 9.81, "lbf": 4.448, "gf": 0.00981}  # N, of data sheet
 MOST_ADDED = 2.0  # largest plausible mass in surge, as a multiple of the weighed mass, whatever its standard error is
 FULL_SPEED = 0.95  # of full speed; a thrust that was measured up to this speed is not called extrapolated
 SHORT_BENCH_S = 20.0  # as SHORT_DATA_S, of a thruster: some held commands of 4 s, forward and in reverse
+NOMOTO = "nomoto"  # name of Nomoto's model
+UNFIT = 0.2  # correlation of residuals with an input, from which on the structure of Nomoto's model is called unfit
 NOMOTO_LAG = "T"  # time constant of the yaw rate in Nomoto's model, fixed at zero without a prior
 NOT_WEIGHED = (
     "The mass in surge, m_u, was not compared with a weighed mass, because none was given: give --mass, or mass in "
@@ -922,6 +925,42 @@ def late_sensor_warnings(made: Provenance, model: Model) -> list[ResultWarning]:
         "receiver, --effect gnss-latency estimates the latency."
     )
     return [ResultWarning(code="late-sensor-bias", text=text)]
+
+
+def structure_warnings(model: Model, cross: Sequence[CrossCorrelationRow], role: Role) -> list[ResultWarning]:
+    """Return a warning if the residuals show that Nomoto's structure does not fit the vehicle: what to take instead.
+
+    They show it if a channel is significantly correlated with a shaft speed or command (at 1 % over all channels and
+    inputs, by Bonferroni), and by `UNFIT` or more. The list is empty for any other structure.
+
+    Parameters
+    ----------
+    model : Model
+        Model of the fit.
+    cross : sequence of CrossCorrelationRow
+        Correlations of its residuals with each input.
+    role : str
+        Role of the records whose residuals count, ``estimation`` or ``validation``.
+    """
+    if model.source.partition(":")[0] != NOMOTO:
+        return []
+    tests = [(c, c.p) for c in cross if c.role == role and c.p is not None]
+    large = [
+        c for c, p in tests if p * len(tests) < LEVEL and (c.largest or 0.0) >= UNFIT and c.input not in MEASURED_INPUTS
+    ]
+    if not large:
+        return []
+    most: dict[str, CrossCorrelationRow] = {}
+    for c in sorted(large, key=lambda c: -(c.largest or 0.0)):
+        most.setdefault(c.channel, c)
+    found = [f"{NAMES.get(n, n)} with {c.input} by {c.largest:.2g}" for n, c in most.items()]
+    lag = "; for a vehicle that does not slide sideways, free the time constant of the yaw rate (--prior T=0.5:0.5)"
+    text = (
+        f"{NOMOTO}: its residuals are correlated with the inputs ({', '.join(found)}), so that this structure does not "
+        "explain how the motion follows them: use --model horizontal, which has sway and a yaw moment with an inertia"
+        f"{'' if model.parameter(NOMOTO_LAG).free else lag}."
+    )
+    return [ResultWarning(code="structure-unfit", text=text)]
 
 
 def frame_warnings(model: Model, unplaced: Sequence[str], *, saved_origin_unknown: bool = False) -> list[ResultWarning]:
