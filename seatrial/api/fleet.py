@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
@@ -63,7 +63,8 @@ class FittedFleet(Shown):
 
         import_library("pandas")
         frame = self.table.to_pandas()
-        for name, shown in {"flag": flag_codes, **dict.fromkeys(TEXTS, in_python)}.items():
+        columns: dict[str, Callable[[str], str]] = {"flag": flag_codes, **dict.fromkeys(TEXTS, in_python)}
+        for name, shown in columns.items():
             if name in frame:
                 frame[name] = [shown(x) if isinstance(x, str) else x for x in frame[name]]
         return frame
