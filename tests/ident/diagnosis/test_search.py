@@ -594,7 +594,7 @@ def test_candidates_have_the_given_position_of_the_thrusters() -> None:
     effects = {name: catalogue()[name] for name in ("propeller-walk", "thrust-angle", "wind")}
     runs = segments(boat_with("mismatch", 1), seconds=60.0)[:1]
     plain = horizontal_model()
-    given = replace(plain, effect_priors=(EffectPrior("x_walk", -0.8, 0.05), EffectPrior("x_delta", -0.8, 0.05)))
+    given = replace(plain, effect_priors=tuple(EffectPrior(n, -0.8, 0.05, "rig") for n in ("x_walk", "x_delta")))
     for model, known in ((given, True), (plain, False)):
         start = search._prepared_search(model, runs, [], effects, 10.0, QUIET, search.DEFAULT_POLICY)
         for name, parameter in (("propeller-walk", "x_walk"), ("thrust-angle", "x_delta")):
