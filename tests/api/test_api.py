@@ -1582,7 +1582,14 @@ def test_a_file_without_a_recognised_signal_gives_an_error_about_this_file(tmp_p
 
 
 BOAT: Any = {
-    "geometry": {"y_left": -0.3, "y_right": 0.3, "x_thrusters": -0.6, "mass": 30, "lever_arm_m": (0.1, 0, 0)},
+    "geometry": {
+        "y_left": -0.3,
+        "y_right": 0.3,
+        "x_thrusters": -0.6,
+        "mass": 30,
+        "lever_arm_m": (0.1, 0, 0),
+        "lever_arm_sd": 0.02,
+    },
     "scale": {"c1": np.float32(40.0), "c1_sd": 1.0, "c2": 5.0},
 }
 PULLED = {"c1": 78.5, "c2": 17.5, "c1_sd": 2.5, "c2_sd": 2.5}
@@ -1592,6 +1599,7 @@ NUMBERS = {
     "x_thrusters": -0.6,
     "mass": 30.0,
     "antenna_x": 0.1,
+    "lever_arm_sd": 0.02,
     "c1": 40.0,
     "c1_sd": 1.0,
     "c2": 5.0,

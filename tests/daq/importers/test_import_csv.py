@@ -341,6 +341,8 @@ def test_an_invalid_iso_time_is_refused(folder: Path) -> None:
          r"geometry\.y_left: 25 m from the middle of a hull of 1\.2 m; write positions in metres"),
         ("[csv]", "[geometry]\nx_thrusters = -45.0\nlength = 1.2\n[csv]",
          r"geometry\.x_thrusters: 45 m from the middle of a hull of 1\.2 m; write positions in metres, positive"),
+        ("[csv]", "[geometry]\nlever_arm_sd = 0.1\n[csv]", r"lever_arm_sd: is the standard uncertainty of lever_arm_m"),
+        ("[csv]", "[geometry]\nlever_arm_m = [0.1, 0, 0]\nlever_arm_sd = 0\n[csv]", r"lever_arm_sd: must be above"),
         ("[csv]", "[geometry]\nx_thrusters_sd = 0.1\n[csv]", r"x_thrusters_sd: is the standard uncertainty of x_th"),
         ("[csv]", '[csv]\ndelimiter = ", "', r"csv\.delimiter: must be one character"),
         ("[csv]", '[csv]\ndecimal = ","', r"csv\.decimal: is also the delimiter"),

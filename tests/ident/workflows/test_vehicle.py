@@ -231,6 +231,21 @@ def test_position_of_the_thrusters_is_the_prior_in_the_effects_that_have_it(name
         apply_rig_geometry(horizontal_model(), None, {"x_thrusters": -0.9, "x_thrusters_sd": 0.0})
 
 
+@pytest.mark.parametrize("antenna", [{}, {"antenna_x": 0.3, "antenna_y": 0.0, "antenna_z": -0.2}])
+def test_uncertainty_of_the_antennas_position_is_the_prior_of_the_lever_arm(antenna: dict[str, float]) -> None:
+    model, notes = apply_rig_geometry(horizontal_model(), None, {**antenna, "lever_arm_sd": 0.02})
+    assert notes == []
+    arm = with_effects(model, ["lever-arm"])
+    for name in ("l_x", "l_y"):
+        p = arm.parameter(name)
+        assert (p.prior, p.free, p.origin) == ((0.0, 0.02), True, ParameterOrigin.PRIOR)
+        assert p.meaning.endswith(" (prior: lever_arm_sd)")
+    without, _ = apply_rig_geometry(horizontal_model(), None, antenna)
+    assert with_effects(without, ["lever-arm"]).parameter("l_x").origin is ParameterOrigin.BUILT_IN
+    with pytest.raises(SeatrialError, match=r"^the rig file or the import map gives lever_arm_sd = -1: a standard"):
+        apply_rig_geometry(horizontal_model(), None, {**antenna, "lever_arm_sd": -1.0})
+
+
 def test_position_of_the_thrusters_of_the_rig_file_is_the_prior_and_named_as_its_source() -> None:
     rig = rig_of("boat")
     (place,) = {t.position_m[0] for t in rig.thrusters}
