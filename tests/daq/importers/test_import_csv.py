@@ -90,6 +90,7 @@ def test_the_import_never_replaces_its_sources(folder: Path) -> None:
         ('angle = "wrap"\noffset = 20.0', [-170.0, -150.0, -140.0]),
         ("sign = -1\noffset = 10.0", [-180.0, 160.0, 150.0]),
         ("scale = 2.0\noffset = 1.0", [341.0, -339.0, -319.0]),
+        ('scale = "4/2"\noffset = "-1 / -1"', [341.0, -339.0, -319.0]),
     ],
 )
 def test_scale_offset_sign_and_angle_units_are_applied(folder: Path, signal: str, degrees: list[float]) -> None:
@@ -348,6 +349,11 @@ def test_an_invalid_iso_time_is_refused(folder: Path) -> None:
         ("[csv]", '[csv]\ndecimal = ","', r"csv\.decimal: is also the delimiter"),
         ('role = "input"', 'role = "input"\nsign = 2', r"signal\[2\]\.sign \(signal '\w+'\): must be 1 or -1"),
         ("[csv]", '[[log]]\nname = "a"\nt_from = 3\nt_to = 2\n[csv]', r"log\[1\]\.t_to: must be later than t_from"),
+        ('unit = "deg"', 'unit = "deg"\nscale = "1:2200"',
+         r"signal\[1\]\.scale \(signal '\w+'\): must be a number, or a fraction of two numbers such as '1/2200', not"),
+        ('unit = "deg"', 'unit = "deg"\nscale = "1/0"', r"scale .*: must be a number, or .*, not '1/0'"),
+        ('unit = "deg"', 'unit = "deg"\nscale = "1/2/3"', r"scale .*: must be a number, or .*, not '1/2/3'"),
+        ('unit = "deg"', 'unit = "deg"\noffset = "inf/2"', r"offset .*: must be a number, or .*, not 'inf/2'"),
         ("[csv]", "[scale]\nc1 = -12.0\n[csv]", r"scale\.c1: must be positive, not -12"),
         ("[csv]", "[scale]\nc1 = 6.85\nc2 = 12.0\n[csv]", r"scale\.c2: 12 N is not smaller than c1 = 6\.85 N: the"),
         ("[csv]", "[scale]\nc1_sd = 0.3\n[csv]", r"scale\.c1_sd: is the standard uncertainty of c1; give c1 too"),
