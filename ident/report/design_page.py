@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from seatrial.daq.config import track_extent
 from seatrial.daq.files import write_output
 from seatrial.ident.numerics import Array
 from seatrial.ident.report import formatting
@@ -202,6 +203,8 @@ def _track_section(canvas: Canvas, track: DesignTrack | None) -> Section:
         f"at rest before the steps, and {track.coasting:g} s of coasting after the last step. The commands are open "
         "loop: model errors accumulate in the track, so leave a margin to the geofence of the rig file."
     )
+    if (extent := track_extent(track.x, track.y, track.radius)) is not None:
+        words += f" With its band (95 % of the sampled boats at each time) the track takes {extent}."
     if track.corner is not None and track.area is not None and track.inside is not None:
         (south, west), area = track.corner, track.area
         words += (
