@@ -58,6 +58,7 @@ from seatrial.ident.results import (
     ThrusterResult,
     VehicleResult,
     causes_sentence,
+    curve_words,
     name_probabilities,
 )
 
@@ -674,8 +675,8 @@ def _candidates_table(result: DiagnosisResult) -> Table | None:
     """Return the table of the six best candidates of the first search round that tested any, with their score tests.
 
     A candidate is an effect or nonparametric curve that may be missing. A mark shows whether it was added to the model
-    in any round, was added and removed again, or passed the score test. The result is None if no round tested
-    candidates.
+    in any round, was added and removed again, or passed the score test. Below the table stands what the name of the
+    first curve of each force means. The result is None if no round tested candidates.
     """
     found = [row for row in result.rounds if row.candidates]
     if not found:
@@ -688,8 +689,12 @@ def _candidates_table(result: DiagnosisResult) -> Table | None:
     passed = f"{found[0].passed} of {found[0].tested} candidates passed"
     title = f"First round: {passed}; the {len(shown)} best by score/df"
     table = titled_table(title)
-    legend = ["✓ added to the model", *["− added and removed again"] * bool(removed), "· passed", "(blank) not passed"]
-    table.caption, table.caption_justify = "   ".join(legend), "left"
+    curves: dict[str, str] = {}  # the first curve of each force or sensor, whose name explains the others
+    for row in shown:
+        if words := curve_words(row.name):
+            curves.setdefault(row.name.partition("(")[0], f"{row.name}: {words}")
+    legend = ["✓ added", *["− added and removed again"] * bool(removed), "· passed", *curves.values()]
+    table.caption, table.caption_justify = Text("   ".join(legend)), "left"
     table.add_column("", no_wrap=True)
     table.add_column("", no_wrap=True, overflow="ellipsis", max_width=38)
     for title in ("score", "df", "score/df", "block-robust p"):
@@ -700,7 +705,8 @@ def _candidates_table(result: DiagnosisResult) -> Table | None:
         each = formatting.plain(row.lm / max(row.df, 1))  # by which the candidates are sorted
         numbers = (formatting.plain(row.lm), formatting.count(row.df), each, formatting.probability(row.p_block))
         mark = "✓" if won else "−" if row.name in removed else "·" if row.passed else " "
-        table.add_row(*(Text(part) for part in (mark, row.title or row.name, *numbers)), style=style)
+        label = row.name if row.generic else row.title or row.name
+        table.add_row(*(Text(part) for part in (mark, label, *numbers)), style=style)
     return table
 
 

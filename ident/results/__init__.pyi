@@ -31,6 +31,8 @@ from .campaigns import NotCompared as NotCompared
 from .campaigns import NotComparedCode as NotComparedCode
 from .campaigns import ParameterDifference as ParameterDifference
 from .campaigns import campaigns_answer as campaigns_answer
+from .candidate_titles import candidate_title as candidate_title
+from .candidate_titles import curve_words as curve_words
 from .commands import AIMS as AIMS
 from .commands import APART as APART
 from .commands import BIAS as BIAS

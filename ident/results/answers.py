@@ -30,7 +30,6 @@ from seatrial.ident.estimation import (
     PriorDistance,
     Role,
     ThrustScale,
-    between_runs_title,
     least_yaw_inertia,
     prior_distances,
     thrust_scale_of,
@@ -39,6 +38,7 @@ from seatrial.ident.estimation import (
 from seatrial.ident.model import Model, ModelKind, Parameter, ParameterOrigin, drive_word
 from seatrial.ident.models import ESTIMATOR_ERROR
 from seatrial.ident.numerics import NOT_SHOWN, UNSTABLE, is_undetermined
+from seatrial.ident.results.candidate_titles import candidate_title
 from seatrial.ident.results.parts import (
     Calibrations,
     CourseStability,
@@ -1478,8 +1478,8 @@ def candidate_sentence(found: ModelUncertainty | None) -> str:
     """
     if found is None or not found.strongest:
         return ""
-    effect = catalogue().get(found.strongest)
-    name = f"{effect.title} ({effect.name})" if effect else between_runs_title(found.strongest)
+    effect, title = catalogue().get(found.strongest), candidate_title(found.strongest)
+    name = f"{title} ({effect.name})" if effect else title
     return (
         f"The strongest candidate of the score tests is {name}: `seatrial ident diagnose` tests it against the others."
     )
