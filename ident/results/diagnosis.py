@@ -27,8 +27,8 @@ from seatrial.ident.diagnosis import (
 )
 from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import FittedModel, ParameterShift, ReportedEstimates, Role
-from seatrial.ident.model import Effect, EffectKind, Model, ModelKind
-from seatrial.ident.models import effect_for
+from seatrial.ident.model import Effect, EffectKind, Model, ModelKind, ParameterRole
+from seatrial.ident.models import effect_for, force_power
 from seatrial.ident.numerics import is_undetermined
 from seatrial.ident.results import parts
 from seatrial.ident.results.answers import (
@@ -54,6 +54,7 @@ from seatrial.ident.results.answers import (
 )
 from seatrial.ident.results.candidate_titles import candidate_title
 from seatrial.ident.results.parts import DiagnosisResult, Provenance
+from seatrial.ident.results.rival_estimates import with_rival_values
 from seatrial.ident.results.tables import (
     LEAST_GROWTH,
     all_inputs,
@@ -185,7 +186,12 @@ def diagnosis_result(
             *calibration_notes(calibration, after.horizon),
             *warm_up_notes(simulated_durations(after)),
         ),
-        fit=fit_summary(diagnosis.after.fit, diagnosis.before.model.values),
+        fit=with_rival_values(
+            fit_summary(diagnosis.after.fit, diagnosis.before.model.values),
+            _physical_parameters(diagnosis.before.fit.model),
+            diagnosis.attributions,
+            diagnosis.rounds,
+        ),
         failed_runs=diagnosis.failed_runs,
         cross_validated=diagnosis.cross_validated,
         validated_in_blocks=bool(evaluation.in_blocks),
@@ -613,6 +619,11 @@ def diagnosis_caveat(diagnosis: Diagnosis) -> str | None:
     elif diagnosis.effects and diagnosis.remaining and not doubted:
         sentences += _remaining_sentences(diagnosis)
     return " ".join(sentences) or None
+
+
+def _physical_parameters(model: Model) -> list[str]:
+    """Return the names of the masses, inertia, damping and thrust coefficients of a model without effects."""
+    return [p.name for p in model.parameters if model.role(p.name) is ParameterRole.DYNAMICS and force_power(p.unit)]
 
 
 def _remaining_sentences(diagnosis: Diagnosis) -> list[str]:

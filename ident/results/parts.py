@@ -18,6 +18,7 @@ from seatrial.ident.models import TURNS_INSIDE
 from seatrial.ident.numerics import Array, stability_of
 
 FORMAT = "seatrial-result 3"
+NAME_DECIDES = "depends on which of the similar effects is in the model"  # begin of a flag
 NO_MASS = "this is no physical mass"  # end of a flag
 # Short code of each flag of an estimate, and words of its text
 FLAG_CODES = (
@@ -33,6 +34,7 @@ FLAG_CODES = (
     ("no robust error", AUTOCORRELATED_TOO_LONG),
     ("contradicted", TURNS_INSIDE),
     ("no mass", NO_MASS),
+    ("ambiguous", NAME_DECIDES),
 )
 Verdict = Literal["right", "overconfident", "underconfident", "insufficient_data"]
 
