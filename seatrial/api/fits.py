@@ -144,6 +144,8 @@ class DiagnosisOptions(TypedDict, total=False):
         Names of effects that the search leaves out, such as ``["wind"]``.
     effects_file : path
         Python file with user-defined effects, which are tested too.
+    fixed : dict of str to float
+        Values of parameters of the model, by name, that are held in all fits of the diagnosis, in SI units and radians.
     thruster : str
         For a vehicle model: file of the static curve that it was fitted with. For a thruster model: name of the
         thruster, if the logs have several.
@@ -165,6 +167,7 @@ class DiagnosisOptions(TypedDict, total=False):
     max_effects: int
     exclude: Sequence[str]
     effects_file: PathLike
+    fixed: Mapping[str, float]
     thruster: str
     mass: float
     outlier_model: bool
@@ -796,7 +799,7 @@ def diagnose(
         blocks of ``logs`` are cross-validated.
     **options
         `DiagnosisOptions`, which ``help(st.DiagnosisOptions)`` describes: max_effects, exclude, effects_file,
-        thruster, mass, outlier_model, horizon, rate, despite_faults, progress.
+        fixed, thruster, mass, outlier_model, horizon, rate, despite_faults, progress.
 
     Returns
     -------
@@ -806,8 +809,8 @@ def diagnose(
     Raises
     ------
     SeatrialError
-        If model or logs cannot be used, if the logs have faults that make a fit meaningless, or if an option is
-        unknown.
+        If model or logs cannot be used, if the logs have faults that make a fit meaningless, if an option is unknown,
+        or if a parameter cannot be held at its given value.
 
     Examples
     --------
@@ -820,6 +823,7 @@ def diagnose(
     from seatrial.ident.workflows.diagnose import DiagnosisRequest, diagnose_model
 
     given = known_options(options, DiagnosisOptions)
+    _check_parameters(given)
     messages = Messages(given.pop("progress", None))
     estimation = {n: given.pop(n) for n in ("outlier_model", "horizon") if n in given}
     if "effects_file" in given:

@@ -1218,6 +1218,25 @@ def test_diagnosis_names_the_effect(logs: list[Path], found: st.FittedDiagnosis,
     assert again.params["eps_LR"] == pytest.approx(found.params["eps_LR"], rel=1e-6)
 
 
+def test_a_parameter_is_held_at_its_given_value_in_a_diagnosis(
+    logs: list[Path], fit: st.FittedVehicle, found: st.FittedDiagnosis
+) -> None:
+    assert found.standard_errors["m_r"] > 0.0
+    with without_warnings():
+        held = st.diagnose(fit, logs[0], validate=logs[1], max_effects=1, fixed={"m_r": 10.0, "d_vv": 20.0})
+    assert list(held.effects) == ["mismatch"]
+    for name, value in {"m_r": 10.0, "d_vv": 20.0}.items():
+        (row,) = [p for p in held.result.fit.parameters if p.name == name]
+        assert (row.value, row.free, row.origin) == (value, False, "given")
+        refits = [r.fitted.fit.model.values[name] for x in held.found.rounds for r in x.refits]
+        assert refits
+        assert set(refits) == {value}
+    with pytest.raises(SeatrialError, match=r"^fixed m_x: model horizontal.* has no such parameter"):
+        st.diagnose(fit, logs[0], validate=logs[1], fixed={"m_x": 1.0})
+    with pytest.raises(SeatrialError, match="fixed: m_r: 'heavy' is no number"):
+        st.diagnose(fit, logs[0], validate=logs[1], fixed={"m_r": "heavy"})  # type: ignore[dict-item]
+
+
 def test_an_excluded_effect_is_not_found(
     logs: list[Path],
     fit: st.FittedVehicle,
