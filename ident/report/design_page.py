@@ -93,9 +93,10 @@ def _labelled_facts(result: DesignResult) -> list[tuple[str, str]]:
     the design is better than these, and the sensor rates if they are known. If two effects were to be distinguished
     (`--discriminate`), they include the criterion T for either of them, and their sizes.
     """
-    found = [("model", result.model), ("criterion", formatting.plain(result.value, 4))]
+    found = [("model", result.model), (f"criterion {result.criterion}", formatting.plain(result.value, 4))]
     found += [(f"best of 20 {r.name}", formatting.plain(r.value, 4)) for r in result.baselines]
-    found.append(("better than the baselines in", formatting.percent(result.share_won, 1) + " of the samples"))
+    if result.share_won is not None:
+        found.append(("better than the baselines in", formatting.percent(result.share_won, 1) + " of the samples"))
     if result.rates:
         found.append(("sensors", ", ".join(f"{name} {hz:.3g} Hz" for name, hz in result.rates.items())))
     if result.apart is not None:
