@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from seatrial.daq.config import FloatArray, Mission, Prediction
+from seatrial.daq.config import FloatArray, Mission, Prediction, track_extent
 
 
 def describe_mission(mission: Mission) -> str:
@@ -51,7 +51,7 @@ def mission_content(mission: Mission) -> dict[str, Any]:
         }
         for begin, end, name in mission.segment_times()
     ]
-    track = track_extent(expected) if expected else None
+    track = track_extent(expected.x, expected.y, expected.radius) if expected else None
     return {
         "name": mission.name,
         "kind": mission.kind,
@@ -147,54 +147,24 @@ def describe_errors(after: Mapping[str, float], before: Mapping[str, float]) -> 
     after : Mapping
         Predicted standard error after the mission, by name of the parameter. If it is empty, no lines are returned.
     before : Mapping
-        Standard error before the mission, by name of the parameter. It is added in brackets; parameters may be missing.
+        Standard error before the mission, by name of the parameter. A parameter without one has a dash. If it is empty,
+        the column is left out.
     """
     if not after:
         return []
-    lines = ["", "predicted standard errors" + (" (before this mission)" if before else "")]
+    if not before:
+        return ["", "predicted standard errors after this mission", *(f"  {n:<10} {e:>9.3g}" for n, e in after.items())]
+    lines = ["", "predicted standard errors before and after this mission", f"  {'':<10} {'before':>9} {'after':>9}"]
     for name, error in after.items():
-        earlier = f"  ({before[name]:.3g})" if name in before else ""
-        lines.append(f"  {name:<10} {error:.3g}{earlier}")
+        earlier = f"{before[name]:.3g}" if name in before else "-"
+        lines.append(f"  {name:<10} {earlier:>9} {error:>9.3g}")
     return lines
 
 
 def describe_track(predicted: Prediction) -> list[str]:
-    """Return lines of text with the area that the predicted track of a mission needs, including its 95 % band.
+    """Return lines of text with the area that the predicted track of a mission needs (`track_extent`).
 
-    The area is given as its extent [m] in the direction north and in the direction east, and as the largest distance
-    [m] from the start. An empty line comes first. A track without points gives an empty list.
+    An empty line comes first. A track without points gives an empty list.
     """
-    extent = track_extent(predicted)
-    if extent is None:
-        return []
-    return [
-        "",
-        f"predicted track with its band (95 %): {extent.north:.0f} m north by {extent.east:.0f} m east, "
-        f"at most {extent.away:.0f} m from the start",
-    ]
-
-
-class TrackExtent(NamedTuple):
-    """Area that a predicted track needs, including its 95 % band.
-
-    Attributes
-    ----------
-    north, east : float
-        Extent in the direction north and in the direction east [m].
-    away : float
-        Largest distance from the start [m].
-    """
-
-    north: float
-    east: float
-    away: float
-
-
-def track_extent(predicted: Prediction) -> TrackExtent | None:
-    """Return the area that a predicted track needs, or None if the track has no points."""
-    if len(predicted.t) == 0:
-        return None
-    x, y, radius = predicted.x, predicted.y, predicted.radius
-    north = float(np.max(x + radius) - np.min(x - radius))
-    east = float(np.max(y + radius) - np.min(y - radius))
-    return TrackExtent(north, east, float(np.max(np.hypot(x - x[0], y - y[0]) + radius)))
+    extent = track_extent(predicted.x, predicted.y, predicted.radius)
+    return [] if extent is None else ["", f"predicted track with its band (95 %): {extent}"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 
@@ -166,6 +166,33 @@ class TimedReporter:
     def warning(self, text: str) -> None:
         """Report a warning."""
         self._reporter.warning(text)
+
+
+class PhasedReporter(TimedReporter):
+    """Reporter that adds the time since its start and the number of the phase to each step.
+
+    Parameters
+    ----------
+    reporter
+        Receiver of the texts.
+    phases
+        Words of each phase, in their order. A phase begins with the first text that has its words.
+    """
+
+    def __init__(self, reporter: Reporter, phases: Sequence[str]) -> None:
+        """Store the arguments. The time counts from here on."""
+        super().__init__(reporter)
+        self._phases, self._present = tuple(phases), 0
+
+    def times(self) -> str:
+        """Return the time since the start and the phase as text, such as ``0:40 so far, phase 3 of 7``."""
+        return f"{super().times()}, phase {self._present + 1} of {len(self._phases)}"
+
+    def progress(self, text: str, times: Callable[[], str] | None = None) -> None:
+        """Report a step, which may begin the next phase or a later one."""
+        later = range(self._present + 1, len(self._phases))
+        self._present = next((k for k in later if self._phases[k] in text), self._present)
+        super().progress(text, times)
 
 
 QUIET: Reporter = Quiet()

@@ -8,6 +8,7 @@ from .mission_file import dump_mission as dump_mission
 from .mission_file import load_mission as load_mission
 from .mission_file import parse_mission as parse_mission
 from .mission_file import save_mission as save_mission
+from .mission_file import track_extent as track_extent
 from .rig_file import default_decoder as default_decoder
 from .rig_file import load_rig as load_rig
 from .rig_file import parse_rig as parse_rig

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -98,6 +99,38 @@ class Prediction:
         """Return all fields of a predicted track as lists and dictionaries, which `==` can compare."""
         arrays = (self.t.tolist(), self.x.tolist(), self.y.tolist(), self.radius.tolist())
         return (self.model, *arrays, dict(self.errors_before))
+
+
+class TrackExtent(NamedTuple):
+    """Area that a predicted track needs, including its 95 % band.
+
+    Attributes
+    ----------
+    north, east : float
+        Extent in the direction north and in the direction east [m].
+    away : float
+        Largest distance from the start [m].
+    """
+
+    north: float
+    east: float
+    away: float
+
+    def __str__(self) -> str:
+        """Return the area in words, for the terminal and for the page of a design."""
+        return f"{self.north:.0f} m north by {self.east:.0f} m east, at most {self.away:.0f} m from the start"
+
+
+def track_extent(x: FloatArray, y: FloatArray, radius: FloatArray) -> TrackExtent | None:
+    """Return the area that a predicted track needs; None if it has no points, or if its band has no limit.
+
+    ``x`` and ``y`` (K,) are the positions north and east of the start [m]. ``radius`` (K,) is the half width of the
+    band [m] (`Prediction`).
+    """
+    if not len(x) or not np.isfinite([x, y, radius]).all():
+        return None
+    north, east = (float(np.max(z + radius) - np.min(z - radius)) for z in (x, y))
+    return TrackExtent(north, east, float(np.max(np.hypot(x - x[0], y - y[0]) + radius)))
 
 
 @dataclass(frozen=True)

@@ -232,6 +232,26 @@ class TomlTable:
         self._check_range(key, number, low, high)
         return number
 
+    def ratio(self, key: str, default: object = _MISSING) -> float:
+        """Return the finite number of a key, which may be a fraction in quotes, or `default` if the key is missing.
+
+        ``1/2200`` and ``-1500 / 400`` are fractions. Any other text, a fraction of zero, and the values that `number`
+        does not accept raise SeatrialError.
+        """
+        value = self._read_value(key, default)
+        if not isinstance(value, str):
+            return self._to_finite(key, value)
+        above, _, below = value.partition("/")
+        try:
+            number = float(above) / float(below)
+        except (ValueError, ZeroDivisionError, OverflowError):
+            number = math.nan
+        if not math.isfinite(number):
+            raise self.error(
+                key, f"must be a number, or a fraction of two numbers such as '1/2200', not {value[:40]!r}"
+            )
+        return number
+
     def scalar(self, key: str, default: object = _MISSING) -> str | float | bool:
         """Return the text, finite number or boolean of a key, or `default` if the key is missing.
 

@@ -18,6 +18,7 @@ BoatTable = Mapping[str, float | Sequence[float]]
 # Positions of the thrusters to starboard and forward, and length of the hull [m], and weighed mass [kg].
 GEOMETRY = ("y_left", "y_right", "x_thrusters", "length", "mass")
 ANTENNA = ("antenna_x", "antenna_y", "antenna_z")  # parameters of the key `lever_arm_m` of [geometry] [m]
+ANTENNA_SD = "lever_arm_sd"  # standard uncertainty of each of them [m]
 SCALE = ("c1", "c2")  # thrust of one thruster at n = 1 and -1: c1 + c2 and -(c1 - c2) [N]
 PULLS = ("ahead", "astern")  # sizes of both thrusts [N], as of a bollard pull: the other form of `SCALE`
 EXAMPLES = "# What no file has"  # begin of the comment of a guessed map that shows both tables
@@ -114,9 +115,10 @@ def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, fl
     `names` are the keys that the table may have. Standard uncertainties ``NAME_sd`` are included if the table has them.
     The result is empty if `table` is None. Raise SeatrialError if a number is impossible, a key is unknown, or the
     number of an uncertainty is missing. [geometry] may also have `lever_arm_m`, the position of the antenna in body
-    axes [m], whose three numbers have the names `ANTENNA`. Thrusts, length, mass and standard uncertainties must be
-    positive, the size of c2 less than c1, y_left less than y_right, and both and x_thrusters at most `length` from the
-    middle. A mass that is unusual for the length gives a warning. The antenna must be within one length.
+    axes [m], whose three numbers have the names `ANTENNA`, and its standard uncertainty `ANTENNA_SD`. Thrusts, length,
+    mass and standard uncertainties must be positive, the size of c2 less than c1, y_left less than y_right, and both
+    and x_thrusters at most `length` from the middle. A mass that is unusual for the length gives a warning. The antenna
+    must be within one length.
     """
     if table is None:
         return {}
@@ -149,5 +151,9 @@ def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, fl
         found |= dict(zip(ANTENNA, table.numbers("lever_arm_m", length=3), strict=True))
         if problem := arm_problem(found):
             raise table.error("lever_arm_m", f"{problem}; write positions and length in metres")
+    if "length" in names and table.has(ANTENNA_SD):
+        found[ANTENNA_SD] = table.number(ANTENNA_SD, positive=True)
+        if not table.has("lever_arm_m"):
+            raise table.error(ANTENNA_SD, "is the standard uncertainty of lever_arm_m; give lever_arm_m too")
     table.done()
     return found

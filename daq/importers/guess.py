@@ -266,6 +266,7 @@ def _boat_lines(taken: Sequence[MapSignal]) -> list[str]:
         "# mass = 30.0     # weighed [kg], for a check of the result",
         "# length = 1.6    # of the hull [m], likewise",
         "# lever_arm_m = [0.1, 0.0, 0.0]  # GNSS antenna ahead of the centre of gravity, to starboard and down [m]",
+        "# lever_arm_sd = 0.02  # its standard uncertainty [m]",
     ]
     thrust = [
         "# [scale]",

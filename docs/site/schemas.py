@@ -31,7 +31,7 @@ FOLDER = ROOT / "docs/schemas"
 DRAFT = "http://json-schema.org/draft-04/schema#"
 Schema = dict[str, Any]
 READERS = (  # methods of TomlTable that read a key, or check whether it is present
-    *("has", "text", "line", "flag", "integer", "number", "scalar", "maybe_number", "numbers", "texts"),
+    *("has", "text", "line", "flag", "integer", "number", "ratio", "scalar", "maybe_number", "numbers", "texts"),
     *("table", "tables", "named_numbers"),
 )
 # Lists and tables that a reader refuses to be without, by path of their table, "" for the root.
@@ -218,6 +218,7 @@ def value_schema(name: str, arguments: dict[str, Any]) -> Schema:
         "integer": {"type": "integer", **bounds},
         "number": {"type": "number", **bounds},
         "maybe_number": {"type": "number", **bounds},
+        "ratio": {"anyOf": [{"type": "number"}, {"type": "string", "pattern": "^[^/]+/[^/]+$"}]},
         "scalar": {"type": ["string", "number", "boolean"]},
         "numbers": {"type": "array", "items": {"type": "number"}, **sized},
         "texts": {"type": "array", "items": {"type": "string"}},

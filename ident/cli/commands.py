@@ -30,6 +30,7 @@ from seatrial.ident.cli.options import (
     check_output,
     command_line,
     despite_option,
+    fix_option,
     force_option,
     horizon_option,
     mass_option,
@@ -525,6 +526,7 @@ def changes(
     help="The static curve (model.toml) that the boat's MODEL was fitted with; if MODEL is a thruster's and the logs "
     "have several thrusters, its name in the rig.",
 )
+@fix_option
 @mass_option
 @robust_option
 @despite_option

@@ -531,6 +531,15 @@ mass_option = click.option(
 )
 
 
+fix_option = click.option(
+    "--fix",
+    "fixed",
+    multiple=True,
+    callback=parse_values,
+    help="NAME=VALUE: fix a known parameter, in SI units and radians; may be repeated. The thrust of one thruster "
+    "at full command is c1 [N], the mean of ahead and astern; if only the thrust ahead is known, give it as c1 and "
+    "leave c2 out.",
+)
 MODEL_OPTIONS = (
     click.option(
         "--model",
@@ -549,15 +558,7 @@ MODEL_OPTIONS = (
         type=MODEL,
         help="model.toml of the bench, or its folder: c1 and c2, or the static curve from command to thrust.",
     ),
-    click.option(
-        "--fix",
-        "fixed",
-        multiple=True,
-        callback=parse_values,
-        help="NAME=VALUE: fix a known parameter, in SI units and radians; may be repeated. The thrust of one thruster "
-        "at full command is c1 [N], the mean of ahead and astern; if only the thrust ahead is known, give it as c1 and "
-        "leave c2 out.",
-    ),
+    fix_option,
     click.option(
         "--initial",
         multiple=True,

@@ -8,6 +8,7 @@ from .common_errors import COMMON_ERRORS as COMMON_ERRORS
 from .common_errors import COMMON_SEARCH as COMMON_SEARCH
 from .findings import CommonErrorsFit as CommonErrorsFit
 from .findings import Diagnosis as Diagnosis
+from .findings import EffectAttribution as EffectAttribution
 from .findings import ModelUncertainty as ModelUncertainty
 from .findings import Refit as Refit
 from .findings import RemovedEffect as RemovedEffect

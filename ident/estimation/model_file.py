@@ -135,6 +135,8 @@ class SavedModel:
         data, and in files of earlier versions.
     converged
         Whether the fit converged. True in files of earlier versions, which do not say it.
+    flags
+        By parameter, what is wrong with its estimate; no entry for one in order.
     """
 
     model: Model
@@ -153,6 +155,7 @@ class SavedModel:
     refits: tuple[RefittedEffect, ...] = ()
     intervals: IntervalCalibration | None = None
     converged: bool = True
+    flags: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def python_files(self) -> tuple[Path, ...]:
@@ -548,6 +551,7 @@ def load_model(path: Path) -> SavedModel:
         refits = _refits_from_tables(table.get("refit", ()))
         intervals = _intervals_from_table(table.get("intervals"))
         converged = bool(table.get("converged", True))
+        flags = {row["name"]: str(row["flag"]) for row in table["parameter"] if "flag" in row}
     except (AttributeError, KeyError, TypeError, ValueError) as problem:  # AttributeError: a value instead of a table
         raise SeatrialError(
             f"{path}: the model in this file is incomplete or does not match this version of seatrial, so fit it "
@@ -570,6 +574,7 @@ def load_model(path: Path) -> SavedModel:
         refits,
         intervals,
         converged,
+        flags,
     )
 
 

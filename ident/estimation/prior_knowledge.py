@@ -26,6 +26,8 @@ ARMS = ("y_left", "y_right", "y_arm")  # positions of the thrusters to starboard
 POSITION = "x_thrusters"  # of both thrusters forward of the centre of gravity [m], in [geometry] or [vehicle]
 POSITION_SD_M = 0.05  # standard uncertainty of a position by a tape, if none is given
 AT_THRUSTERS = ("x_delta", "x_walk", "x_swing")  # parameters of effects that are the position of the thrusters
+ANTENNA_SD = "lever_arm_sd"  # standard uncertainty of the given position of the antenna [m], in each direction
+AT_ANTENNA = ("l_x", "l_y", "l_z")  # parameters of effects that are an error of the antenna's given position
 LONGEST_ARM_M = 5.0  # m, of a boat of a lab; a larger number is probably in centimetres
 SHORTEST_SPAN_M = 0.01  # between the thrusters; with less, no thrust difference turns the boat
 
@@ -39,8 +41,8 @@ def apply_rig_geometry(
     ``y_left`` and ``y_right``) and the lever arm of the antenna, of the rig or in ``vehicle``. A value in ``vehicle``
     takes precedence over the position of the thruster. A value with a standard uncertainty becomes the mean of a prior.
     A value without one is the initial value of a parameter that the model estimates, and fixes any other parameter.
-    ``x_thrusters`` is the prior of the position of the thrusters in effects that have one (`with_effect_priors`). Other
-    values that are no parameter of the model are ignored.
+    ``x_thrusters``, or the position of the thrusters in the rig file, is the prior of this position in effects that
+    have one (`with_effect_priors`). Other values that are no parameter of the model are ignored.
 
     Parameters
     ----------
@@ -77,29 +79,46 @@ def apply_rig_geometry(
                 raise SeatrialError(
                     f"the rig file or the import map gives {name} = {value:g}: {problem}; correct it there"
                 ) from problem
-    model = with_effect_priors(model.replace_parameters(*known), given)
+    model = with_effect_priors(model.replace_parameters(*known), given, rig)
     if "antenna_x" in given or not rig:
         forward, starboard, down = (given.get(f"antenna_{axis}", 0.0) for axis in "xyz")
         return _with_antenna(model, [(forward, starboard, down)], "import map")
     return _with_antenna(model, [d.lever_arm_m for d in rig.devices], "rig")
 
 
-def with_effect_priors(model: Model, vehicle: Mapping[str, float]) -> Model:
+def with_effect_priors(model: Model, vehicle: Mapping[str, float], rig: Rig | None = None) -> Model:
     """Return the model with the priors of effects that the numbers of the boat give.
 
     The position of the thrusters, ``x_thrusters`` with the standard uncertainty ``x_thrusters_sd`` (0.05 m by default),
-    becomes the prior of the parameters `AT_THRUSTERS` of effects that are added later. SeatrialError is raised for an
-    uncertainty that is not positive.
+    becomes the prior of the parameters `AT_THRUSTERS` of effects that are added later. Without it, the first number of
+    ``position_m`` of the thrusters in the rig file takes its place, if it is the same for all of them and not zero.
+    The standard uncertainty of the antenna's position, ``lever_arm_sd``, is the prior of its error (`AT_ANTENNA`).
+    SeatrialError is raised for an uncertainty that is not positive.
     """
-    if POSITION not in vehicle:
-        return model
-    mean, sd = vehicle[POSITION], vehicle.get(f"{POSITION}_sd", POSITION_SD_M)
-    if sd <= 0.0:
-        raise SeatrialError(
-            f"the rig file or the import map gives {POSITION}_sd = {sd:g}: a standard uncertainty must be positive; "
-            "correct it there"
-        )
-    return replace(model, effect_priors=tuple(EffectPrior(name, mean, sd) for name in AT_THRUSTERS))
+    mean, source = vehicle.get(POSITION), POSITION
+    if mean is None:
+        mean, source = _position_in_rig(rig), "position_m of the thrusters in the rig file"
+    sds = {f"{POSITION}_sd": vehicle.get(f"{POSITION}_sd", POSITION_SD_M), ANTENNA_SD: vehicle.get(ANTENNA_SD, 1.0)}
+    for name, sd in sds.items():
+        if sd <= 0.0:
+            raise SeatrialError(
+                f"the rig file or the import map gives {name} = {sd:g}: a standard uncertainty must be positive; "
+                "correct it there"
+            )
+    found = [EffectPrior(n, mean, sds[f"{POSITION}_sd"], source) for n in AT_THRUSTERS] if mean is not None else []
+    if ANTENNA_SD in vehicle:
+        found += [EffectPrior(n, 0.0, vehicle[ANTENNA_SD], ANTENNA_SD) for n in AT_ANTENNA]
+    return replace(model, effect_priors=tuple(found)) if found else model
+
+
+def _position_in_rig(rig: Rig | None) -> float | None:
+    """Return the common position of the thrusters `SIDES` forward of the origin [m], from the rig file.
+
+    None without a rig, if the thrusters have different positions, or if the position is zero: a rig file that was made
+    from the tables of an autopilot has zero in place of an unknown position.
+    """
+    found = {t.position_m[0] for t in (rig.thrusters if rig else ()) if t.name in SIDES}
+    return found.pop() or None if len(found) == 1 else None
 
 
 def _with_antenna(

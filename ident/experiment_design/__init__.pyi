@@ -3,6 +3,7 @@ from .criteria import Kind as Kind
 from .criteria import characteristic_steps as characteristic_steps
 from .discrimination import RELIABLE_T as RELIABLE_T
 from .discrimination import DiscriminationDesign as DiscriminationDesign
+from .discrimination import baselines_apart as baselines_apart
 from .discrimination import discriminate as discriminate
 from .discrimination import probability_of_true_model as probability_of_true_model
 from .discrimination import separation as separation

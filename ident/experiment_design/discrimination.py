@@ -13,7 +13,7 @@ that the design maximises the smaller of the two T. Sources: Atkinson and Fedoro
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -34,7 +34,7 @@ from seatrial.ident.experiment_design.information import (
     symmetric_matrices,
     with_covariance,
 )
-from seatrial.ident.experiment_design.optimal_design import search_design
+from seatrial.ident.experiment_design.optimal_design import BaselineSignal, search_design
 from seatrial.ident.experiment_design.problem import DesignProblem
 from seatrial.ident.model import Model
 from seatrial.ident.numerics import Array, Progress, SearchResult, normal_cdf
@@ -278,6 +278,35 @@ def separation(model_a: Model, model_b: Model, problem: DesignProblem, command: 
             "between rows; check their parameter values, or give a shorter `grid` of the DesignProblem in Python"
         )
     return first, second
+
+
+def baselines_apart(
+    model_a: Model, model_b: Model, problem: DesignProblem, signals: Mapping[str, BaselineSignal]
+) -> dict[str, BaselineSignal]:
+    """Return the best baseline signal of each kind by the smaller separation T of two models.
+
+    Parameters
+    ----------
+    model_a, model_b
+        The models with fitted values.
+    problem
+        Design problem, which gives rows, sensor rates and thruster response.
+    signals
+        Baseline signals by kind. The candidates are their ``sequences``, whose bandwidth and amplitude are those with
+        the most information.
+
+    Returns
+    -------
+    dict
+        For each kind the sequence with the largest T, and the T of all. A sequence whose simulation diverges has T 0.
+    """
+    pairs, found = _both_hypotheses(model_a, model_b, problem), {}
+    for kind, signal in signals.items():
+        T = np.minimum(*(r(signal.sequences, REFITS) for r in pairs))
+        T = np.where(np.isfinite(T), T, 0.0)
+        best = int(np.argmax(T))
+        found[kind] = replace(signal, command=signal.sequences[:, :, best], value=float(T[best]), values=T)
+    return found
 
 
 def _ignore(phase: str) -> None:

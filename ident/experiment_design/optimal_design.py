@@ -473,6 +473,8 @@ class BaselineSignal:
         Clock period [s] of a PRBS, corner frequency [Hz] of an RGS.
     values : Array (n_sequences,)
         Criterion of each random sequence at its best bandwidth and amplitude.
+    sequences : Array (n_rows, n_channels, n_sequences)
+        Commands of all random sequences at the bandwidth and amplitude of the best one, with the slew limit.
     """
 
     kind: Literal["PRBS", "RGS"]
@@ -480,6 +482,7 @@ class BaselineSignal:
     value: float
     bandwidth: float
     values: Array
+    sequences: Array
 
 
 def baseline_signals(problem: DesignProblem, n: int = 20, seed: int = 1) -> dict[str, BaselineSignal]:
@@ -523,6 +526,7 @@ def baseline_signals(problem: DesignProblem, n: int = 20, seed: int = 1) -> dict
             float(value[at]),
             options[int(at[1])][0],
             value.max(axis=1),
+            command[:, :, int(at[1]) :: len(options)],
         )
     return found
 

@@ -37,6 +37,7 @@ from seatrial.ident.estimation import (
 from seatrial.ident.export.conditions import late_values
 from seatrial.ident.export.history import TIME, WORK, History, history_of
 from seatrial.ident.model import Input, Model, Parameter, ParameterRole, Signals, State
+from seatrial.ident.models import TURNS_INSIDE
 from seatrial.ident.numerics import Array
 
 AGE = "tau_age"  # parameter of the effect `seatrial.ident.models.telemetry_age`
@@ -238,7 +239,22 @@ def collect_content(saved: SavedModel, *, name: str | None = None, nuisance: boo
         {n: tau for n, tau in zip(outputs, extra.noise_time_scale, strict=True) if tau > 0.0},
         extra.states_without_noise,
         tuple(e.name for e in model.effects),
-        remarks=_telemetry_lines(saved.model, model),
+        remarks=(*_telemetry_lines(saved.model, model), *dead_zone_lines(saved)),
+    )
+
+
+def dead_zone_lines(saved: SavedModel, name: str = "d") -> tuple[str, ...]:
+    """Return the header lines on a dead zone inside which the measured shaft turned; empty for any other model.
+
+    ``name`` is the parameter of the dead zone in the exported model.
+    """
+    if saved.flags.get("d") != TURNS_INSIDE:
+        return ()
+    return (
+        "",
+        f"{name} = {saved.model.parameter('d').value:.3g} is {TURNS_INSIDE}, where this model gives",
+        f"no thrust. {name} is the value with which the model predicts the shaft speeds best. Set no dead zone of an",
+        "autopilot to it.",
     )
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from seatrial.daq.errors import SeatrialError, warn
 from seatrial.ident.data import TIME_INPUT, WORK_INPUT, WORK_UNIT
 from seatrial.ident.estimation import SavedModel, thrust_scale_of
-from seatrial.ident.export.codegen import Content, collect_content, with_model, without_nuisance
+from seatrial.ident.export.codegen import Content, collect_content, dead_zone_lines, with_model, without_nuisance
 from seatrial.ident.model import (
     COMMAND,
     SHAFT_SPEED,
@@ -318,13 +318,15 @@ def _check_range(boat: Content, drive: Drive, with_curve: bool) -> None:
 
 
 def _remarks(drives: list[Drive], own_curve: bool) -> list[str]:
-    """Return header lines that name the model of each thruster and the parts that it provides."""
+    """Return header lines on the model of each thruster: the parts that it provides, and a contradicted dead zone."""
     lines = ["", "Joined with thruster models; full speed (n = 1, rpm_max of the rig) must be the same in both tests:"]
     for d in drives:
         made = d.saved.provenance
         parts = "shaft dynamics" + (" and thrust curve" if d.has_thrust and not own_curve else "")
         logs = ", ".join(str(log) for log in made.get("logs", [])) or made.get("made_by", "unknown")
         lines.append(f"  {d.own('n_cmd')} drives {d.input}: {parts} fitted to {logs}")
+    for d in drives:
+        lines += dead_zone_lines(d.saved, d.own("d"))
     return lines
 
 

@@ -592,11 +592,14 @@ class EffectPrior(NamedTuple):
         Name of the parameter.
     mean, sd : float
         Mean and standard deviation of the prior, in the unit of the parameter.
+    source : str
+        Where the mean was given, in words, for the meaning of the parameter in reports.
     """
 
     name: str
     mean: float
     sd: float
+    source: str
 
 
 @dataclass(frozen=True)

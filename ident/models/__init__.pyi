@@ -19,6 +19,7 @@ from .components import navigation_errors as navigation_errors
 from .components import shift as shift
 from .components import telemetry_age as telemetry_age
 from .components import thrust_calibration as thrust_calibration
+from .dead_zone import TURNS_INSIDE as TURNS_INSIDE
 from .dead_zone import beyond_dead_band as beyond_dead_band
 from .disturbances import SENSOR_ERRORS as SENSOR_ERRORS
 from .disturbances import THRUST_LOSSES as THRUST_LOSSES

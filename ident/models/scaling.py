@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 from math import sqrt
 from typing import NamedTuple
 
-from seatrial.ident.model import Effect, Model, Parameter, ParameterOrigin, State
+from seatrial.ident.model import Effect, EffectPrior, Model, Parameter, ParameterOrigin, State
 from seatrial.ident.models.disturbances import SIZES
 from seatrial.ident.models.published_values import TABLE_1
 
@@ -225,18 +225,22 @@ def effect_for(model: Model, effect: Effect) -> Effect:
     """Return an effect of the catalogue for the boat of a model.
 
     Its priors have the size of the boat (`scale_priors`). A prior that the numbers of the boat give
-    (`Model.effect_priors`) replaces that of the catalogue, and its mean the values to scan.
+    (`Model.effect_priors`) replaces that of the catalogue, and its mean the values to scan. The meaning of the
+    parameter then says where the number was given.
     """
     scaled = scale_priors(effect, size_of(model))
     given = {p.name: p for p in model.effect_priors}
     return replace(
         scaled,
-        parameters=tuple(
-            p.known(given[p.name].mean, given[p.name].sd, ParameterOrigin.PRIOR) if p.name in given else p
-            for p in scaled.parameters
-        ),
+        parameters=tuple(_with_given_prior(p, given[p.name]) if p.name in given else p for p in scaled.parameters),
         scan={name: (given[name].mean,) if name in given else tried for name, tried in scaled.scan.items()},
     )
+
+
+def _with_given_prior(p: Parameter, given: EffectPrior) -> Parameter:
+    """Return the parameter with a prior from the numbers of the boat, whose source its meaning names."""
+    known = p.known(given.mean, given.sd, ParameterOrigin.PRIOR)
+    return replace(known, meaning=f"{p.meaning} (prior: {given.source})")
 
 
 def rescale_effects(model: Model, assumed: VesselScale, found: VesselScale) -> Model:

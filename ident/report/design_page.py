@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from seatrial.daq.config import track_extent
 from seatrial.daq.files import write_output
 from seatrial.ident.numerics import Array
 from seatrial.ident.report import formatting
@@ -92,9 +93,10 @@ def _labelled_facts(result: DesignResult) -> list[tuple[str, str]]:
     the design is better than these, and the sensor rates if they are known. If two effects were to be distinguished
     (`--discriminate`), they include the criterion T for either of them, and their sizes.
     """
-    found = [("model", result.model), ("criterion", formatting.plain(result.value, 4))]
+    found = [("model", result.model), (f"criterion {result.criterion}", formatting.plain(result.value, 4))]
     found += [(f"best of 20 {r.name}", formatting.plain(r.value, 4)) for r in result.baselines]
-    found.append(("better than the baselines in", formatting.percent(result.share_won, 1) + " of the samples"))
+    if result.share_won is not None:
+        found.append(("better than the baselines in", formatting.percent(result.share_won, 1) + " of the samples"))
     if result.rates:
         found.append(("sensors", ", ".join(f"{name} {hz:.3g} Hz" for name, hz in result.rates.items())))
     if result.apart is not None:
@@ -202,6 +204,8 @@ def _track_section(canvas: Canvas, track: DesignTrack | None) -> Section:
         f"at rest before the steps, and {track.coasting:g} s of coasting after the last step. The commands are open "
         "loop: model errors accumulate in the track, so leave a margin to the geofence of the rig file."
     )
+    if (extent := track_extent(track.x, track.y, track.radius)) is not None:
+        words += f" With its band (95 % of the sampled boats at each time) the track takes {extent}."
     if track.corner is not None and track.area is not None and track.inside is not None:
         (south, west), area = track.corner, track.area
         words += (

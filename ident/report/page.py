@@ -94,7 +94,8 @@ def _page(result: Result, budget: Budget) -> str:
         canvas.figures,
         version=result.seatrial,
         created=result.created,
-        warnings=list(dict.fromkeys(warning.text for warning in result.warnings)),
+        # Those of a comparison are in its opening, after the headline.
+        warnings=[] if isinstance(result, ComparisonResult) else sections.warning_texts(result),
     )
 
 

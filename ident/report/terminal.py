@@ -13,7 +13,7 @@ from rich.text import Text
 from seatrial.daq.console import print_prose, print_table
 from seatrial.daq.errors import counted
 from seatrial.ident.report import formatting
-from seatrial.ident.report.sections.campaigns import VALUES, change_of, effect_words
+from seatrial.ident.report.sections.campaigns import VALUES, absolute_change, change_of, effect_words
 from seatrial.ident.report.sections.comparison import (
     INSIDE,
     MARKS,
@@ -58,6 +58,7 @@ from seatrial.ident.results import (
     ThrusterResult,
     VehicleResult,
     causes_sentence,
+    curve_words,
     name_probabilities,
 )
 
@@ -224,24 +225,28 @@ def campaign_tables(result: CampaignsResult) -> list[Table]:
     """Return the tables of two campaigns: changes, effects, prediction errors, and what could not be compared.
 
     Parameters of noise, disturbances and sensors are left out unless they have changed, and so are parameters that are
-    fixed or have a value for each log. Tables without rows are left out.
+    fixed or have a value for each log. Changed parameters come first. The unit follows the numbers that are in it.
+    Tables without rows are left out.
     """
-    shown = [p for p in result.parameters if not p.nuisance or p.changed]
+    shown = [p for p in result.changed_first if not p.nuisance or p.changed]
     left = len(result.parameters) - len(shown)
     tables = list[Table]()
     if shown:
         table = titled_table(f"Changes{f' ({left} of noise and disturbances in the report)' if left else ''}")
         table.padding = (0, 1, 0, 0)
         table.add_column("", no_wrap=True)
-        for title in ("before ± s.e.", "after ± s.e.", "change (95 %)", "q"):
+        for title in ("before ± s.e.", "after ± s.e.", "change"):
             table.add_column(title, justify="right", no_wrap=True)
         table.add_column("", no_wrap=True)
+        for title in ("change (95 %)", "q"):
+            table.add_column(title, justify="right", no_wrap=True)
         for p in shown:
             factor, unit = formatting.degrees_for(p.unit)
             means = (formatting.with_error(factor * m.mean, factor * m.se) for m in (p.before, p.after))
             style = "bold green" if p.changed else ""
             words = [Text(w) for w in means]
-            words += [Text(change_of(p), style), Text(formatting.probability(p.q), style), Text(unit)]
+            words += [Text(absolute_change(p), style), Text(unit)]
+            words += [Text(change_of(p), style), Text(formatting.probability(p.q), style)]
             table.add_row(Text(p.name, style or "bold"), *words)
         tables.append(table)
     if result.effects:
@@ -509,6 +514,7 @@ def _growth_text(factor: float) -> str:
 def print_result(result: Result, console: Console) -> None:
     """Print the warnings, the answer, the caveat of a diagnosis and the tables of a result to the console.
 
+    The warnings of a comparison follow its answer: they are about single models of it.
     The notes of a run over many logs follow its tables, and so do the names of the common errors in a vehicle model,
     and notes on what no table shows: no weighed mass, simulations of short records or that run
     away, and times of most of the errors.
@@ -526,11 +532,12 @@ def print_result(result: Result, console: Console) -> None:
         Console of rich to print to.
     """
     console.print()
-    for warning in result.warnings:
-        print_prose(console, Text(f"⚠ {warning.text}", style="yellow"))
     failed = isinstance(result, FitResult) and not result.converged
+    opening = [Text(f"⚠ {warning.text}", style="yellow") for warning in result.warnings]
     answer = Text(f"⚠ {result.answer}", "bold yellow") if failed else Text(result.answer, "bold")
-    print_prose(console, answer)
+    opening.insert(0 if isinstance(result, ComparisonResult) else len(opening), answer)
+    for paragraph in opening:
+        print_prose(console, paragraph)
     if isinstance(result, DiagnosisResult) and (names := name_probabilities(result.effects)):
         print_prose(console, Text(names))
     if isinstance(result, DiagnosisResult) and result.caveat:
@@ -668,8 +675,8 @@ def _candidates_table(result: DiagnosisResult) -> Table | None:
     """Return the table of the six best candidates of the first search round that tested any, with their score tests.
 
     A candidate is an effect or nonparametric curve that may be missing. A mark shows whether it was added to the model
-    in any round, was added and removed again, or passed the score test. The result is None if no round tested
-    candidates.
+    in any round, was added and removed again, or passed the score test. Below the table stands what the name of the
+    first curve of each force means. The result is None if no round tested candidates.
     """
     found = [row for row in result.rounds if row.candidates]
     if not found:
@@ -682,8 +689,12 @@ def _candidates_table(result: DiagnosisResult) -> Table | None:
     passed = f"{found[0].passed} of {found[0].tested} candidates passed"
     title = f"First round: {passed}; the {len(shown)} best by score/df"
     table = titled_table(title)
-    legend = ["✓ added to the model", *["− added and removed again"] * bool(removed), "· passed", "(blank) not passed"]
-    table.caption, table.caption_justify = "   ".join(legend), "left"
+    curves: dict[str, str] = {}  # the first curve of each force or sensor, whose name explains the others
+    for row in shown:
+        if words := curve_words(row.name):
+            curves.setdefault(row.name.partition("(")[0], f"{row.name}: {words}")
+    legend = ["✓ added", *["− added and removed again"] * bool(removed), "· passed", *curves.values()]
+    table.caption, table.caption_justify = Text("   ".join(legend)), "left"
     table.add_column("", no_wrap=True)
     table.add_column("", no_wrap=True, overflow="ellipsis", max_width=38)
     for title in ("score", "df", "score/df", "block-robust p"):
@@ -694,7 +705,8 @@ def _candidates_table(result: DiagnosisResult) -> Table | None:
         each = formatting.plain(row.lm / max(row.df, 1))  # by which the candidates are sorted
         numbers = (formatting.plain(row.lm), formatting.count(row.df), each, formatting.probability(row.p_block))
         mark = "✓" if won else "−" if row.name in removed else "·" if row.passed else " "
-        table.add_row(*(Text(part) for part in (mark, row.title or row.name, *numbers)), style=style)
+        label = row.name if row.generic else row.title or row.name
+        table.add_row(*(Text(part) for part in (mark, label, *numbers)), style=style)
     return table
 
 

@@ -16,6 +16,7 @@ from .answers import implausible_mass as implausible_mass
 from .answers import moving_boat_warnings as moving_boat_warnings
 from .answers import plus_minus as plus_minus
 from .answers import scale_warnings as scale_warnings
+from .answers import structure_warnings as structure_warnings
 from .answers import warm_up_notes as warm_up_notes
 from .campaigns import Campaign as Campaign
 from .campaigns import CampaignErrors as CampaignErrors
@@ -30,6 +31,8 @@ from .campaigns import NotCompared as NotCompared
 from .campaigns import NotComparedCode as NotComparedCode
 from .campaigns import ParameterDifference as ParameterDifference
 from .campaigns import campaigns_answer as campaigns_answer
+from .candidate_titles import candidate_title as candidate_title
+from .candidate_titles import curve_words as curve_words
 from .commands import AIMS as AIMS
 from .commands import APART as APART
 from .commands import BIAS as BIAS
@@ -140,6 +143,7 @@ from .parts import VehicleResult as VehicleResult
 from .parts import Verdict as Verdict
 from .parts import WarningCode as WarningCode
 from .parts import WhitenessTests as WhitenessTests
+from .parts import flag_codes as flag_codes
 from .result_file import AnyResult as AnyResult
 from .result_file import read_result as read_result
 from .result_file import to_json as to_json

@@ -28,8 +28,8 @@ from seatrial.ident.estimation import (
     FittedModel,
     HomogeneityTest,
     PriorDistance,
+    Role,
     ThrustScale,
-    between_runs_title,
     least_yaw_inertia,
     prior_distances,
     thrust_scale_of,
@@ -38,6 +38,7 @@ from seatrial.ident.estimation import (
 from seatrial.ident.model import Model, ModelKind, Parameter, ParameterOrigin, drive_word
 from seatrial.ident.models import ESTIMATOR_ERROR
 from seatrial.ident.numerics import NOT_SHOWN, UNSTABLE, is_undetermined
+from seatrial.ident.results.candidate_titles import candidate_title
 from seatrial.ident.results.parts import (
     Calibrations,
     CourseStability,
@@ -94,6 +95,8 @@ UNITS_OF_THRUST = {"kgf": 9.81, "lbf": 4.448, "gf": 0.00981}  # N, of data sheet
 MOST_ADDED = 2.0  # largest plausible mass in surge, as a multiple of the weighed mass, whatever its standard error is
 FULL_SPEED = 0.95  # of full speed; a thrust that was measured up to this speed is not called extrapolated
 SHORT_BENCH_S = 20.0  # as SHORT_DATA_S, of a thruster: some held commands of 4 s, forward and in reverse
+NOMOTO = "nomoto"  # name of Nomoto's model
+UNFIT = 0.2  # correlation of residuals with an input, from which on the structure of Nomoto's model is called unfit
 NOMOTO_LAG = "T"  # time constant of the yaw rate in Nomoto's model, fixed at zero without a prior
 NOT_WEIGHED = (
     "The mass in surge, m_u, was not compared with a weighed mass, because none was given: give --mass, or mass in "
@@ -930,6 +933,42 @@ def late_sensor_warnings(made: Provenance, model: Model) -> list[ResultWarning]:
     return [ResultWarning(code="late-sensor-bias", text=text)]
 
 
+def structure_warnings(model: Model, cross: Sequence[CrossCorrelationRow], role: Role) -> list[ResultWarning]:
+    """Return a warning if the residuals show that Nomoto's structure does not fit the vehicle: what to take instead.
+
+    They show it if a channel is significantly correlated with a shaft speed or command (at 1 % over all channels and
+    inputs, by Bonferroni), and by `UNFIT` or more. The list is empty for any other structure.
+
+    Parameters
+    ----------
+    model : Model
+        Model of the fit.
+    cross : sequence of CrossCorrelationRow
+        Correlations of its residuals with each input.
+    role : str
+        Role of the records whose residuals count, ``estimation`` or ``validation``.
+    """
+    if model.source.partition(":")[0] != NOMOTO:
+        return []
+    tests = [(c, c.p) for c in cross if c.role == role and c.p is not None]
+    large = [
+        c for c, p in tests if p * len(tests) < LEVEL and (c.largest or 0.0) >= UNFIT and c.input not in MEASURED_INPUTS
+    ]
+    if not large:
+        return []
+    most: dict[str, CrossCorrelationRow] = {}
+    for c in sorted(large, key=lambda c: -(c.largest or 0.0)):
+        most.setdefault(c.channel, c)
+    found = [f"{NAMES.get(n, n)} with {c.input} by {c.largest:.2g}" for n, c in most.items()]
+    lag = "; for a vehicle that does not slide sideways, free the time constant of the yaw rate (--prior T=0.5:0.5)"
+    text = (
+        f"{NOMOTO}: its residuals are correlated with the inputs ({', '.join(found)}), so that this structure does not "
+        "explain how the motion follows them: use --model horizontal, which has sway and a yaw moment with an inertia"
+        f"{'' if model.parameter(NOMOTO_LAG).free else lag}."
+    )
+    return [ResultWarning(code="structure-unfit", text=text)]
+
+
 def frame_warnings(model: Model, unplaced: Sequence[str], *, saved_origin_unknown: bool = False) -> list[ResultWarning]:
     """Return a warning if the model has an effect at a fixed point, and the x and y of logs may have different origins.
 
@@ -1282,8 +1321,10 @@ def dead_zone_warnings(turning: Mapping[str, TurningShaft | None], dead_zone: fl
         f"{name}: the data contradict the fitted dead zone of {100 * dead_zone:.1f} % of full command: at a command of "
         f"{100 * held.command:.1f} % the shaft turns at {100 * held.speed:.1f} % of full speed (from {held.start:.1f} "
         f"to {held.end:.1f} s). The model has a shaft that follows the whole command outside its dead zone; a "
-        "controller that subtracts its dead zone, or a low battery, gives less. Do not use d; hold more small commands "
-        "(seatrial bench steps), and let a diagnosis test the effect controller-dead-band."
+        "controller that subtracts its dead zone, or a low battery, gives less. d is then only the value with which "
+        "this model predicts the shaft speeds best: an exported model keeps it, and gives no thrust at commands inside "
+        "it. Set no dead zone of an autopilot to d. Hold more small commands (seatrial bench steps), and let a "
+        "diagnosis test the effect controller-dead-band."
     )
     return [ResultWarning(code="dead-zone-contradicted", text=text)]
 
@@ -1443,8 +1484,8 @@ def candidate_sentence(found: ModelUncertainty | None) -> str:
     """
     if found is None or not found.strongest:
         return ""
-    effect = catalogue().get(found.strongest)
-    name = f"{effect.title} ({effect.name})" if effect else between_runs_title(found.strongest)
+    effect, title = catalogue().get(found.strongest), candidate_title(found.strongest)
+    name = f"{title} ({effect.name})" if effect else title
     return (
         f"The strongest candidate of the score tests is {name}: `seatrial ident diagnose` tests it against the others."
     )

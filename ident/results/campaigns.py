@@ -216,6 +216,11 @@ class CampaignsResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="
         """Parameters that have changed, without those of noise, disturbances and sensors."""
         return tuple(p for p in self.parameters if p.changed and not p.nuisance)
 
+    @property
+    def changed_first(self) -> tuple[ParameterDifference, ...]:
+        """All compared parameters, those that have changed first; otherwise in the order of `parameters`."""
+        return tuple(sorted(self.parameters, key=lambda p: not p.changed))
+
 
 def campaigns_answer(result: CampaignsResult) -> str:
     """Return the answer of a comparison of campaigns: changed parameters, common factor, and prediction errors."""

@@ -40,6 +40,7 @@ from seatrial.ident.results.answers import (
     simulated_durations,
     smallest_command,
     straight_sentence,
+    structure_warnings,
     thruster_answer,
     thruster_warnings,
     vehicle_answer,
@@ -212,6 +213,7 @@ def vehicle_result(
             *check_warnings(made),
             *late_sensor_warnings(made, fitted.fit.model),
             *frames_assumed(fitted),
+            *structure_warnings(fitted.fit.model, cross, "estimation"),
             *estimation_warnings(fitted.fit, fitted.records, posed.hull),
             *short_data_warnings(fitted, evaluation.horizon),
             *thrust_difference_warnings(uncertainty, fitted.fit, posed.hull.get("mass")),
@@ -668,7 +670,7 @@ class DesignResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="des
     """Result of `seatrial mission design`: the most informative mission for a model."""
 
     model: Annotated[str, Meta(description="file or name of the model")]
-    criterion: Annotated[str, Meta(description="`D`, `A`, `E` or `Ds`")]
+    criterion: Annotated[str, Meta(description="`D`, `A`, `E` or `Ds`; `T`: two effects are distinguished")]
     chosen: Annotated[tuple[str, ...], Meta(description="parameters that the criterion includes")]
     form: Annotated[str, Meta(description="kind of Fisher information: `prediction error` or `output error`")]
     value: Annotated[float, Meta(description="value of the criterion")]
@@ -678,9 +680,12 @@ class DesignResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="des
     baseline: Annotated[str, Meta(description="name of the best baseline signal")]
     limited: Annotated[bool, Meta(description="whether the design had limits; baseline signals ignore limits")]
     samples: Annotated[
-        dict[str, Array], Meta(description="for each signal, the criterion at 1000 samples of the parameters")
+        dict[str, Array],
+        Meta(description="for each signal, the criterion at 1000 samples of the parameters; empty for criterion `T`"),
     ]
-    share_won: Annotated[float, Meta(description="share of the samples in which the design is best")]
+    share_won: Annotated[
+        float | None, Meta(description="share of the samples in which the design is best; null for the criterion `T`")
+    ]
     inputs: Annotated[tuple[CommandTrace, ...], Meta(description="commands of the mission, one for each input")]
     track: Annotated[DesignTrack | None, Meta(description="null: the model has no position")]
     apart: Annotated[Discrimination | None, Meta(description="null: `--discriminate` was not given")] = None

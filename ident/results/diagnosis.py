@@ -26,9 +26,9 @@ from seatrial.ident.diagnosis import (
     removal_reason,
 )
 from seatrial.ident.effects import catalogue
-from seatrial.ident.estimation import FittedModel, ParameterShift, ReportedEstimates, Role, between_runs_title
-from seatrial.ident.model import Effect, EffectKind, Model, ModelKind
-from seatrial.ident.models import effect_for
+from seatrial.ident.estimation import FittedModel, ParameterShift, ReportedEstimates, Role
+from seatrial.ident.model import Effect, EffectKind, Model, ModelKind, ParameterRole
+from seatrial.ident.models import effect_for, force_power
 from seatrial.ident.numerics import is_undetermined
 from seatrial.ident.results import parts
 from seatrial.ident.results.answers import (
@@ -52,7 +52,9 @@ from seatrial.ident.results.answers import (
     warm_up_notes,
     wind_sentence,
 )
+from seatrial.ident.results.candidate_titles import candidate_title
 from seatrial.ident.results.parts import DiagnosisResult, Provenance
+from seatrial.ident.results.rival_estimates import with_rival_values
 from seatrial.ident.results.tables import (
     LEAST_GROWTH,
     all_inputs,
@@ -75,6 +77,7 @@ from seatrial.ident.results.tables import (
 MOST_CANDIDATES = 24  # best candidates of a round that are reported; others are reported if they passed
 WORSE_SIMULATION = 1.2  # ratio of the errors of a simulation, from which it is called worse
 # Reasons, as clauses, why candidates that still pass were not tried after the last effect.
+MOST_REMAINING = 4  # candidates that still pass the score test and are given by name
 AFTER_CURVE = "after a curve, no second curve is tried"
 NOT_TRIED = "beside the effects that were found too little is left to explain, and a larger --max-effects tries no more"
 AT_BOUND = 1.001  # factor of a lower bound up to which a noise counts as at it
@@ -183,7 +186,12 @@ def diagnosis_result(
             *calibration_notes(calibration, after.horizon),
             *warm_up_notes(simulated_durations(after)),
         ),
-        fit=fit_summary(diagnosis.after.fit, diagnosis.before.model.values),
+        fit=with_rival_values(
+            fit_summary(diagnosis.after.fit, diagnosis.before.model.values),
+            _physical_parameters(diagnosis.before.fit.model),
+            diagnosis.attributions,
+            diagnosis.rounds,
+        ),
         failed_runs=diagnosis.failed_runs,
         cross_validated=diagnosis.cross_validated,
         validated_in_blocks=bool(evaluation.in_blocks),
@@ -588,8 +596,8 @@ def diagnosis_caveat(diagnosis: Diagnosis) -> str | None:
 
     For each uncertain name, the first reason is given, and then what can decide it. If the search ended by
     --max-effects, the number of added effects and the candidates that were not tried are given. Otherwise, if all names
-    are certain and candidates still pass the score test, their number, the strongest and the reason why none was added
-    are given.
+    are certain and candidates still pass the score test, their number, the strongest, the reason why none was added and
+    what to do are given.
     The result is None if none of these applies.
     """
     titles = {r.effect.name: r.effect.title for r in diagnosis.effects}
@@ -609,13 +617,37 @@ def diagnosis_caveat(diagnosis: Diagnosis) -> str | None:
             f"--max-effects {limit}; give a larger number to try the other candidates: {_remaining_names(diagnosis)}."
         )
     elif diagnosis.effects and diagnosis.remaining and not doubted:
-        many = counted(len(diagnosis.remaining), "other candidate")
-        passes, added = ("passes", "It was not") if len(diagnosis.remaining) == 1 else ("pass", "None was")
-        sentences.append(
-            f"A part of the residuals stays unexplained: {many} still {passes} the score test "
-            f"({_remaining_names(diagnosis)}). {added} added: {_why_not_added(diagnosis)}."
-        )
+        sentences += _remaining_sentences(diagnosis)
     return " ".join(sentences) or None
+
+
+def _physical_parameters(model: Model) -> list[str]:
+    """Return the names of the masses, inertia, damping and thrust coefficients of a model without effects."""
+    return [p.name for p in model.parameters if model.role(p.name) is ParameterRole.DYNAMICS and force_power(p.unit)]
+
+
+def _remaining_sentences(diagnosis: Diagnosis) -> list[str]:
+    """Return the sentences on candidates that still pass the score test: what they are, why none was added, what to do.
+
+    The search did not end because of the largest number of effects.
+    """
+    n, names = len(diagnosis.remaining), _remaining_names(diagnosis)
+    which = f"; the strongest are {names}" if n > MOST_REMAINING else f": {names}"
+    none = "The search added none of them" if n > 1 else "The search did not add it"
+    if _lacks_second_curve(diagnosis) and diagnosis.rounds[-1].chosen is not None:
+        advice = "To try another curve, run `seatrial ident diagnose` with the model of this diagnosis."
+    elif recommended_experiment(diagnosis):
+        advice = "To find out, record the recommended experiment (Next experiment, in the report), and diagnose again."
+    else:
+        advice = "To find out, record longer and more varied runs, and diagnose again with their logs."
+    use = "The model can be used: its standard errors include how far such a candidate would shift an estimate."
+    return [
+        "The effects found do not explain the residuals in full: beside them the score tests still find "
+        f"{counted(n, 'candidate')}{which}.",
+        f"{none}, because {_why_not_added(diagnosis)}.",
+        *([use] if diagnosis.uncertainty is not None else []),
+        advice,
+    ]
 
 
 def _joined_titles(titles: Sequence[str]) -> str:
@@ -660,9 +692,9 @@ def _quiet_round(diagnosis: Diagnosis) -> parts.RoundRow:
 
 
 def _score_titles(search_round: Round) -> dict[str, str]:
-    """Return the titles of the tested candidates of a round by their names. A curve without a refit has its name."""
-    titles = {n: e.title for n, e in catalogue().items()} | {r.effect.name: r.effect.title for r in search_round.refits}
-    return {s.name: titles.get(s.name) or between_runs_title(s.name) for s in search_round.scores}
+    """Return the titles of the tested candidates of a round by their names, those of curves in words."""
+    titles = {r.effect.name: r.effect.title for r in search_round.refits}
+    return {s.name: titles.get(s.name) or candidate_title(s.name) for s in search_round.scores}
 
 
 def _round_row(search_round: Round) -> parts.RoundRow:
@@ -873,14 +905,11 @@ def _blocks_note(evaluation: DiagnosisEvaluation) -> list[str]:
 
 
 def _remaining_names(diagnosis: Diagnosis) -> str:
-    """Return the titles of the best four candidates that still pass the score test, separated by commas.
+    """Return the titles of the best four candidates that still pass the score test, separated by semicolons.
 
     They are fewer if fewer pass; the text is empty if none passes.
     """
-    known = catalogue()
-    return ", ".join(
-        known[s.name].title if s.name in known else between_runs_title(s.name) for s in diagnosis.remaining[:4]
-    )
+    return "; ".join(candidate_title(s.name) for s in diagnosis.remaining[:MOST_REMAINING])
 
 
 def alternative_notes(rounds: Sequence[parts.RoundRow], effects: Sequence[parts.EffectRow]) -> list[str]:

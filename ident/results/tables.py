@@ -30,6 +30,7 @@ from seatrial.ident.estimation import (
 from seatrial.ident.model import Effect, EffectKind, ForceCurve, Model, ModelKind, Parameter, segment_name
 from seatrial.ident.models import ESTIMATOR_ERROR, SENSORS_WITH_CORRELATED_ERRORS, force_power
 from seatrial.ident.results.parts import (
+    NO_MASS,
     CalibrationRow,
     Calibrations,
     CalibrationTable,
@@ -253,7 +254,7 @@ def _beside_inertial_curve(p: Parameter, effects: Iterable[Effect]) -> str:
     """
     for curve, product, masses in inertial_curves(effects):
         if p.name in masses and p.free:
-            return f"the curve {curve.force}({curve.variables}) has the form of {product}: this is no physical mass"
+            return f"the curve {curve.force}({curve.variables}) has the form of {product}: {NO_MASS}"
     return ""
 
 

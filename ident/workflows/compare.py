@@ -45,6 +45,7 @@ from seatrial.ident.results import (
     cross_rows,
     provenance,
     residual_row,
+    structure_warnings,
     warm_up_notes,
     write_result,
 )
@@ -475,6 +476,7 @@ def _result(
         warnings=(
             *_unconverged_warnings(compared, models),
             *_mass_warnings(compared, models, weighed),
+            *_structure_warnings(compared, models),
             *_limited_warnings(predicted, letters),
             *_warnings(models),
             *_warnings_of_effects(compared, letters, by_record[0]),
@@ -513,6 +515,14 @@ def _mass_warnings(
     """
     for c, m in zip(compared, models, strict=True):
         for warning in mass_warnings_of(c.saved, c.path, weighed):
+            label = f"({m.label}): " if len(models) > 1 else ""
+            yield msgspec.structs.replace(warning, text=label + warning.text)
+
+
+def _structure_warnings(compared: Sequence[_Candidate], models: Sequence[ComparedModel]) -> Iterator[ResultWarning]:
+    """Yield a warning for each compared model whose structure the residuals on these logs contradict."""
+    for c, m in zip(compared, models, strict=True):
+        for warning in structure_warnings(c.saved.model, m.cross, "validation"):
             label = f"({m.label}): " if len(models) > 1 else ""
             yield msgspec.structs.replace(warning, text=label + warning.text)
 

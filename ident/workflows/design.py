@@ -44,6 +44,7 @@ from seatrial.ident.experiment_design import (
     StepInput,
     ThrusterResponse,
     baseline_signals,
+    baselines_apart,
     design,
     discriminate,
     monte_carlo,
@@ -60,7 +61,7 @@ from seatrial.ident.model import Effect, Model, Parameter
 from seatrial.ident.models import effect_for, make_model
 from seatrial.ident.numerics import Array, violates_constraint
 from seatrial.ident.report import typeset_unit, write_design_page
-from seatrial.ident.reporter import QUIET, Reporter, TimedReporter, TimeLeft
+from seatrial.ident.reporter import QUIET, PhasedReporter, Reporter, TimeLeft
 from seatrial.ident.results import (
     Baseline,
     CommandTrace,
@@ -79,6 +80,15 @@ from seatrial.ident.results import (
 )
 
 N_SHOWN = 24  # sampled tracks on the page
+# Words of the phases of a design, and of one that distinguishes two effects, as their progress has them
+PHASES = (
+    *("reading the model", "time constants", "compiling the model", "simulations"),
+    *("baseline signals", "Monte Carlo", "track"),
+)
+APART_PHASES = (
+    *("reading the model", "time constants", "compiling the model", "compiling both models", "search", "refits"),
+    *("random missions,", "baseline signals", "track"),
+)
 N_RANDOM = 8  # random missions that a discriminating mission is compared with
 NAMED = 3  # parameters in the answer
 STEP_S = 5.0  # s: mean length of a step, unless --steps gives their number
@@ -179,7 +189,7 @@ def make_design(
         If the model or an option cannot be used, or if one of the files exists and ``force`` is false. No file is
         written then.
     """
-    reporter = TimedReporter(reporter)
+    reporter = PhasedReporter(reporter, APART_PHASES if request.between else PHASES)
     beside = _paths_beside_mission(out, force)
     task, compared = make_task(source, request, reporter)
     model_thrusters = task.actuation.thrusters
@@ -212,8 +222,14 @@ def make_design(
         )
     reporter.progress("design: baseline signals")
     found = baseline_signals(task, seed=request.seed)
-    reporter.progress("design: Monte Carlo of the parameters")
-    samples = monte_carlo(task, {"design": made.command} | {k: r.command for k, r in found.items()}, seed=request.seed)
+    samples = None
+    if apart is None:
+        reporter.progress("design: Monte Carlo of the parameters")
+        commands = {"design": made.command} | {k: r.command for k, r in found.items()}
+        samples = monte_carlo(task, commands, seed=request.seed)
+    else:  # by the criterion of the search
+        first, second = compared
+        found = baselines_apart(first.model, second.model, task, found)
     reporter.progress("design: track")
     track, unbounded = _bounded_track(made)
     best = max(found, key=lambda k: found[k].value)
@@ -223,12 +239,14 @@ def make_design(
     result = DesignResult(
         created=here.created, seatrial=here.seatrial, command=here.command,
         answer=_design_answer(made, parameters, apart, found[best]),
-        model=source, criterion=task.criterion, chosen=tuple(_criterion_parameters(task)),
+        model=source, criterion=task.criterion if apart is None else "T", chosen=tuple(_criterion_parameters(task)),
         form="prediction error" if task.process_noise else "output error",
-        value=made.value, evaluations=made.found.evaluations, parameters=parameters,
+        value=made.value if apart is None else min(apart.if_first, apart.if_second),
+        evaluations=made.found.evaluations, parameters=parameters,
         baselines=tuple(Baseline(name=k, value=r.value, bandwidth=r.bandwidth, seeds=r.values)
                      for k, r in found.items()),
-        baseline=best, limited=task.limits.bind, samples=dict(samples.values), share_won=samples.share_won(),
+        baseline=best, limited=task.limits.bind, samples={} if samples is None else dict(samples.values),
+        share_won=None if samples is None else samples.share_won(),
         inputs=tuple(CommandTrace(name=c, t=task.t, value=made.command[:, k])
                      for k, c in enumerate(task.actuation.channels)),
         track=None if track is None else _track_table(track, task.limits), apart=apart,
@@ -782,19 +800,21 @@ def _design_answer(
 
     ``parameters``: rows of the table of standard errors; the answer names the first three chosen ones. ``apart``:
     discrimination of two effects, or None. If random missions distinguish them too, a second sentence states it.
-    ``baseline``: best baseline signal. If its criterion is larger than that of the design, and no effects are
-    discriminated, a warning comes first.
+    ``baseline``: best baseline signal by the criterion of the design. If it is better than the design, a warning says
+    so: first, or after the answer on two effects.
     """
     if apart is not None:
         first, second = apart.effects
         least = min(apart.if_second, apart.if_first)
         verdict = "distinguishes" if apart.clear else "may not distinguish"
         advice = "" if apart.clear else f"; T should be above {RELIABLE_T:g}: give a longer --duration"
-        return (
+        answer = (
             f"This mission {verdict} {first} from {second}: criterion T is at least {format_number(least)} "
             f"(random missions: {format_number(float(np.median(apart.random)))}){advice}"
             f"{_random_missions_sentence(apart, made.problem.limits.bind)}"
         )
+        worse = baseline.value > least
+        return f"{answer}. {warn_worse_than_baseline(baseline, made.problem, 'T', least)}" if worse else answer
     parts = []
     rows = [p for p in parameters if p.chosen]
     for p in rows[:NAMED]:
@@ -805,7 +825,9 @@ def _design_answer(
     more = f", and {len(rows) - NAMED} more" if len(rows) > NAMED else ""
     duration = made.problem.steps.duration
     errors = f"After this mission of {duration:g} s the expected standard errors are {', '.join(parts)}{more}"
-    return errors if made.value >= baseline.value else f"{warn_worse_than_baseline(baseline, made)} {errors}"
+    if made.value >= baseline.value:
+        return errors
+    return f"{warn_worse_than_baseline(baseline, made.problem, made.problem.criterion, made.value)} {errors}"
 
 
 def _random_missions_sentence(apart: Discrimination, limited: bool) -> str:
@@ -851,7 +873,7 @@ def _discrimination_lines(apart: Discrimination) -> list[str]:
     return lines
 
 
-def warn_worse_than_baseline(baseline: BaselineSignal, made: Design) -> str:
+def warn_worse_than_baseline(baseline: BaselineSignal, problem: DesignProblem, criterion: str, value: float) -> str:
     """Return the sentences of a warning that a baseline signal (random sequence) is better than the design.
 
     The criterion of the baseline signal is larger than that of the design. The warning ends with advice.
@@ -860,10 +882,14 @@ def warn_worse_than_baseline(baseline: BaselineSignal, made: Design) -> str:
     ----------
     baseline : BaselineSignal
         Best of 20 random sequences.
-    made : Design
-        The design.
+    problem : DesignProblem
+        The design problem, whose limits the advice names.
+    criterion : str
+        Name of the criterion.
+    value : float
+        Criterion of the design.
     """
-    problem, limits = made.problem, made.problem.limits
+    limits = problem.limits
     free = ", which ignores the limits," if limits.bind else ""
     given = {"--area": limits.area, "--max-speed": limits.speed, "--energy": limits.energy}
     wider = [name for name, value in given.items() if value is not None]
@@ -874,8 +900,8 @@ def warn_worse_than_baseline(baseline: BaselineSignal, made: Design) -> str:
         else " If that changes little, give other --steps or a longer --duration."
     )
     return (
-        f"The designed mission is worse than a random sequence: its {problem.criterion} criterion is "
-        f"{format_number(made.value)}, the best of 20 {baseline.kind}{free} has {format_number(baseline.value)}. "
+        f"The designed mission is worse than a random sequence: its {criterion} criterion is "
+        f"{format_number(value)}, the best of 20 {baseline.kind}{free} has {format_number(baseline.value)}. "
         f"Repeat the design with twice the --evaluations.{keep}"
     )
 
@@ -884,9 +910,9 @@ def design_summary(result: DesignResult) -> Sequence[str]:
     """Return the lines that `seatrial mission design` prints.
 
     They are the warnings, the answer, a line for each parameter (value, and standard errors before and after the
-    mission), the criterion, and the share of simulated boats that stay inside the area. If two effects were
-    discriminated, their sizes are printed and the criterion is left out. The share is left out if there is no limit of
-    area.
+    mission), the criterion beside that of the best baseline signal, and the share of simulated boats that stay inside
+    the area. If two effects were discriminated, their sizes are printed, and the criterion is T. The share is left out
+    if there is no limit of area.
 
     Parameters
     ----------
@@ -903,13 +929,12 @@ def design_summary(result: DesignResult) -> Sequence[str]:
             f"   ({result.baseline}: {baseline})"
         )
     lines.append("")
-    if result.apart is None:
-        free = " (which ignore the limits)" if result.limited else ""
-        gain = f"{result.margin:+.1f} against the best of 20 {result.baseline}{free}"
-        lines.append(
-            f"{result.criterion} {result.value:.1f}, {gain}; better than all of them in "
-            f"{100 * result.share_won:.1f} % of 1000 parameter samples"
-        )
+    free = " (which ignore the limits)" if result.limited else ""
+    gain = f"{result.margin:+.1f} against the best of 20 {result.baseline}{free}"
+    won = ""
+    if result.share_won is not None:
+        won = f"; better than all of them in {100 * result.share_won:.1f} % of 1000 parameter samples"
+    lines.append(f"{result.criterion} {result.value:.1f}, {gain}{won}")
     track = result.track
     if track is not None and track.inside is not None:
         water = f"in a current of up to {track.current:g} m/s" if track.current else "no current assumed"

@@ -13,7 +13,7 @@ from seatrial.ident.checks import device_faults
 from seatrial.ident.data import WHOLE, TimeWindows, load_all
 from seatrial.ident.diagnosis import Diagnosis, diagnose, evaluate_diagnosis, with_times, with_weighed_mass
 from seatrial.ident.effects import catalogue
-from seatrial.ident.estimation import EstimationOptions, RefittedEffect, load_model
+from seatrial.ident.estimation import EstimationOptions, RefittedEffect, fix_parameters, load_model
 from seatrial.ident.model import Effect, EffectKind, Model, ModelKind
 from seatrial.ident.model import with_outlier_model as with_outliers
 from seatrial.ident.models import effects_for
@@ -73,6 +73,8 @@ class DiagnosisRequest:
     mass
         Weighed mass of the boat without water around it [kg], with which the estimated mass in surge is compared. It is
         no prior. None: that of the rig file or import map, if they have one.
+    fixed
+        Values of parameters of the model that are held in all fits of the diagnosis, by name, in SI units and radians.
     """
 
     model: Path
@@ -88,6 +90,7 @@ class DiagnosisRequest:
     despite_faults: bool = False
     window: TimeWindows = WHOLE
     mass: float | None = None
+    fixed: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -189,8 +192,8 @@ def diagnose_model(request: DiagnosisRequest, command: str, reporter: Reporter) 
     ------
     SeatrialError
         If model or logs cannot be used, if no validation log (without any: no log) is longer than a given horizon, if
-        there is no effect of an excluded name or the model contains it, or if the logs have faults that make a fit
-        meaningless (unless ``despite_faults``).
+        there is no effect of an excluded name or the model contains it, if a parameter cannot be held at its given
+        value, or if the logs have faults that make a fit meaningless (unless ``despite_faults``).
     """
     loaded, validation_logs = load_all(request.logs, request.validation, request.window, device_faults)
     horizon, effects_file = request.estimation.horizon, request.effects_file
@@ -208,6 +211,7 @@ def diagnose_model(request: DiagnosisRequest, command: str, reporter: Reporter) 
         *(unused_lines(unused) if model.kind is ModelKind.VEHICLE else []),
         *hold_lines(saved, [*loaded, *validation_logs]),
     ]
+    model, fixed_notes = fix_parameters(model, None, request.fixed) if request.fixed else (model, [])
     loaded, validation_logs = check_first(loaded, validation_logs, model, request.despite_faults)
     if model.kind is ModelKind.VEHICLE:
         require_thrust_and_length(runs, model, request.despite_faults)
@@ -238,6 +242,7 @@ def diagnose_model(request: DiagnosisRequest, command: str, reporter: Reporter) 
         provenance([*loaded, *validation_logs], command),
         warnings=estimation_warnings(found.after.fit, found.after.records, hull),
         notes=[
+            *fixed_notes,
             *floors,
             *considered_notes(found.after.fit.model),
             *found.after.outlier_notes,

@@ -63,7 +63,7 @@ from seatrial.ident.data import (
 )
 from seatrial.ident.estimation import EstimationOptions, Fit, FittedModel, RecordEvaluation, profile
 from seatrial.ident.model import Model, command_of, commanded_thrusters, shaft_speed_of
-from seatrial.ident.models import thruster_model
+from seatrial.ident.models import TURNS_INSIDE, thruster_model
 from seatrial.ident.numerics import Array
 from seatrial.ident.report import GRAMS_PER_NEWTON, write_report
 from seatrial.ident.reporter import Reporter
@@ -256,6 +256,9 @@ def fit_thruster(request: ThrusterRequest, command: str, reporter: Reporter) -> 
     fit, records = fit_with_delay_on_grid(
         model, records, lambda m: [_thruster_record(m, x, name) for x in loaded], options
     )
+    turning = _turning(fit, loaded, name)
+    if any(turning.values()):
+        fit = replace(fit, flags=(*fit.flags, ("d", TURNS_INSIDE)))
     views = tuple(RecordEvaluation(fit.model, r, v) for r, v in zip(records, fit.record_values, strict=True))
     fitted = FittedModel(fit.model, fit, views, ())
     evaluation = evaluate(fitted, horizon)
@@ -273,7 +276,7 @@ def fit_thruster(request: ThrusterRequest, command: str, reporter: Reporter) -> 
             steady,
             _shaft_response(fit, loaded, name),
             _speeds(loaded),
-            _turning(fit, loaded, name),
+            turning,
         ),
         FitContext(model.values, [*notes, *fitted.outlier_notes]),
         calibration,

@@ -313,7 +313,7 @@ def _saved_problem(
     curve = load_curve(request.thruster) if request.thruster is not None else None
     file = None if curve is None else str(request.thruster)
     model, segments, validation, _ = model_of_logs(saved.model, path, loaded, validation_logs, file)
-    model = with_effect_priors(model, loaded[0].vehicle)
+    model = with_effect_priors(model, loaded[0].vehicle, loaded[0].rig)
     model = with_effects(model, request.effects)
     model = set_initial_values(set_priors(model, request.priors), request.initial)
     model, notes = fix_parameters(model, request.thruster if curve is None else None, request.fixed)

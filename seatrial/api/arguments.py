@@ -8,7 +8,7 @@ from functools import wraps
 from inspect import signature
 from numbers import Real
 from pathlib import Path
-from typing import Any, Literal, ParamSpec, TypeVar, cast
+from typing import Any, Literal, ParamSpec, TypedDict, TypeVar, cast
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from seatrial.daq.errors import SeatrialError, names_hint
 
 P = ParamSpec("P")
 R = TypeVar("R")
+T = TypeVar("T")
 Role = Literal["estimation", "validation"]  # role of the data of a fit
 
 LONGEST_VALUE = 60  # characters of a value that a message repeats
@@ -169,6 +170,24 @@ def as_intervals(name: str, value: object) -> tuple[tuple[float, float], ...]:
             raise SeatrialError(f"{name} ({begin:g}, {end:g}): the end is not a time after the beginning; {advice}")
         found.append((begin, end))
     return tuple(found)
+
+
+class _OptionsType(type(TypedDict("_Options", {}))):  # type: ignore[misc]
+    """Type of the option classes, whose help lists no attributes: their docstring has all options."""
+
+    def __dir__(cls) -> list[str]:
+        """Return no names: those of the base class dict would hide the options in `help`."""
+        return []
+
+
+def with_short_help(options: type[T]) -> type[T]:
+    """Return a `TypedDict` with options after removing the methods of dict from its help.
+
+    ``help`` then shows the docstring alone, with the options, their types and their defaults. Nothing else changes: the
+    class is a `TypedDict` all the same.
+    """
+    options.__class__ = _OptionsType  # type: ignore[method-assign]
+    return options
 
 
 def check_switches(given: Mapping[str, Any], options: type) -> None:

@@ -71,17 +71,22 @@ class CampaignComparison(Shown):
         return text_of(self.result)
 
     def _content(self) -> Content:
-        """Return the answer, the notes, and a row for each parameter with its change and q value."""
-        from seatrial.ident.report.sections.campaigns import change_of
+        """Return the answer, the notes, and a row for each parameter with its change and q value.
 
-        rows = [
-            (p.name, number(p.before.mean), number(p.after.mean), change_of(p), number(p.q, 2), p.unit)
-            for p in self.result.parameters
-        ]
+        Changed parameters come first. Angles are in degrees.
+        """
+        from seatrial.ident.report.formatting import degrees_for
+        from seatrial.ident.report.sections.campaigns import absolute_change, change_of
+
+        rows = []
+        for p in self.result.changed_first:
+            factor, unit = degrees_for(p.unit)
+            means = (number(factor * m.mean) for m in (p.before, p.after))
+            rows.append((p.name, *means, absolute_change(p), unit, change_of(p), number(p.q, 2)))
         return Content(
             self.answer,
             tuple(map(in_python, self.result.notes)),
-            ("", "before", "after", "change (95 %)", "q", "unit"),
+            ("", "before", "after", "change", "", "change (95 %)", "q"),
             rows,
         )
 

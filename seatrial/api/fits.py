@@ -17,7 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.api import plots, tables
-from seatrial.api.arguments import Role, as_path, check_switches, check_values, output_folder, shortened
+from seatrial.api.arguments import (
+    Role,
+    as_path,
+    check_switches,
+    check_values,
+    output_folder,
+    shortened,
+    with_short_help,
+)
 from seatrial.api.calls import python_call
 from seatrial.api.figures import Figure
 from seatrial.api.findings import DiagnosisFindings
@@ -54,8 +62,11 @@ LISTS = (
 PARAMETER_VALUES = {"fixed": '{"c1": 6.85}', "initial": '{"m_u": 30.0}', "priors": '{"c1": (6.85, 0.3)}'}
 
 
+@with_short_help
 class FitOptions(TypedDict, total=False):
     """Options of `fit`. All are optional; the defaults are those of ``seatrial ident vehicle``.
+
+    An option without a default below is not set.
 
     Attributes
     ----------
@@ -119,8 +130,11 @@ class FitOptions(TypedDict, total=False):
     progress: bool
 
 
+@with_short_help
 class DiagnosisOptions(TypedDict, total=False):
     """Options of `diagnose`. All are optional; the defaults are those of ``seatrial ident diagnose``.
+
+    An option without a default below is not set.
 
     Attributes
     ----------
@@ -130,6 +144,8 @@ class DiagnosisOptions(TypedDict, total=False):
         Names of effects that the search leaves out, such as ``["wind"]``.
     effects_file : path
         Python file with user-defined effects, which are tested too.
+    fixed : dict of str to float
+        Values of parameters of the model, by name, that are held in all fits of the diagnosis, in SI units and radians.
     thruster : str
         For a vehicle model: file of the static curve that it was fitted with. For a thruster model: name of the
         thruster, if the logs have several.
@@ -151,6 +167,7 @@ class DiagnosisOptions(TypedDict, total=False):
     max_effects: int
     exclude: Sequence[str]
     effects_file: PathLike
+    fixed: Mapping[str, float]
     thruster: str
     mass: float
     outlier_model: bool
@@ -231,7 +248,8 @@ class FitReport(Shown):
     def to_pandas(self) -> Any:
         """Return the parameters as a ``pandas.DataFrame`` with a row for each.
 
-        The columns are value, se, low, high (95 % interval), t, unit, origin, free, flag and meaning.
+        The columns are value, se, low, high (95 % interval), t, unit, origin, free, flag and meaning. A flag is a short
+        code of what is wrong with the estimate, such as ``at bound`` or ``prior``; `summary` has its text.
 
         Raises
         ------
@@ -781,7 +799,7 @@ def diagnose(
         blocks of ``logs`` are cross-validated.
     **options
         `DiagnosisOptions`, which ``help(st.DiagnosisOptions)`` describes: max_effects, exclude, effects_file,
-        thruster, mass, outlier_model, horizon, rate, despite_faults, progress.
+        fixed, thruster, mass, outlier_model, horizon, rate, despite_faults, progress.
 
     Returns
     -------
@@ -791,8 +809,8 @@ def diagnose(
     Raises
     ------
     SeatrialError
-        If model or logs cannot be used, if the logs have faults that make a fit meaningless, or if an option is
-        unknown.
+        If model or logs cannot be used, if the logs have faults that make a fit meaningless, if an option is unknown,
+        or if a parameter cannot be held at its given value.
 
     Examples
     --------
@@ -805,6 +823,7 @@ def diagnose(
     from seatrial.ident.workflows.diagnose import DiagnosisRequest, diagnose_model
 
     given = known_options(options, DiagnosisOptions)
+    _check_parameters(given)
     messages = Messages(given.pop("progress", None))
     estimation = {n: given.pop(n) for n in ("outlier_model", "horizon") if n in given}
     if "effects_file" in given:

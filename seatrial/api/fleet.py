@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from seatrial.ident.data import TimeWindow
     from seatrial.ident.results import FleetResult
 
-TEXTS = ("flag", "error", "warning_texts")  # columns of the table with sentences
+TEXTS = ("error", "warning_texts")  # columns of the table with sentences
 
 
 @dataclass(frozen=True, repr=False)
@@ -52,17 +52,21 @@ class FittedFleet(Shown):
         """Return all estimates as a ``pandas.DataFrame`` with a row for each log and parameter.
 
         The columns are those of fits.parquet, such as log, parameter, value, se, unit, flag, converged and error.
+        A flag is a short code, such as ``at bound``; `table` has its text.
 
         Raises
         ------
         SeatrialError
             If pandas is not installed.
         """
+        from seatrial.ident.results import flag_codes
+
         import_library("pandas")
         frame = self.table.to_pandas()
-        for name in TEXTS:
+        columns: dict[str, Callable[[str], str]] = {"flag": flag_codes, **dict.fromkeys(TEXTS, in_python)}
+        for name, shown in columns.items():
             if name in frame:
-                frame[name] = [in_python(x) if isinstance(x, str) else x for x in frame[name]]
+                frame[name] = [shown(x) if isinstance(x, str) else x for x in frame[name]]
         return frame
 
     def values(self, column: str = "value") -> Any:

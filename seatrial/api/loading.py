@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from seatrial.api import tables
-from seatrial.api.arguments import Role, as_path, named_arguments, shortened
+from seatrial.api.arguments import Role, as_path, named_arguments, shortened, with_short_help
 from seatrial.api.findings import DiagnosisFindings
 from seatrial.api.fits import FittedResult, MotionMethods, known_options, model_path
 from seatrial.api.logs import Log, PathLike
@@ -40,8 +40,11 @@ TEXT_TABLES = (".csv", ".tsv", ".txt", ".dat")  # suffixes of texts that probabl
 MODEL_COLUMNS = ("value", "se", "unit", "meaning")  # of the table of a model without its result
 
 
+@with_short_help
 class ExportOptions(TypedDict, total=False):
     """Options of `export`. All are optional; the defaults are those of ``seatrial ident export``.
+
+    An option without a default below is not set.
 
     Attributes
     ----------

@@ -248,7 +248,8 @@ def guess_map(
     geometry : dict, optional
         Numbers of the boat for the table [geometry]: ``y_left``, ``y_right`` (thrusters to starboard of the middle
         [m]), ``x_thrusters`` (thrusters forward of the centre of gravity [m], negative behind it), ``mass`` (weighed
-        [kg]), ``length`` (hull [m]), ``lever_arm_m`` (antenna forward, to starboard and down [m]).
+        [kg]), ``length`` (hull [m]), ``lever_arm_m`` (antenna forward, to starboard and down [m]),
+        ``lever_arm_sd`` (its standard uncertainty [m]).
     scale : dict, optional
         Thrust of one thruster at full speed [N] for the table [scale]: ``ahead`` and ``astern``, with their standard
         uncertainties ``ahead_sd`` and ``astern_sd``. In place of these, ``c1`` (mean of ahead and astern) and ``c2``

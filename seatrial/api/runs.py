@@ -23,6 +23,7 @@ from seatrial.api.arguments import (
     named_arguments,
     output_folder,
     shortened,
+    with_short_help,
 )
 from seatrial.api.calls import python_call
 from seatrial.api.fits import (
@@ -49,8 +50,11 @@ T = TypeVar("T")
 Files = Mapping[str, bytes]
 
 
+@with_short_help
 class ThrusterOptions(TypedDict, total=False):
     """Options of `thruster`. All are optional; the defaults are those of ``seatrial ident thruster``.
+
+    An option without a default below is not set.
 
     Attributes
     ----------
@@ -83,8 +87,11 @@ class ThrusterOptions(TypedDict, total=False):
     progress: bool
 
 
+@with_short_help
 class DesignOptions(TypedDict, total=False):
     """Options of `design`. All are optional; the defaults are those of ``seatrial mission design``.
+
+    An option without a default below is not set.
 
     Attributes
     ----------

@@ -8,6 +8,7 @@ import importlib.util
 import inspect
 import io
 import json
+import pydoc
 import re
 import runpy
 import shutil
@@ -18,7 +19,7 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, is_typeddict
 
 import numpy as np
 import pytest
@@ -277,6 +278,20 @@ def test_help_of_a_function_names_the_help_of_its_options(function: Any) -> None
     for option in options.__annotations__:
         assert re.search(rf"^{option} : .+\n    \S", described, re.MULTILINE), option
         assert re.search(rf"\b{option}\b", text), option
+
+
+@pytest.mark.parametrize(
+    "options", [st.FitOptions, st.DiagnosisOptions, st.ThrusterOptions, st.DesignOptions, st.ExportOptions]
+)
+def test_help_of_options_lists_them_with_their_types_and_no_method_of_dict(options: Any) -> None:
+    text = pydoc.plain(pydoc.render_doc(options))
+    for name in options.__annotations__:
+        assert f"|  {name} : " in text
+    assert "by default" in text
+    for method in ("clear(", "copy(", "fromkeys(", "setdefault("):
+        assert method not in text
+    assert is_typeddict(options)
+    assert options(progress=True) == {"progress": True}
 
 
 def test_signals_of_a_log(logs: list[Path]) -> None:
@@ -1203,6 +1218,25 @@ def test_diagnosis_names_the_effect(logs: list[Path], found: st.FittedDiagnosis,
     assert again.params["eps_LR"] == pytest.approx(found.params["eps_LR"], rel=1e-6)
 
 
+def test_a_parameter_is_held_at_its_given_value_in_a_diagnosis(
+    logs: list[Path], fit: st.FittedVehicle, found: st.FittedDiagnosis
+) -> None:
+    assert found.standard_errors["m_r"] > 0.0
+    with without_warnings():
+        held = st.diagnose(fit, logs[0], validate=logs[1], max_effects=1, fixed={"m_r": 10.0, "d_vv": 20.0})
+    assert list(held.effects) == ["mismatch"]
+    for name, value in {"m_r": 10.0, "d_vv": 20.0}.items():
+        (row,) = [p for p in held.result.fit.parameters if p.name == name]
+        assert (row.value, row.free, row.origin) == (value, False, "given")
+        refits = [r.fitted.fit.model.values[name] for x in held.found.rounds for r in x.refits]
+        assert refits
+        assert set(refits) == {value}
+    with pytest.raises(SeatrialError, match=r"^fixed m_x: model horizontal.* has no such parameter"):
+        st.diagnose(fit, logs[0], validate=logs[1], fixed={"m_x": 1.0})
+    with pytest.raises(SeatrialError, match="fixed: m_r: 'heavy' is no number"):
+        st.diagnose(fit, logs[0], validate=logs[1], fixed={"m_r": "heavy"})  # type: ignore[dict-item]
+
+
 def test_an_excluded_effect_is_not_found(
     logs: list[Path],
     fit: st.FittedVehicle,
@@ -1535,7 +1569,7 @@ def test_texts_of_results_and_checks_have_no_options_of_the_command_line(
     assert "Fix it (fixed={'d_rr': 0})" in text
     assert "give it (fixed={'e_psi': VALUE}) or priors={'m_u': (30, 2)}." in text
     assert "--fix" not in text
-    assert "--fix" not in " ".join(told.to_pandas()["flag"])
+    assert set(told.to_pandas()["flag"]) == {"at bound"}
     assert "estimated, at bound" in text
     assert set(told.to_pandas()["origin"]) == {f"{p.origin}, at bound" for p in rows}
     assert "at bound" not in fit.summary()
@@ -1567,7 +1601,14 @@ def test_a_file_without_a_recognised_signal_gives_an_error_about_this_file(tmp_p
 
 
 BOAT: Any = {
-    "geometry": {"y_left": -0.3, "y_right": 0.3, "x_thrusters": -0.6, "mass": 30, "lever_arm_m": (0.1, 0, 0)},
+    "geometry": {
+        "y_left": -0.3,
+        "y_right": 0.3,
+        "x_thrusters": -0.6,
+        "mass": 30,
+        "lever_arm_m": (0.1, 0, 0),
+        "lever_arm_sd": 0.02,
+    },
     "scale": {"c1": np.float32(40.0), "c1_sd": 1.0, "c2": 5.0},
 }
 PULLED = {"c1": 78.5, "c2": 17.5, "c1_sd": 2.5, "c2_sd": 2.5}
@@ -1577,6 +1618,7 @@ NUMBERS = {
     "x_thrusters": -0.6,
     "mass": 30.0,
     "antenna_x": 0.1,
+    "lever_arm_sd": 0.02,
     "c1": 40.0,
     "c1_sd": 1.0,
     "c2": 5.0,

@@ -30,8 +30,14 @@ def test_a_written_prediction_is_read_back_unchanged() -> None:
 def test_show_prints_the_space_of_the_track_and_the_errors_before_and_after() -> None:
     text = describe_mission(replace(make_mission("steps", 60.0, 1), prediction=SQUARE, predicted_errors=ERRORS))
     lines = text.splitlines()
-    assert any(line.split() == ["m_u", "0.1", "(1.2)"] for line in lines)
-    assert any(line.split() == ["d_v", "0.4"] for line in lines)
+    head = lines.index("predicted standard errors before and after this mission")
+    assert [line.split() for line in lines[head + 1 : head + 4]] == [
+        ["before", "after"],
+        ["m_u", "1.2", "0.1"],
+        ["d_v", "-", "0.4"],
+    ]
+    assert describe_errors(ERRORS, {})[1] == "predicted standard errors after this mission"
+    assert [line.split() for line in describe_errors(ERRORS, {})[2:]] == [["m_u", "0.1"], ["d_v", "0.4"]]
     # north: -6 (the last radius) to 20 + 3; east: -2 (the third radius) to 15 + 5; (20, 15) and (10, 15) within 4
     assert "29 m north by 22 m east, at most 28 m from the start" in text
 
@@ -42,6 +48,7 @@ def test_a_mission_without_prediction_prints_no_prediction() -> None:
     assert describe_errors({}, {}) == []
     empty = np.zeros(0)
     assert describe_track(Prediction("m", empty, empty, empty, empty)) == []
+    assert describe_track(replace(SQUARE, radius=np.full(7, np.inf))) == []
 
 
 def test_a_prediction_without_times_is_refused() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from seatrial.ident.report.blocks import Canvas, Section
+from seatrial.ident.report.blocks import Canvas, Prose, Section
 from seatrial.ident.report.sections import (
     answer,
     campaigns,
@@ -32,14 +32,20 @@ from seatrial.ident.results import (
 )
 
 
+def warning_texts(result: Result) -> list[str]:
+    """Return the warnings of a result as they are shown on its page, each text once."""
+    return list(dict.fromkeys(warning.text for warning in result.warnings))
+
+
 def opening(result: Result) -> Section:
     """Return the section of the report page that follows its headline: the main numbers of the result.
 
-    For a comparison it is the table of its models. It is empty for any other result that is neither a fit nor a
-    diagnosis. For a fit that did not converge, it has at most the caveat of a diagnosis.
+    For a comparison it is its warnings and the table of its models. It is empty for any other result that is neither
+    a fit nor a diagnosis. For a fit that did not converge, it has at most the caveat of a diagnosis.
     """
     if isinstance(result, ComparisonResult):
-        return Section("answer", "", comparison.opening_blocks(result))
+        warnings = [Prose(text, "callout warning") for text in warning_texts(result)]
+        return Section("answer", "", [*warnings, *comparison.opening_blocks(result)])
     return answer.section(result)
 
 

@@ -21,6 +21,8 @@ from seatrial.ident.results import (
     PredictionChangeRow,
     Result,
     StaticForce,
+    candidate_title,
+    curve_words,
 )
 
 MAX_KEY_PARAMETERS = 9
@@ -208,7 +210,10 @@ def attribution_words(effect: EffectRow) -> str:
             "this boat"
         )
     if effect.attribution == "ambiguous":
-        alternatives = [between_runs_title(formatting.titled(name)) for name in effect.not_excluded]
+        alternatives = [
+            candidate_title(name) if curve_words(name) else between_runs_title(formatting.titled(name))
+            for name in effect.not_excluded
+        ]
         # An effect with a far worse ΔBIC in this place may still be there beside this effect, by its score test.
         rule = "not excluded, by ΔBIC or by the tests with this effect in the model"
         reasons = [*effect.reasons, *([f"{rule}: {', '.join(alternatives)}"] if alternatives else [])]

@@ -41,6 +41,13 @@ def change_of(p: ParameterDifference) -> str:
     return f"{value}{unit}" if low is None or high is None else f"{value}{unit} ({low} to {high})"
 
 
+def absolute_change(p: ParameterDifference) -> str:
+    """Return the change of a parameter with its sign, in the shown unit, with the decimals of its error: ``+8.4``."""
+    factor, _ = formatting.degrees_for(p.unit)
+    text, _ = formatting.pair(factor * p.difference, factor * p.se)
+    return text if p.difference <= 0.0 else f"+{text}"
+
+
 def _detectable_text(p: ParameterDifference) -> str:
     """Return the size from which on a change of a parameter would have been found, in the unit of `change_of`."""
     if p.detectable is None:
@@ -74,10 +81,11 @@ def changes_section(result: CampaignsResult) -> Section:
     """Return the section of the differences of all parameters, of the effects, and of what could not be compared."""
     columns = (
         ("parameter", ""), ("", ""), ("verdict", ""), ("before ± s.e.", "num"), ("after ± s.e.", "num"),
-        ("change (95 %)", "num"), ("found from", "num"), ("scatter", "num"), ("p", "num"), ("q", "num"),
+        ("change", "num"), ("change (95 %)", "num"), ("found from", "num"), ("scatter", "num"), ("p", "num"),
+        ("q", "num"),
     )  # fmt: skip
-    boat = [p for p in result.parameters if not p.nuisance]
-    rest = [p for p in result.parameters if p.nuisance]
+    boat = [p for p in result.changed_first if not p.nuisance]
+    rest = [p for p in result.changed_first if p.nuisance]
     rows: list[list[Cell | str]] = [_cells(p) for p in boat]
     if rest:
         rows += [[Cell("Noise, disturbances and sensors")], *(_cells(p) for p in rest)]
@@ -86,7 +94,7 @@ def changes_section(result: CampaignsResult) -> Section:
         "Means of the separate fits to the logs, with the scatter between logs as a random effect (REML) and intervals "
         "by Student's t (Hartung and Knapp). A parameter has changed if q, the p value adjusted for the number of "
         f"parameters (Benjamini and Hochberg), is at most {100 * result.false_discovery_rate:g} %. Found from: size "
-        "from which on a change would have been found."
+        "from which on a change would have been found. Changed parameters come first."
     )
     lines = []
     if result.joint is not None and result.joint.p is not None:
@@ -119,7 +127,8 @@ def _cells(p: ParameterDifference) -> list[Cell | str]:
     factor, unit = formatting.degrees_for(p.unit)
     before, after = (formatting.with_error(factor * m.mean, factor * m.se) for m in (p.before, p.after))
     scatter = None if p.scatter is None else factor * p.scatter
-    numbers = (before, after, change_of(p), _detectable_text(p), formatting.plain(scatter, 2))
+    changes = (absolute_change(p), change_of(p), _detectable_text(p))
+    numbers = (before, after, *changes, formatting.plain(scatter, 2))
     verdict = Cell("changed", "strong") if p.changed else Cell("unknown" if p.q is None else "–", "quiet")
     return [
         Cell(p.name, "symbol"),
@@ -175,7 +184,7 @@ def _style(verdict: str | None) -> str:
 
 def estimates_section(canvas: Canvas, result: CampaignsResult) -> Section:
     """Return the section of the estimates of each log: a figure for each parameter of the boat, changed ones first."""
-    shown = sorted((p for p in result.parameters if not p.nuisance), key=lambda p: not p.changed)
+    shown = [p for p in result.changed_first if not p.nuisance]
     key = Key([("before-dots", "log before, with 95 % interval"), ("after-dots", "log after, with 95 % interval")])
     lead = (
         "Line and band: mean of the campaign with its 95 % interval. Errors from priors are left out, because they are "

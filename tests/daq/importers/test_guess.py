@@ -814,7 +814,7 @@ def test_a_guessed_map_has_examples_of_what_no_file_has(
         tables = re.sub("(?m)^# ", "", "# [geometry]" + examples)
         found = parse_import_map(map_text + tables, tmp_path / "map.toml")
         boat = {"y_left": -0.3, "y_right": 0.3, "x_thrusters": -0.5, "mass": 30.0, "length": 1.6}
-        boat |= {"antenna_x": 0.1, "antenna_y": 0.0, "antenna_z": 0.0}
+        boat |= {"antenna_x": 0.1, "antenna_y": 0.0, "antenna_z": 0.0, "lever_arm_sd": 0.02}
         thrust = {"c1": 40.0, "c2": 5.0} | dict.fromkeys(("c1_sd", "c2_sd"), 1.5 / math.sqrt(2.0))
         assert found.vehicle == pytest.approx(boat | (thrust if scale else {}))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,10 @@ import pytest
 
 from seatrial.ident.characterisation.bench_conditions import speed_over_ground, turning_inside_dead_zone
 from seatrial.ident.data.record import Channel
+from seatrial.ident.estimation.model_file import load_model
+from seatrial.ident.export.formats import export
+from seatrial.ident.export.joined import Drive, _remarks
+from seatrial.ident.models.dead_zone import TURNS_INSIDE
 from seatrial.ident.results.answers import dead_zone_warnings, moving_boat_warnings
 from tests.ident.characterisation.test_thruster import MAP, run
 from tests.measured.data import import_boat, realistic_boats
@@ -74,6 +79,19 @@ def test_log_of_a_moving_boat_is_named_as_no_bench_run(speed: float, moves: bool
         "at a command of 10.5 % the shaft turns at 6.2 % of full speed (from 12.0 to 18.0 s)"
         in (warnings["dead-zone-contradicted"])
     )
+    # The warning, the model and what is exported of it agree: d is kept, as it predicts the shaft best.
+    assert "an exported model keeps it" in warnings["dead-zone-contradicted"]
+    (d,) = (p for p in result["fit"]["parameters"] if p["name"] == "d")
+    assert d["flag"] == TURNS_INSIDE
+    saved = load_model(tmp_path / "t/model.toml")
+    assert saved.flags["d"] == TURNS_INSIDE
+    header = str(export(saved, "python"))
+    value = saved.model.parameter("d").value
+    assert value > 0.09
+    assert f"d = {value:.3g} is {TURNS_INSIDE}, where this model gives" in header
+    joined = _remarks([Drive("n_left", "left", saved, saved.model)], own_curve=False)
+    assert f"d_left = {value:.3g} is {TURNS_INSIDE}" in " ".join(joined)
+    assert TURNS_INSIDE not in str(export(replace(saved, flags={}), "python"))
     assert "its dead zone is not determined" in result["answer"]
     assert "does not turn below" not in result["answer"]
 

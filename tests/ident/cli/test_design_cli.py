@@ -33,6 +33,7 @@ from seatrial.ident.results import Discrimination
 from seatrial.ident.workflows.design import (
     DesignRequest,
     _design_answer,
+    design_summary,
     hypotheses,
     make_design,
     make_task,
@@ -106,8 +107,10 @@ def test_designed_mission_is_read_by_the_bench_and_shown(
     assert mission.prediction.t[[0, -1]].tolist() == [0.0, mission.end + COAST_S]
     status, shown, _ = run(capsys, "show", str(out))
     assert status == 0
-    assert "predicted standard errors" in shown
-    assert re.search(r"predicted track .*: \d+ m north", shown)
+    assert "predicted standard errors after this mission" in shown
+    area = re.search(r"predicted track .*: (\d+ m north by .* from the start)", shown)
+    assert area is not None
+    assert f"the track takes {area[1]}." in out.with_suffix(".html").read_text(encoding="utf-8").replace("\u00a0", " ")
     result = json.loads(out.with_suffix(".json").read_text())
     rows = {row["name"]: row for row in result["parameters"]}
     for name, error in mission.predicted_errors.items():
@@ -154,7 +157,11 @@ def test_each_phase_of_a_design_has_the_time_so_far(tmp_path: Path) -> None:
     request = DesignRequest(duration=40.0, steps=8, evaluations=60)
     make_design("horizontal:shaft:no-current", request, tmp_path / "m.toml", "", reporter)
     assert {"design: reading the model", "design: baseline signals", "design: track"} <= {text for _, text in lines}
-    assert all(re.fullmatch(r"\d+:\d\d so far", times) for times, _ in lines)
+    found = [re.fullmatch(r"\d+:\d\d so far, phase (\d) of 7", times) for times, _ in lines]
+    phases = [int(match[1]) for match in found if match is not None]
+    assert len(phases) == len(lines)
+    assert phases == sorted(phases)
+    assert set(phases) == set(range(1, 8))
 
 
 def test_progress_with_few_simulations_counts_the_searches_that_follow(
@@ -186,7 +193,12 @@ def test_progress_of_a_discrimination_has_the_time_to_go_of_each_phase(
     monkeypatch.setattr("seatrial.ident.workflows.design.discriminate", found_at_once)
     monkeypatch.setattr("seatrial.ident.workflows.design.separation", lambda *_: (30.0, 40.0))
     request = DesignRequest(duration=20.0, steps=6, between=("delay", "lag"))
-    make_design("horizontal:shaft:no-current", request, tmp_path / "m.toml", "", reporter)
+    result = make_design("horizontal:shaft:no-current", request, tmp_path / "m.toml", "", reporter)
+    assert (result.criterion, result.value, result.share_won, result.samples) == ("T", 50.0, None, {})
+    page = (tmp_path / "m.html").read_text(encoding="utf-8")
+    assert "<dt>criterion T</dt><dd>50.00</dd>" in page
+    assert "of the samples" not in page
+    assert any(re.match(r"T 50\.0, [-+][\d.]+ against the best of 20 (PRBS|RGS)$", x) for x in design_summary(result))
     (search,) = [line for line in lines if "comparisons, search" in line]
     assert re.search(r"\(\d+ (s|min) to go, then the comparison with 8 random missions\)$", search)
     random = [line for line in lines if "random missions, " in line]
@@ -243,9 +255,10 @@ def test_design_that_is_worse_than_a_random_signal_is_reported_first(
     ],
 )
 def test_a_design_that_is_worse_says_what_to_do(limits: DesignLimits, advice: str) -> None:
-    made: Any = SimpleNamespace(value=60.0, problem=SimpleNamespace(limits=limits, criterion="D"))
+    problem: Any = SimpleNamespace(limits=limits)
     baseline: Any = SimpleNamespace(kind="PRBS", value=63.0)
-    text = warn_worse_than_baseline(baseline, made)
+    text = warn_worse_than_baseline(baseline, problem, "D", 60.0)
+    assert text.startswith("The designed mission is worse than a random sequence: its D criterion is 60, the best")
     assert text.endswith(advice)
     assert ("which ignores the limits" in text) == limits.bind
 
@@ -391,8 +404,12 @@ def test_a_discrimination_says_that_random_missions_are_enough(
     )
     limits = DesignLimits(area=(60.0, 40.0)) if limited else DesignLimits()
     made: Any = SimpleNamespace(problem=SimpleNamespace(limits=limits))
-    baseline: Any = None
+    baseline: Any = SimpleNamespace(value=90.0, kind="PRBS")
     answer = _design_answer(made, [], apart, baseline)
+    assert "worse than" not in answer
+    baseline.value = 190.0  # T, as that of the design
+    worse = ". The designed mission is worse than a random sequence: its T criterion is 150, the best of 20 PRBS"
+    assert _design_answer(made, [], apart, baseline).startswith(f"{answer}{worse}")
     assert words in answer
     assert ("already distinguish them" in answer) == bool(words)
     assert ("with a probability of 99.8 % if one of both" in answer) == bool(words)

@@ -376,7 +376,7 @@ def test_propellers_far_behind_the_boat_are_no_sure_name(x_walk: float, attribut
 
 
 def test_propellers_far_from_their_given_position_are_no_sure_name() -> None:
-    model = replace(horizontal_model(), effect_priors=(EffectPrior("x_walk", -0.5, 0.05),))
+    model = replace(horizontal_model(), effect_priors=(EffectPrior("x_walk", -0.5, 0.05, "rig"),))
     effect = effect_for(model, catalogue()["propeller-walk"])
     errors = np.diag(np.square([0.01, 0.01, 0.05]))
     fit = a_fit(tuple(p.name for p in effect.parameters), [-0.09, -0.002, -0.9], errors)

@@ -337,8 +337,8 @@ def test_unexplained_residuals_name_the_score_test_that_contradicts_the_model() 
     )
     answer = diagnosis_answer(found, None, 10.0)
     assert answer.startswith(
-        "The score tests contradict the model, most clearly that of N(v) (p = 5e-27), but no candidate explains the "
-        "residuals: "
+        "The score tests contradict the model, most clearly that of yaw moment that follows the sway speed, N(v) (p = "
+        "5e-27), but no candidate explains the residuals: "
     )
     assert "can find what the tests of whiteness and of the correlations with the inputs miss." in answer
     of_titles = replace(found, rounds=(Round(scores[:1], ("wind",), (rejected,), None),))
@@ -353,15 +353,25 @@ def test_caveat_of_a_certain_name_has_the_candidates_that_still_pass() -> None:
     weight = EffectImportance("hump", 900.0, 1.3, 50.0, 5.0)
     found = Diagnosis(after, after, rounds, left, (), attributions=certain, importances=(weight,))
     assert diagnosis_caveat(found) == (
-        "A part of the residuals stays unexplained: 1 other candidate still passes the score test (steady wind). It "
-        "was not added: no candidate that passed could be fitted."
+        "The effects found do not explain the residuals in full: beside them the score tests still find 1 candidate: "
+        "steady wind. The search did not add it, because no candidate that passed could be fitted. To find out, record "
+        "longer and more varied runs, and diagnose again with their logs."
     )
+    assert "The model can be used: its standard errors" in str(diagnosis_caveat(replace(found, uncertainty=blank())))
+    many = tuple(replace(left[0], name=f"{force}(n_diff)") for force in ("psi", "N", "X", "Y", "T"))
+    words = str(diagnosis_caveat(replace(found, remaining=many)))
+    assert (
+        "find 5 candidates; the strongest are heading error that follows the difference of the shaft speeds, "
+        "psi(n_diff); yaw moment that follows the difference of the shaft speeds, N(n_diff); surge force that " in words
+    )
+    assert "T(n_diff)" not in words
+    assert "The search added none of them, because" in words
     assert diagnosis_caveat(replace(found, remaining=())) is None
     # The search ended with an added effect, and not by --max-effects.
     small = diagnosis_caveat(replace(found, rounds=rounds[:1]))
     assert small is not None
-    assert small.endswith("(steady wind). It was not added: beside the effects that were found too little is left to "
-                          "explain, and a larger --max-effects tries no more.")  # fmt: skip
+    assert ("The search did not add it, because beside the effects that were found too little is left to explain, and "
+            "a larger --max-effects tries no more.") in small  # fmt: skip
     note = next(n for n in _notes(replace(found, rounds=rounds[:1]), GivenModel("m.toml")) if "still pass" in n)
     assert "none of them was added: steady wind. They were not tried: beside the effects that were found" in note
     doubted = replace(found, attributions=(EffectAttribution("hump", "ambiguous", ("a lag resembles it",)),))
@@ -601,7 +611,7 @@ def test_candidates_have_the_given_position_of_the_thrusters() -> None:
     effects = {name: catalogue()[name] for name in ("propeller-walk", "thrust-angle", "wind")}
     runs = segments(boat_with("mismatch", 1), seconds=60.0)[:1]
     plain = horizontal_model()
-    given = replace(plain, effect_priors=(EffectPrior("x_walk", -0.8, 0.05), EffectPrior("x_delta", -0.8, 0.05)))
+    given = replace(plain, effect_priors=tuple(EffectPrior(n, -0.8, 0.05, "rig") for n in ("x_walk", "x_delta")))
     for model, known in ((given, True), (plain, False)):
         start = search._prepared_search(model, runs, [], effects, 10.0, QUIET, search.DEFAULT_POLICY)
         for name, parameter in (("propeller-walk", "x_walk"), ("thrust-angle", "x_delta")):

@@ -15,7 +15,7 @@ from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.maximum_likelihood import SearchSettings, fit
 from seatrial.ident.estimation.output_error import simulate
 from seatrial.ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
-from seatrial.ident.experiment_design.discrimination import HypothesisPair, discriminate, separation
+from seatrial.ident.experiment_design.discrimination import HypothesisPair, baselines_apart, discriminate, separation
 from seatrial.ident.experiment_design.evaluator import DesignEvaluator
 from seatrial.ident.experiment_design.excitation import StepInput, ThrusterResponse, prbs, rgs
 from seatrial.ident.experiment_design.information import planned_record
@@ -436,6 +436,21 @@ def test_designed_mission_discriminates_delay_and_lag_better_than_random_mission
     assert min(found.separation) > 2 * max(random)
     with pytest.raises(SeatrialError, match="different sensors"):
         discriminate(a, late(horizontal_model(sensors=("gyro",), current=False), "lag"), problem)
+
+
+def test_baseline_signals_of_a_discrimination_are_the_best_by_its_own_criterion() -> None:
+    a, b = (late(horizontal_model(sensors=("gyro",), current=False), effect) for effect in ("delay", "lag"))
+    problem = DesignProblem(a, StepInput(4, 2, 10.0, 1.0, GRID))
+    by_information = baseline_signals(problem, n=3)
+    found = baselines_apart(a, b, problem, by_information)
+    assert list(found) == ["PRBS", "RGS"]
+    for kind, signal in found.items():
+        T = [min(separation(a, b, problem, signal.sequences[:, :, k])) for k in range(3)]
+        np.testing.assert_allclose(signal.values, T, rtol=1e-6)
+        assert signal.value == pytest.approx(max(T))
+        np.testing.assert_array_equal(signal.command, signal.sequences[:, :, int(np.argmax(T))])
+        same = [np.array_equal(by_information[kind].command, signal.sequences[:, :, k]) for k in range(3)]
+        assert any(same)  # the bandwidth and amplitude are those of the most informative sequence
 
 
 def test_separation_equals_the_loss_of_a_fit_of_the_wrong_model() -> None:

@@ -367,8 +367,9 @@ def test_terminal_shows_the_probability_of_a_name_and_what_sorts_the_candidates(
     assert causes in " ".join(printed(result).split())
     assert "best by score/df" in text
     wide = next(c for c in result["rounds"][0]["candidates"] if c["df"] == 6)
-    row = next(line for line in printed(result).splitlines() if "surge force over surge" in line)
-    assert row.split("speed")[1].split()[:3] == [f"{wide['lm']:.0f}", "6", f"{wide['lm'] / 6:.0f}"]
+    row = next(line for line in printed(result).splitlines() if " X(u) " in line)
+    assert "X(u): surge force that follows the surge speed" in text  # below the table
+    assert row.split("X(u)")[1].split()[:3] == [f"{wide['lm']:.0f}", "6", f"{wide['lm'] / 6:.0f}"]
     page = " ".join(Page(written(result, tmp_path)).words.split())
     assert f"{wide['lm']:.0f} on 6 df ({wide['lm'] / 6:.0f} per df)" in page
 

@@ -23,7 +23,7 @@ from seatrial.daq.errors import SeatrialError
 from seatrial.ident.estimation.standard_errors import AT_BOUND
 from seatrial.ident.models.components import telemetry_age
 from seatrial.ident.models.horizontal import horizontal_model
-from seatrial.ident.report.sections.campaigns import _signed
+from seatrial.ident.report.sections.campaigns import _signed, absolute_change
 from seatrial.ident.report.terminal import campaign_tables
 from seatrial.ident.reporter import Quiet
 from seatrial.ident.results import (
@@ -149,7 +149,16 @@ def test_report_and_tables(fouled: CampaignsResult, folder: Path, capsys: pytest
     from seatrial.api.messages import text_of
 
     text = text_of(fouled)
-    assert re.search(r"d_uu +\d.* \+\d\d % \(\+\d\d to \+\d\d\) ", text)
+    (drag,) = fouled.changed
+    size = absolute_change(drag)
+    assert float(size) == pytest.approx(drag.difference, abs=0.1 * drag.se)
+    assert size.startswith("+")
+    assert re.search(rf"d_uu +\d.* {re.escape(size)} +kg/m +\+\d\d % \(\+\d\d to \+\d\d\) ", text)
+    changes = text[text.index("Changes (") :]
+    assert changes.index("d_uu") < changes.index("m_u")  # changed ones first
+    cell = '<td class="num">'
+    assert page.index('<td class="symbol">d_uu</td>') < page.index('<td class="symbol">m_u</td>')
+    assert f"{cell}{size}</td>{cell}+" in re.sub(r"\n *", "", page)
     assert "Prediction error (rms) 10 s ahead" in text
     assert "V_x" not in text
 
@@ -168,8 +177,11 @@ def test_scatter_of_the_mass_is_no_change(logs: dict[str, list[Path]], folder: P
     assert frame.loc["m_u", "scatter"] == mass.scatter
     assert not frame["changed"].any()
     assert repr(found).startswith("<CampaignComparison: 6 logs>\nNone of")
+    assert list(frame.index) == [p.name for p in found.result.parameters]
+    assert not frame[["difference", "relative"]].loc[["m_u"]].isna().any().any()
     shown = found._repr_html_()
     assert "<b>None of" in shown
+    assert f"<td>{absolute_change(mass)}</td><td>kg</td>" in shown
     assert f"<td>m_u</td><td>{found.to_pandas().loc['m_u', 'before']:.4g}</td>" in shown
     before = {p.name: p.before for p in fouled.parameters}
     assert mass.before.mean == pytest.approx(before["m_u"].mean, rel=0.02)  # its weights include the scatter

@@ -175,7 +175,12 @@ def test_a_model_that_did_not_converge_is_named_before_it_is_used(
     result = compare_models(CompareRequest([models[0], failed], logs[2:], (2.0,), names=("good", "failed")), "", Kept())
     (warning,) = [w for w in result.warnings if w.code == "model-not-converged"]
     assert warning.text.startswith("the fit of (b) did not converge, so its estimates")
-    assert "the fit of (b) did not converge" in " ".join(text_of(result).split())
+    shown = " ".join(text_of(result).split())
+    page = " ".join(render(result).split())
+    warned = "the fit of (b) did not converge"
+    assert shown.index(result.answer.partition(". ")[0]) < shown.index(warned) < shown.index("Models")
+    assert page.count(f'<p class="callout warning">{warned}') == 1
+    assert page.index("</h1>") < page.index(warned) < page.index("<table")
     t = np.arange(0.0, 2.0, 0.1)
     inputs = {"n_left": 0.3 + 0 * t, "n_right": 0.3 + 0 * t}
     with pytest.warns(SeatrialWarning, match="the fit of this model did not converge"):

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from seatrial.daq.errors import SeatrialError
+from seatrial.daq.rig import Rig
 from seatrial.ident.data.loading import LoadedLog, PropulsionInput, TimeWindow, load_all, load_run, load_runs
 from seatrial.ident.data.record import Channel, LogSegment
 from seatrial.ident.estimation.fitted_model import fit_nominal_model
@@ -21,7 +22,7 @@ from seatrial.ident.estimation.prior_knowledge import (
     set_priors,
     with_effects,
 )
-from seatrial.ident.model.parameter import ParameterOrigin
+from seatrial.ident.model.parameter import Parameter, ParameterOrigin
 from seatrial.ident.models.catalogue import make_model
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.models.nomoto import nomoto_model
@@ -228,6 +229,40 @@ def test_position_of_the_thrusters_is_the_prior_in_the_effects_that_have_it(name
     assert (built_in.prior, built_in.origin) == ((-0.5, 0.3), ParameterOrigin.BUILT_IN)
     with pytest.raises(SeatrialError, match=r"^the rig file or the import map gives x_thrusters_sd = 0: a standard"):
         apply_rig_geometry(horizontal_model(), None, {"x_thrusters": -0.9, "x_thrusters_sd": 0.0})
+
+
+@pytest.mark.parametrize("antenna", [{}, {"antenna_x": 0.3, "antenna_y": 0.0, "antenna_z": -0.2}])
+def test_uncertainty_of_the_antennas_position_is_the_prior_of_the_lever_arm(antenna: dict[str, float]) -> None:
+    model, notes = apply_rig_geometry(horizontal_model(), None, {**antenna, "lever_arm_sd": 0.02})
+    assert notes == []
+    arm = with_effects(model, ["lever-arm"])
+    for name in ("l_x", "l_y"):
+        p = arm.parameter(name)
+        assert (p.prior, p.free, p.origin) == ((0.0, 0.02), True, ParameterOrigin.PRIOR)
+        assert p.meaning.endswith(" (prior: lever_arm_sd)")
+    without, _ = apply_rig_geometry(horizontal_model(), None, antenna)
+    assert with_effects(without, ["lever-arm"]).parameter("l_x").origin is ParameterOrigin.BUILT_IN
+    with pytest.raises(SeatrialError, match=r"^the rig file or the import map gives lever_arm_sd = -1: a standard"):
+        apply_rig_geometry(horizontal_model(), None, {**antenna, "lever_arm_sd": -1.0})
+
+
+def test_position_of_the_thrusters_of_the_rig_file_is_the_prior_and_named_as_its_source() -> None:
+    rig = rig_of("boat")
+    (place,) = {t.position_m[0] for t in rig.thrusters}
+    assert place < 0.0
+
+    def position(rig: Rig, boat: dict[str, float] | None = None) -> Parameter:
+        return with_effects(apply_rig_geometry(horizontal_model(), rig, boat)[0], ["thrust-angle"]).parameter("x_delta")
+
+    found = position(rig)
+    assert (found.value, found.prior, found.origin) == (place, (place, 0.05), ParameterOrigin.PRIOR)
+    assert found.meaning.endswith(" (prior: position_m of the thrusters in the rig file)")
+    assert position(rig, {"x_thrusters_sd": 0.02}).prior == (place, 0.02)
+    given = position(rig, {"x_thrusters": -0.7})
+    assert (given.prior, given.meaning.endswith(" (prior: x_thrusters)")) == ((-0.7, 0.05), True)
+    for places in ((0.0, 0.0), (place, place - 0.1)):  # unknown, and not shared
+        moved = [replace(t, position_m=(x, *t.position_m[1:])) for t, x in zip(rig.thrusters, places, strict=True)]
+        assert position(replace(rig, thrusters=tuple(moved))).origin is ParameterOrigin.BUILT_IN
 
 
 def test_thrusters_at_one_place_are_rejected() -> None:

@@ -23,7 +23,7 @@ from seatrial.ident.reporter import QUIET
 from seatrial.ident.results.commands import ONLY_CHOSEN
 from seatrial.ident.workflows.diagnose import DiagnosisRequest, diagnosis
 from seatrial.ident.workflows.vehicle_model import VehicleRequest, vehicle_problem
-from tests.missions import boat_log, boat_with
+from tests.missions import boat_log, boat_with, rig_of
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
 
@@ -135,6 +135,9 @@ def test_effects_have_the_position_of_the_thrusters_of_the_log(saved: bool, logs
     log = replace(load_run(logs[0], "one"), vehicle={"x_thrusters": -0.9, "x_thrusters_sd": 0.03})
     found = vehicle_problem(request, [log], []).model
     assert [found.parameter(n).prior for n in ("x_delta", "x_walk")] == [(-0.9, 0.03)] * 2
+    assert found.parameter("x_delta").meaning.endswith(" (prior: x_thrusters)")
+    of_rig = vehicle_problem(request, [replace(load_run(logs[0], "one"), rig=rig_of("boat"), vehicle={})], []).model
+    assert of_rig.parameter("x_delta").meaning.endswith(" (prior: position_m of the thrusters in the rig file)")
 
 
 @pytest.mark.study
