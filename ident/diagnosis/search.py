@@ -305,6 +305,8 @@ class ModelAssessment:
 
     Attributes
     ----------
+    nominal
+        Fit of the model without common errors.
     common_errors
         Fit with the common errors (timing and mounting of sensors, hull form). None if they were not added, for example
         because the data do not need them or the model has them already.
@@ -312,6 +314,7 @@ class ModelAssessment:
         Shifts of the estimates by the candidates that still pass; None if there is nothing to add.
     """
 
+    nominal: FittedModel
     common_errors: CommonErrorsFit | None
     uncertainty: ModelUncertainty | None
 
@@ -365,7 +368,8 @@ def assess_model(
     extended = search.add_common_errors(start.before, passing)
     if extended is not None:
         passing = search.scored(extended)[1]
-    return ModelAssessment(search.common_errors, search.uncertainty(passing, (extended or start.before).fit))
+    uncertainty = search.uncertainty(passing, (extended or start.before).fit)
+    return ModelAssessment(start.before, search.common_errors, uncertainty)
 
 
 @dataclass(frozen=True)

@@ -147,6 +147,7 @@ def fit_nominal_model(
     *,
     rate: float = 10.0,
     settings: SearchSettings | None = None,
+    start: Mapping[str, float] | None = None,
     reporter: Reporter = QUIET,
 ) -> FittedModel:
     """Fit the model with disturbance forces and sensor offsets as states, without a search for missing effects.
@@ -164,6 +165,8 @@ def fit_nominal_model(
         Rate [Hz] of the rows of a record. Faster sensors are averaged to it.
     settings
         Accuracy of the fit; None: the default.
+    start
+        Initial values by full name, which replace those of the model (`fit`). None: no such values.
     reporter
         Receives a line of progress, and the iterations as its details.
 
@@ -184,7 +187,7 @@ def fit_nominal_model(
     reporter.progress(f"fitting {full.name} to {counted(len(records), 'run')}")
     validation_data = without_unknown_noise(full, records, validation_data)
     full = without_absent_sensors(full, records)
-    fitted = fit_with_rescaling(full, records, validation_data, options, settings, reporter.detail)
+    fitted = fit_with_rescaling(full, records, validation_data, options, settings, start, reporter.detail)
     return replace(fitted, failed=(*failed, *fitted.failed))
 
 
@@ -224,6 +227,7 @@ def fit_with_rescaling(
     validation_data: ValidationData,
     options: EstimationOptions | None = None,
     settings: SearchSettings | None = None,
+    start: Mapping[str, float] | None = None,
     detail: Callable[[str], None] | None = None,
 ) -> FittedModel:
     """Fit a model with disturbance forces and sensor offsets, and fit it again if its priors turn out to be wrong.
@@ -243,6 +247,8 @@ def fit_with_rescaling(
         Method, outliers and noise. None: prediction error, without outliers and REML.
     settings
         Accuracy of the fits; None: the default.
+    start
+        Initial values of all fits by full name, which replace those of the model (`fit`). None: no such values.
     detail
         Called with a text in each iteration of the searches, such as ``second fit: iteration 7``.
 
@@ -258,7 +264,7 @@ def fit_with_rescaling(
     ValueError, ArithmeticError
         If the first fit fails, or if a second fit is needed and both of its attempts fail.
     """
-    fitted = fit_and_evaluate(full, records, validation_data, options, settings, detail=detail)
+    fitted = fit_and_evaluate(full, records, validation_data, options, settings, start, detail=detail)
     assumed, found, noise_revised = size_of(full), size_of(fitted.fit.model), without_contradicted_noise(full, fitted)
     again = noise_revised
     ratios = [found.of(unit) / assumed.of(unit) for unit in ("N", "N m")]
@@ -271,7 +277,9 @@ def fit_with_rescaling(
     shared = {p.name: float(v) for p, v in zip(first.parameters, first.values, strict=True) if p.segment is None}
     for initial in (again, again.with_values(shared)):
         try:
-            refits.append(fit_and_evaluate(initial, records, validation_data, options, settings, detail=again_detail))
+            refits.append(
+                fit_and_evaluate(initial, records, validation_data, options, settings, start, detail=again_detail)
+            )
         except FIT_ERRORS:
             if initial is not again and not refits:
                 raise

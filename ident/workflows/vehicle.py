@@ -27,6 +27,7 @@ from seatrial.ident.estimation import (
     FittedModel,
     fit_nominal_model,
     homogeneity_test,
+    nominal_model,
     parameters_of_effects,
     profile,
 )
@@ -145,6 +146,7 @@ def fit_vehicle(request: VehicleRequest, command: str, reporter: Reporter, with_
         request.estimation,
         rate=request.rate,
         settings=None if common is None else COMMON_SEARCH,
+        start=None if tested is None or common is not None else tested.nominal.fit.start_values(nominal_model(model)),
         reporter=reporter,
     )
     uncertainty = untested_uncertainty(fitted.fit) if tested is None else tested.uncertainty

@@ -23,6 +23,7 @@ import seatrial as st
 from seatrial import command_line
 from seatrial.api.messages import in_python, text_of
 from seatrial.daq.errors import SeatrialError
+from seatrial.ident.diagnosis import assess_model
 from seatrial.ident.diagnosis.findings import ModelUncertainty
 from seatrial.ident.diagnosis.model_uncertainty import with_model_uncertainty
 from seatrial.ident.estimation.maximum_likelihood import EstimationOptions
@@ -285,6 +286,24 @@ def test_part_of_a_prior_is_the_change_by_its_mean(logs: list[Path]) -> None:
     for name in ("m_u", "m_v", "m_r", "c1", "d_uu"):
         assert parts[name]["c1"] * 0.25 == pytest.approx(moved[name], rel=0.1), name
     assert below.values("se").iloc[0]["m_u"] > abs(parts["m_u"]["c1"])
+
+
+@pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")
+def test_a_fit_starts_at_the_estimates_of_its_score_tests(logs: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both fit the same model. The fit differs only by the second order of the mean and by REML."""
+    tested = list[Any]()
+
+    def assessed(*arguments: Any, **options: Any) -> Any:
+        tested.append(assess_model(*arguments, **options))
+        return tested[-1]
+
+    monkeypatch.setattr("seatrial.ident.workflows.vehicle.assess_model", assessed)
+    request = VehicleRequest([logs[0]], [], Path(), fixed={"c1": 40.0, "c2": 1.1})
+    fit = fit_vehicle(request, "", QUIET, with_dynamics=False).fitted.fit
+    assert tested[0].common_errors is None
+    assert fit.converged
+    assert fit.iterations < tested[0].nominal.fit.iterations / 2
+    assert fit.log_posterior == pytest.approx(tested[0].nominal.fit.log_posterior, abs=5.0)
 
 
 @pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")
