@@ -39,6 +39,8 @@ from seatrial.ident.studies.cases import repeat_design
 from seatrial.ident.workflows.design import beyond_validity
 from tests.ident.toys import follower, values_of
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 
 def boat_task(seconds: float = 100.0, n_steps: int = 20, **how) -> DesignProblem:
     return DesignProblem(horizontal_model(current=False), StepInput(n_steps, 2, seconds, 1.0, GRID), **how)

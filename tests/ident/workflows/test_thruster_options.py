@@ -24,6 +24,8 @@ from seatrial.mocks.world import Reading
 from tests import missions
 from tests.missions import push, rig_of, write_log
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 EVERY, WILD = 60, 60_000.0  # Number of load cell readings per outlier, and size of an outlier in counts.
 
 
