@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import signal, stats
 
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.data.record import Channel, build_record
@@ -377,6 +378,20 @@ def test_baseline_signals_have_their_bandwidth() -> None:
     assert np.abs(slow).max() <= 1.0
     assert slow.std() == pytest.approx(0.4, abs=0.05)
     assert np.abs(np.diff(fast)).mean() > 5 * np.abs(np.diff(slow)).mean()
+
+
+def test_the_filter_of_many_sequences_is_designed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    designed, design_filter = [], signal.butter
+
+    def counted(*arguments: Any, **options: Any) -> Any:
+        designed.append(arguments)
+        return design_filter(*arguments, **options)
+
+    monkeypatch.setattr(signal, "butter", counted)
+    t, rng = np.arange(0.0, 60.0, 0.2), np.random.default_rng(1)
+    first, second = (rgs(t, 0.0731, 1, 0.4, 1.0, rng) for _ in range(2))
+    assert len(designed) == 1
+    assert not np.array_equal(first, second)
 
 
 def small_design() -> Design:
